@@ -19,14 +19,15 @@ pub use self::settings::{EffortFrom, MpcSettings};
 pub(crate) use self::steps::with_long_steps;
 use self::steps::{Divided, period_and_horizon};
 use super::error::MpcError;
-use super::estimator::{Disturbance, ModelParameters};
+use super::estimator::Disturbance;
 use super::holding::Holding;
 use super::horizon::Horizon;
 use super::knots::Knots;
+use super::motions::Motions;
 use super::subproblem::{Subproblem, SubproblemEnd};
 use crate::control::{ActuatedNode, Hold};
 use crate::mechanics::linearization::StateTangent;
-use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Wrench};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
 
@@ -126,9 +127,7 @@ pub struct Controller {
     change: Vec<f64>,
     command: Command,
     state: State,
-    prediction: Option<StepperMemory>,
-    /// Parameters of the model for which its constants were computed.
-    tuned: ModelParameters,
+    prediction: Motions,
     in_period: Divided,
     /// Wrenches at both ends of a step, one for each node.
     wrenches: [Vec<Wrench>; 2],
@@ -335,8 +334,7 @@ impl Controller {
                 to: vec![Wrench::default(); nodes.len()],
                 nodes,
             },
-            prediction: Some(StepperMemory::new(&horizon.problem.rod, in_period.step)),
-            tuned: Disturbance::NONE.parameters(),
+            prediction: Motions::new(&horizon.problem.rod, in_period.step, horizon.parameters()),
             state,
             in_period,
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
@@ -943,37 +941,41 @@ impl Controller {
 
     /// Predicts the state at the end of the command.
     fn predict(&mut self) -> Result<(), MpcError> {
-        let rod = &self.horizon.problem.rod;
         let Divided { n, step } = self.in_period;
-        let memory = self.prediction.take();
-        let mut memory = memory.unwrap_or_else(|| StepperMemory::new(rod, step));
-        if self.tuned != self.horizon.parameters() {
-            memory.retune(rod, step);
-            self.tuned = self.horizon.parameters();
-        }
-        let mut stepper = memory.begin(rod, self.command.start, &self.state);
-        let n_steps = ((self.command.end - self.command.start) / step).round() as usize;
+        let Self {
+            horizon,
+            prediction,
+            command,
+            wrenches: [now, next],
+            ..
+        } = self;
+        let n_steps = ((command.end - command.start) / step).round() as usize;
         let n_steps = n_steps.min(n);
-        let mut outcome = Ok(());
-        let [now, next] = &mut self.wrenches;
-        let time = |k: usize| self.command.start + k as f64 * step;
-        let fill = |t: f64, wrenches: &mut [Wrench]| {
-            wrenches.copy_from_slice(self.horizon.disturbing());
-            self.command.add_at(t, wrenches);
+        horizon.start.clone_from(&self.state);
+        let parameters = horizon.parameters();
+        let Horizon {
+            problem,
+            nodes,
+            start,
+            disturbing,
+            ..
+        } = horizon;
+        let fill = |k: usize, wrenches: &mut [Wrench]| {
+            wrenches.copy_from_slice(disturbing);
+            command.add_at(command.start + k as f64 * step, wrenches);
         };
-        fill(time(0), now);
-        for k in 0..n_steps {
-            fill(time(k + 1), next);
-            let of = |wrenches| NodeWrenches::on(&self.horizon.nodes, wrenches);
-            outcome = stepper.advance([of(now), of(next)]);
-            if outcome.is_err() {
-                break;
+        let model = (&*problem.rod, parameters);
+        let outcome = prediction.run(model, step, (command.start, start), |stepper| {
+            fill(0, now);
+            for k in 0..n_steps {
+                fill(k + 1, next);
+                let of = |wrenches| NodeWrenches::on(nodes, wrenches);
+                stepper.advance([of(now), of(next)])?;
+                std::mem::swap(now, next);
             }
-            std::mem::swap(now, next);
-        }
-        stepper.write_state(&mut self.horizon.start);
-        self.prediction = Some(stepper.into_memory());
-        outcome.map_err(MpcError::from)
+            Ok(())
+        });
+        outcome.map_err(|error: StepError| error.into())
     }
 
     /// Moves the horizon to `start`. The plan stays the same function of time, and is constant beyond its old end.

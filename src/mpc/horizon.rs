@@ -19,6 +19,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::error::MpcError;
 use super::estimator::{Disturbance, ModelParameters};
 use super::knots::Knots;
+use super::motions::Motions;
 use super::rows::{Evaluated, Rows};
 use super::soft_rows::SoftRows;
 use crate::control::path::{PathLimit, RodView};
@@ -26,9 +27,7 @@ use crate::control::{Component, Enforcement, Goal, OptimalControlProblem, Shape,
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
 use crate::mechanics::sensitivity::{ControlColumns, RepeatedReverse};
-use crate::mechanics::{
-    NodeWrenches, Rod, State, StepError, StepperMemory, TimeGrid, Trajectory, Wrench,
-};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, TimeGrid, Trajectory, Wrench};
 use crate::stop::StopSignal;
 
 /// Part of the length, or of a radian.
@@ -86,18 +85,17 @@ pub(super) struct Horizon {
     model: Arc<Rod>,
     /// What ends simulations and sweeps before they are done.
     pub stop: StopSignal,
-    /// What is wrong with the model of the present horizon, and what the constants in `memory` are for.
+    /// Parameters by which the model of the present horizon differs from the one without a disturbance.
     parameters: ModelParameters,
-    tuned: ModelParameters,
     /// What disturbs every node, constant in time.
-    disturbing: Vec<Wrench>,
+    pub disturbing: Vec<Wrench>,
     /// By how much later commands act than they say, s.
     delay: f64,
     trajectory: Trajectory,
     /// State that the roll-out starts from, and the one that it ends in.
     pub start: State,
     end: State,
-    memory: Option<StepperMemory>,
+    motions: Motions,
     sweep: RepeatedReverse,
     /// The residuals of the present horizon with the start moved.
     moved: Vec<f64>,
@@ -204,7 +202,7 @@ impl Horizon {
             RepeatedReverse::new(&motion, &trajectory, &columns, rows.forms())
         };
         Ok(Self {
-            memory: Some(StepperMemory::new(&problem.rod, grid.step)),
+            motions: Motions::new(&problem.rod, grid.step, Disturbance::NONE.parameters()),
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
             nodes: (0..n_nodes).collect(),
             model,
@@ -216,7 +214,6 @@ impl Horizon {
                 })
                 .collect(),
             parameters: Disturbance::NONE.parameters(),
-            tuned: Disturbance::NONE.parameters(),
             disturbing: vec![Wrench::default(); n_nodes],
             delay: 0.0,
             trajectory,
@@ -372,11 +369,6 @@ impl Horizon {
         self.parameters
     }
 
-    /// What disturbs every node.
-    pub fn disturbing(&self) -> &[Wrench] {
-        &self.disturbing
-    }
-
     /// What the plan applies at time `t`, scaled, one of each component.
     pub fn control(&self, plan: &[f64], t: f64, out: &mut [f64]) {
         let n = self.components.len();
@@ -401,44 +393,45 @@ impl Horizon {
             wrenches: [now, next],
             disturbing,
             trajectory,
+            motions,
+            parameters,
+            start,
+            end,
+            stop,
+            components,
+            effects,
+            scales,
             ..
         } = self;
-        let n = self.components.len();
+        let n = components.len();
         let fill = |k: usize, wrenches: &mut [Wrench]| {
             wrenches.copy_from_slice(disturbing);
             for (coefficient, weight) in knots.at_node(grid, k) {
                 let own = &plan[coefficient * n..][..n];
-                for ((effects, v), scale) in self.effects.iter().zip(own).zip(&self.scales) {
+                for ((effects, v), scale) in effects.iter().zip(own).zip(scales.iter()) {
                     add_effects(effects, weight * v * scale, wrenches);
                 }
             }
         };
         trajectory.positions.clear();
         trajectory.rotations.clear();
-        trajectory.push(&self.start.configuration);
-        let memory = self.memory.take();
-        let mut memory = memory.unwrap_or_else(|| StepperMemory::new(&problem.rod, grid.step));
-        if self.tuned != self.parameters {
-            memory.retune(&problem.rod, grid.step);
-            self.tuned = self.parameters;
-        }
-        let mut stepper = memory.begin(&problem.rod, grid.start, &self.start);
-        fill(0, now);
-        let mut outcome = Ok(());
-        for k in 0..grid.n_steps {
-            fill(k + 1, next);
-            let of = |wrenches| NodeWrenches::on(nodes, wrenches);
-            outcome = (self.stop.check_at(k).map_err(StepError::from))
-                .and_then(|()| stepper.advance([of(now), of(next)]));
-            if outcome.is_err() {
-                break;
+        trajectory.push(&start.configuration);
+        let steps = grid.n_steps;
+        end.clone_from(start);
+        let model = (&*problem.rod, *parameters);
+        let outcome = motions.run(model, grid.step, (grid.start, end), |stepper| {
+            fill(0, now);
+            for k in 0..steps {
+                fill(k + 1, next);
+                let of = |wrenches| NodeWrenches::on(nodes, wrenches);
+                stop.check_at(k)?;
+                stepper.advance([of(now), of(next)])?;
+                stepper.record(trajectory);
+                std::mem::swap(now, next);
             }
-            stepper.record(trajectory);
-            std::mem::swap(now, next);
-        }
-        stepper.write_state(&mut self.end);
-        self.memory = Some(stepper.into_memory());
-        outcome?;
+            Ok(())
+        });
+        outcome.map_err(|error: StepError| MpcError::from(error))?;
         self.evaluate_all();
         Ok(())
     }

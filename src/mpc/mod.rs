@@ -58,6 +58,7 @@ mod holding;
 mod horizon;
 mod knots;
 mod limits;
+mod motions;
 mod plant;
 mod rows;
 mod sensor;

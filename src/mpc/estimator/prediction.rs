@@ -1,7 +1,8 @@
 //! Motions of the model that begin at an estimate.
 
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, Wrench};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
 use crate::mpc::controller::Command;
+use crate::mpc::motions::Motions;
 
 use super::{Disturbance, EstimateError, ModelParameters};
 
@@ -13,9 +14,7 @@ pub struct Predictor {
     rod: Rod,
     parameters: ModelParameters,
     longest_step: f64,
-    memory: Option<StepperMemory>,
-    /// Step length and parameters for which the memory was prepared.
-    tuned: (f64, ModelParameters),
+    motions: Motions,
     nodes: Vec<usize>,
     /// Wrenches at both ends of a step, one for each node.
     wrenches: [Vec<Wrench>; 2],
@@ -48,8 +47,7 @@ impl Predictor {
     pub fn new(model: &Rod, longest_step: f64) -> Self {
         let n = model.n_nodes();
         Self {
-            memory: Some(StepperMemory::new(model, longest_step)),
-            tuned: (longest_step, Disturbance::NONE.parameters()),
+            motions: Motions::new(model, longest_step, Disturbance::NONE.parameters()),
             rod: model.clone(),
             parameters: Disturbance::NONE.parameters(),
             model: model.clone(),
@@ -157,25 +155,34 @@ impl Predictor {
         disturbance: &Disturbance,
         mut visit: impl FnMut(&Stepper),
     ) -> Result<(), StepError> {
-        let memory = self.memory_for(steps.step, disturbance);
-        let mut stepper = memory.begin(&self.rod, steps.start, from);
-        let [now, next] = &mut self.wrenches;
+        self.changed(disturbance);
+        let Self {
+            rod,
+            parameters,
+            motions,
+            nodes,
+            wrenches: [now, next],
+            end,
+            ..
+        } = self;
         let at = |k: usize| steps.start + k as f64 * steps.step;
-        write_wrenches(&self.rod, command, at(0), disturbance, now);
-        let mut outcome = Ok(());
-        for k in 0..steps.n {
-            write_wrenches(&self.rod, command, at(k + 1), disturbance, next);
-            let on = |wrenches| NodeWrenches::on(&self.nodes, wrenches);
-            outcome = stepper.advance([on(now), on(next)]);
-            if outcome.is_err() {
-                break;
+        end.clone_from(from);
+        let model = (&*rod, *parameters);
+        motions.run(model, steps.step, (steps.start, end), |stepper| {
+            write_wrenches(rod, command, at(0), disturbance, now);
+            let mut outcome = Ok(());
+            for k in 0..steps.n {
+                write_wrenches(rod, command, at(k + 1), disturbance, next);
+                let on = |wrenches| NodeWrenches::on(nodes, wrenches);
+                outcome = stepper.advance([on(now), on(next)]);
+                if outcome.is_err() {
+                    break;
+                }
+                visit(stepper);
+                std::mem::swap(now, next);
             }
-            visit(&stepper);
-            std::mem::swap(now, next);
-        }
-        stepper.write_state(&mut self.end);
-        self.memory = Some(stepper.into_memory());
-        outcome
+            outcome
+        })
     }
 
     /// Simulates steps from a state, which `visit` may change after each of them; it is given the time and the length of the last step.
@@ -190,32 +197,27 @@ impl Predictor {
     ) -> Result<(), StepError> {
         self.end.clone_from(from);
         for k in 0..steps.n {
-            let memory = self.memory_for(steps.step, disturbance);
-            let at = |k: usize| steps.start + k as f64 * steps.step;
-            let mut stepper = memory.begin(&self.rod, at(k), &self.end);
-            let [now, next] = &mut self.wrenches;
-            write_wrenches(&self.rod, command, at(k), disturbance, now);
-            write_wrenches(&self.rod, command, at(k + 1), disturbance, next);
-            let on = |wrenches| NodeWrenches::on(&self.nodes, wrenches);
-            let outcome = stepper.advance([on(now), on(next)]);
-            stepper.write_state(&mut self.end);
-            self.memory = Some(stepper.into_memory());
-            outcome?;
-            visit(at(k + 1), &mut self.end, disturbance);
+            self.changed(disturbance);
+            let Self {
+                rod,
+                parameters,
+                motions,
+                nodes,
+                wrenches: [now, next],
+                end,
+                ..
+            } = self;
+            let [start, stop] = [k, k + 1].map(|k| steps.start + k as f64 * steps.step);
+            write_wrenches(rod, command, start, disturbance, now);
+            write_wrenches(rod, command, stop, disturbance, next);
+            let on = |wrenches| NodeWrenches::on(nodes, wrenches);
+            let model = (&*rod, *parameters);
+            motions.run(model, steps.step, (start, end), |stepper| {
+                stepper.advance([on(now), on(next)])
+            })?;
+            visit(stop, &mut self.end, disturbance);
         }
         Ok(())
-    }
-
-    /// Returns memory for steps of this length and the corrected model.
-    fn memory_for(&mut self, step: f64, disturbance: &Disturbance) -> StepperMemory {
-        self.changed(disturbance);
-        let memory = self.memory.take();
-        let mut memory = memory.unwrap_or_else(|| StepperMemory::new(&self.rod, step));
-        if self.tuned != (step, self.parameters) {
-            memory.retune(&self.rod, step);
-            self.tuned = (step, self.parameters);
-        }
-        memory
     }
 }
 

@@ -85,7 +85,8 @@ impl<C> Comparison<'_, C> {
             (_, found, expected) if found == expected => {}
             (_, found, expected) => {
                 let text = match found {
-                    Value::String(text) => text.clone(),
+                    Value::String(text) if expected.is_string() => text.clone(),
+                    // In quotes: no text is the number that it spells.
                     Value::Object(_) => "an object".into(),
                     _ => found.to_string(),
                 };
