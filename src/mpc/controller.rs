@@ -186,8 +186,8 @@ impl Controller {
     ///
     /// Without a price of rates, a receding horizon gets one by which a change over two blocks costs as much as the effort. A target must
     /// be reached by the end of the horizon; if the horizon recedes, its position becomes a track, which counts from the beginning. Tracks,
-    /// targets (soft), effort, rate, bounds of the task's wrenches, obstacles and limits except those of speed are used; the task's
-    /// duration is not. Hold and elements are those of `discretization`. Steps are shortened so that they divide the sample period;
+    /// targets (soft), all costs, bounds of the task's wrenches, obstacles and limits are used; the task's duration is not. A limit of a
+    /// speed holds for means between samples. Terms of one's own may allocate memory at every sample. Hold and elements are those of `discretization`. Steps are shortened so that they divide the sample period;
     /// implicit steps of a receding horizon so that they divide the horizon. If `discretization` names neither integrator nor step, steps
     /// are implicit and long where that is faster.
     ///

@@ -108,8 +108,8 @@ impl Scene {
     /// initial state.
     ///
     /// # Errors
-    /// [`SceneError`] where `[mpc]`, `[control]` or what there is to do is missing, for what a controller does not know (limits of speed,
-    /// points on the way, a free duration, energy, cubic blocks), and as [`Self::optimal_control`].
+    /// [`SceneError`] if `[mpc]`, `[control]`, or both `[task]` and `[[objective.track]]` are missing, for features that a controller does not
+    /// have (waypoints, a free final time, cubic blocks), and as [`Self::optimal_control`].
     pub fn closed_loop(
         &self,
         source: &SceneSource,
