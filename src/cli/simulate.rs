@@ -608,7 +608,7 @@ impl<'a> Run<'a> {
             .then(|| BaseReaction::read(&diagnostics, self.trajectory.n_rows()))
             .transpose()?;
         let summary = serde_json::to_value(summary).unwrap_or_default();
-        let page = simulation_page(scene, self.setup, &record, &summary, base.as_ref());
+        let page = simulation_page(scene, self.setup, &record, &summary, base.as_ref())?;
         result.write_text("report.html", &render_report(&page))
     }
 
