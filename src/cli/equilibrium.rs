@@ -130,7 +130,7 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
         write_tables(result, &found.rod, &found.own.shape, &summary)?;
         result.write_json("summary.json", &summary)?;
         let value = serde_json::to_value(&summary).unwrap_or_default();
-        let page = equilibrium_page(&scene, &arm, &found.rod, &record, &value);
+        let page = equilibrium_page(&scene, &arm, &found.rod, &record, &value)?;
         result.write_text("report.html", &render_report(&page))
     })?;
     tell(&summary, &found, &options, console);

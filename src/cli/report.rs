@@ -125,7 +125,7 @@ fn of_tradeoffs(
         saved.push(SavedTradeoff::read(directory, summary)?);
     }
     if let [only] = &saved[..] {
-        return Ok((only.page(), Vec::new()));
+        return Ok((only.page()?, Vec::new()));
     }
     let subject = saved[0].found.subject;
     if let Some(other) = saved.iter().position(|s| s.found.subject != subject) {
@@ -137,7 +137,7 @@ fn of_tradeoffs(
             saved[other].found.subject.words()
         )));
     }
-    let page = tradeoff_comparison(&names(directories), &saved);
+    let page = tradeoff_comparison(&names(directories), &saved)?;
     Ok((page, tradeoff_tables(&saved)))
 }
 

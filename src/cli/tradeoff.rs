@@ -178,7 +178,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         let drawn = svg.as_deref().unwrap_or_default();
         result.write_text(
             "report.html",
-            &page(&short_name, &found, &usual, &sentence, drawn),
+            &page(&short_name, &found, &usual, &sentence, drawn)?,
         )?;
         result.write_json("summary.json", &summary)
     });

@@ -127,7 +127,7 @@ fn write(
             iterations: rows.collect(),
             sensitivity: (examined.feedback.as_ref())
                 .map(|found| sensitivity(problem, &found.open_loop, &found.closed_loop)),
-        });
+        })?;
         directory.write_text("report.html", &render_report(&page))
     };
     let (rest, motion) = beside(n_threads, write_rest, write_motion);

@@ -161,7 +161,7 @@ impl Recording {
         let rows: Vec<SampleRow> = samples.iter().map(SampleRow::of).collect();
         let value = serde_json::to_value(summary).unwrap_or_default();
         let page = closed_loop_page(setup, &rows, &record, &value);
-        result.write_text("report.html", &render_report(&page))?;
+        result.write_text("report.html", &render_report(&page?))?;
         result.write_json("summary.json", summary)
     }
 }

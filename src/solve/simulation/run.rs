@@ -329,7 +329,7 @@ impl<'a> Run<'a> {
             .transpose()?;
         let summary = serde_json::to_value(summary).unwrap_or_default();
         let page = simulation_page(scene, self.setup, &record, &summary, base.as_ref());
-        result.write_text("report.html", &render_report(&page))
+        result.write_text("report.html", &render_report(&page?))
     }
 
     pub(super) fn summarize(

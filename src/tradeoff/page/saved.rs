@@ -1,16 +1,14 @@
 //! Trade-offs read from their result directories: the page of one, and a page that compares several.
 
-use std::fmt::Write as _;
 use std::ops::Range;
 use std::path::Path;
 
 use plotters::prelude::*;
 use serde::Deserialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::{
-    COLORS, INK, SIZE, axes, errors_and_times, escaped, label, milliseconds, page, picture,
-    sentence,
+    COLORS, INK, SIZE, axes, errors_and_times, filled, label, milliseconds, page, picture, sentence,
 };
 use crate::output::{
     ComparisonRow, ComparisonTable, OutputError, PAGE_STYLE, read_text, scene_differences,
@@ -51,9 +49,11 @@ impl SavedTradeoff {
         Ok(Self { text, ..saved })
     }
 
-    /// Returns the page that the run wrote.
-    #[must_use]
-    pub fn page(&self) -> String {
+    /// The page that the run wrote.
+    ///
+    /// # Errors
+    /// As [`page`].
+    pub fn page(&self) -> Result<String, OutputError> {
         let svg = picture(&self.found, &self.usual).unwrap_or_default();
         let sentence = sentence(&self.found, &self.usual);
         page(&self.scene, &self.found, &self.usual, &sentence, &svg)
@@ -124,39 +124,23 @@ pub fn tradeoff_tables(saved: &[SavedTradeoff]) -> Vec<ComparisonTable> {
     tables
 }
 
-/// Returns the page that compares several trade-offs of one kind: their fronts in one picture, their recommendations in one table.
-#[must_use]
-pub fn tradeoff_comparison(names: &[String], saved: &[SavedTradeoff]) -> String {
-    let mut tables = String::new();
-    for table in tradeoff_tables(saved) {
-        let heads: String = (names.iter())
-            .map(|name| format!("<th>{}</th>", escaped(name)))
-            .collect();
-        let _ = writeln!(
-            tables,
-            "<h2>{}</h2>\n<div class=\"card wide\"><table class=\"stack\">\n<thead><tr><th></th>{heads}</tr></thead>\n<tbody>",
-            escaped(&table.title)
-        );
-        for row in &table.rows {
-            let cells: String = (row.values.iter().zip(names))
-                .map(|(value, name)| {
-                    let head = escaped(name).replace('"', "&quot;");
-                    format!(
-                        "<td class=\"value\" data-head=\"{head}\">{}</td>",
-                        escaped(value)
-                    )
-                })
-                .collect();
-            let _ = writeln!(tables, "<tr><th>{}</th>{cells}</tr>", escaped(&row.key));
-        }
-        tables.push_str("</tbody>\n</table></div>\n");
-    }
-    let svg = fronts(names, saved).unwrap_or_default();
-    include_str!("comparison.html")
-        .replace("{{title}}", &escaped(&names.join(" · ")))
-        .replace("{{tables}}", &tables)
-        .replace("{{svg}}", &svg)
-        .replace("{{style}}", PAGE_STYLE)
+/// The page of several trade-offs of one kind: their fronts in one picture, their recommendations in one table.
+///
+/// # Errors
+/// As [`page`].
+pub fn tradeoff_comparison(
+    names: &[String],
+    saved: &[SavedTradeoff],
+) -> Result<String, OutputError> {
+    filled(
+        "comparison.html",
+        &json!({
+            "names": names,
+            "tables": tradeoff_tables(saved),
+            "svg": fronts(names, saved).unwrap_or_default(),
+            "style": PAGE_STYLE,
+        }),
+    )
 }
 
 /// Draws the fronts of several trade-offs.
