@@ -259,6 +259,7 @@ struct JudgedItem<'a> {
 }
 
 /// A start that has ended; nothing is checked yet.
+#[cfg(feature = "cli")]
 pub(crate) fn start_summary(attempt: &Attempt) -> StartSummary {
     StartSummary {
         start: attempt.start,
@@ -271,6 +272,7 @@ pub(crate) fn start_summary(attempt: &Attempt) -> StartSummary {
 }
 
 /// A start without a first point, or that nobody waited for.
+#[cfg(feature = "cli")]
 pub(crate) fn start_not_begun(start: usize, status: &'static str) -> StartSummary {
     StartSummary {
         start,

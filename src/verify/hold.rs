@@ -138,6 +138,7 @@ impl Spline {
     }
 
     /// Start and end of what every coefficient of a constant hold lasts for, s; of the others, the time that it stands for, twice.
+    #[cfg(feature = "cli")]
     pub(crate) fn intervals(&self) -> Vec<[f64; 2]> {
         (self.times().iter().enumerate())
             .map(|(j, t)| match self.degree {
