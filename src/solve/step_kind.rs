@@ -1,6 +1,8 @@
 //! The column `kind` of the iteration table.
 
-use crate::sqp::{IterationRecord, Leave};
+use crate::sqp::IterationRecord;
+#[cfg(feature = "cli")]
+use crate::sqp::Leave;
 
 /// Signs of the column and their meanings, in the order in which they are explained.
 pub(crate) const MEANINGS: [(&str, &str); 9] = [
