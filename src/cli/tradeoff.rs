@@ -1,4 +1,5 @@
-//! `softarm tradeoff SCENE [--out DIR] [--tolerance T] [--budget TIME] [--apply[=FILE]] [--resume]`: error against time, and a recommendation.
+//! `softarm tradeoff SCENE [--out DIR] [--tolerance T] [--budget TIME] [--apply[=FILE]] [--resume]`: error against time, and a
+//! recommendation.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

@@ -14,8 +14,8 @@ pub enum Hold {
     /// Linear between the ends of blocks (one coefficient per end). The default.
     #[default]
     Linear,
-    /// A cubic spline, smooth where blocks meet: a clamped B-spline with blocks + 3 coefficients. Bounds hold for its control points, and so
-    /// for the spline.
+    /// A cubic spline, smooth where blocks meet: a clamped B-spline with blocks + 3 coefficients. Bounds hold for its control points, and
+    /// so for the spline.
     Cubic,
 }
 

@@ -362,8 +362,8 @@ pub(super) fn state_fits(state: &State, rod: &Rod) -> Result<(), MpcError> {
 mod tests {
     use super::*;
 
-    /// The first numbers of sensors with consecutive seeds are as independent as any others: their mean, variance, and correlation from seed to seed
-    /// are 0, 1 and 0 within four standard deviations.
+    /// The first numbers of sensors with consecutive seeds are as independent as any others: their mean, variance, and correlation from
+    /// seed to seed are 0, 1 and 0 within four standard deviations.
     #[test]
     fn near_seeds_are_independent() {
         const N: usize = 20_000;

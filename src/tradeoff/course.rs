@@ -9,7 +9,8 @@ use crate::mechanics::{
 };
 use crate::stop::StopSignal;
 
-/// Places along the arm at which motions are compared: fractions `0, 1/8, …, 1` of the length at rest, which nodes of `2^n` elements share. A default.
+/// Places along the arm at which motions are compared: fractions `0, 1/8, …, 1` of the length at rest, which nodes of `2^n` elements share.
+/// A default.
 const PLACES: usize = 8;
 
 /// Intervals between the times at which motions are compared, which 2, 3 and 4 divide. A default.

@@ -30,7 +30,8 @@ const MOST_FAILURES: usize = 3;
 /// prepare   the next sample, after the command has been sent
 /// ```
 ///
-/// [`ClosedLoop`](super::ClosedLoop) is a driver with a simulated arm, and a [`Server`](crate::mpc::Server) one with a plant in another process.
+/// [`ClosedLoop`](super::ClosedLoop) is a driver with a simulated arm, and a [`Server`](crate::mpc::Server) one with a plant in another
+/// process.
 pub struct Driver {
     controller: Controller,
     estimator: Option<Box<dyn Estimator>>,
