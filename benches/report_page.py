@@ -25,7 +25,7 @@ import time
 
 NAMES = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome"]
 VIEWS = [(width, scheme) for width in (1400, 390) for scheme in ("light", "dark")]
-PATIENCE = 60.0  # seconds
+PATIENCE = 900.0  # seconds: a page that takes longer hangs, however busy the machine
 
 # What a person would see at once: nothing beyond the right edge, no blank canvas, no empty card. The answer is a list of faults.
 FAULTS = """(() => {
