@@ -24,7 +24,7 @@ const TRAPEZOIDAL: Law = (StrainRule::Trapezoidal, RodModel::Standard);
 fn main() {
     println!("# Extremes\n");
     println!(
-        "Printed by `cargo bench --bench extremes > benches/extremes.md`; `tests/extremes.rs` asserts the same measurements \
+        "Printed by `cargo bench --bench extremes > benches/extremes.md`; `tests/rod/extremes.rs` asserts the same measurements \
          with their error models. Errors are relative unless a unit is given; \"of all laws\" means the largest over both \
          strain rules and the three models. The paper's `dilatation` has no energy that it could keep; under `standard` an \
          element passes through zero length.\n"

@@ -30,7 +30,7 @@ fn main() {
          ones do? Standard model. Errors are of the tip over the length unless something else is named; a motion is judged by its largest \
          error, and both rules take the same step, short beside the shortest element, so that only elements are compared. \
          \"Gain\" is the factor of elements that the helical rule saves at K = 200, `sqrt(e_trapezoidal/e_helical)`, both \
-         being of second order there. Tolerances are those of `tests/published_*.rs` and `tests/statics.rs`, at the K named. \
+         being of second order there. Tolerances are those of `tests/statics_and_modes` and `tests/rod/published_dynamics.rs`, at the K named. \
          Below {ROUNDING:e} an error is what the static solver leaves, and counts as none. The last column is measured where it gives a number: inertia that is half lumped, half consistent with \
          linear velocities leaves hardly an error of inertia to long waves.\n"
     );

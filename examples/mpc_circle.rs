@@ -90,8 +90,9 @@ fn run(feeds_back: bool) -> Result<(f64, f64, Vec<f64>), Box<dyn Error>> {
         } else {
             controller.expected().clone()
         };
-        plant.apply(controller.feedback(&measured)?)?;
-        controller.prepare()?;
+        let command = controller.feedback(&measured)?;
+        plant.apply(&command)?;
+        command.prepare()?;
         let record = controller.record();
         seconds.push(record.feedback_s + record.prepare_s);
         let t = sample as f64 * settings.period;

@@ -67,8 +67,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     for _ in 0..400 {
         let command = controller.feedback(&plant.measure())?;
-        plant.apply(command)?;
-        controller.prepare()?;
+        plant.apply(&command)?;
+        command.prepare()?;
     }
     let error = (plant.stepper.position(rod.tip()) - target).norm();
     println!("after 4 s the tip is {:.1} mm from its target", 1e3 * error);

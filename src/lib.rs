@@ -13,8 +13,7 @@
 //!             limits      obstacles, stretch, curvature, twist, speed, at all times
 //! ```
 //!
-//! An [`Arm`](task::Arm) has no elements and a [`Task`](task::Task) no time steps: a [`Discretization`](task::Discretization) makes numbers of
-//! both.
+//! An [`Arm`](task::Arm) has no elements and a [`Task`](task::Task) no time steps: a [`Discretization`](task::Discretization) adds both.
 //!
 //! ```
 //! use softarm::mechanics::Material;
@@ -32,7 +31,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! | module | what one does with it |
+//! | module | use |
 //! |---|---|
 //! | [`task`] | describe an arm, a task and a discretization |
 //! | [`solve`](mod@solve) | solve, certify, regulate, save |
@@ -40,13 +39,13 @@
 //! | [`scene`] | read all of it from a TOML file |
 //! | [`mechanics`] | simulate a rod, find its equilibria and frequencies |
 //! | [`control`] | work with the discrete optimal-control problem |
-//! | [`sqp`] | solve a nonlinear program of one's own |
+//! | [`sqp`] | solve a nonlinear program |
 //! | [`verify`] | check a solution by other code |
 //! | [`output`] | read and write result directories |
 //!
-//! Source of the integrator: S. Siddharth, V. Natarajan, R. N. Banavar, "Lie Group Variational Integrator for the
-//! Geometrically Exact Rod with Circular Cross-Section Incorporating Cross-Sectional Deformation" ("the paper"; its
-//! equation numbers stand in round brackets). All quantities are in SI units.
+//! Source of the integrator: S. Siddharth, V. Natarajan, R. N. Banavar, "Lie Group Variational Integrator for the Geometrically Exact Rod
+//! with Circular Cross-Section Incorporating Cross-Sectional Deformation" ("the paper"; its equation numbers are given in round brackets).
+//! All quantities are in SI units.
 
 #![forbid(unsafe_code)]
 
@@ -71,8 +70,11 @@ pub mod verify;
 
 pub use solve::solve;
 
-/// The linear algebra whose types this library takes and returns, in the version that it is built with.
+/// The linear algebra crate whose types this library uses in its interface, in the version with which it is built.
 pub use nalgebra;
+
+/// Name of the program, by which its results and its lines of JSON say who wrote them.
+pub(crate) const TOOL: &str = "softarm";
 
 /// The README's example, compiled and run by the tests.
 #[cfg(doctest)]

@@ -1,8 +1,8 @@
 //! Deadlines and requests to stop.
 //!
-//! Whoever starts long work makes a [`StopSignal`] and passes it in; loops look at it every few milliseconds at most. A signal that
-//! is raised stays raised. A loop that finds it raised may therefore return an incomplete result: its caller looks at the signal as well
-//! and drops that result.
+//! The caller of long work makes a [`StopSignal`] and passes it in; loops read it every few milliseconds at least. A raised signal stays
+//! raised. A loop that finds it raised may therefore return an incomplete result: its caller also reads the signal and discards that
+//! result.
 
 use std::panic::resume_unwind;
 use std::sync::Arc;
@@ -10,27 +10,27 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-/// Why work ended before it was done.
+/// The reason why work ended before it was done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Stop {
-    /// Somebody asked for it.
+    /// The user or the caller asked for it.
     #[error("interrupted")]
     Interrupted,
-    /// The time is over.
+    /// The deadline has passed.
     #[error("out of time")]
     Deadline,
 }
 
-/// Counts of a loop from one look at the signal to the next: no loop that counts takes more than some milliseconds for so many.
+/// Number of turns of a counting loop between two readings of the signal, which take at most some milliseconds.
 const EVERY: usize = 32;
 
 /// Size of dense matrices from which their factorizations take more than some hundredths of a second.
 pub(crate) const LARGE: usize = 300;
 
-/// Time between two looks at the signal while another thread works.
+/// Time between two readings of the signal while another thread works.
 const GLANCE: Duration = Duration::from_millis(5);
 
-/// When work must end, and whether somebody asked it to. The default is never raised.
+/// A deadline and a request to stop. The default is never raised.
 #[derive(Clone, Debug, Default)]
 pub struct StopSignal {
     deadline: Option<Instant>,
@@ -38,38 +38,39 @@ pub struct StopSignal {
 }
 
 impl StopSignal {
-    /// Raised from `deadline` on, where there is one, and as soon as `request` is true, which must not become false again.
+    /// Creates a signal that is raised from `deadline` on, if there is one, and as soon as `request` is true; `request` must not become
+    /// false again.
     #[must_use]
     pub fn new(deadline: Option<Instant>, request: Option<Arc<AtomicBool>>) -> Self {
         Self { deadline, request }
     }
 
-    /// Raised from `deadline` on.
+    /// Creates a signal that is raised from `deadline` on.
     #[must_use]
     pub fn at(deadline: Instant) -> Self {
         Self::new(Some(deadline), None)
     }
 
-    /// The same request, with another deadline.
+    /// Returns a signal with the same request and another deadline.
     #[must_use]
     pub fn with_deadline(&self, deadline: Option<Instant>) -> Self {
         Self::new(deadline, self.request.clone())
     }
 
-    /// The same signal, raised from `deadline` on at the latest.
+    /// Returns the same signal, raised from `deadline` on at the latest.
     #[must_use]
     pub fn no_later_than(&self, deadline: Instant) -> Self {
         let earlier = self.deadline.map_or(deadline, |own| own.min(deadline));
         self.with_deadline(Some(earlier))
     }
 
-    /// Whether the signal can ever be raised.
+    /// Tells whether the signal can ever be raised.
     #[must_use]
     pub fn is_possible(&self) -> bool {
         self.deadline.is_some() || self.request.is_some()
     }
 
-    /// Why work is to end, if it is.
+    /// Returns the reason to end the work, if the signal is raised.
     #[must_use]
     pub fn raised(&self) -> Option<Stop> {
         if (self.request.as_ref()).is_some_and(|request| request.load(Ordering::Relaxed)) {
@@ -80,24 +81,24 @@ impl StopSignal {
             .then_some(Stop::Deadline)
     }
 
-    /// Whether work is to end.
+    /// Tells whether the signal is raised.
     #[must_use]
     pub fn is_raised(&self) -> bool {
         self.raised().is_some()
     }
 
-    /// [`Self::raised`] as a result.
+    /// Returns [`Self::raised`] as a result.
     ///
     /// # Errors
-    /// [`Stop`] where the signal is raised.
+    /// Returns [`Stop`] if the signal is raised.
     pub fn check(&self) -> Result<(), Stop> {
         self.raised().map_or(Ok(()), Err)
     }
 
-    /// [`Self::check`] for a loop that counts its turns and takes microseconds for each: only some counts look.
+    /// Checks as [`Self::check`] does, in a loop with turns of microseconds: the signal is read at some counts only.
     ///
     /// # Errors
-    /// [`Stop`] where the signal is raised.
+    /// Returns [`Stop`] if the signal is raised.
     pub fn check_at(&self, count: usize) -> Result<(), Stop> {
         if count.is_multiple_of(EVERY) {
             self.check()
@@ -106,12 +107,12 @@ impl StopSignal {
         }
     }
 
-    /// `work()`, a dense factorization of matrices of some size, which cannot look at the signal itself. Of large ones, which take longer than
-    /// anybody waits, on a thread of its own, which is left to itself where the signal is raised before it ends; of others, and where it
-    /// cannot be raised, on this thread.
+    /// Returns `work()`, a dense factorization of matrices of the given size, which cannot read the signal itself. The factorization of
+    /// large matrices, which may take long, runs on a thread of its own, which is abandoned if the signal is raised before it ends; others,
+    /// and all if the signal cannot be raised, run on this thread.
     ///
     /// # Errors
-    /// [`Stop`] where the signal was raised first.
+    /// Returns [`Stop`] if the signal was raised first.
     pub fn unless_raised<T: Send + 'static>(
         &self,
         size: usize,
@@ -123,7 +124,7 @@ impl StopSignal {
         }
         let (send, receive) = mpsc::channel();
         let worker = std::thread::spawn(move || {
-            // Nobody listens any more where the signal was raised.
+            // After the signal was raised, there is no receiver any more.
             let _ = send.send(work());
         });
         loop {
@@ -139,7 +140,7 @@ impl StopSignal {
     }
 }
 
-/// Equal are signals that are raised together, whatever happens.
+/// Two signals are equal if they share one request and have one deadline.
 impl PartialEq for StopSignal {
     fn eq(&self, other: &Self) -> bool {
         let same_request = match (&self.request, &other.request) {
@@ -155,7 +156,8 @@ impl PartialEq for StopSignal {
 mod tests {
     use super::*;
 
-    /// A signal is raised by its request at once, by its deadline from then on, and by default never; a request goes before a deadline.
+    /// A signal is raised by its request at once, by its deadline from then on, and by default never; a request takes precedence over a
+    /// deadline.
     #[test]
     fn signals_are_raised_by_requests_and_deadlines() {
         let now = Instant::now();
@@ -173,10 +175,10 @@ mod tests {
         assert!(!StopSignal::default().is_possible() && later.is_possible());
     }
 
-    /// Work that knows nothing of the signal is waited for, wherever it runs; a signal that is raised meanwhile ends the waiting though the work
-    /// never ends; a panic reaches the caller.
+    /// Work that does not read the signal is waited for, on whichever thread it runs; if the signal is raised meanwhile, waiting ends
+    /// although the work never does; a panic reaches the caller.
     #[test]
-    fn work_is_left_to_itself_once_the_signal_is_raised() {
+    fn work_is_abandoned_once_the_signal_is_raised() {
         let request = Arc::new(AtomicBool::new(false));
         let signal = StopSignal::new(None, Some(request.clone()));
         assert_eq!(StopSignal::default().unless_raised(LARGE, || 3), Ok(3));

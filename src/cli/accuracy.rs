@@ -1,4 +1,4 @@
-//! Grids for the accuracy that a simulation asks for.
+//! The search for a grid for the accuracy that a simulation asks for.
 
 use std::cell::RefCell;
 use std::time::Instant;
@@ -12,7 +12,7 @@ use crate::scene::{Scene, SceneSource};
 use crate::stop::StopSignal;
 use crate::tradeoff::{ChoiceError, Motion, RunError, choose_telling};
 
-/// The scene with elements and a step in the place of its accuracy, if it has one, and how they were found.
+/// Returns the scene with elements and a step in the place of its accuracy, if it has one, and the report of the search.
 pub(super) fn of_simulation(
     scene: Scene,
     source: &SceneSource,
@@ -30,7 +30,7 @@ pub(super) fn of_simulation(
     }
     let line = RefCell::new(None);
     let tell = |elements, seconds| {
-        // The line before goes first.
+        // The line before must end first.
         line.take();
         let what = format!("comparing grids: a motion of {elements} elements");
         line.replace(Some(Awaited::new(what, seconds, console)));

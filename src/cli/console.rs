@@ -18,17 +18,17 @@ use super::{Global, exit};
 use crate::output::OutputError;
 use crate::stop::StopSignal;
 
-/// Set by Ctrl-C and its kin; read by whoever runs long.
+/// Flag that Ctrl-C and similar signals set, and that long work reads.
 static INTERRUPTED: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
-/// Where a verb talks.
+/// The console of a verb.
 pub(super) struct Console {
     json: bool,
     json_lines: bool,
     quiet: bool,
     color: bool,
     terminal: bool,
-    /// Why data could not be written to stdout.
+    /// Error of writing data to stdout.
     unwritten: OnceLock<io::Error>,
 }
 
@@ -46,20 +46,20 @@ impl Console {
         }
     }
 
-    /// One line of talk on stderr.
+    /// Prints a line of messages on stderr.
     pub(super) fn say(&self, text: &str) {
         if !self.quiet {
-            // Nobody left to talk to is no reason to fail.
+            // A closed stderr is no reason to fail.
             let _ = writeln!(io::stderr(), "{text}");
         }
     }
 
-    /// Whether only what is said [always](Self::always) is heard.
+    /// Tells whether only messages of [`Self::always`] are printed.
     pub(super) fn is_quiet(&self) -> bool {
         self.quiet
     }
 
-    /// A heading or verdict: green when good, red when not.
+    /// Prints a heading or a verdict: green if good, red if not.
     pub(super) fn verdict(&self, good: bool, text: &str) {
         if self.color {
             let code = if good { 32 } else { 31 };
@@ -69,7 +69,7 @@ impl Console {
         }
     }
 
-    /// A warning on stderr.
+    /// Prints a warning on stderr.
     pub(super) fn warn(&self, text: &str) {
         if self.color {
             self.say(&format!("\u{1b}[33mwarning:\u{1b}[0m {text}"));
@@ -78,17 +78,17 @@ impl Console {
         }
     }
 
-    /// One line on stderr, also when quiet: why the exit code is not zero.
+    /// Prints a line on stderr, also when quiet: the reason for an exit code other than zero.
     pub(super) fn always(&self, text: &str) {
         let _ = writeln!(io::stderr(), "{text}");
     }
 
-    /// An error on stderr, also when quiet.
+    /// Prints an error on stderr, also when quiet.
     pub(super) fn error(&self, error: &CliError) {
         let _ = writeln!(io::stderr(), "{error}");
     }
 
-    /// Something that happened, as a line of JSON on stdout, if that was asked for.
+    /// Prints an event as a line of JSON on stdout, if requested.
     pub(super) fn event(&self, kind: &'static str, value: &impl Serialize) {
         #[derive(Serialize)]
         struct Event<'a, T> {
@@ -103,7 +103,7 @@ impl Console {
         }
     }
 
-    /// The summary object on stdout, if it was asked for.
+    /// Prints the summary object on stdout, if requested.
     pub(super) fn summary(&self, summary: &impl Serialize) {
         self.event("summary", summary);
         if self.json
@@ -113,21 +113,21 @@ impl Console {
         }
     }
 
-    /// Whether the summary object is all that stdout may hold.
+    /// Tells whether stdout may have the summary object only.
     pub(super) fn json(&self) -> bool {
         self.json || self.json_lines
     }
 
-    /// A line of data on stdout.
+    /// Prints a line of data on stdout.
     pub(super) fn print(&self, text: &str) {
         let mut stdout = io::stdout();
         let written = writeln!(stdout, "{text}").and_then(|()| stdout.flush());
         if let Err(error) = written {
-            let _ = self.unwritten.set(error); // the first one tells why
+            let _ = self.unwritten.set(error); // keeps the first error
         }
     }
 
-    /// Whether all data got to stdout; a closed pipe (`| head`) is the reader's choice, and no error.
+    /// Checks that all data were written to stdout; a closed pipe (`| head`) is the reader's choice and not an error.
     pub(super) fn printed(&self) -> Result<(), CliError> {
         match self.unwritten.get() {
             Some(error) if error.kind() != io::ErrorKind::BrokenPipe => {
@@ -139,7 +139,7 @@ impl Console {
         }
     }
 
-    /// Where progress is drawn: nowhere unless stderr is a terminal.
+    /// Returns the target of progress bars, which is hidden unless stderr is a terminal.
     pub(super) fn draw_target(&self) -> ProgressDrawTarget {
         if self.terminal && !self.quiet {
             ProgressDrawTarget::stderr()
@@ -148,7 +148,7 @@ impl Console {
         }
     }
 
-    /// A progress bar of `n` steps; hidden unless stderr is a terminal.
+    /// Returns a progress bar of `n` steps, hidden unless stderr is a terminal.
     pub(super) fn progress(&self, n: u64) -> ProgressBar {
         let bar = ProgressBar::with_draw_target(Some(n), self.draw_target());
         if let Ok(style) =
@@ -159,12 +159,13 @@ impl Console {
         bar
     }
 
-    /// From here on Ctrl-C, SIGTERM and SIGHUP ask the running work to stop; a second Ctrl-C or SIGTERM ends the process at once.
+    /// Installs handlers: from here on Ctrl-C, SIGTERM and SIGHUP ask the running work to stop; a second Ctrl-C or SIGTERM ends the process
+    /// at once.
     ///
-    /// A second SIGHUP does not: a terminal that closes may send it twice. SIGHUP stays ignored where it is, as under `nohup`.
+    /// A second SIGHUP does not, because a terminal that closes may send it twice. An ignored SIGHUP stays ignored, as under `nohup`.
     pub(super) fn catch_interrupts(&self) {
         let catch = |signal| {
-            // In this order, so that only the second signal finds the flag set.
+            // The order matters: only the second signal finds the flag set.
             flag::register_conditional_shutdown(
                 signal,
                 exit::KILLED.into(),
@@ -179,19 +180,19 @@ impl Console {
         if !ignores_hangups() {
             caught &= flag::register(SIGHUP, Arc::clone(&INTERRUPTED)).is_ok();
         }
-        // Without a handler a signal simply ends the process.
+        // Without a handler a signal ends the process.
         if !caught {
             self.warn("Ctrl-C will end the run without writing its best result");
         }
     }
 }
 
-/// Raised by what [interrupts](Console::catch_interrupts), and by a deadline where there is one.
+/// Returns a signal that is raised by [interrupts](Console::catch_interrupts), and by a deadline if there is one.
 pub(super) fn stop_signal(deadline: Option<Instant>) -> StopSignal {
     StopSignal::new(deadline, Some(Arc::clone(&INTERRUPTED)))
 }
 
-/// Whether this process was started with SIGHUP ignored; where the system does not say, it was not.
+/// Tells whether this process was started with SIGHUP ignored; `false` if the system does not tell.
 #[cfg(unix)]
 fn ignores_hangups() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();

@@ -10,7 +10,7 @@ use crate::output::summary::SCHEMA_VERSION;
 use crate::scene::Scene;
 use crate::task::prediction::SolveTime;
 
-/// What `--json` prints.
+/// Output of `--json`.
 #[derive(Serialize)]
 struct DerivativesSummary {
     schema_version: u32,

@@ -4,17 +4,19 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::check::warnings;
 use super::console::{Console, stop_signal};
 use super::error::CliError;
-use super::quantity::{digits, entry, quantity};
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::{Kept, LoadPath, Loss, Varied};
-use crate::output::equilibrium::{EquilibriumSummary, sweep_record, write_tables};
+use crate::output::quantity::{digits, entry, quantity};
 use crate::output::{ResultKind, RunDirectory, render_report};
 use crate::scene::{Scene, SceneSource};
-use crate::solve::{Statics, StaticsError, StaticsOptions, equilibrium_page, statics};
+use crate::solve::scene_check::warnings;
+use crate::solve::{
+    EquilibriumSummary, Statics, StaticsError, StaticsOptions, equilibrium_page, statics,
+    sweep_record, write_tables,
+};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
 use crate::tradeoff::accurate_statics;
@@ -37,7 +39,7 @@ pub(super) struct EquilibriumArguments {
     /// Loads that the load factor multiplies
     #[arg(long, value_enum, default_value = "all")]
     vary: Varied,
-    /// Time at which loads with a profile and a driven base are looked at, s
+    /// Time at which loads with a profile and a driven base are evaluated, s
     #[arg(
         long,
         value_name = "S",
@@ -45,7 +47,7 @@ pub(super) struct EquilibriumArguments {
         allow_negative_numbers = true
     )]
     time: f64,
-    /// Force across the tip, over EI/L², that stays as it is: a symmetric arm then buckles gradually, to its side
+    /// Constant force across the tip, divided by EI/L²: with it a symmetric arm buckles gradually, to the side of the force
     #[arg(
         long,
         value_name = "PART",
@@ -70,7 +72,7 @@ impl EquilibriumArguments {
         }
         if !(self.imperfection.is_finite() && self.imperfection.abs() <= 1.0) {
             return refuse(format!(
-                "--imperfection {}: a part of EI/L\u{b2} from -1 to 1; 1e-3 is a small one",
+                "--imperfection {}: a multiple of EI/L\u{b2} from -1 to 1; 1e-3 is a small one",
                 self.imperfection
             ));
         }
@@ -105,7 +107,7 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
         console.warn(&warning);
     }
     if scene.task.is_some() || scene.control.is_some() {
-        console.warn("[task] and [control] play no part in statics: `softarm check` says what holds a target, and a [[load]] is a wrench of your choice");
+        console.warn("[task] and [control] play no part in statics: `softarm check` computes the wrench that holds a target, and a [[load]] prescribes a wrench");
     }
     if arm.loads.iter().any(|load| !load.profile.is_empty()) {
         console.warn(&format!(
@@ -128,7 +130,7 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
         write_tables(result, &found.rod, &found.own.shape, &summary)?;
         result.write_json("summary.json", &summary)?;
         let value = serde_json::to_value(&summary).unwrap_or_default();
-        let page = equilibrium_page(&scene, &arm, &found.rod, &record, &value);
+        let page = equilibrium_page(&scene, &arm, &found.rod, &record, &value)?;
         result.write_text("report.html", &render_report(&page))
     })?;
     tell(&summary, &found, &options, console);
@@ -140,7 +142,8 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
     Ok(exit::DONE)
 }
 
-/// The statics of a scene, and the scene with the elements that they are of: with an accuracy, as many as the tip needs.
+/// Returns the statics of a scene, and the scene with the elements for which they were computed: with an accuracy, as many as the tip
+/// needs.
 fn accurate(
     scene: &Scene,
     source: &SceneSource,
@@ -177,7 +180,7 @@ fn refused(scene: &Scene, source: &SceneSource, error: StaticsError) -> CliError
     }
 }
 
-/// The findings in a few lines.
+/// Prints the findings in a few lines.
 fn tell(
     summary: &EquilibriumSummary,
     found: &Statics,
@@ -261,7 +264,7 @@ fn tell(
     say("loads", &words);
     if let Some(jump) = found.sweep.iter().find(|point| point.jumped) {
         console.warn(&format!(
-            "at load factor {} the sweep goes on from another equilibrium: the one before ends at a smaller factor",
+            "at load factor {} the sweep continues on another equilibrium, because the previous one ends at a smaller factor",
             digits(jump.factor)
         ));
     }

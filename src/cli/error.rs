@@ -8,7 +8,7 @@ use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mpc::{MpcError, ServeError};
 use crate::output::OutputError;
 use crate::scene::{Scene, SceneError, SceneSource};
-use crate::solve::SavedError;
+use crate::solve::{RecheckError, SavedError, SimulationError};
 use crate::stop::{Stop, StopSignal};
 use crate::tradeoff::SweepError;
 use crate::verify::CheckError;
@@ -16,42 +16,42 @@ use crate::verify::CheckError;
 /// An error of a verb.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum CliError {
-    /// The scene is not one.
+    /// The scene is invalid.
     #[error("{0}")]
     Scene(#[from] SceneError),
     /// A file could not be read or written.
     #[error("error: {0}")]
     Output(#[from] OutputError),
-    /// Stopped before there was anything to write.
+    /// The work was stopped before there was a result.
     #[error("{0} while the scene was set up; nothing is written")]
     Stopped(Stop),
     /// A simulation broke down.
     #[error("error: {0}")]
     Step(#[from] StepError),
-    /// No equilibrium.
+    /// No equilibrium was found.
     #[error(
         "error: {0}; look at the loads with `softarm check`, and take smaller ones or more elements"
     )]
     Statics(EquilibriumError),
-    /// No first point.
+    /// The solver has no initial guess.
     #[error("error: no start for the solver: {0}")]
     Guess(#[from] GuessError),
     /// The forward check broke down.
     #[error("error: the check could not be made: {0}")]
     Check(#[from] CheckError),
-    /// No point at which derivatives could be checked.
+    /// There is no point at which derivatives could be checked.
     #[error("error: {0}")]
     Derivative(#[from] DerivativeError),
-    /// A closed loop that cannot begin.
+    /// A closed loop could not begin.
     #[error("error: the controller has no first plan: {0}")]
     Mpc(#[from] MpcError),
-    /// A trade-off without its first run.
+    /// The first run of a trade-off failed.
     #[error("error: {0}")]
     Sweep(SweepError),
-    /// A plant that cannot be served.
+    /// A plant could not be served.
     #[error("error: {0}")]
     Serve(ServeError),
-    /// A result directory that does not hold what a verb needs.
+    /// A result directory lacks a file that the verb needs.
     #[error("error: {0}")]
     Directory(String),
 }
@@ -65,10 +65,30 @@ impl From<SavedError> for CliError {
     }
 }
 
+impl From<RecheckError> for CliError {
+    fn from(error: RecheckError) -> Self {
+        match error {
+            RecheckError::Directory(reason) => Self::Directory(reason),
+            RecheckError::Output(error) => Self::Output(error),
+            RecheckError::Check(error) => Self::Check(error),
+        }
+    }
+}
+
 impl CliError {
-    /// What a scene that could not be set up is to the user, who may have ended that.
+    /// Returns the error of a scene that could not be set up, or the stop if the user ended that.
     pub(super) fn of_scene(error: SceneError, stop: &StopSignal) -> Self {
         stop.raised().map_or(Self::Scene(error), Self::Stopped)
+    }
+
+    /// What a simulation without a result is to the user, who may have ended its setting up.
+    pub(super) fn of_simulation(error: SimulationError, stop: &StopSignal) -> Self {
+        match error {
+            SimulationError::Scene(error) => Self::of_scene(error, stop),
+            SimulationError::Output(error) => Self::Output(error),
+            SimulationError::Step(error) => Self::Step(error),
+            SimulationError::Directory(reason) => Self::Directory(reason),
+        }
     }
 
     /// What a loop that could not begin is to the user, who may have ended that.

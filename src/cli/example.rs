@@ -30,7 +30,7 @@ pub(super) fn run(name: Option<&str>, global: &Global, console: &Console) -> Out
             })),
             Some(text) => console.print(text.trim_end()),
             None => {
-                // The loader knows the names and the nearest one; a file of that name is no built-in scene.
+                // The loader knows the names and suggests the nearest one; a file of that name is not a built-in scene.
                 let (_, source) = Scene::load(name, &global.set)?;
                 return Err(source
                     .error_at(

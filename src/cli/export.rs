@@ -1,4 +1,4 @@
-//! `softarm export DIR --to vtk|csv|svg [--out FOLDER] [--frames N]`: the motion of a result for other programs.
+//! `softarm export DIR --to vtk|csv|svg [--out FOLDER] [--frames N]`: converts the motion of a result for other programs.
 
 use std::path::PathBuf;
 
@@ -22,16 +22,17 @@ pub(super) struct ExportArguments {
     /// Folder to write into [default: the result directory, with the format's name at its end]
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Let this file, or those of the export's names in this folder, be replaced although softarm did not write them; may be given several times
+    /// Allow this file, or the export's files in this folder, to be replaced although softarm did not write them; may be given several
+    /// times
     #[arg(long, value_name = "PATH", num_args = 1)]
     force: Vec<PathBuf>,
-    /// Most times that are written, evenly spread, the first and the last among them [default: 200, and 60 of svg]
+    /// Maximum number of times that are written, evenly spread, including the first and the last [default: 200, and 60 for svg]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=100_000))]
     frames: Option<u32>,
-    /// svg: angle of the eye about the vertical, degrees; 0 looks from +x, and -90 from -y
+    /// svg: angle of the viewpoint about the vertical, degrees; 0 looks from +x, and -90 from -y
     #[arg(long, value_name = "DEG", default_value_t = -90.0, allow_negative_numbers = true)]
     azimuth: f64,
-    /// svg: angle of the eye above the horizontal plane, degrees
+    /// svg: angle of the viewpoint above the horizontal plane, degrees
     #[arg(
         long,
         value_name = "DEG",
@@ -39,7 +40,7 @@ pub(super) struct ExportArguments {
         allow_negative_numbers = true
     )]
     elevation: f64,
-    /// svg: turn of the eye about the vertical on the way through the motion, degrees
+    /// svg: rotation of the viewpoint about the vertical during the motion, degrees
     #[arg(
         long,
         value_name = "DEG",
@@ -47,7 +48,7 @@ pub(super) struct ExportArguments {
         allow_negative_numbers = true
     )]
     turn: f64,
-    /// svg: how long the animation lasts, s [default: as long as the motion, from 2 to 10 s]
+    /// svg: duration of the animation, s [default: that of the motion, from 2 to 10 s]
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
 }

@@ -1,20 +1,16 @@
-//! The command line: one file a verb. Only here is anything printed.
+//! The command line: one file for each verb. Only this folder prints.
 
 mod accuracy;
 mod check;
-mod check_loop;
-mod clearance;
 mod console;
 mod derivatives;
 mod equilibrium;
 mod error;
 mod example;
 mod export;
-mod hardly_meant;
 mod memory;
 mod mpc;
 mod progress;
-mod quantity;
 mod report;
 mod schema;
 mod serve;
@@ -31,7 +27,7 @@ use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use console::Console;
 use error::CliError;
 
-/// Process exit codes, as scripts rely on them.
+/// Exit codes of the process, on which scripts rely.
 mod exit {
     pub const DONE: u8 = 0;
     pub const USAGE: u8 = 2;
@@ -41,7 +37,7 @@ mod exit {
     pub const STOPPED: u8 = 6;
     pub const REJECTED: u8 = 7;
     pub const UNWRITTEN: u8 = 8;
-    /// A second Ctrl-C or SIGTERM, as shells report a process that Ctrl-C ended.
+    /// Exit code after a second Ctrl-C or SIGTERM, as shells report for a process ended by Ctrl-C.
     pub const KILLED: u8 = 130;
 }
 
@@ -73,24 +69,24 @@ struct Global {
     /// Print the summary object, and nothing else, on stdout
     #[arg(long, global = true)]
     json: bool,
-    /// Print one JSON object a line on stdout as things happen, with the kind in `event`, and the summary as the last line
+    /// Print one JSON object a line on stdout for each event, with its kind in `event`, and the summary as the last line
     #[arg(long, global = true, conflicts_with = "json")]
     json_lines: bool,
-    /// No talk on stderr but errors
+    /// Print only errors on stderr
     #[arg(long, global = true)]
     quiet: bool,
     /// Override a scene key by its dotted path; any number of times
     #[arg(long, global = true, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Choose elements and time step such that no point of the arm is ever off by more than this part of the length; in the place of
-    /// rod.elements and time.step_s [default, where a scene has no rod.elements: 1e-3]
+    /// Choose elements and time step such that the error of no point of the arm ever exceeds this fraction of the length; replaces
+    /// rod.elements and time.step_s [default for a scene without rod.elements: 1e-3]
     #[arg(long, global = true, value_name = "PART")]
     accuracy: Option<f64>,
-    /// Threads to compute with; changes the time, not the result [default: as many as the machine has cores]
+    /// Threads to compute with; they change the time, not the result [default: as many as the machine has cores]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// Seed of everything random: the detours of several starts, the point where derivatives are checked, the noise of sensors
-    /// [default: 0, or mpc.seed]
+    /// Seed of all random numbers: the detours of several starts, the point where derivatives are checked, the noise of sensors [default:
+    /// 0, or mpc.seed]
     #[arg(long, global = true, value_name = "N")]
     seed: Option<u64>,
 }
@@ -113,11 +109,11 @@ enum Command {
     Solve(solve::SolveArguments),
     /// Closed-loop model-predictive control in simulation, or of a plant in another process
     Mpc(mpc::MpcArguments),
-    /// Error against time over discretizations and settings of a scene; recommends one for a tolerance
+    /// Error against time over discretizations and settings of a scene, with a recommendation for a tolerance
     Tradeoff(tradeoff::TradeoffArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
     Verify(verify::VerifyArguments),
-    /// Make the page of a result directory anew from its files, or one page that compares several
+    /// Write the page of a result directory again from its files, or one page that compares several results
     Report(report::ReportArguments),
     /// Check every analytic derivative of a scene, with a verdict
     Derivatives(SceneArgument),
@@ -128,8 +124,12 @@ enum Command {
     },
     /// Write the motion of a result for other programs: VTK for ParaView, or one CSV table
     Export(export::ExportArguments),
-    /// Print the JSON Schema of the scene file
-    Schema,
+    /// Print the JSON Schema of the scene file, or the reference of its keys
+    Schema {
+        /// Print the reference in Markdown
+        #[arg(long)]
+        markdown: bool,
+    },
     /// Print the completions of a shell; in bash: source <(softarm completions bash)
     Completions {
         /// The shell
@@ -158,7 +158,7 @@ struct SceneAndOut {
 }
 
 impl SceneAndOut {
-    /// The directory asked for, or `results/SCENE-VERB`.
+    /// Returns the requested directory, or `results/SCENE-VERB`.
     fn directory(&self, verb: &str) -> PathBuf {
         self.out.clone().unwrap_or_else(|| {
             PathBuf::from("results").join(format!("{}-{verb}", scene_name(&self.scene)))
@@ -166,7 +166,7 @@ impl SceneAndOut {
     }
 }
 
-/// A scene's name: the file's, without folder and ending.
+/// Returns the name of a scene: that of its file, without folder and extension.
 fn scene_name(scene: &str) -> String {
     std::path::Path::new(scene).file_stem().map_or_else(
         || scene.to_string(),
@@ -193,7 +193,7 @@ pub fn run() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {
-            // Help and version go to stdout and succeed; a usage error goes to stderr. A closed pipe is no news.
+            // Help and version go to stdout and succeed; a usage error goes to stderr. A closed pipe is not an error.
             let code = if error.use_stderr() {
                 exit::USAGE
             } else {
@@ -231,7 +231,7 @@ pub fn run() -> ExitCode {
             Ok(exit::DONE)
         }
         Command::Man { verb } => manual(verb.as_deref(), &console),
-        Command::Schema => schema::run(&console),
+        Command::Schema { markdown } => schema::run(*markdown, &console),
     };
     match outcome.and_then(|code| console.printed().map(|()| code)) {
         Ok(code) => ExitCode::from(code),
@@ -257,11 +257,11 @@ fn manual(verb: Option<&str>, console: &Console) -> Outcome {
         }
     };
     let mut text = Vec::new();
-    // Writing to memory does not fail.
+    // Writing to memory cannot fail.
     let _ = clap_mangen::Man::new(page).render(&mut text);
     console.print(String::from_utf8_lossy(&text).trim_end());
     Ok(exit::DONE)
 }
 
-/// What a verb returns: an exit code, or an error that has one.
+/// Result of a verb: an exit code, or an error that has one.
 type Outcome = Result<u8, CliError>;

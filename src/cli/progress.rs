@@ -1,4 +1,4 @@
-//! Work that is shown on a terminal while it is under way, and how long the rest of it takes.
+//! The display of work in progress on a terminal, with the remaining time.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use crate::control::OptimalControlProblem;
 use crate::sqp::IterationRecord;
 use crate::task::prediction::SolveTime;
 
-/// Time that is left of work in parts that take equally long on average, told from those that are done.
+/// Estimate of the remaining time of work in parts, from the average duration of finished parts.
 struct Countdown {
     total: usize,
     done: usize,
@@ -36,7 +36,7 @@ impl Countdown {
         self.last = now;
     }
 
-    /// `None` before the first part is done, when nothing is known.
+    /// Returns the remaining time; `None` before the first part is done.
     fn left(&self, now: Instant) -> Option<Duration> {
         let done = u32::try_from(self.done).ok().filter(|done| *done > 0)?;
         let rest = u32::try_from(self.total.saturating_sub(self.done)).ok()?;
@@ -45,7 +45,7 @@ impl Countdown {
     }
 }
 
-/// A duration in words, in whole seconds, minutes or hours.
+/// Formats a duration in whole seconds, minutes or hours.
 fn in_words(time: Duration) -> String {
     match time.as_secs_f64().round() as u64 {
         seconds @ ..120 => format!("{seconds} s"),
@@ -54,7 +54,7 @@ fn in_words(time: Duration) -> String {
     }
 }
 
-/// The starts of a solve: a row for each that is under way, and a line for those that are done. Nothing where stderr is no terminal.
+/// The display of a solve's starts: a row for each running start, and a line for finished ones. Hidden unless stderr is a terminal.
 pub(super) struct LiveStarts {
     bars: MultiProgress,
     total: ProgressBar,
@@ -64,7 +64,7 @@ pub(super) struct LiveStarts {
 struct State {
     rows: BTreeMap<usize, ProgressBar>,
     countdown: Countdown,
-    /// Least objective of the starts that converged.
+    /// Smallest objective of the converged starts.
     best: Option<f64>,
 }
 
@@ -84,12 +84,12 @@ impl LiveStarts {
         live
     }
 
-    /// Does something beside the rows, such as printing.
+    /// Runs an action while the rows are hidden, such as printing.
     pub(super) fn beside<T>(&self, act: impl FnOnce() -> T) -> T {
         self.bars.suspend(act)
     }
 
-    /// A solve of a start begins from a first point, or the start itself, which looks for one.
+    /// Shows the initial guess of a start's next solve, or that a start has none yet.
     pub(super) fn begin(&self, start: usize, from: Option<&str>) {
         let mut state = self.state();
         let row = (state.rows.entry(start))
@@ -105,13 +105,13 @@ impl LiveStarts {
                 "start {start:3}  iteration {:4}  objective {:12.5e}  KKT residual {:8.1e}",
                 record.iteration,
                 record.objective,
-                record.residual.max()
+                record.residual().max()
             ));
         }
         self.count(&state);
     }
 
-    /// A start is done, with this objective where it converged.
+    /// Removes the row of a finished start, with its objective if it converged.
     pub(super) fn end(&self, start: usize, objective: Option<f64>) {
         let mut state = self.state();
         if let Some(row) = state.rows.remove(&start) {
@@ -126,7 +126,7 @@ impl LiveStarts {
         self.count(&state);
     }
 
-    /// The line of those that are done.
+    /// Updates the line of finished starts.
     fn count(&self, state: &State) {
         let Countdown { done, total, .. } = state.countdown;
         let mut text = format!("{done} of {total} starts done");
@@ -135,7 +135,7 @@ impl LiveStarts {
         }
         let left = state.countdown.left(Instant::now());
         if let Some(left) = left.filter(|_| done < total) {
-            // What has begun is not over before it ends.
+            // Running starts are not over before they end.
             let left = in_words(left.max(Duration::from_secs(1)));
             let _ = write!(text, ", about {left} left");
         }
@@ -154,7 +154,7 @@ impl Drop for LiveStarts {
     }
 }
 
-/// A line that says something and is cut at the edge of the terminal.
+/// Returns a line that shows a message and is cut at the edge of the terminal.
 fn line() -> ProgressBar {
     let line = ProgressBar::no_length();
     if let Ok(style) = ProgressStyle::with_template("{wide_msg}") {
@@ -163,10 +163,10 @@ fn line() -> ProgressBar {
     line
 }
 
-/// How often a line is drawn whose work does not tell how far it is.
+/// Interval at which the line of work without known progress is drawn.
 const TICK: Duration = Duration::from_secs(1);
 
-/// A line that is drawn every second, with what `left` says of the time that has passed.
+/// Returns a line that is drawn every second, with the text that `left` returns for the elapsed time.
 fn ticking(
     template: &str,
     left: impl Fn(Duration) -> String + Clone + Send + Sync + 'static,
@@ -185,17 +185,17 @@ fn ticking(
     bar
 }
 
-/// Points of a sweep, and what is left of its budget.
+/// Returns a line with the number of a sweep's points and the rest of its budget.
 pub(super) fn within_budget(budget: Duration, console: &Console) -> ProgressBar {
     let left = move |elapsed| in_words(budget.saturating_sub(elapsed));
     ticking("{pos} points, {left} of the budget left", left, console)
 }
 
-/// Work that does not tell how far it is, shown with what is left of the time that it is predicted to take. The line goes with the value.
+/// The display of work without known progress, with the rest of its predicted time. The line disappears with the value.
 pub(super) struct Awaited(ProgressBar);
 
 impl Awaited {
-    /// The check of a solution, with the curvature and the growth of disturbances where it is `deep`.
+    /// Shows the check of a solution, with the curvature and the growth of disturbances if it is `deep`.
     pub(super) fn check(problem: &OptimalControlProblem, deep: bool, console: &Console) -> Self {
         let time = SolveTime::of_problem(problem);
         let predicted = if deep { time.deep_check() } else { time.check };
@@ -221,7 +221,7 @@ impl Drop for Awaited {
     }
 }
 
-/// What is left of a predicted time.
+/// Describes the rest of a predicted time.
 fn left_of(predicted: Duration, elapsed: Duration) -> String {
     match predicted.checked_sub(elapsed) {
         Some(left) if left >= TICK => format!("about {} left", in_words(left)),
@@ -233,9 +233,9 @@ fn left_of(predicted: Duration, elapsed: Duration) -> String {
 mod tests {
     use super::*;
 
-    /// Nothing is known before a part is done; then parts take what they took on average, and waiting counts.
+    /// Nothing is known before a part is done; later, the remaining parts take the average time of the finished ones, including waiting.
     #[test]
-    fn time_left_is_that_of_the_parts_that_are_not_done() {
+    fn time_left_follows_from_the_average_of_finished_parts() {
         let began = Instant::now();
         let at = |seconds| began + Duration::from_secs(seconds);
         let mut countdown = Countdown::new(4, began);
@@ -250,9 +250,9 @@ mod tests {
         assert_eq!(countdown.left(at(40)), Some(Duration::ZERO));
     }
 
-    /// What is left is what was predicted without what has passed, and nothing is promised after that.
+    /// The remaining time is the predicted one minus the elapsed one; afterwards nothing is promised.
     #[test]
-    fn predictions_run_out() {
+    fn time_left_is_not_promised_beyond_the_prediction() {
         let left = |elapsed| left_of(Duration::from_secs(90), Duration::from_secs(elapsed));
         assert_eq!(left(20), "about 70 s left");
         assert!(left(90).starts_with("nearly done") && left(500).starts_with("nearly done"));

@@ -1,4 +1,4 @@
-//! `softarm report DIR...`: the page of a result made anew from its files, or one page that compares several results.
+//! `softarm report DIR...`: writes the page of a result again from its files, or one page that compares several results.
 
 use std::path::{Path, PathBuf};
 
@@ -19,18 +19,18 @@ use crate::tradeoff::page::{SavedTradeoff, tradeoff_comparison, tradeoff_tables}
 /// Arguments of `report`.
 #[derive(Debug, Args)]
 pub(super) struct ReportArguments {
-    /// Result directories of one verb: of one, its report.html is made anew; several are compared on one page
+    /// Result directories of one verb: for one, its report.html is written again; several are compared on one page
     #[arg(value_name = "DIR", required = true)]
     directories: Vec<PathBuf>,
-    /// Where the page goes [default: DIR/report.html; comparison.html of several]
+    /// File of the page [default: DIR/report.html; comparison.html for several]
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Let this file be replaced although it is no page of softarm
+    /// Allow this file to be replaced although it is not a page of softarm
     #[arg(long, value_name = "FILE", num_args = 1)]
     force: Vec<PathBuf>,
 }
 
-/// What `--json` prints.
+/// Output of `--json`.
 #[derive(Serialize)]
 struct Summary {
     schema_version: u32,
@@ -38,9 +38,9 @@ struct Summary {
     command: &'static str,
     /// The directories, in their order.
     directories: Vec<String>,
-    /// The page.
+    /// Path of the page.
     report: String,
-    /// What differs between several results.
+    /// Differences between several results.
     differences: Vec<ComparisonTable>,
 }
 
@@ -115,7 +115,7 @@ fn of_one_verb(
     }
 }
 
-/// The page of a trade-off, or of several whose errors mean the same.
+/// Returns the page of a trade-off, or of several whose errors have the same meaning.
 fn of_tradeoffs(
     directories: &[PathBuf],
     results: Vec<(ResultKind, serde_json::Value)>,
@@ -125,7 +125,7 @@ fn of_tradeoffs(
         saved.push(SavedTradeoff::read(directory, summary)?);
     }
     if let [only] = &saved[..] {
-        return Ok((only.page(), Vec::new()));
+        return Ok((only.page()?, Vec::new()));
     }
     let subject = saved[0].found.subject;
     if let Some(other) = saved.iter().position(|s| s.found.subject != subject) {
@@ -137,11 +137,11 @@ fn of_tradeoffs(
             saved[other].found.subject.words()
         )));
     }
-    let page = tradeoff_comparison(&names(directories), &saved);
+    let page = tradeoff_comparison(&names(directories), &saved)?;
     Ok((page, tradeoff_tables(&saved)))
 }
 
-/// The results beside each other.
+/// Returns the comparison of several results.
 fn comparison(directories: &[PathBuf], pages: Vec<SavedPage>) -> crate::output::ComparisonData {
     let command = pages[0].data.command;
     let results = (names(directories).into_iter().zip(pages))
@@ -155,7 +155,7 @@ fn comparison(directories: &[PathBuf], pages: Vec<SavedPage>) -> crate::output::
     compare(command, results)
 }
 
-/// The last part of every path, or the whole path where two end alike; a directory that is named twice gets a number.
+/// Returns the last part of every path, or the whole path if two end alike; a directory that is named twice gets a number.
 fn names(directories: &[PathBuf]) -> Vec<String> {
     let last = |path: &Path| {
         let name = path.file_name().unwrap_or(path.as_os_str());

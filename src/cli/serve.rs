@@ -12,13 +12,13 @@ use crate::mpc::{ServeError, Served, Server, ServingEnd, read_line};
 use crate::scene::{ClosedLoopSetup, Scene, SceneSource};
 use crate::stop::StopSignal;
 
-/// How long a signal waits at most while no line comes.
+/// Longest delay of a signal while no line arrives.
 const PATIENCE: Duration = Duration::from_millis(50);
-/// Lines that may wait in either direction; the plant waits for its answers, so that one is the rule.
+/// Lines that may wait in either direction; the plant waits for its answers, so that there is usually one.
 const WAITING: usize = 16;
 /// Time between two looks at a plant that does not read.
 const GLANCE: Duration = Duration::from_millis(1);
-/// How long a plant may take to read the last lines after a signal.
+/// Time in which a plant may read the last lines after a signal.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
 pub(super) fn run(
@@ -52,7 +52,7 @@ pub(super) fn run(
             return Ok(exit::STOPPED);
         }
         Err(ServeError::Io(error)) if error.kind() == io::ErrorKind::BrokenPipe => {
-            console.warn("the plant has closed its end; there is nobody to tell the summary to");
+            console.warn("the plant has closed its end; the summary cannot be sent");
             return Ok(exit::DONE);
         }
         other => other.map_err(refused)?,
@@ -67,7 +67,8 @@ pub(super) fn run(
     })
 }
 
-/// Lines for the plant, which a thread of its own writes to standard output: a signal does not end a write that waits for its reader.
+/// Lines for the plant, which a thread of its own writes to standard output, because a signal does not end a write that waits for its
+/// reader.
 struct Mouth {
     lines: SyncSender<Vec<u8>>,
     line: Vec<u8>,
@@ -75,7 +76,7 @@ struct Mouth {
 }
 
 impl Mouth {
-    /// Where lines go, and the thread, which ends with them.
+    /// Creates the queue of lines, and the thread that writes them until the queue is dropped.
     fn new(stop: &StopSignal) -> (Self, JoinHandle<io::Result<()>>) {
         let (lines, waiting) = mpsc::sync_channel::<Vec<u8>>(WAITING);
         let writer = thread::spawn(move || {
@@ -101,13 +102,13 @@ impl Write for Mouth {
         Ok(bytes.len())
     }
 
-    /// Hands over what was written, as soon as there is room.
+    /// Hands over the written line, as soon as there is room.
     fn flush(&mut self) -> io::Result<()> {
         let mut line = std::mem::take(&mut self.line);
         loop {
             line = match self.lines.try_send(line) {
                 Ok(()) => return Ok(()),
-                // The thread knows why.
+                // The thread has the reason.
                 Err(TrySendError::Disconnected(_)) => {
                     return Err(io::ErrorKind::BrokenPipe.into());
                 }
@@ -143,7 +144,7 @@ fn serve(
     }
 }
 
-/// Standard input is read by a thread of its own: a signal does not end a read.
+/// Serves with a thread of its own for standard input, because a signal does not end a read.
 fn talk(
     name: &str,
     setup: &ClosedLoopSetup,
@@ -160,7 +161,7 @@ fn talk(
             let mut line = Vec::new();
             let next = read_line(&mut input, &mut line).map(|is_there| is_there.then_some(line));
             let is_last = !matches!(next, Ok(Some(_)));
-            // Nobody listens after the end.
+            // After the end there is no receiver.
             if sender.send(next).is_err() || is_last {
                 break;
             }

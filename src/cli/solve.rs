@@ -7,11 +7,9 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::check::{expectation, warnings};
 use super::console::{Console, stop_signal};
 use super::error::CliError;
 use super::progress::{Awaited, LiveStarts};
-use super::verify::read_coefficients;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::{
     Attempt, GuessError, Holding, ModelMismatch, OptimalControlProblem, Search, SearchEvent,
@@ -19,12 +17,13 @@ use crate::control::{
 };
 use crate::mechanics::Wrench;
 use crate::memory::of_solve;
-use crate::output::summary::{NOT_CHECKED, SolveSummary, StartSummary};
-use crate::output::{OutputError, ResultKind, RunDirectory};
+use crate::output::summary::{NOT_CHECKED, SolveSummary};
+use crate::output::{ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
+use crate::solve::scene_check::{expectation, warnings};
 use crate::solve::{
-    Chosen, Earlier, Examination, Examined, IterationRow, Solution, choose, diagnostics, findings,
-    help, iteration_row, legend, status_words, step_kind, summarize, write,
+    Chosen, Earlier, Examination, Examined, Solution, choose, diagnostics, findings, help, legend,
+    publish, read_coefficients, start_not_begun, start_summary, status_words, summarize,
 };
 use crate::sqp::{IterationRecord, SqpStatus, StopSignal};
 use crate::tradeoff::solve_on_grids;
@@ -119,27 +118,13 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
             let warn = |error| console.warn(&format!("no diagnostics.npz: {error}"));
             found.map_err(warn).ok()
         });
-    let resolved = setup.resolved.to_toml();
-    let written = directory.publish_or_rescue(|result| {
-        let summary = SolveSummary {
-            directory: result.place().display().to_string(),
-            ..summary.clone()
-        };
-        if let Some(diagnostics) = &diagnostics {
-            diagnostics.write_npz(&result.path().join("diagnostics.npz"))?;
-        }
-        write(
-            result,
-            &resolved,
-            &solution,
-            &examined,
-            &summary,
-            global.n_threads(),
-        )
-    });
-    if let Err(OutputError::Elsewhere { place, .. }) = &written {
-        summary.directory = place.display().to_string();
-    }
+    let written = publish(
+        directory,
+        (&setup, diagnostics.as_ref()),
+        (&solution, &examined),
+        &mut summary,
+        global.n_threads(),
+    );
     if arguments.starts == 1 {
         let rows: Vec<_> = (solution.attempt.solves.iter())
             .flat_map(|solve| &solve.rows)
@@ -201,10 +186,7 @@ fn attempt(
                 }
             }
             SearchEvent::Row { start, row } => {
-                let event = IterationEvent {
-                    start: *start,
-                    row: iteration_row(row),
-                };
+                let event = IterationEvent { start: *start, row };
                 match &live {
                     None => {
                         console.event("iteration", &event);
@@ -230,7 +212,8 @@ fn attempt(
             }
             SearchEvent::StartEnds { start, found } => {
                 if let Some(live) = &live {
-                    let summary = start_summary(*start, *found);
+                    let summary =
+                        found.map_or_else(|_| start_not_begun(*start, "failed"), start_summary);
                     let converged = summary.status == "converged";
                     live.end(*start, converged.then_some(summary.objective));
                     live.beside(|| {
@@ -333,12 +316,12 @@ fn table_row(row: &IterationRecord) -> String {
         "{:4} {:12.6e} {:9.1e} {:8.1e} {:8.1e} {:8.1e} {:8.1e} {:5} {:3} {:7.2}",
         row.iteration,
         row.objective,
-        row.residual.stationarity,
-        row.residual.feasibility,
-        row.residual.complementarity,
+        row.stationarity,
+        row.feasibility,
+        row.complementarity,
         row.step_norm,
         row.trust_radius,
-        step_kind(row),
+        row.step,
         row.qp_iterations,
         row.elapsed
     )
@@ -350,29 +333,7 @@ struct IterationEvent<'a> {
     /// Number of the start, from 0.
     start: usize,
     #[serde(flatten)]
-    row: IterationRow<'a>,
-}
-
-/// What `--json-lines` prints of a start that has ended, of several; nothing is checked yet.
-fn start_summary(start: usize, found: Result<&Attempt, &GuessError>) -> StartSummary {
-    match found {
-        Ok(attempt) => StartSummary {
-            start,
-            from: attempt.from,
-            status: status_words(&attempt.outcome.status, &[]).0,
-            objective: attempt.outcome.objective,
-            iterations: attempt.iterations(),
-            verdict: None,
-        },
-        Err(_) => StartSummary {
-            start,
-            from: "not begun",
-            status: "failed",
-            objective: f64::NAN,
-            iterations: 0,
-            verdict: None,
-        },
-    }
+    row: &'a IterationRecord,
 }
 
 /// A start that has ended, of several.
@@ -412,11 +373,11 @@ fn conclude(
     if let Some(free) = problem.duration {
         console.say(&format!(
             "duration {:.6} s, free between {} and {} s",
-            summary.duration_s, free.shortest, free.longest
+            summary.facts.duration_s, free.shortest, free.longest
         ));
     }
-    show_tracking(&summary.tracking, console);
-    for goal in &summary.soft_goals {
+    show_tracking(&summary.reached.tracking, console);
+    for goal in &summary.reached.soft_goals {
         console.say(&goal.in_words());
     }
     if summary.status != "converged" {
@@ -448,8 +409,8 @@ fn conclude(
         }
     }
     if let (Some(open), Some(closed)) = (
-        summary.open_loop_sensitivity,
-        summary.closed_loop_sensitivity,
+        summary.sensitivities.open_loop_sensitivity,
+        summary.sensitivities.closed_loop_sensitivity,
     ) {
         console.say(&format!(
             "a perturbation grows at most {:.3} times by the end ({:.3} with feedback), {:.3} times on the way ({:.3})",

@@ -25,20 +25,20 @@ use crate::tradeoff::{
 pub(super) struct TradeoffArguments {
     #[command(flatten)]
     scene: SceneAndOut,
-    /// Largest error that is good enough, in lengths of the arm
+    /// Largest acceptable error, in lengths of the arm
     #[arg(long, value_name = "PART", default_value_t = 1e-3, value_parser = tolerance)]
     tolerance: f64,
-    /// How long the sweep may take, as in 90s, 5min or 1h; what has begun is finished
+    /// Time that the sweep may take, as in 90s, 5min or 1h; a run that has begun is finished
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = budget)]
     budget: Duration,
-    /// Write the scene with the recommended setting to this file, or without a name to SCENE, if that is a file, and to the current folder, if
-    /// it is a built-in scene
+    /// Write the scene with the recommended setting to this file; without a name to SCENE if that is a file, or to the current folder if it
+    /// is a built-in scene
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
     apply: Option<Option<PathBuf>>,
-    /// Let --apply replace this file, which is neither SCENE nor new
+    /// Allow --apply to replace this file, which is neither SCENE nor new
     #[arg(long, value_name = "FILE", num_args = 1)]
     force: Vec<PathBuf>,
-    /// Go on with an earlier sweep of the same scene: its points are not run again
+    /// Continue an earlier sweep of the same scene, without running its points again
     #[arg(long)]
     resume: bool,
 }
@@ -178,7 +178,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
         let drawn = svg.as_deref().unwrap_or_default();
         result.write_text(
             "report.html",
-            &page(&short_name, &found, &usual, &sentence, drawn),
+            &page(&short_name, &found, &usual, &sentence, drawn)?,
         )?;
         result.write_json("summary.json", &summary)
     });
@@ -207,7 +207,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     Ok(match (stop.raised(), &found.recommended) {
         (Some(stop), _) => {
             console.always(&format!(
-                "{stop}; what was run is written, and --resume goes on"
+                "{stop}; the points so far are written, and --resume continues the sweep"
             ));
             exit::STOPPED
         }
@@ -231,14 +231,14 @@ fn refused(scene: &Scene, source: &SceneSource, error: SweepError, stop: &StopSi
     }
 }
 
-/// Where the scene with the recommended setting goes.
+/// Target of the scene with the recommended setting.
 struct Applied {
     path: PathBuf,
     own: Own,
 }
 
 impl Applied {
-    /// A file that is SCENE itself is there to be changed; any other file is somebody's.
+    /// Returns the target of `--apply`. A file that is SCENE itself may be changed; any other file belongs to the user.
     fn of(file: Option<&Path>, scene: &str) -> Self {
         let scene_file = Path::new(scene);
         let path = match file {
@@ -257,7 +257,7 @@ impl Applied {
     }
 }
 
-/// What an earlier sweep has found.
+/// Results of an earlier sweep.
 #[derive(Default)]
 struct Earlier {
     points: Vec<Point>,
@@ -265,8 +265,8 @@ struct Earlier {
 }
 
 impl Earlier {
-    /// What sweeps of this scene left: in the result directory, and in the folder of a run that was killed; nothing where one was ended before its first
-    /// point.
+    /// Reads the results of earlier sweeps of this scene: in the result directory, and in the folder of a killed run; nothing if one was
+    /// ended before its first point.
     fn read(target: &Path, scene: &Scene, console: &Console) -> Result<Self, CliError> {
         let journal = journal_in(&RunDirectory::folder_of(target)?);
         let mut out = if target.join("summary.json").exists() {
@@ -295,7 +295,7 @@ impl Earlier {
         Ok(out)
     }
 
-    /// What a sweep of this scene left in its result directory.
+    /// Reads the results of a sweep of this scene from its result directory.
     fn of_result(target: &Path, scene: &Scene, console: &Console) -> Result<Self, CliError> {
         let refuse = |why: &str| {
             CliError::Directory(format!(
@@ -321,7 +321,7 @@ impl Earlier {
     }
 }
 
-/// The points of a file that a sweep has written, and that have an error and a time: what failed is tried again.
+/// Returns those points of a file that a sweep can have written and that have an error and a time; failed points are tried again.
 fn believed(saved: Vec<serde_json::Value>, place: &str, console: &Console) -> Vec<Point> {
     let mut points = Vec::new();
     for (at, saved) in saved.into_iter().enumerate() {
@@ -344,7 +344,7 @@ fn believed(saved: Vec<serde_json::Value>, place: &str, console: &Console) -> Ve
     points
 }
 
-/// Bytes of the largest file of a sweep that is read.
+/// Cap on the bytes of a file of a sweep that is read.
 const LARGEST: u64 = 1 << 24;
 
 fn row(point: &Point, usual: &Setting) -> String {
@@ -401,7 +401,7 @@ fn conclude(found: &Tradeoff, usual: &Setting, sentence: &str, console: &Console
     }
     if let Some(first) = found.features.first() {
         console.say(&format!(
-            "what features of the model cost, {}              with   without  ratio (of single turns)",
+            "costs of features of the model, {}              with   without  ratio (of single turns)",
             first.unit
         ));
     }

@@ -1,4 +1,4 @@
-//! Actuators of one's own along a point: columns of their controls, and what they add to the Hessian of the Lagrangian.
+//! User-defined actuators along a point: the columns of their controls, and their part of the Hessian of the Lagrangian.
 
 use faer::Mat;
 
@@ -10,7 +10,8 @@ use crate::mechanics::linearization::{AdjointSweep, Motion};
 use crate::mechanics::sensitivity::Sensitivities;
 use crate::mechanics::{ControlSignal, FormTerm, StateForm, Trajectory, Wrench};
 
-/// Which actuator of one's own a component controls, and which of its controls it is; `None` where it is part of a wrench.
+/// Returns, for every component, the user-defined actuator that it controls and the index of the control; `None` for a component of a
+/// wrench.
 pub(super) fn own_controls(
     problem: &OptimalControlProblem,
     components: &[Component],
@@ -20,19 +21,19 @@ pub(super) fn own_controls(
         .collect()
 }
 
-/// The actuators of one's own along a trajectory under a control.
+/// The user-defined actuators along a trajectory under a control.
 pub(super) struct ActingAlong<'a> {
     problem: &'a OptimalControlProblem,
     /// The controls.
     pub signal: ControlSignal,
     /// Nodes of every actuator.
     nodes: Vec<Vec<usize>>,
-    /// Derivative of its wrenches along its controls, actuator by actuator, at every time node.
+    /// Derivative of the wrenches along the controls at every time node, actuator by actuator.
     jacobians: Vec<Vec<Mat<f64>>>,
 }
 
 impl<'a> ActingAlong<'a> {
-    /// `None` of a problem without any.
+    /// Evaluates the actuators along a trajectory; `None` if the problem has none.
     pub fn of(
         problem: &'a OptimalControlProblem,
         signal: ControlSignal,
@@ -63,7 +64,7 @@ impl<'a> ActingAlong<'a> {
         })
     }
 
-    /// Calls `visit(node, component, derivative)` for what one control does to the wrenches at time node `k`.
+    /// Calls `visit(node, component, derivative)` for every component of a wrench at time node `k` that one control changes.
     pub fn visit(&self, k: usize, own: (usize, usize), visit: &mut dyn FnMut(usize, usize, f64)) {
         let (actuator, control) = own;
         let jacobian = &self.jacobians[actuator][k];
@@ -77,7 +78,7 @@ impl<'a> ActingAlong<'a> {
         }
     }
 
-    /// The change of all wrenches with a change of the controls, to first order.
+    /// Returns the first-order change of all wrenches with a change of the controls.
     pub fn change(&self, change: &ControlSignal) -> ControlSignal {
         let mut nodes = change.nodes.clone();
         nodes.extend(self.nodes.iter().flatten());
@@ -101,7 +102,8 @@ impl<'a> ActingAlong<'a> {
         ControlSignal::on(nodes, wrenches)
     }
 
-    /// Second derivatives of the wrenches' part in the Lagrangian: those along the configuration alone, and those along controls.
+    /// Returns the second derivatives of the wrenches' term in the Lagrangian: those along the configuration alone, and those along
+    /// controls.
     pub fn curvature(
         &self,
         motion: &Motion,
@@ -171,26 +173,27 @@ impl<'a> ActingAlong<'a> {
     }
 }
 
-/// Second derivative of an actuator's part in the Lagrangian at one time node, over its controls, and over them and the configuration.
+/// Second derivatives of an actuator's term in the Lagrangian at one time node, with respect to its controls and to controls and
+/// configuration.
 pub(super) struct ControlCurvature {
-    /// Forms of the configuration.
+    /// Forms of the configuration on which the wrenches depend.
     pub forms: Vec<StateForm>,
-    /// Forms by controls.
+    /// Mixed derivatives, forms by controls.
     cross: Mat<f64>,
-    /// Controls by controls.
+    /// Derivatives along two controls.
     own: Mat<f64>,
-    /// Of every control, the columns that move it and by how much.
+    /// Columns that move each control, with their coefficients.
     columns: Vec<Vec<(usize, f64)>>,
 }
 
 impl ControlCurvature {
-    /// The forms as rows of a sweep.
+    /// Returns the forms as rows of a sweep.
     pub fn gradients(&self) -> impl Iterator<Item = RowGradient> {
         self.forms.iter().map(|form| vec![form.clone()])
     }
 
-    /// Adds this to a Hessian over the columns, where the forms are the rows from `first` on of `values`, by columns, and of
-    /// `responses`, by sources.
+    /// Adds these derivatives to a Hessian over the columns. The forms are the rows from `first` on of `values` (by columns) and of
+    /// `responses` (by sources).
     pub fn add_to(
         &self,
         first: usize,

@@ -9,54 +9,55 @@ use super::problem::{Bound, OptimalControlProblem};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::{Rod, Trajectory, Wrench};
 
-/// Something about a motion that may be why it was not found, or not resolved. Its text says where, how much, and what to change.
+/// A property of a motion that may explain why no solution was found or the motion is not resolved. Its text tells where, how much, and
+/// what to change.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Observation {
     /// An element bends by more than it can resolve.
     CoarseBend {
-        /// The element.
+        /// Index of the element.
         element: usize,
-        /// When, s.
+        /// Time, s.
         time: f64,
         /// Angle between its ends, rad.
         angle: f64,
-        /// Elements that would bend by an angle that is resolved.
+        /// Number of elements with which the angle would be resolved.
         elements: usize,
     },
-    /// The surface is strained beyond what a linear elastic law is good for.
+    /// The strain at the surface exceeds the range of a linear elastic law.
     LargeStrain {
-        /// The element.
+        /// Index of the element.
         element: usize,
-        /// When, s.
+        /// Time, s.
         time: f64,
         /// Largest strain at the surface, `|stretch - 1| + r κ`.
         strain: f64,
-        /// Radius of bending over the radius of the section; infinite where the arm is straight.
+        /// Radius of curvature divided by the radius of the section; infinite if the arm is straight.
         bend_over_radius: f64,
     },
-    /// The controls jump, and nothing damps the waves that a jump sets off.
+    /// The controls jump, and the waves that a jump excites are hardly damped.
     RingingWaves {
         /// Duration of a block, s.
         block: f64,
         /// Period of the fastest wave, s.
         period: f64,
     },
-    /// Holding the arm at the target takes a larger force than the bound.
+    /// Balancing the arm at the target takes a larger force than the bound.
     StaticNeed {
         /// Force on the tip, N.
         force: f64,
         /// The bound, N.
         bound: f64,
     },
-    /// A moment bends the section that it acts on more than the arm bends elsewhere, at a small part of the price.
+    /// A moment bends the arm at its node more than the arm bends elsewhere, at a small fraction of the cost of the forces.
     CheapMoment {
-        /// The node that it acts on.
+        /// Node of the moment.
         node: usize,
         /// Largest moment, N m.
         moment: f64,
-        /// Its price over that of the forces: the largest squares over their scales.
+        /// Cost of the moment divided by that of the forces: the ratio of the largest squares divided by their scales.
         price: f64,
-        /// The scale that makes both equal, N m.
+        /// Scale of the moment for which both costs are equal, N m.
         scale: f64,
     },
 }
@@ -104,24 +105,25 @@ impl std::fmt::Display for Observation {
                 scale,
             } => write!(
                 f,
-                "the moment of {moment:.2e} N m on node {node} bends mainly its own section and costs {price:.1e} of what the forces do: \
+                "the moment of {moment:.2e} N m on node {node} bends mainly its own section and costs {price:.1e} times as much as the forces: \
                  objective.moment_scale_n_m = {scale:.1e}, or a bound on it"
             ),
         }
     }
 }
 
-/// Angle between the ends of an element, rad, up to which a shape is resolved: the chord of an arc is then off its middle by
-/// `angle/8 = 6 %` of its length.
+/// Largest angle between the ends of an element, rad, for which a shape is resolved: the chord of an arc is then off its middle by `angle/8
+/// = 6 %` of its length.
 const RESOLVED_ANGLE: f64 = 0.5;
-/// Strain at the surface beyond which the model of the section is left: stretches of 0.7 to 1.3.
+/// Strain at the surface above which the linear law of the section is not valid: stretches outside 0.7 to 1.3.
 const MODEL_STRAIN: f64 = 0.3;
-/// Damping ratio of a wave within a period that takes its ringing away: `ζ = τω/2` or `c/(2ω)`.
+/// Damping ratio above which jumps leave no lasting waves, `ζ = τω/2` or `c/(2ω)`: an amplitude decays by `exp(-2πζ)`, a factor of 0.73,
+/// within a period.
 const CALM: f64 = 0.05;
-/// Part of the price of the forces below which a moment counts as cheap.
+/// A moment counts as cheap below this fraction of the cost of the forces.
 const CHEAP: f64 = 0.1;
 
-/// What there is to say about a motion and its controls, worst first; nothing where all is in the usual range.
+/// Returns the observations about a motion and its controls, worst first; empty if all values are in the usual range.
 #[must_use]
 pub fn observe(
     problem: &OptimalControlProblem,
@@ -157,7 +159,7 @@ pub fn observe(
     out
 }
 
-/// The largest value of something along the arm.
+/// The largest value of a quantity along the arm and over time.
 struct Peak {
     value: f64,
     element: usize,
@@ -167,9 +169,9 @@ struct Peak {
 
 #[derive(Default)]
 struct Peaks {
-    /// Of the angle between the ends of an element.
+    /// Peak of the angle between the ends of an element.
     angle: Option<Peak>,
-    /// Of the strain at the surface.
+    /// Peak of the strain at the surface.
     strain: Option<Peak>,
 }
 
@@ -205,7 +207,7 @@ impl Peaks {
     }
 }
 
-/// A tip force beyond its bound that balances the arm at its last target, where its tip is to stop.
+/// Returns the tip force that balances the arm at its last target if it exceeds its bound and the tip is to stop there.
 fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
     let [actuator] = &problem.actuators[..] else {
         return None;
@@ -228,7 +230,7 @@ fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
     }
 }
 
-/// A moment whose price is small beside that of the forces, where the arm bends most at the node that it acts on.
+/// Returns a moment whose cost is small beside that of the forces, if the arm bends most at its node.
 fn cheap_moment(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
@@ -259,7 +261,7 @@ fn cheap_moment(
     })
 }
 
-/// Controls that jump, on an arm whose fastest waves are hardly damped.
+/// Returns an observation if controls jump on an arm whose fastest waves are hardly damped.
 fn ringing(problem: &OptimalControlProblem) -> Option<Observation> {
     let rod = &problem.rod;
     if problem.control.hold != Hold::Constant {

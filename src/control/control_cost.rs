@@ -1,15 +1,15 @@
-//! The part of the objective that depends on the variables alone: effort, rate, and residuals of soft goals.
+//! The part of the objective that depends on the variables alone: effort, rate, and penalties on the residuals of soft goals.
 
 use faer::Mat;
 
 use super::problem::{Component, GoalRow, OptimalControlProblem};
 
-/// `½ vᵀ (E + R + W) v + w τ` over controls and soft residuals `v`: weighted effort and rate, and the weights of the residuals; and over what
-/// a relaxed program falls short of its rows by, the last of its variables.
+/// `½ vᵀ (E + R + W) v + w τ`: weighted effort and rate of the controls, and the penalties of the soft residuals among the variables `v`;
+/// `τ` is the last variable of a [relaxed](super::transcription) program.
 #[derive(Clone, Debug)]
 pub(super) struct ControlCost {
     hessian: Mat<f64>,
-    /// `w`; `None` where nothing is relaxed.
+    /// Price `w` of `τ`; `None` if the program is not relaxed.
     shortfall: Option<f64>,
 }
 
@@ -46,7 +46,7 @@ impl ControlCost {
         Self { hessian, shortfall }
     }
 
-    /// Value and gradient.
+    /// Returns value and gradient.
     pub(super) fn value(&self, variables: &[f64]) -> (f64, Vec<f64>) {
         let mut gradient = product(&self.hessian, variables);
         let mut value = 0.5 * dot(variables, &gradient);
@@ -59,7 +59,7 @@ impl ControlCost {
         (value, gradient)
     }
 
-    /// The Hessian, which is positive semidefinite.
+    /// Returns the Hessian, which is positive semidefinite.
     pub(super) fn hessian(&self) -> &Mat<f64> {
         &self.hessian
     }

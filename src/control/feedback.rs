@@ -1,24 +1,23 @@
-//! Feedback around an optimal motion (a time-varying linear-quadratic regulator), and how perturbations of the motion grow without
-//! and with it; both from the linearization that the solver uses.
+//! A time-varying linear-quadratic regulator around an optimal motion, and the growth of perturbations of the motion with and without it;
+//! both use the linearization of the solver.
 //!
-//! The state at the start of a block of the control is `(x, R, p, π)` of every free node, its momenta those of the
-//! [`State`]: the discrete Legendre transform, which is what an observer of velocities knows. Its deviation from the reference
-//! has twelve numbers a node,
+//! The state at the start of a block of the control is `(x, R, p, π)` of every free node; its momenta are those of [`State`], the discrete
+//! Legendre transform, which an observer of velocities knows. Its deviation from the reference has twelve numbers a node,
 //!
 //! ```text
 //! dx = (x - x*, log(R*ᵀR), p - p*, π - π*)        spatial, body frame, spatial, body frame
 //! ```
 //!
-//! and the linearized step maps it linearly. Over block `j` a constant wrench is added to the optimal control, whatever the hold of that,
-//! `u(t) = u*(t) - K_j dx_j`, which minimizes
+//! and the linearized step maps it linearly. A constant wrench is added to the optimal control over block `j`, whatever the hold of the
+//! control, `u(t) = u*(t) - K_j dx_j`, which minimizes
 //!
 //! ```text
 //! Σ_{j<N} (Δt_j/T) [ state · 2 E_j(dx_j)/E₀ + input · |du_j/scale|² ] + state · 2 E_N(dx_N)/E₀ + Σ_goals |row dx_N|²/tolerance²
 //! ```
 //!
-//! subject to `dx_{j+1} = A_j dx_j + B_j du_j`. `E_j` is the energy of a deviation: kinetic, and that of the elements about the
-//! reference (`½ δs·C δs` of the strains they add; on a free base also springs `EI/L³`, `EI/L` at node 0); `E₀ = EI/L`. Its square root is
-//! the norm in which growth is measured.
+//! subject to `dx_{j+1} = A_j dx_j + B_j du_j`. `E_j` is the energy of a deviation: the kinetic energy, and that of the elements about the
+//! reference (`½ δs·C δs` of the added strains `δs`; on a free base also of springs `EI/L³`, `EI/L` at node 0); `E₀ = EI/L`. The square
+//! root of `E_j` is the norm in which growth is measured.
 
 mod mismatch;
 
@@ -42,11 +41,11 @@ pub use self::mismatch::{ModelMismatch, Quantity, TipDeviation};
 /// Weights of the regulator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeedbackWeights {
-    /// Of the energy of a deviation, twice over `EI/L`: its mean on the way, and what is left at the end; not negative.
+    /// Weight of the energy of a deviation, `2 E/E₀`: of its mean over the horizon and of its value at the end; not negative.
     pub state: f64,
-    /// Of the square of a correction over its channel's scale; positive.
+    /// Weight of the squared correction divided by the scale of its channel; positive.
     pub input: f64,
-    /// Scaled residual of a goal at the end of the horizon that counts as 1, positive; goals that are sets bring their own.
+    /// Scaled residual of a goal at the end of the horizon that counts as 1, positive; a goal within a tolerance uses its own.
     pub tolerance: f64,
 }
 
@@ -60,20 +59,20 @@ impl Default for FeedbackWeights {
     }
 }
 
-/// Why there is no feedback.
+/// The reason why a regulator cannot be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FeedbackError {
-    /// A weight that is no weight.
+    /// A weight is out of range.
     #[error("{name}: {value} is not {expected}")]
     Weight {
         /// Field of [`FeedbackWeights`].
         name: &'static str,
-        /// Its value.
+        /// Value of the weight.
         value: f64,
-        /// The values that are allowed.
+        /// Allowed values.
         expected: &'static str,
     },
-    /// Nothing can be corrected: no actuated component.
+    /// No component of any wrench is actuated.
     #[error(
         "no component of any wrench is actuated, so that there is nothing to correct with; raise a bound above 0"
     )]
@@ -87,40 +86,40 @@ pub enum FeedbackError {
          each other"
     )]
     IllPosed {
-        /// The block.
+        /// Index of the block.
         block: usize,
-        /// The matrix that is not finite or not positive.
+        /// Name of the matrix that is not finite or not positive.
         what: &'static str,
     },
 }
 
-/// Gains at the starts of the blocks, what they act on, and the growth of perturbations.
+/// The gains at the starts of the blocks, their rows and reference, and the growth of perturbations.
 #[derive(Clone, Debug)]
 pub struct Feedback {
     /// Starts of the blocks, s.
     pub times: Vec<f64>,
-    /// Node and axis (0..3 force, spatial; 3..6 moment, body) of every row of the gains; of a control of an actuator of one's own the
-    /// first of its nodes, and its place.
+    /// Node and axis (0..3 force, spatial frame; 3..6 moment, body frame) of every row of the gains; for a control of a user-defined
+    /// actuator, the first of its nodes and the index of the control.
     pub inputs: Vec<(usize, usize)>,
-    /// First of the nodes that have a deviation; the others are held.
+    /// First node that has a deviation; the nodes before it are held by the base.
     pub first_node: usize,
     /// `K_j`, N or N m per m, rad, kg m/s and kg m²/s.
     pub gains: Vec<Mat<f64>>,
     /// States from which deviations are measured, at the starts of the blocks.
     pub reference: Vec<State>,
-    /// `P_0`: the cost of a deviation at the start, and all that follows from it, is `dxᵀ P_0 dx`.
+    /// `P_0`: the cost of a deviation `dx` at the start with all its consequences is `dxᵀ P_0 dx`.
     pub cost_to_go: Mat<f64>,
     /// Largest growth of the norm of a deviation from the start to each edge of the blocks, without feedback.
     pub open_loop: Vec<f64>,
-    /// The same growth with feedback.
+    /// Largest such growth with feedback.
     pub closed_loop: Vec<f64>,
 }
 
 impl Feedback {
-    /// The regulator around the motion of a problem under the controls of a solution, `trajectory`.
+    /// Computes the regulator around the motion `trajectory` of a problem under the controls of a solution.
     ///
     /// # Errors
-    /// [`FeedbackError`] for weights out of range, and where the equations cannot be solved.
+    /// Returns [`FeedbackError`] for weights out of range, and if the equations cannot be solved.
     pub fn along(
         problem: &OptimalControlProblem,
         trajectory: &Trajectory,
@@ -218,14 +217,14 @@ impl Feedback {
         })
     }
 
-    /// Deviation of a state at the start of block `j`.
+    /// Returns the deviation of a state at the start of block `j`.
     #[must_use]
     pub fn deviation(&self, j: usize, state: &State) -> Vec<f64> {
         let difference = state.difference(&self.reference[j]);
         difference.components_from(self.first_node).collect()
     }
 
-    /// What to add to every input over block `j`, N, N m or the unit of the control.
+    /// Returns the correction of every input over block `j`, N, N m or the unit of the control.
     #[must_use]
     pub fn input_changes(&self, j: usize, state: &State) -> Vec<f64> {
         let deviation = self.deviation(j, state);
@@ -238,7 +237,7 @@ impl Feedback {
             .collect()
     }
 
-    /// What to add to the optimal control over block `j`: node and wrench, one for every input, where all inputs are
+    /// Returns the correction of the optimal control over block `j` as nodes and wrenches, one for every input; valid if all inputs are
     /// wrenches on nodes.
     #[must_use]
     pub fn correction(&self, j: usize, state: &State) -> Vec<(usize, Wrench)> {
@@ -283,7 +282,7 @@ fn check_weights(weights: &FeedbackWeights) -> Result<(), FeedbackError> {
     require("tolerance", tolerance, tolerance > 0.0, "a positive number")
 }
 
-/// States of the motion under the controls at the edges of the blocks.
+/// Returns the states of the motion under the controls at the edges of the blocks.
 fn states_at_edges(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
@@ -303,7 +302,8 @@ fn states_at_edges(
     Ok(states)
 }
 
-/// The goals at the end of the horizon as rows over the last deviation, over `tolerance` or that of the goal, whichever is larger.
+/// Returns the goals at the end of the horizon as rows on the last deviation, divided by `tolerance` or the goal's own tolerance, whichever
+/// is larger.
 fn terminal_rows(program: &Transcription, trajectory: &Trajectory, tolerance: f64) -> Mat<f64> {
     let problem = program.problem();
     let last = problem.grid.n_steps;
@@ -313,11 +313,11 @@ fn terminal_rows(program: &Transcription, trajectory: &Trajectory, tolerance: f6
     let index = |node: usize, component: usize| {
         (node.checked_sub(first)).map(|free| NODE_COMPONENTS * free + component)
     };
-    for row in program.goal_rows() {
+    let gradients = program.goal_gradients(trajectory);
+    for (row, forms) in program.goal_rows().iter().zip(gradients) {
         if problem.goals[row.goal].time_node == last {
             let radius = problem.goal_radius(row.goal, row.part).unwrap_or(0.0);
             let size = tolerance.max(radius);
-            let forms = program.goal_gradient(trajectory, row);
             let terms = forms.iter().flat_map(|form| &form.terms);
             rows.push(
                 terms
@@ -338,33 +338,33 @@ fn terminal_rows(program: &Transcription, trajectory: &Trajectory, tolerance: f6
     out
 }
 
-/// One stage of a linear-quadratic problem, `z⁺ = A z + B v` at the cost `state_weight |z|² + input_weight |v|²`.
+/// One stage of a linear-quadratic problem: `z⁺ = A z + B v` with the cost `state_weight |z|² + input_weight |v|²`.
 #[derive(Clone, Debug)]
 pub struct Stage {
     /// `A`
     pub state: Mat<f64>,
     /// `B`
     pub input: Mat<f64>,
-    /// Not negative.
+    /// Weight of the state, not negative.
     pub state_weight: f64,
-    /// Positive.
+    /// Weight of the input, positive.
     pub input_weight: f64,
 }
 
 /// The optimal linear feedback of a linear-quadratic problem.
 #[derive(Clone, Debug)]
 pub struct Regulator {
-    /// `v = -K_j z` at every stage.
+    /// Gains of `v = -K_j z` at every stage.
     pub gains: Vec<Mat<f64>>,
-    /// `P_0` of the cost `zᵀ P_0 z` from the first stage on.
+    /// `P_0`, where `zᵀ P_0 z` is the cost from the first stage on.
     pub cost_to_go: Mat<f64>,
 }
 
-/// Riccati's recursion backward from the terminal cost `zᵀ P_N z`, in Joseph's form
-/// `P = Q + KᵀRK + (A - BK)ᵀ P⁺ (A - BK)`, of which only the lower half is kept: symmetric, and positive whatever `K` is rounded to.
+/// Runs Riccati's recursion backward from the terminal cost `zᵀ P_N z`, in Joseph's form `P = Q + KᵀRK + (A - BK)ᵀ P⁺ (A - BK)`. Only the
+/// lower half of `P` is kept, so that it is symmetric; it is positive for any rounding of `K`.
 ///
 /// # Errors
-/// [`FeedbackError::IllPosed`] where `R + BᵀP⁺B` is not positive definite, which non-finite stages are not either.
+/// Returns [`FeedbackError::IllPosed`] if `R + BᵀP⁺B` is not positive definite, which includes stages that are not finite.
 pub fn riccati(stages: &[Stage], terminal: Mat<f64>) -> Result<Regulator, FeedbackError> {
     riccati_until(stages, terminal, &StopSignal::default())
 }
@@ -391,7 +391,7 @@ fn riccati_until(
     })
 }
 
-/// The gain of a stage, and the cost from it on, from that after it.
+/// Returns the gain of a stage and the cost from that stage on, from the cost after it.
 fn backward(
     block: usize,
     stage: &Stage,
@@ -436,13 +436,14 @@ fn backward(
     Ok((gain, next))
 }
 
-/// Relative accuracy of a growth: more than anybody reads, and far above the rounding of single precision.
+/// Relative accuracy of a growth: more digits than are reported, and far above the rounding of single precision.
 const GROWTH_ACCURACY: f32 = 1e-4;
-/// Vectors that faer's method keeps; it needs a matrix with more rows and columns than these (twice `MIN_DIM` in its `operator/eigen`).
+/// Number of vectors that faer's method keeps; it needs a matrix with more rows and columns than this (twice `MIN_DIM` in its
+/// `operator/eigen`).
 const KRYLOV_VECTORS: usize = 64;
 
-/// Largest factor by which the stages lengthen a `z` from the start to the end of each of them, after 1 for the start itself; under
-/// feedback, or by themselves.
+/// Returns the largest factor by which the stages lengthen a `z` from the start to the end of each of them, after 1 for the start itself;
+/// with the gains, if given, or without.
 fn growth(
     stages: &[Stage],
     gains: Option<&[Mat<f64>]>,
@@ -467,11 +468,11 @@ fn growth(
     Ok(out)
 }
 
-/// A matrix in single precision, twice as fast and more than what is asked of norms; its largest number is 1, so that nothing overflows.
+/// A matrix in single precision, which is twice as fast and accurate enough for norms; its largest entry is 1, so that nothing overflows.
 #[derive(Clone)]
 struct Single {
     matrix: Mat<f32>,
-    /// What it is to be multiplied with.
+    /// Factor of the matrix.
     scale: f64,
 }
 
@@ -487,7 +488,7 @@ impl Single {
         }
     }
 
-    /// The product with what comes first on its right.
+    /// Returns the product `self · first`.
     fn after(&self, first: &Self) -> Self {
         let mut matrix = &self.matrix * &first.matrix;
         let size = matrix.norm_max();
@@ -500,7 +501,7 @@ impl Single {
         }
     }
 
-    /// Largest singular value, of large matrices by a method of Krylov vectors.
+    /// Returns the largest singular value; of large matrices by a method of Krylov vectors.
     fn largest_singular_value(&self) -> f64 {
         let (rows, columns) = self.matrix.shape();
         let largest = self.matrix.norm_max();
@@ -515,7 +516,7 @@ impl Single {
         let parameters = PartialEigenParams::default();
         let scratch = partial_svd_scratch(&self.matrix, 1, Par::Seq, parameters);
         let mut value = [0.0_f32];
-        // Nothing special: neither sparse nor smooth.
+        // A start vector that is neither sparse nor smooth.
         let start = Col::from_fn(columns, |i| 1.0 + 0.5 * ((i * i) as f32).sin());
         partial_svd(
             Mat::zeros(rows, 1).as_mut(),
@@ -542,7 +543,7 @@ mod tests {
         DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)])
     }
 
-    /// Numbers that look random, between -1 and 1.
+    /// Pseudorandom numbers between -1 and 1.
     fn random(rows: usize, columns: usize, seed: u64) -> Mat<f64> {
         let mut rng = fastrand::Rng::with_seed(seed);
         Mat::from_fn(rows, columns, |_, _| 2.0 * rng.f64() - 1.0)
@@ -559,8 +560,8 @@ mod tests {
             .collect()
     }
 
-    /// The inputs that minimize the whole sum, found as one dense least-squares problem over all of them, are the regulator's;
-    /// so is the sum.
+    /// The inputs that minimize the whole sum, found as one dense least-squares problem over all of them, are those of the regulator, and
+    /// its cost is the minimum.
     #[test]
     fn riccati_minimizes_the_whole_sum() {
         let stages = stages();
@@ -609,7 +610,7 @@ mod tests {
         }
     }
 
-    /// Stages that are no numbers are refused, and so are weights out of range.
+    /// Stages that are not finite are refused, and so are weights out of range.
     #[test]
     fn ill_posed_regulators_are_refused() {
         let mut broken = stages();
@@ -653,14 +654,14 @@ mod tests {
         }
     }
 
-    /// The largest singular value against the whole decomposition, of clustered and of spread ones.
+    /// The largest singular value agrees with the full decomposition, for clustered and for spread values.
     #[test]
     fn norms_are_singular_values() {
         for (size, seed) in [(1, 1), (7, 2), (64, 4), (65, 5), (150, 3)] {
             let m = random(size, size, seed);
             let whole = dense(&m).singular_values().max();
             let found = Single::of(&m).largest_singular_value();
-            // Products and sums of so many numbers in single precision.
+            // Rounding of products and sums of `size` numbers in single precision.
             let rounding = size as f64 * f64::from(f32::EPSILON);
             assert!(found <= whole * (1.0 + rounding) && found > whole * (1.0 - 1e-3));
         }

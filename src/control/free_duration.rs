@@ -1,13 +1,13 @@
-//! A free duration: one outer search over it, around solves that hold it.
+//! A free final time: an outer search over the duration, around solves with a fixed one.
 //!
-//! The optimal value `V(T)` of the problem whose duration is held at `T` has the derivative of its Lagrangian along `T`, while controls and
-//! multipliers stay (envelope theorem). It swings with the arm's elastic waves, so that a coarse scan first looks for valleys; in the lowest
-//! the derivative is brought to zero.
+//! The optimal value `V(T)` of the problem with the fixed duration `T` has the derivative of its Lagrangian along `T` at constant controls
+//! and multipliers (envelope theorem). It oscillates with the arm's elastic waves, so that a coarse scan first looks for valleys; in the
+//! lowest one the derivative is brought to zero.
 //!
-//! Below some duration the task cannot be done at all. Where `V` still falls there, as always where the duration alone is paid for, the
-//! optimum is at that wall: the problem that holds the duration has no multipliers any more, or those of no single choice. The problem
-//! whose rows are [relaxed](Relaxation) along them at the weight `μ` has; its value `V(T, μ)` is smooth across the wall, with the shortfall
-//! `τ` as its derivative along `μ`, and the optimum is where both derivatives vanish.
+//! Below some duration the task is infeasible. If `V` still falls there, as always if only the duration has a cost, the optimum is at that
+//! wall: at the shortest feasible duration the fixed problem has no multipliers, or they are not unique. The problem whose rows are
+//! [relaxed](Relaxation) along them at the weight `μ` has unique multipliers; its value `V(T, μ)` is smooth across the wall, with the
+//! shortfall `τ` as its derivative along `μ`, and the optimum is where both derivatives vanish.
 
 use super::journal::Journal;
 use super::problem::{FreeDuration, OptimalControlProblem};
@@ -20,22 +20,23 @@ use crate::sqp::{
 };
 use crate::stop::Stop;
 
-/// Slope along the logarithm of the duration, over the value, that counts as none: a tenth of what the check allows.
+/// The slope of the value along the logarithm of the duration, divided by the value, counts as zero up to this: a tenth of what the check
+/// allows.
 const FLAT: f64 = 1e-6;
-/// Relative change of the duration in the differences of fourth order: they are good to 1e-8 for waves of which a hundred fit into the
-/// duration, and stay that far above the rounding of a motion.
+/// Relative change of the duration in differences of fourth order. Their error is 1e-8 for waves of which a hundred fit into the duration,
+/// and far above the rounding of a motion.
 const CHANGE: f64 = 1e-4;
-/// Ratio of durations of the scan, at most a fourth root of two: a first mode that is as long as the motion swings no faster in it.
+/// Largest ratio of successive durations of the scan, a fourth root of two: even if the first mode is as long as the motion, the value has
+/// no oscillation within it.
 const RUNG: f64 = 1.189_207_115_002_721;
-/// Iterations of a solve that begins near the solution of another: several times what they take.
+/// Cap on the iterations of a solve that begins near the solution of another one, several times its usual number.
 const PATIENCE: usize = 100;
-/// Solves in one valley, and at a wall, at most: a bisection from the width of a rung would come to 1e-6 by then.
+/// Cap on the solves in one valley and at a wall: a bisection from the width of a rung would reach 1e-6 in as many.
 const MOST_SOLVES: usize = 20;
-/// How far the wall may be, over the duration, from where the relaxed problem takes over: within a tenth of a rung its value is about
-/// linear.
+/// Largest relative distance from the wall at which the relaxed problem takes over: within a tenth of a rung its value is about linear.
 const NEAR: f64 = 0.02;
 
-/// Whether nothing but the duration is paid for: then controls that are not at their bounds are not unique but at the shortest duration.
+/// Tells whether only the duration has a cost; then controls that are not at their bounds are unique at the shortest duration only.
 fn is_minimum_time(problem: &OptimalControlProblem) -> bool {
     let objective = &problem.objective;
     let is_hard = |row| problem.soft_weight(row).is_none();
@@ -45,8 +46,8 @@ fn is_minimum_time(problem: &OptimalControlProblem) -> bool {
         && problem.goal_rows().iter().all(is_hard)
 }
 
-/// `problem` with an effort for which a second of a control of size 1 costs `part` of a second of the duration, where nothing else tells
-/// controls apart.
+/// Returns `problem` with an effort such that a second of a control of size 1 costs `part` of a second of the duration, if only the
+/// duration has a cost. The effort makes the controls unique.
 fn with_effort(problem: &OptimalControlProblem, part: f64) -> OptimalControlProblem {
     let mut out = problem.clone();
     if let (true, Some(free)) = (is_minimum_time(problem), problem.duration) {
@@ -55,37 +56,37 @@ fn with_effort(problem: &OptimalControlProblem, part: f64) -> OptimalControlProb
     out
 }
 
-/// What was found at a duration.
+/// The solution at one duration.
 #[derive(Clone)]
 struct Sample {
-    /// Over the duration of the grid.
+    /// Duration divided by that of the grid.
     time_scale: f64,
-    /// What is minimized over the duration.
+    /// Value that is minimized over the duration.
     value: f64,
-    /// Its derivative along the time scale.
+    /// Derivative of the value along the time scale.
     slope: f64,
     outcome: SqpOutcome<LiftedPoint>,
 }
 
-/// A duration at which there is no solution near that of another.
+/// A duration without a solution near that of another duration.
 struct Wall {
     time_scale: f64,
-    /// Those that pull against each other there, where the task cannot be done.
+    /// Multipliers of the conflicting rows there, if the task is infeasible.
     multipliers: Option<Multipliers>,
 }
 
-/// The search over the duration, and what it has found.
+/// The search over the duration, with the solutions found so far.
 pub(super) struct DurationSearch<'a> {
     problem: &'a OptimalControlProblem,
-    /// The problem whose solutions with held durations lead to those of `problem`.
+    /// Problem whose solutions at fixed durations lead to those of `problem`.
     posed: OptimalControlProblem,
     free: FreeDuration,
     settings: SqpSettings,
-    /// Iterations of the journal's solves at which the search ends.
+    /// Number of iterations in the journal at which the search ends.
     last_iteration: usize,
     n_threads: usize,
     journal: &'a Journal<'a>,
-    /// In the order of their durations.
+    /// Solutions in the order of their durations.
     samples: Vec<Sample>,
     walls: Vec<Wall>,
     found: Option<Sample>,
@@ -94,7 +95,7 @@ pub(super) struct DurationSearch<'a> {
 }
 
 impl<'a> DurationSearch<'a> {
-    /// A search that has found nothing yet; `None` where the duration is fixed.
+    /// Begins a search; `None` if the duration is fixed.
     pub(super) fn new(
         problem: &'a OptimalControlProblem,
         settings: &SqpSettings,
@@ -120,8 +121,8 @@ impl<'a> DurationSearch<'a> {
         })
     }
 
-    /// Time scales at which the search may begin, each if those before it have no solution: first that of the grid, where `leaves_room` is to
-    /// say that a solution there would leave none.
+    /// Returns the time scales at which the search may begin, each to be tried if those before it have no solution. The first is that of
+    /// the grid; a minimum-time problem adds a margin to it unless the caller says by `leaves_room` that a solution there leaves room.
     pub(super) fn beginnings(&self, first: f64, leaves_room: bool) -> Vec<f64> {
         let is_tight = is_minimum_time(self.problem) && !leaves_room;
         let first = if is_tight {
@@ -139,17 +140,17 @@ impl<'a> DurationSearch<'a> {
         out
     }
 
-    /// The problem that is solved at a time scale, and the price of its duration.
+    /// Returns the problem that is solved at a time scale, and the price of its duration.
     pub(super) fn posed(&self, time_scale: f64) -> (OptimalControlProblem, f64) {
         (self.held(&self.posed, time_scale), self.price(time_scale))
     }
 
-    /// Iterations that are left to all solves together.
+    /// Returns the number of iterations left for all solves together.
     pub(super) fn iterations_left(&self) -> usize {
         (self.last_iteration).saturating_sub(self.journal.iterations())
     }
 
-    /// The settings of a solve beside others, within the iterations that are left.
+    /// Returns the settings of a further solve, within the iterations that are left.
     fn settings_left(&self) -> SqpSettings {
         SqpSettings {
             max_iterations: self.settings.max_iterations.min(self.iterations_left()),
@@ -157,7 +158,8 @@ impl<'a> DurationSearch<'a> {
         }
     }
 
-    /// Where a solve that knows nothing of the others may find a better solution.
+    /// Returns time scale and settings for a solve that is independent of the others and may find a better solution; `None` if the search
+    /// is over or the problem is one of minimum time.
     pub(super) fn doubtful(&self) -> Option<(f64, SqpSettings)> {
         let found = self.found.as_ref()?;
         let is_open = self.may_go_on() && !is_minimum_time(self.problem);
@@ -169,8 +171,8 @@ impl<'a> DurationSearch<'a> {
         self.stopped.is_none() && self.iterations_left() > 0
     }
 
-    /// Looks for the best duration from the outcome of the problem held at `time_scale`; in the valley of that, or with `scans` also at
-    /// others. Whether there was anything to begin with.
+    /// Searches for the best duration from the outcome of the problem held at `time_scale`: in the valley around it, or with `scans` also
+    /// in others. Returns whether there was a solution to begin with.
     pub(super) fn search(
         &mut self,
         time_scale: f64,
@@ -197,7 +199,7 @@ impl<'a> DurationSearch<'a> {
         true
     }
 
-    /// The best outcome, with its time scale and the solves beside it; `first` where there is none.
+    /// Returns the best outcome, its time scale and the other solves; `first` if no solution was found.
     pub(super) fn finish(
         mut self,
         first: (SqpOutcome<LiftedPoint>, f64),
@@ -228,7 +230,7 @@ impl<'a> DurationSearch<'a> {
         (outcome, time_scale, self.before)
     }
 
-    /// The lowest of the valleys that are looked for.
+    /// Returns the minimum in the lowest of the valleys.
     fn lowest(&mut self, scans: bool) -> Option<Sample> {
         let first = self.samples.first()?.clone();
         if !scans && self.is_flat(&first) {
@@ -246,7 +248,8 @@ impl<'a> DurationSearch<'a> {
         None
     }
 
-    /// From a duration by equal ratios towards a limit, as long as that may lead to a lower value: not up `patience` rungs in a row.
+    /// Solves at durations in equal ratios from `from` to `limit`, until the value has risen `patience` times in a row or the price of the
+    /// duration alone exceeds the best value.
     fn walk(&mut self, from: f64, limit: f64, patience: usize) {
         let rungs = ((limit / from).ln().abs() / RUNG.ln()).ceil();
         let (mut at, mut rung, mut rising) = (from, 0.0, 0);
@@ -259,7 +262,7 @@ impl<'a> DurationSearch<'a> {
             } else {
                 limit
             };
-            // What else is paid for is not negative.
+            // All other terms of the objective are nonnegative.
             let is_hopeless = self
                 .best()
                 .is_some_and(|best| self.price(next) > best.value);
@@ -271,7 +274,7 @@ impl<'a> DurationSearch<'a> {
         }
     }
 
-    /// Time scales between which the samples say that there are minima, those beside the lowest sample first.
+    /// Returns the pairs of time scales between which the samples show minima, those beside the lowest sample first.
     fn valleys(&self) -> Vec<[f64; 2]> {
         let mut out = Vec::new();
         for pair in self.samples.windows(2) {
@@ -297,7 +300,7 @@ impl<'a> DurationSearch<'a> {
         out.into_iter().map(|(_, valley)| valley).collect()
     }
 
-    /// The minimum between two durations, of which one may be a wall.
+    /// Returns the minimum between two durations, one of which may be a wall.
     fn descend(&mut self, from: f64, to: f64) -> Option<Sample> {
         let (mut from, mut to) = (from, to);
         let mut last: Option<Sample> = None;
@@ -308,7 +311,7 @@ impl<'a> DurationSearch<'a> {
             let lower = (ends.iter().flatten()).min_by(|a, b| a.value.total_cmp(&b.value));
             if let Some(found) = lower.filter(|end| self.is_flat(end)) {
                 return if is_minimum_time(self.problem) {
-                    // Nothing pulls at a limit.
+                    // At a limit of the duration without cost, all multipliers vanish.
                     let mut none = found.outcome.multipliers.clone();
                     scale(&mut none, 0.0);
                     self.confirm(found.time_scale, found.outcome.point.clone(), &none)
@@ -346,7 +349,8 @@ impl<'a> DurationSearch<'a> {
                 end.as_ref().map_or(f64::NEG_INFINITY, above)
             };
             let [a, b] = &ends;
-            // Away from what has no solution and from values that are higher, which belong to another one; else down the slope.
+            // The interval moves away from durations without a solution and from higher values, which belong to another valley; otherwise
+            // it follows the slope.
             let keeps_left = match self.at(trial) {
                 None => above(a, 0.0) >= above(b, 0.0),
                 Some(t) if above(a, t.value).max(above(b, t.value)) > 0.0 => {
@@ -364,10 +368,10 @@ impl<'a> DurationSearch<'a> {
         None
     }
 
-    /// The optimum at a wall, from a solution near it: derivatives along duration and weight of the relaxed problem are brought to zero by
-    /// Broyden's method.
+    /// Returns the optimum at a wall, from a solution near it: Broyden's method brings the derivatives along duration and weight of the
+    /// relaxed problem to zero.
     fn at_wall(&mut self, near: &Sample, wall: f64) -> Option<Sample> {
-        // Of an effort that cannot be told from none by what its controls are, but tells curvatures from rounding.
+        // The effort is too small to change the controls, but large enough for curvatures above rounding.
         let posed = with_effort(self.problem, FLAT * FLAT);
         let problem = self.held(&posed, near.time_scale);
         let program = Transcription::new(&problem, self.n_threads);
@@ -386,11 +390,12 @@ impl<'a> DurationSearch<'a> {
                 let slopes = self.slopes(&problem, &near.outcome.point, &candidate)?;
                 let [own, through] = slopes.map(|slope| slope / near.time_scale);
                 let own = own + self.price(1.0);
-                // More time is worth something, and what it costs is more.
+                // More time must have a value, and its price must exceed that value.
                 (own > 0.0 && through < 0.0).then_some((candidate, [own, through]))
             })?;
         let directions = multipliers.clone();
-        // The shortfall along the duration is the slope along the weight; rows that only just hold leave nothing else.
+        // The shortfall's derivative along the duration equals the slope's derivative along the weight; rows that are just feasible have no
+        // other second derivatives.
         let mut inverse = [[0.0, 1.0 / through], [1.0 / through, 0.0]];
         let mut at = [near.time_scale, -own / through];
         let mut point = near.outcome.point.clone();
@@ -434,7 +439,7 @@ impl<'a> DurationSearch<'a> {
         None
     }
 
-    /// The point with these multipliers as a solution of the problem itself, as the solver's own test says.
+    /// Returns the point with these multipliers as a solution of the problem itself, if the solver's residual test accepts it.
     fn confirm(
         &mut self,
         time_scale: f64,
@@ -450,7 +455,7 @@ impl<'a> DurationSearch<'a> {
         (found.outcome.status == SqpStatus::Converged).then_some(found)
     }
 
-    /// Solves the problem with a duration from the nearest one that is solved.
+    /// Solves the problem at a duration, from the nearest duration that is solved.
     fn solve_at(&mut self, time_scale: f64) {
         let distance = |sample: &&Sample| (sample.time_scale / time_scale).ln().abs();
         let nearest = (self.samples.iter()).min_by(|a, b| distance(a).total_cmp(&distance(b)));
@@ -484,7 +489,7 @@ impl<'a> DurationSearch<'a> {
         }
     }
 
-    /// A solve from the controls of a point and multipliers; `None` where there is no motion.
+    /// Solves from the controls of a point and multipliers; `None` if the motion cannot be simulated.
     fn solve_warm(
         &mut self,
         program: &Transcription,
@@ -522,7 +527,7 @@ impl<'a> DurationSearch<'a> {
         Some(outcome)
     }
 
-    /// Keeps a solution of the problem that is posed.
+    /// Keeps a converged solution of the posed problem.
     fn examine(&mut self, time_scale: f64, outcome: SqpOutcome<LiftedPoint>) -> Option<()> {
         if outcome.status != SqpStatus::Converged {
             return None;
@@ -538,7 +543,7 @@ impl<'a> DurationSearch<'a> {
         Some(())
     }
 
-    /// A solution of `problem`, with the derivative of the optimal value.
+    /// Returns a solution of `problem` with the derivative of the optimal value.
     fn sample(
         &self,
         problem: &OptimalControlProblem,
@@ -555,15 +560,15 @@ impl<'a> DurationSearch<'a> {
         })
     }
 
-    /// Derivative of the objective, and of the rest of the Lagrangian, along the logarithm of the duration of `problem`: controls and
-    /// multipliers stay, the motion follows. `None` where one of the motions cannot be computed.
+    /// Returns the derivatives of the objective, and of the rest of the Lagrangian, along the logarithm of the duration of `problem`, at
+    /// constant controls and multipliers; the motion follows the controls. `None` if one of the motions cannot be computed.
     fn slopes(
         &self,
         problem: &OptimalControlProblem,
         point: &LiftedPoint,
         multipliers: &Multipliers,
     ) -> Option<[f64; 2]> {
-        // A variable more than the problem has is that of a relaxed one, whose rows here are its own.
+        // A relaxed program has one more variable than the problem; its rows are evaluated without it here.
         let point = &LiftedPoint {
             variables: point.variables[..problem.n_variables()].to_vec(),
             trajectory: point.trajectory.clone(),
@@ -576,7 +581,7 @@ impl<'a> DurationSearch<'a> {
             let program = Transcription::new(&problem, self.n_threads);
             let moved = program.rollout(point, &none).ok()?;
             let values = program.evaluate(&moved).ok()?;
-            // Soft rows cost more where they last longer; what they change by is in their multipliers.
+            // The penalties of soft rows grow with their duration; the change of the rows themselves is in their multipliers.
             let prices = here.iter().enumerate().map(|(row, &h)| match h > 0.0 {
                 true => program.softness(row).penalty(h),
                 false => 0.0,
@@ -624,7 +629,7 @@ impl<'a> DurationSearch<'a> {
         [self.free.shortest, self.free.longest].map(|limit| limit / self.problem.grid.duration())
     }
 
-    /// Whether the slope vanishes, or a limit holds it.
+    /// Tells whether the slope vanishes or a limit of the duration is active.
     fn is_flat(&self, sample: &Sample) -> bool {
         let &Sample {
             time_scale,
@@ -669,7 +674,7 @@ fn scale(multipliers: &mut Multipliers, factor: f64) {
         .for_each(|y| *y *= factor);
 }
 
-/// Largest product of a normal with a vector of its set.
+/// Returns the largest product of a normal with a vector of its set.
 fn support(set: &ConvexSet, normal: &[f64]) -> f64 {
     match set {
         ConvexSet::Interval { lower, upper, .. } => {
@@ -680,13 +685,13 @@ fn support(set: &ConvexSet, normal: &[f64]) -> f64 {
     }
 }
 
-/// Where the line through two slopes vanishes.
+/// Returns the time scale at which the line through two slopes vanishes.
 fn secant(a: &Sample, b: &Sample) -> f64 {
     a.time_scale - a.slope * (b.time_scale - a.time_scale) / (b.slope - a.slope)
 }
 
-/// The minimum between two samples of the cubic through their values and slopes (Nocedal and Wright 2006, equation 3.59), or the middle
-/// where it has none.
+/// Returns the minimum between two samples of the cubic through their values and slopes (Nocedal and Wright 2006, equation 3.59), or the
+/// midpoint if it has none.
 fn cubic_minimum(a: &Sample, b: &Sample) -> f64 {
     let width = b.time_scale - a.time_scale;
     let d1 = a.slope + b.slope - 3.0 * (b.value - a.value) / width;
@@ -699,7 +704,7 @@ fn cubic_minimum(a: &Sample, b: &Sample) -> f64 {
     }
 }
 
-/// Broyden's update of an inverse Jacobian by a step and the change that it made.
+/// Applies Broyden's update to an inverse Jacobian, from a step and the change that it made.
 fn broyden(inverse: &mut [[f64; 2]; 2], step: [f64; 2], change: [f64; 2]) {
     let times = |v: [f64; 2]| [0, 1].map(|i| inverse[i][0] * v[0] + inverse[i][1] * v[1]);
     let predicted = times(change);

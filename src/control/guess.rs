@@ -1,5 +1,5 @@
-//! First points of a solve. Each is a motion of the rod under some controls: rest, static shapes toward the goals, a detour, or a simulated
-//! slow motion.
+//! Initial guesses of a solve. Each is a motion of the rod under some controls: rest, static shapes toward the goals, a detour, or a
+//! simulated slow motion.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -12,11 +12,11 @@ use crate::mechanics::strain_coordinates::between;
 use crate::mechanics::{Configuration, StepError, Trajectory, Wrench};
 use crate::stop::{Stop, StopSignal};
 
-/// How the first point is made.
+/// Kind of an initial guess.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Guess {
-    /// Static shapes on the way from the start through the goals, passed through smoothly, with the tip wrenches that hold
-    /// them; a driven base carries them along.
+    /// Static shapes on the way from the start through the goals, passed through smoothly, with the tip wrenches that hold them; they
+    /// follow a driven base.
     StaticPath,
     /// The motion under the wrenches that would hold those shapes.
     Slow,
@@ -37,7 +37,7 @@ impl Guess {
 }
 
 impl GuessError {
-    /// Why it was not made any more, where that is all.
+    /// Returns the stop that prevented the guess, if it was one.
     #[must_use]
     pub fn stopped(&self) -> Option<Stop> {
         match self {
@@ -48,7 +48,7 @@ impl GuessError {
     }
 }
 
-/// Why there is no first point.
+/// The reason why an initial guess cannot be computed.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum GuessError {
     /// A static shape was not found.
@@ -59,18 +59,18 @@ pub enum GuessError {
     Step(#[from] StepError),
 }
 
-/// Stiffness of the springs that pull the tip to a goal, in units of EI/L³ and EI/L, one after the other: soft ones first let
-/// the arm bend toward the goal, where stiff ones would press it together before it gives way.
+/// Stiffnesses of the springs that pull the tip to a goal, in units of EI/L³ and EI/L, one after the other: soft springs first let the arm
+/// bend toward the goal, where stiff ones would compress it before it bends.
 pub(super) const SPRINGS: [f64; 5] = [1.0, 10.0, 100.0, 1e3, 1e4];
-/// Of these, how many pull toward a detour: it need not be reached, and may be out of reach.
+/// Number of these that pull toward a detour, which need not be reached and may be out of reach.
 const DETOUR_SPRINGS: usize = 2;
 
-/// Makes the first point, on the way through `detour` (m, halfway to the tip's first goal) where one is given; a static path
-/// that cannot be found gives way to the uncontrolled motion, and the guess that was used is returned with it. The problem's stop signal ends
-/// all but that motion.
+/// Computes the initial guess, on the way through `detour` (m, halfway to the tip's first goal) if given. If a static path cannot be found,
+/// the uncontrolled motion replaces it; the guess that was used is returned with the point. The problem's stop signal ends everything but
+/// the uncontrolled motion.
 ///
 /// # Errors
-/// [`GuessError`] when the uncontrolled motion cannot be simulated either.
+/// Returns [`GuessError`] if the uncontrolled motion cannot be simulated either.
 pub fn first_point(
     problem: &OptimalControlProblem,
     guess: Guess,
@@ -87,7 +87,7 @@ pub fn first_point(
         }
         problem.stop.check().map_err(StepError::from)?;
     }
-    // One roll-out is what even a solve that is stopped at once must have to show.
+    // Even a solve that is stopped at once returns one rollout.
     let problem = &OptimalControlProblem {
         stop: StopSignal::default(),
         ..problem.clone()
@@ -96,10 +96,10 @@ pub fn first_point(
     Ok((simulated(problem, &none)?, Guess::Rest))
 }
 
-/// The point of given coefficients whose configurations obey their equations.
+/// Returns the point of given coefficients, whose configurations obey their equations.
 ///
 /// # Errors
-/// [`StepError`] of the integrator.
+/// Returns the [`StepError`] of the integrator.
 pub fn simulated(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
@@ -117,18 +117,18 @@ struct Waypoint {
     hold: Vec<Wrench>,
 }
 
-/// The way to one goal: when it ends, as a fraction of the horizon, and where.
+/// The path to one goal: the time of its end, as a fraction of the horizon, and the goal itself.
 #[derive(Clone, Copy, Default)]
 struct Leg {
     end: f64,
     position: Option<Vector3<f64>>,
     rotation: Option<Matrix3<f64>>,
-    /// By more than half a turn.
+    /// Tells whether the tip turns by more than half a turn.
     longer: bool,
     springs: usize,
 }
 
-/// To the rows of a track of orientations within the horizon, and between rows that are further apart than a quarter turn.
+/// Returns the legs to the rows of a tracked orientation within the horizon; rows more than a quarter turn apart get legs between them.
 fn turning_legs(track: &Tracking, horizon: f64) -> Vec<Leg> {
     let mut times: Vec<f64> = track.rotations.iter().map(|row| row.0).collect();
     for pair in track.rotations.windows(2) {
@@ -148,22 +148,22 @@ fn turning_legs(track: &Tracking, horizon: f64) -> Vec<Leg> {
         .collect()
 }
 
-/// Shapes at the ends of the legs, the one at the start first. Between two of them strains go over into each other: the arm bends, and
-/// nothing is pressed or pulled as on a straight way of the tip.
+/// Shapes at the ends of the legs, that of the start first. Between two of them the strains are interpolated, so that the arm bends and is
+/// not compressed or stretched as on a straight path of the tip.
 struct StaticPath {
     waypoints: Vec<Waypoint>,
-    /// When each leg ends, as a fraction of the horizon.
+    /// End of each leg, as a fraction of the horizon.
     ends: Vec<f64>,
 }
 
-/// Rest-to-rest profile with zero velocity and acceleration at both ends: `10 s³ - 15 s⁴ + 6 s⁵`.
+/// Returns the rest-to-rest profile with zero velocity and acceleration at both ends, `10 s³ - 15 s⁴ + 6 s⁵`.
 fn smooth(s: f64) -> f64 {
     s * s * s * (10.0 + s * (6.0 * s - 15.0))
 }
 
 impl StaticPath {
-    /// From the start, by a detour, through the tip's goals and the rows of its turns of half a turn and more, with the base where it is at the end of the
-    /// horizon. Where the arm stays, the last shape is that of its equilibrium.
+    /// Computes the path from the start, by a detour, through the tip's goals and the rows of its turns of half a turn and more, with the
+    /// base in its pose at the end of the horizon. If the arm stays, the last shape is its equilibrium.
     fn through_goals(
         problem: &OptimalControlProblem,
         detour: Option<&Vector3<f64>>,
@@ -201,7 +201,7 @@ impl StaticPath {
         }
         legs.sort_by(|a, b| a.end.total_cmp(&b.end));
         legs.dedup_by(|later, earlier| later.end == earlier.end);
-        // After other orientations, the way is the shorter one from them.
+        // From an earlier orientation, the tip turns the shorter way.
         let first = legs.iter().position(|leg| leg.rotation.is_some());
         for leg in legs.iter_mut().skip(first.map_or(0, |first| first + 1)) {
             leg.longer = false;
@@ -279,7 +279,7 @@ impl StaticPath {
         Ok(path)
     }
 
-    /// The shapes, and the wrenches that hold them.
+    /// Returns the point with the shapes and the wrenches that hold them.
     fn point(&self, problem: &OptimalControlProblem) -> Result<LiftedPoint, StepError> {
         let grid = problem.grid;
         let end = grid.n_steps as f64;
@@ -295,7 +295,8 @@ impl StaticPath {
         })
     }
 
-    /// Coefficients of the wrenches that hold the shapes, within their bounds; on the way to a place where the arm need not stay, the tip's alone.
+    /// Returns the coefficients of the wrenches that hold the shapes, within their bounds; on the way to a place where the arm need not
+    /// stay, those of the tip alone.
     fn holds(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
         let horizon = problem.grid.duration();
         (problem.control.coefficient_times().into_iter())
@@ -307,7 +308,8 @@ impl StaticPath {
             .collect()
     }
 
-    /// The waypoint before a time (a fraction of the horizon), the next one, and the fraction of the way: at rest at every goal.
+    /// Returns the waypoint before a time (a fraction of the horizon), the next one, and the fraction of the path between them; the arm
+    /// rests at every goal.
     fn segment(&self, t: f64) -> (&Waypoint, &Waypoint, f64) {
         let leg = self.ends.partition_point(|&end| end <= t);
         let last = &self.waypoints[self.waypoints.len() - 1];
@@ -322,7 +324,7 @@ impl StaticPath {
     fn shape(&self, t: f64) -> Configuration {
         let (from, to, fraction) = self.segment(t);
         if fraction == 0.0 {
-            return from.shape.clone(); // to the last bit, as the first configuration is given
+            return from.shape.clone(); // the same bits as the given first configuration
         }
         between(&from.shape, &to.shape, fraction)
     }
@@ -338,7 +340,7 @@ impl StaticPath {
     }
 }
 
-/// The wrench, scaled back into the actuator's bounds.
+/// Returns the wrench scaled back into the actuator's bounds.
 fn within_bounds(actuator: &ActuatedNode, wrench: Wrench) -> Wrench {
     Wrench {
         force: actuator.force.within(&wrench.force),

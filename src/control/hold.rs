@@ -20,7 +20,7 @@ pub enum Hold {
 }
 
 impl Hold {
-    /// Degree of the polynomials.
+    /// Returns the degree of the polynomials.
     fn degree(self) -> usize {
         match self {
             Self::Constant => 0,
@@ -30,7 +30,7 @@ impl Hold {
     }
 }
 
-/// The blocks of a control on a time grid, and how its coefficients act at the time nodes.
+/// The blocks of a control on a time grid, and the map from its coefficients to the time nodes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControlGrid {
     /// The course of a control between its coefficients.
@@ -41,7 +41,7 @@ pub struct ControlGrid {
     step: f64,
 }
 
-/// Coefficients that act together, with their weights; unused places have weight 0 and repeat an index.
+/// The coefficients that act at one time, with their weights; unused entries have weight 0 and repeat an index.
 pub type Weights = [(usize, f64); 4];
 
 /// Points and weights of Gauss-Legendre quadrature on [0, 1], exact for the squares of cubics.
@@ -53,7 +53,8 @@ const QUADRATURE: [(f64, f64); 4] = [
 ];
 
 impl ControlGrid {
-    /// `n_blocks` blocks, as equal as whole steps allow. `None` when there are no blocks or fewer steps than blocks.
+    /// Divides `n_steps` steps into `n_blocks` blocks, as equal as whole steps allow; `None` if there are no blocks or fewer steps than
+    /// blocks.
     #[must_use]
     pub fn new(hold: Hold, n_blocks: usize, n_steps: usize, step: f64) -> Option<Self> {
         if n_blocks == 0 || n_steps < n_blocks {
@@ -61,7 +62,7 @@ impl ControlGrid {
         }
         let edges = (0..=n_blocks)
             .map(|block| {
-                // Round to nearest in integers: exact for any size that fits in memory.
+                // Rounds to nearest in integers, which is exact for any size that fits in memory.
                 let product = block as u128 * n_steps as u128;
                 ((2 * product + n_blocks as u128) / (2 * n_blocks as u128)) as usize
             })
@@ -69,7 +70,7 @@ impl ControlGrid {
         Some(Self { hold, edges, step })
     }
 
-    /// The same function of time on a grid whose steps are `factor` times shorter.
+    /// Returns the same function of time on a grid whose steps are `factor` times shorter.
     #[must_use]
     pub fn refined(&self, factor: usize) -> Self {
         Self {
@@ -79,7 +80,7 @@ impl ControlGrid {
         }
     }
 
-    /// The same coefficients over a time `time_scale` times as long.
+    /// Returns the same coefficients over a duration multiplied by `time_scale`.
     #[must_use]
     pub fn with_time_scale(&self, time_scale: f64) -> Self {
         Self {
@@ -88,31 +89,31 @@ impl ControlGrid {
         }
     }
 
-    /// Number of blocks.
+    /// Returns the number of blocks.
     #[must_use]
     pub fn n_blocks(&self) -> usize {
         self.edges.len() - 1
     }
 
-    /// Number of coefficients per component.
+    /// Returns the number of coefficients per component.
     #[must_use]
     pub fn n_coefficients(&self) -> usize {
         self.n_blocks() + self.hold.degree()
     }
 
-    /// Number of steps of the grid.
+    /// Returns the number of steps of the grid.
     #[must_use]
     pub fn n_steps(&self) -> usize {
         self.edges[self.edges.len() - 1]
     }
 
-    /// First step of every block, and the number of steps at the end.
+    /// Returns the first step of every block, and the number of steps at the end.
     #[must_use]
     pub fn edges(&self) -> &[usize] {
         &self.edges
     }
 
-    /// Times at which blocks begin, and the end, s.
+    /// Returns the times at which blocks begin, and the end, s.
     #[must_use]
     pub fn edge_times(&self) -> Vec<f64> {
         self.edges
@@ -121,7 +122,7 @@ impl ControlGrid {
             .collect()
     }
 
-    /// The time that each coefficient stands for, s: middle of its block, its knot, or the mean of the knots inside its basis function
+    /// Returns the time of each coefficient, s: the middle of its block, its knot, or the mean of the knots inside its basis function
     /// (Greville abscissa).
     #[must_use]
     pub fn coefficient_times(&self) -> Vec<f64> {
@@ -138,7 +139,8 @@ impl ControlGrid {
             .collect()
     }
 
-    /// Basis functions that do not vanish in a block, at the fraction `s` of it, from the block's own index on; and their derivatives, 1/s.
+    /// Returns the basis functions that do not vanish in a block, at the fraction `s` of it, from the block's own index on, and their
+    /// derivatives, 1/s.
     fn basis(&self, block: usize, s: f64) -> ([f64; 4], [f64; 4]) {
         // De Boor's recursion over the knots around the block, which repeat at either end.
         let knot = |i: isize| {
@@ -166,7 +168,7 @@ impl ControlGrid {
         (values, slopes.map(|slope| slope / self.step))
     }
 
-    /// Coefficients that act at time node `k`, with their weights: the mean of both sides where constant blocks meet.
+    /// Returns the coefficients that act at time node `k`, with their weights: the mean of both sides where constant blocks meet.
     #[must_use]
     pub fn weights(&self, k: usize) -> Weights {
         let last = self.n_blocks() - 1;
@@ -186,13 +188,13 @@ impl ControlGrid {
         std::array::from_fn(|i| (block + i.min(degree), values[i]))
     }
 
-    /// Number of leading coefficients that act at time node `k` or earlier.
+    /// Returns the number of leading coefficients that act at time node `k` or earlier.
     #[must_use]
     pub fn n_started(&self, k: usize) -> usize {
         self.weights(k)[3].0 + 1
     }
 
-    /// The function of time at time node `k`, from the coefficients.
+    /// Returns the value of the function at time node `k`, from the coefficients.
     #[must_use]
     pub fn value(&self, k: usize, coefficient: impl Fn(usize) -> Wrench) -> Wrench {
         let mut sum = Wrench::default();
@@ -206,13 +208,13 @@ impl ControlGrid {
         sum
     }
 
-    /// Symmetric matrix `M` with `∫ |u|² dt = Σ_ij M_ij u_i u_j` per component, s.
+    /// Returns the symmetric matrix `M` with `∫ |u|² dt = Σ_ij M_ij u_i u_j` per component, s.
     #[must_use]
     pub fn effort_matrix(&self) -> Mat<f64> {
         self.gram(|block, s| self.basis(block, s).0)
     }
 
-    /// Symmetric matrix of `∫ |du/dt|² dt`, 1/s. A constant hold counts its jumps as ramps between the middles of the blocks.
+    /// Returns the symmetric matrix of `∫ |du/dt|² dt`, 1/s. Jumps of a constant hold count as ramps between the middles of the blocks.
     #[must_use]
     pub fn rate_matrix(&self) -> Mat<f64> {
         if self.hold != Hold::Constant {
@@ -229,8 +231,9 @@ impl ControlGrid {
         out
     }
 
-    /// Times `g_j` such that `|u_{j+1} - u_j| ≤ r g_j` for all `j` bounds the rate by `r` at all times, s: the ramp between the middles of constant blocks, the time between knots, and for
-    /// the cubic spline the support of a basis function of its derivative over its degree.
+    /// Returns the times `g_j`, s, such that `|u_{j+1} - u_j| ≤ r g_j` for all `j` bounds the rate by `r` at all times: the ramp between
+    /// the middles of constant blocks, the time between knots, and for the cubic spline the support of a basis function of its derivative
+    /// divided by its degree.
     #[must_use]
     pub fn rate_gaps(&self) -> Vec<f64> {
         let last = self.edges.len() - 1;
@@ -270,7 +273,7 @@ mod tests {
 
     const HOLDS: [Hold; 3] = [Hold::Constant, Hold::Linear, Hold::Cubic];
 
-    /// A force along x at time node `k`.
+    /// Returns the force along x at time node `k`.
     fn force(grid: &ControlGrid, k: usize, coefficients: &[f64]) -> f64 {
         grid.value(k, |j| Wrench {
             force: Vector3::x() * coefficients[j],

@@ -1,15 +1,15 @@
 //! The wrench that holds the tip at its goal: an equilibrium that puts it there, and that is stable under the wrench held.
 //!
-//! Among the controls within their bounds under which an equilibrium puts the tip at the goal, those of least effort are found by sequential quadratic
-//! programming over controls and shape ([`program`]), from shapes whose tip springs have pulled there. An equilibrium is stable where the smallest `ω²` of
-//! its tangent stiffness is positive, with gravity, dead loads and the controls held; body moments have no potential in space, so that there
-//! the growth of small motions decides. Where the equilibrium of least effort is not stable and there are more controls than equations, stability
-//! becomes a constraint.
+//! Among the controls within their bounds under which an equilibrium puts the tip at the goal, those of least effort are found by
+//! sequential quadratic programming over controls and shape ([`program`]), from shapes that springs on the tip have pulled to the goal. An
+//! equilibrium is stable if the smallest `ω²` of its tangent stiffness is positive, with gravity, dead loads and the controls held
+//! constant; body moments have no potential in space, so that under them the growth of small motions decides. If the equilibrium of least
+//! effort is unstable and there are more controls than equations, stability becomes a constraint.
 //!
-//! Three verdicts: the target is held, and by what; it cannot be held, and why; or nothing was found, which proves nothing. That it cannot be held is said
-//! where as many independent controls act as there are equations. The controls are then a function of the shape, a shape that is stable
-//! under constant controls is stable too with its tip held in place, and all such shapes that were found are unstable under their controls
-//! or need more than the bounds allow.
+//! There are three verdicts: the target is held, with the wrench; it cannot be held, with the reason; or nothing was found, which proves
+//! nothing. The second is given only if all controls are independent in the goal's equations. The controls are then a function of the
+//! shape, a shape that is stable under constant controls is also stable with its tip held in place, and all such shapes that were found
+//! are unstable under their controls or need more than the bounds allow.
 
 mod program;
 mod statics;
@@ -29,27 +29,27 @@ use crate::mechanics::{BaseCondition, Configuration, Rod, Wrench};
 use crate::sqp::{HessianChoice, LiftedProgram, LinearizationRequest, SqpSettings, solve};
 use crate::stop::Stop;
 
-/// An equilibrium and the controls under which it is one.
+/// An equilibrium, and the controls that hold it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Held {
-    /// The wrench of every actuator, in the order of [`OptimalControlProblem::actuators`]: force in space, N, and moment in the node's body frame, N m; of
-    /// actuators of one's own their controls.
+    /// The wrench of every actuator, in the order of [`OptimalControlProblem::actuators`]: force in the spatial frame, N, and moment in the
+    /// node's body frame, N m; for user-defined actuators their controls.
     pub wrenches: Vec<Wrench>,
-    /// By how much they exceed each actuator's bounds: force in N, moment in N m; zero where they do not.
+    /// Excess over each actuator's bounds: force in N, moment in N m; zero within the bounds.
     pub excess: Vec<[f64; 2]>,
-    /// The shape at rest.
+    /// The shape at the equilibrium.
     pub shape: Configuration,
-    /// True where small deviations stay small with the controls held.
+    /// Tells whether small deviations stay small under constant controls.
     pub is_stable: bool,
-    /// Smallest `ω²` of the symmetric part of the tangent stiffness over the inertia, 1/s².
+    /// Smallest `ω²`, 1/s², of the symmetric part of the tangent stiffness and the inertia.
     pub least_squared_frequency: f64,
-    /// Rate `s` at which small deviations grow as `exp(s t)`, 1/s, damping included; `None` where they do not.
+    /// Rate `s` at which small deviations grow as `exp(s t)`, 1/s, with damping; `None` if they do not grow.
     pub growth_rate: Option<f64>,
-    /// Lowest angular frequency of the held arm without damping, rad/s; `None` where it is not stable.
+    /// Lowest angular frequency of the held arm without damping, rad/s; `None` if the equilibrium is unstable.
     pub first_frequency: Option<f64>,
-    /// Displacement of the tip per force on it with the controls held, m/N, spatial frame; infinite for a free arm.
+    /// Displacement of the tip per force on it under constant controls, m/N, spatial frame; infinite for a free arm.
     pub tip_compliance: Matrix3<f64>,
-    /// Tangent stiffness with the controls held.
+    /// Tangent stiffness under constant controls.
     pub(crate) tangent: Tangent,
 }
 
@@ -60,7 +60,7 @@ impl Held {
         self.excess.iter().flatten().all(|excess| *excess == 0.0)
     }
 
-    /// Stiffness of the tip along its softest direction, N/m; 0 of a free arm.
+    /// Returns the stiffness of the tip along its softest direction, N/m; 0 for a free arm.
     #[must_use]
     pub fn least_stiffness(&self) -> f64 {
         let c = &self.tip_compliance;
@@ -74,46 +74,46 @@ impl Held {
     }
 }
 
-/// Verdict on a wrench within the bounds that holds the tip at its goal.
+/// Verdict on the existence of a wrench within the bounds that holds the tip at its goal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Holding {
-    /// One does.
+    /// There is one.
     Held(Box<Held>),
-    /// None does.
+    /// There is none.
     CannotBeHeld {
-        /// Why.
+        /// The reason.
         why: CannotHold,
-        /// The nearest target that was found to be held, and how far its tip is from the goal, m.
+        /// The nearest target that was found to be held, and the distance of its tip from the goal, m.
         nearest: Option<(Box<Held>, f64)>,
     },
-    /// None was found, which proves nothing.
+    /// No such wrench was found, which proves nothing.
     NotFound {
-        /// Where the search ended.
+        /// The reason why the search ended.
         why: NotFound,
     },
 }
 
-/// Why a target cannot be held.
+/// The reason why a target cannot be held.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CannotHold {
     /// Nothing is actuated, and the arm rests elsewhere.
     NothingActuated,
-    /// Fewer independent controls than equations of the goal.
+    /// The goal has more equations than there are independent controls.
     TooFewControls {
-        /// Independent controls.
+        /// Number of independent controls.
         controls: usize,
-        /// Equations.
+        /// Number of equations.
         equations: usize,
     },
-    /// Only controls beyond their bounds hold it: these are the nearest to them.
+    /// The target is held only by controls beyond their bounds; the controls nearest to the bounds are given.
     AboveBounds(Box<Held>),
-    /// The equilibrium there is not stable.
+    /// The equilibrium at the target is unstable.
     Unstable(Box<Held>),
-    /// Loads move a free arm on.
+    /// Loads accelerate a free arm.
     Drifts,
-    /// The base moves on while the arm should stay.
+    /// The base still moves while the arm should stay.
     BaseMoves {
-        /// Last time after the task at which it does, s.
+        /// Last time after the task at which the base moves, s.
         after: f64,
     },
 }
@@ -129,7 +129,9 @@ impl std::fmt::Display for CannotHold {
                 f,
                 "{controls} independent controls cannot meet the {equations} equations of this goal"
             ),
-            Self::AboveBounds(_) => write!(f, "what holds it there is beyond the bounds"),
+            Self::AboveBounds(_) => {
+                write!(f, "the wrench that holds it there is beyond the bounds")
+            }
             Self::Drifts => write!(
                 f,
                 "the base is free, and loads move the arm on where no wrench acts"
@@ -153,27 +155,27 @@ impl std::fmt::Display for CannotHold {
     }
 }
 
-/// Why neither a wrench that holds the target was found, nor a reason that there is none.
+/// The reason why the search found neither a wrench that holds the target nor a proof that there is none.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NotFound {
-    /// A free arm rests anywhere.
+    /// A free arm may rest in any pose.
     #[error(
         "the base is free, so that the arm may rest in any pose: name task.position_m and task.orientation_wxyz"
     )]
     FreeBase,
-    /// The search would take long.
-    #[error("the elements or actuators are too many to look at in passing")]
+    /// The search would take too long.
+    #[error("too many elements or actuators for a search that takes about a second")]
     TooLarge,
     /// No shape with the tip at the goal was found.
     #[error("no shape at rest whose tip is there: {0}")]
     Equilibrium(EquilibriumError),
-    /// Equilibria at the goal are unstable; there may be others.
+    /// The equilibria that were found at the goal are unstable; there may be others.
     #[error("the equilibria that were found there are unstable")]
     Unstable,
     /// The search for controls within the bounds did not reach the goal.
     #[error("controls within their bounds that put the tip there at rest were not found{}", nearest_in_words(.nearest))]
     Bounds {
-        /// Distance from the goal of the nearest tip that was found to be held, m.
+        /// Distance from the goal to the nearest tip position that was found to be held, m.
         nearest: Option<f64>,
     },
 }
@@ -184,44 +186,46 @@ fn nearest_in_words(nearest: &Option<f64>) -> String {
     })
 }
 
-/// Why nothing was looked for.
+/// The reason why no search was made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum HoldingError {
-    /// There is no goal for the tip's position or orientation at the end.
+    /// The tip has no goal for position or orientation at the end.
     #[error("the tip has no goal at the end")]
     NoGoal,
-    /// The search was stopped.
+    /// A stop signal ended the search.
     #[error("stopped before it was known whether the target can be held: {0}")]
     Stopped(#[from] Stop),
 }
 
-/// Elements, and controls, up to which the search takes about a second.
+/// Caps on elements and controls, up to which the search takes about a second.
 const MOST_ELEMENTS: usize = 1000;
 const MOST_CONTROLS: usize = 60;
-/// Iterations of one search.
+/// Cap on the iterations of one program.
 const ITERATIONS: usize = 60;
-/// Violations, in the units of the programs, with which a point is a solution.
+/// Largest violation of a solution, in the units of the programs.
 const FEASIBLE: f64 = 1e-5;
-/// Distance over length, and angle, at which the tip counts as at the goal.
+/// Largest distance of a tip at its goal, divided by the length, and largest angle, rad.
 const AT_GOAL: f64 = 1e-6;
-/// `ω²` over that of the arm at rest where stability is a constraint: the held arm swings at a tenth of its own frequency at least.
+/// Lower limit of `ω²` where stability is a constraint, relative to that of the arm at rest: the held arm has at least a tenth of its own
+/// frequency.
 const LEAST_STABILITY: f64 = 1e-2;
-/// Singular values over the largest below which controls count as dependent.
+/// Controls count as dependent below this ratio of a singular value to the largest one.
 const INDEPENDENT: f64 = 1e-6;
-/// Modes of a free arm that move it as a whole.
+/// Number of rigid modes of a free arm.
 const RIGID_MODES: usize = 6;
-/// Time for which a driven base is looked at, in units of the time scale of the arm (a first period is about two), and number of moments.
+/// Time for which the motion of a driven base is examined, in units of the arm's time scale (its first period is about two), and number of
+/// samples.
 const LOOKED_AHEAD: f64 = 4.0;
 const BASE_SAMPLES: usize = 256;
-/// Angle by which the first shapes of other branches are bent, rad.
+/// Angle by which the arm is bent for the first shapes of other branches, rad.
 const BENT: f64 = 2.0;
-/// Distance between shapes, over the length, at which they are the same.
+/// Distance between two shapes, divided by the length, below which they count as equal.
 const SAME: f64 = 1e-4;
 
-/// Looks for the wrench that holds the tip at the goal at the end of the horizon.
+/// Searches for the wrench that holds the tip at its goal at the end of the horizon.
 ///
 /// # Errors
-/// [`HoldingError`] where there is no such goal, or the problem's stop signal is raised.
+/// Returns [`HoldingError`] if there is no such goal or the problem's stop signal is raised.
 pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError> {
     let target = Target {
         position: problem.final_goals().find_map(|goal| goal.position),
@@ -263,7 +267,7 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
     Ok(found)
 }
 
-/// A free arm in its stress-free shape at the target, where nothing acts on it.
+/// Returns the verdict for a free arm: its stress-free shape at the target, with no wrench.
 fn floating(statics: &Statics, target: Target) -> Holding {
     let rod = &statics.problem.rod;
     let (Some(place), Some(pose)) = (target.position, target.rotation) else {
@@ -307,7 +311,7 @@ fn floating(statics: &Statics, target: Target) -> Holding {
     }))
 }
 
-/// Last time after `t`, s, at which a driven base is elsewhere by more than rounding; `None` where it stands.
+/// Returns the last time after `t`, s, at which a driven base is displaced by more than rounding; `None` if it stands still.
 fn base_moves_after(rod: &Rod, t: f64) -> Option<f64> {
     let BaseCondition::Driven(motion) = &rod.base else {
         return None;
@@ -327,11 +331,11 @@ fn base_moves_after(rod: &Rod, t: f64) -> Option<f64> {
 struct Search<'a> {
     statics: &'a Statics<'a>,
     target: Target,
-    /// The shape that the search begins at.
+    /// Shape at which the search begins.
     start: Configuration,
 }
 
-/// What the shapes with the tip at the goal have told.
+/// Results for the shapes with the tip at the goal.
 #[derive(Default)]
 struct Findings {
     above: Option<Held>,
@@ -371,7 +375,7 @@ impl Search<'_> {
             known.push(pulled);
         }
         let nearest = self.nearest();
-        // With more controls than equations, what came near may be led to the goal itself.
+        // With more controls than equations, the nearest point may be led to the goal itself.
         if let Some((_, point)) = &nearest
             && findings.unresolved
             && let Some(point) = self.solve(Aim::Hold, Some(LEAST_STABILITY), true, point)
@@ -424,7 +428,7 @@ impl Search<'_> {
         }
     }
 
-    /// Looks for controls that hold the tip at the goal, from a shape in which it is there.
+    /// Searches for controls that hold the tip at the goal, from a shape with the tip there.
     fn try_branch(&self, shape: &Configuration, findings: &mut Findings) -> Option<Held> {
         let n = self.statics.components.len();
         if n == 0 {
@@ -436,7 +440,7 @@ impl Search<'_> {
         };
         let rank = self.independent(&first)?;
         let is_determined = rank == n;
-        // Where the controls follow from the shape, bounds need not be looked at on the way.
+        // If the shape determines the controls, their bounds have no influence on the search.
         let Some(point) = self.solve(Aim::Hold, None, !is_determined, &first) else {
             if is_determined && n < self.target.n_equations() {
                 findings.dependent = Some([n, self.target.n_equations()]);
@@ -476,7 +480,7 @@ impl Search<'_> {
         (held.is_within_bounds() && held.is_stable).then_some(held)
     }
 
-    /// The equilibrium within the bounds that is stable and whose tip is nearest to the goal, of those that the arm comes to from its rest.
+    /// Returns the stable equilibrium within the bounds whose tip is nearest to the goal, among those reached from the arm at rest.
     fn nearest(&self) -> Option<(Held, HoldingPoint)> {
         let n = self.statics.components.len();
         let rest = self.equilibrium(&self.start, &TipSpring::default()).ok()?;
@@ -494,13 +498,13 @@ impl Search<'_> {
         (held.is_stable && held.is_within_bounds()).then_some((held, point))
     }
 
-    /// Largest component of what the tip misses the goal by, in the goal's units.
+    /// Returns the largest component of the tip's residual, in the goal's units.
     fn miss(&self, held: &Held) -> f64 {
         let missing = self.target.residual(self.rod(), &held.shape);
         missing.iter().fold(0.0, |most: f64, c| most.max(c.abs()))
     }
 
-    /// m
+    /// Returns the distance of the tip from the target, m.
     fn distance(&self, shape: &Configuration) -> f64 {
         let tip = shape.positions[self.rod().tip()];
         (self.target.position).map_or(0.0, |target| (target - tip).norm())
@@ -515,7 +519,7 @@ impl Search<'_> {
         static_equilibrium_until(self.rod(), from, self.statics.time, springs, stop)
     }
 
-    /// A shape whose tip springs have pulled to the goal: from the start, or from one that is bent to a side.
+    /// Returns a shape that springs on the tip have pulled to the goal: from the start, or from one that is bent to a side.
     fn pulled(&self, branch: usize) -> Result<Configuration, EquilibriumError> {
         let (mut shape, springs) = match branch.checked_sub(1) {
             None => (self.start.clone(), &SPRINGS[..]),
@@ -532,7 +536,7 @@ impl Search<'_> {
         Ok(shape)
     }
 
-    /// The stress-free shape, bent about an axis of its sections.
+    /// Returns the stress-free shape bent about an axis of its sections.
     fn bent(&self, axis: [f64; 2]) -> Configuration {
         let rest = &self.rod().rest;
         let mut out = self.start.clone();
@@ -555,7 +559,7 @@ impl Search<'_> {
         farthest < SAME * self.rod().scales.length
     }
 
-    /// Number of independent controls along the goal's equations.
+    /// Returns the number of controls that are independent in the goal's equations.
     fn independent(&self, point: &HoldingPoint) -> Option<usize> {
         let program = HoldingProgram::new(self.statics, self.target, Aim::Hold, None, false);
         let evaluation = program.evaluate(point).ok()?;
@@ -574,7 +578,7 @@ impl Search<'_> {
         )
     }
 
-    /// A solution of the program; `None` where none was found.
+    /// Returns a solution of the program; `None` if none was found.
     fn solve(
         &self,
         aim: Aim,
@@ -602,11 +606,11 @@ impl Search<'_> {
         (worst < FEASIBLE).then_some(point)
     }
 
-    /// The equilibrium under the controls of a point, its bounds and stability.
+    /// Returns the equilibrium under the controls of a point, with its excess over the bounds and its stability.
     fn held(&self, point: &HoldingPoint) -> Option<Held> {
         let statics = self.statics;
         let (problem, rod) = (statics.problem, self.rod());
-        // Near a shape that is neutral Newton's method may lead away, which the search itself does not.
+        // Near a neutral shape Newton's method may diverge, although the program has converged.
         let shape = statics
             .settled(&point.shape, &point.controls, &TipSpring::default())
             .filter(|settled| self.is_same(settled, &point.shape))
@@ -627,7 +631,7 @@ impl Search<'_> {
             .collect();
         let tangent = statics.tangent(&shape, &point.controls, &TipSpring::default());
         let stability = tangent.stability(rod, &shape, statics.unit)?;
-        // The energy of a stay is that of a definite stiffness, also where moments act.
+        // The energy of a stay needs a definite stiffness, also under moments.
         let is_stable = stability.growth_rate.is_none() && stability.is_definite;
         let tip_compliance = tangent.tip_compliance()?;
         Some(Held {
@@ -644,5 +648,5 @@ impl Search<'_> {
     }
 }
 
-/// Axes of the sections about which first shapes are bent.
+/// Axes of the sections about which the first shapes are bent.
 const BRANCHES: [[f64; 2]; 4] = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];

@@ -1,4 +1,4 @@
-//! What a search reports while it runs: events, and the solves of one start by name.
+//! The reports of a search in progress: its events, and the named solves of one start.
 
 use std::cell::RefCell;
 use std::ops::ControlFlow;
@@ -12,16 +12,16 @@ use crate::stop::Stop;
 /// One solve of a start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SolveLog {
-    /// What it began from: name of a guess, `detour` or `previous`, with the stage or the duration where there are several.
+    /// Name of its initial guess, `detour` or `previous`, with the stage or the duration if there are several.
     pub from: String,
-    /// Its rows, in order.
+    /// Rows of its iterations, in order.
     pub rows: Vec<IterationRecord>,
-    /// How the solve ended, in words.
+    /// Reason for the end of the solve, in words.
     pub ended: String,
 }
 
 impl SolveLog {
-    /// Iterations of the solve: its rows without that of the first point.
+    /// Returns the number of iterations of the solve: its rows without that of the first point.
     pub(super) fn iterations(&self) -> usize {
         self.rows.len().saturating_sub(1)
     }
@@ -32,30 +32,30 @@ impl SolveLog {
 pub enum SearchEvent<'a> {
     /// A start begins, before any of its solves. Every start that begins ends once.
     StartBegins {
-        /// Its number, from 0.
+        /// Index of the start, from 0.
         start: usize,
     },
-    /// A solve begins; `before` are those of the same start that came before it.
+    /// A solve begins.
     Begins {
-        /// Number of the start, from 0.
+        /// Index of the start, from 0.
         start: usize,
-        /// Name of the first point.
+        /// Name of the initial guess.
         from: &'a str,
-        /// The solves before it.
+        /// Earlier solves of the same start.
         before: &'a [SolveLog],
     },
     /// A row of the solve that began last.
     Row {
-        /// Number of the start, from 0.
+        /// Index of the start, from 0.
         start: usize,
         /// The row.
         row: &'a IterationRecord,
     },
     /// A start has ended, after all of its solves.
     StartEnds {
-        /// Its number, from 0.
+        /// Index of the start, from 0.
         start: usize,
-        /// The best of its solves; an error where it has no first point.
+        /// The best of its solves; an error if it has no initial guess.
         found: Result<&'a Attempt, &'a GuessError>,
     },
 }
@@ -63,7 +63,7 @@ pub enum SearchEvent<'a> {
 /// Receives the events of a search; may stop a solve at each of its rows.
 pub type Listener<'a> = dyn Fn(&SearchEvent) -> ControlFlow<Stop> + Sync + 'a;
 
-/// The solves of one start, as they happen.
+/// The solves of one start while they run.
 pub(super) struct Journal<'a> {
     start: usize,
     listener: &'a Listener<'a>,
@@ -79,11 +79,11 @@ impl<'a> Journal<'a> {
         }
     }
 
-    /// A solve begins.
+    /// Records the begin of a solve.
     pub(super) fn begin(&self, from: String) {
         {
             let before = self.solves.borrow();
-            // It is stopped at its first row, if at all.
+            // A listener can stop the solve at its first row, not here.
             let _ = (self.listener)(&SearchEvent::Begins {
                 start: self.start,
                 from: &from,
@@ -97,7 +97,7 @@ impl<'a> Journal<'a> {
         });
     }
 
-    /// A row of the present solve.
+    /// Records a row of the present solve.
     pub(super) fn row(&self, row: &IterationRecord) -> ControlFlow<Stop> {
         if let Some(solve) = self.solves.borrow_mut().last_mut() {
             solve.rows.push(*row);
@@ -108,19 +108,19 @@ impl<'a> Journal<'a> {
         })
     }
 
-    /// Iterations of all solves so far.
+    /// Returns the number of iterations of all solves so far.
     pub(super) fn iterations(&self) -> usize {
         self.solves.borrow().iter().map(SolveLog::iterations).sum()
     }
 
-    /// How the present solve ended.
+    /// Records the end of the present solve in words.
     pub(super) fn end(&self, words: impl Into<String>) {
         if let Some(solve) = self.solves.borrow_mut().last_mut() {
             solve.ended = words.into();
         }
     }
 
-    /// How the present solve ended, by its status.
+    /// Records the end of the present solve by its status.
     pub(super) fn end_as(&self, status: &SqpStatus) {
         self.end(match status {
             SqpStatus::Converged => "converged".to_string(),
@@ -132,7 +132,7 @@ impl<'a> Journal<'a> {
         });
     }
 
-    /// All solves, and which of them has this outcome.
+    /// Returns all solves, and the index of the one with the given outcome.
     pub(super) fn close(&self, outcome: &SqpOutcome<LiftedPoint>) -> (Vec<SolveLog>, usize) {
         let solves = self.solves.take();
         let clock = |rows: &[IterationRecord]| rows.last().map(|row| row.elapsed.to_bits());

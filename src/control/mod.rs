@@ -1,7 +1,7 @@
-//! Optimal control of a rod: the problem, its transcription, and the first guess.
+//! Optimal control of a rod: the problem, its transcription, and the initial guess.
 //!
 //! An [`OptimalControlProblem`] comes from [`Task::discretize`](crate::task::Task::discretize); [`search`](fn@search) solves it,
-//! [`holding`] says by which wrench the target is held, and a [`StateTerm`] is a cost or a limit of one's own.
+//! [`holding`] finds the wrench that holds the target, and a [`StateTerm`] is a user-defined cost or limit.
 //!
 //! ```
 //! use nalgebra::Vector3;
@@ -25,8 +25,6 @@ mod acting;
 pub mod advice;
 mod control_cost;
 #[doc(hidden)]
-pub mod cost;
-#[doc(hidden)]
 pub mod feedback;
 mod free_duration;
 #[doc(hidden)]
@@ -41,6 +39,7 @@ pub mod obstacle;
 pub mod path;
 #[doc(hidden)]
 pub mod problem;
+pub(crate) mod residual;
 #[doc(hidden)]
 pub mod search;
 mod stay;
@@ -53,7 +52,6 @@ mod turns;
 
 pub use crate::mechanics::{Actuator, SharedActuator};
 pub use advice::{Observation, observe};
-pub use cost::sample_times;
 pub use feedback::{
     Feedback, FeedbackError, FeedbackWeights, ModelMismatch, Quantity, TipDeviation,
 };
@@ -71,6 +69,8 @@ pub use problem::{
 };
 #[doc(hidden)]
 pub use problem::{Component, GoalRow};
+#[doc(hidden)]
+pub use residual::sample_times;
 pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
 pub use stay::Stay;
 #[doc(hidden)]

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-/// A convex body that the arm stays out of.
+/// A convex body that the arm must avoid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// All points within `radius` of `center`.
@@ -34,7 +34,7 @@ pub enum Shape {
         center: Vector3<f64>,
         /// Orientation, body to space.
         rotation: Matrix3<f64>,
-        /// Half its edges, m.
+        /// Half of its edges, m.
         half_size: Vector3<f64>,
     },
 }
@@ -52,7 +52,7 @@ pub struct SignedDistance {
 }
 
 impl SignedDistance {
-    /// From a round body: `offset` leads from its nearest core point, and moves only across `along`.
+    /// Returns the distance from a round body: `offset` leads from its nearest core point, which moves only across `along`.
     fn from_core(offset: Vector3<f64>, radius: f64, along: Option<&Vector3<f64>>) -> Self {
         let norm = offset.norm();
         let gradient = if norm > 0.0 {
@@ -76,13 +76,13 @@ impl SignedDistance {
     }
 }
 
-/// A unit vector perpendicular to a unit vector.
+/// Returns a unit vector perpendicular to a unit vector.
 fn perpendicular(u: &Vector3<f64>) -> Vector3<f64> {
     u.cross(&Vector3::ith(u.iamin(), 1.0)).normalize()
 }
 
 impl Shape {
-    /// The same body, moved by a way (m).
+    /// Returns the body translated by a vector, m.
     #[must_use]
     pub fn moved(mut self, by: &Vector3<f64>) -> Self {
         match &mut self {
@@ -96,7 +96,7 @@ impl Shape {
         self
     }
 
-    /// Signed distance of a point.
+    /// Returns the signed distance of a point.
     #[must_use]
     pub fn distance(&self, x: &Vector3<f64>) -> SignedDistance {
         match self {
@@ -150,7 +150,7 @@ impl Shape {
         }
     }
 
-    /// Radius of the sharpest round part of the surface, m: infinite where it is flat, 0 at the edges of a box.
+    /// Returns the smallest radius of curvature of the surface, m: infinite where it is flat, 0 at the edges of a box.
     #[must_use]
     pub fn least_radius(&self) -> f64 {
         match self {
@@ -227,7 +227,7 @@ mod tests {
             let x = Vector3::from(x);
             for shape in shapes() {
                 let found = shape.distance(&x);
-                // 400 points of a segment of length below 1 m: the nearest is off by less than half a spacing squared over d.
+                // 400 points of a segment of length below 1 m: the nearest is off by less than `½ s²/d`, with the spacing `s`.
                 prop_assert!((found.value - brute_force(&shape, &x)).abs() < 2e-3);
                 prop_assert!((found.gradient.norm() - 1.0).abs() < 1e-12);
                 let h = 1e-5;

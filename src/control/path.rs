@@ -7,12 +7,12 @@
 use faer::Mat;
 use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
 
-use super::cost::durations;
 use super::obstacle::Shape;
+use super::residual::durations;
 use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::element::{IntervalStress, log_second_derivative};
-use crate::mechanics::{FormTerm, Rod, StateForm, TimeGrid, Trajectory};
+use crate::mechanics::{FormTerm, Place, Rod, StateForm, TimeGrid, Trajectory};
 use crate::sqp::Softness;
 
 /// The quantity that a path constraint limits.
@@ -26,8 +26,9 @@ pub enum PathLimit {
         velocity: Vector3<f64>,
         /// Clearance, m.
         margin: f64,
-        /// Points per element: its first node and others on the chord to the next, evenly spaced.
-        points: usize,
+        /// Points per element: its first node and others on the chord to the next, evenly spaced. `None`: as many as [`PathLimit::on`] a rod
+        /// takes.
+        points: Option<usize>,
     },
     /// Length of an element over that at rest.
     Stretch {
@@ -46,10 +47,10 @@ pub enum PathLimit {
         /// Largest.
         largest: f64,
     },
-    /// Speed of a node, m/s: its mean over the step that ends at the time node.
+    /// Speed of a place, m/s: its mean over the step that ends at the time node.
     Speed {
-        /// The node.
-        node: usize,
+        /// The place on the arm.
+        at: Place,
         /// Largest.
         largest: f64,
     },
@@ -221,21 +222,28 @@ pub(super) fn along(
 }
 
 /// `w·(δx_{q+1} - δx_q, ζ_q, ζ_{q+1})` of an element.
-pub(super) fn element_form(q: usize, w: &SVector<f64, 9>) -> Vec<FormTerm> {
+pub(super) fn element_form(
+    q: usize,
+    w: &SVector<f64, 9>,
+) -> impl Iterator<Item = FormTerm> + use<> {
     let part = |i: usize| -> Vector3<f64> { w.fixed_rows::<3>(3 * i).into() };
     let dx = part(0);
     along(q, 0, &-dx)
         .chain(along(q + 1, 0, &dx))
         .chain(along(q, 3, &part(1)))
         .chain(along(q + 1, 3, &part(2)))
-        .collect()
 }
 
 /// The symmetric part of a matrix over `(δx_{q+1} - δx_q, ζ_q, ζ_{q+1})` of an element, as a second derivative.
 pub(super) fn element_curvature(k: usize, q: usize, matrix: &SMatrix<f64, 9, 9>) -> RowCurvature {
     RowCurvature {
         forms: (0..9)
-            .map(|i| at(k, element_form(q, &SVector::<f64, 9>::ith(i, 1.0))))
+            .map(|i| {
+                at(
+                    k,
+                    element_form(q, &SVector::<f64, 9>::ith(i, 1.0)).collect(),
+                )
+            })
             .collect(),
         matrix: DMatrix::from_fn(9, 9, |i, j| 0.5 * (matrix[(i, j)] + matrix[(j, i)])),
     }
@@ -293,6 +301,52 @@ const CHORD_DIP: f64 = 2e-3;
 const MOST_POINTS: usize = 8;
 
 impl PathLimit {
+    /// The limit on a rod whose nodes have these radii in m: at a node of that rod, and with the number of points per element that an obstacle
+    /// needs. Finer rods have a node at the same place.
+    #[must_use]
+    pub fn on(&self, rod: &Rod, radii: &[f64]) -> Self {
+        let mut out = self.clone();
+        match &mut out {
+            Self::Clearance {
+                shape,
+                margin,
+                points: points @ None,
+                ..
+            } => {
+                let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
+                let radius = shape.least_radius() + thinnest(radii) + *margin;
+                *points = Some(Self::points_per_element(chord, radius));
+            }
+            Self::Speed { at, .. } => {
+                let elements = rod.n_elements();
+                *at = Place::of_node(at.node(elements), elements);
+            }
+            _ => {}
+        }
+        out
+    }
+
+    /// Points per element of an obstacle; 1 for all other limits.
+    #[must_use]
+    pub fn points(&self) -> usize {
+        match self {
+            Self::Clearance { points, .. } => points.unwrap_or(1),
+            _ => 1,
+        }
+    }
+
+    /// Size of the limit in its own unit, to which an excess is compared; `None` for obstacles and stretches, whose unit is of order 1, and for
+    /// terms of one's own.
+    #[must_use]
+    pub fn size(&self) -> Option<f64> {
+        match self {
+            Self::Curvature { largest } | Self::Twist { largest } | Self::Speed { largest, .. } => {
+                Some(*largest)
+            }
+            Self::Clearance { .. } | Self::Stretch { .. } | Self::Term(_) => None,
+        }
+    }
+
     /// Points per element such that chords of length `chord` over this number dip into a body of the given radius (the arm's
     /// own and the margin included) by less than 0.2 % of it: `s²/(8 radius)` for points a distance `s` apart; at most 8.
     #[must_use]
@@ -308,7 +362,7 @@ impl PathLimit {
     #[must_use]
     pub fn n_items(&self, rod: &Rod) -> usize {
         match self {
-            Self::Clearance { points, .. } => points * rod.n_elements() + 1,
+            Self::Clearance { .. } => self.points() * rod.n_elements() + 1,
             Self::Stretch { .. } | Self::Twist { .. } => 2 * rod.n_elements(),
             Self::Curvature { .. } => rod.n_elements(),
             Self::Speed { .. } => 1,
@@ -316,14 +370,33 @@ impl PathLimit {
         }
     }
 
+    /// Rows of every element, where the limit is one on the strains of elements; the rows of an element follow each other.
+    #[must_use]
+    pub fn rows_per_element(&self) -> Option<usize> {
+        match self {
+            Self::Stretch { .. } | Self::Twist { .. } => Some(2),
+            Self::Curvature { .. } => Some(1),
+            _ => None,
+        }
+    }
+
+    /// Number of time nodes whose states a row depends on: its own, and for speeds the one before.
+    #[must_use]
+    pub fn n_instants(&self) -> usize {
+        match self {
+            Self::Speed { .. } => 2,
+            _ => 1,
+        }
+    }
+
     /// The node, or first node of the element, that an item is about.
     #[must_use]
     pub fn node(&self, rod: &Rod, item: usize) -> usize {
         match self {
-            Self::Clearance { points, .. } => item / points,
+            Self::Clearance { .. } => item / self.points(),
             Self::Stretch { .. } | Self::Twist { .. } => item / 2,
             Self::Curvature { .. } => item,
-            Self::Speed { node, .. } => *node,
+            Self::Speed { at, .. } => at.node(rod.n_elements()),
             Self::Term(term) => term.nodes(rod, item).first().copied().unwrap_or(0),
         }
     }
@@ -386,13 +459,18 @@ impl PathLimit {
         Self::point_position(rod_view, k, q, s) - velocity * rod_view.grid.time(k)
     }
 
-    /// Mean velocity of a node over the step that ends at `k`, m/s; zero at the start.
-    fn velocity(rod_view: &RodView, k: usize, node: usize) -> Vector3<f64> {
-        if k == 0 {
+    /// Mean velocity of a node between two time nodes, m/s; zero where they are one.
+    fn velocity(rod_view: &RodView, [from, k]: [usize; 2], node: usize) -> Vector3<f64> {
+        if from == k {
             return Vector3::zeros();
         }
         let x = |k: usize| rod_view.trajectory.positions_at(k)[node];
-        (x(k) - x(k - 1)) / rod_view.grid.step
+        (x(k) - x(from)) / Self::between(rod_view, [from, k])
+    }
+
+    /// Time between two time nodes, s; one step where they are one.
+    fn between(rod_view: &RodView, [from, k]: [usize; 2]) -> f64 {
+        (k - from).max(1) as f64 * rod_view.grid.step
     }
 
     fn curvature_vector(rod_view: &RodView, k: usize, q: usize) -> Vector3<f64> {
@@ -407,17 +485,23 @@ impl PathLimit {
             .curvature
     }
 
-    /// Scaled value of a row at time node `k`.
+    /// Scaled value of a row at time node `k`; speeds are means over the step that ends there.
     #[must_use]
     pub fn value(&self, rod_view: &RodView, k: usize, item: usize) -> f64 {
+        self.value_since(rod_view, [k.saturating_sub(1), k], item)
+    }
+
+    /// [`Self::value`] at the second of two time nodes, with the mean speed between both.
+    #[must_use]
+    pub fn value_since(&self, rod_view: &RodView, [from, k]: [usize; 2], item: usize) -> f64 {
         let excess = match self {
             Self::Clearance {
                 shape,
                 velocity,
                 margin,
-                points,
+                ..
             } => {
-                let (q, s, radius) = Self::point(*points, item, rod_view);
+                let (q, s, radius) = Self::point(self.points(), item, rod_view);
                 let x = Self::point_from(velocity, rod_view, k, q, s);
                 radius + margin - shape.distance(&x).value
             }
@@ -439,7 +523,10 @@ impl PathLimit {
                 let kappa = Self::curvature_vector(rod_view, k, item / 2);
                 side(item) * kappa.z - largest
             }
-            Self::Speed { node, largest } => Self::velocity(rod_view, k, *node).norm() - largest,
+            Self::Speed { at, largest } => {
+                let node = at.node(rod_view.rod.n_elements());
+                Self::velocity(rod_view, [from, k], node).norm() - largest
+            }
             Self::Term(term) => term.value(&rod_view.view(k), item),
         };
         excess / self.scale(rod_view.rod)
@@ -458,18 +545,36 @@ impl PathLimit {
     /// First derivative of a row.
     #[must_use]
     pub fn gradient(&self, rod_view: &RodView, k: usize, item: usize) -> RowGradient {
+        let mut forms = at(k, Vec::new());
+        if self.n_instants() > 1 && k > 0 {
+            forms.extend(at(k - 1, Vec::new()));
+        }
+        let instants = [k.saturating_sub(1), k];
+        self.slopes(rod_view, instants, item, &mut |instant, term| {
+            if let Some(form) = forms.get_mut(instant) {
+                form.terms.push(term);
+            }
+        });
+        forms
+    }
+
+    /// Writes the first derivative of [`Self::value_since`], term by term: the instant (0 the second time node, 1 the first) and the term.
+    pub fn slopes(
+        &self,
+        rod_view: &RodView,
+        [from, k]: [usize; 2],
+        item: usize,
+        write: &mut dyn FnMut(usize, FormTerm),
+    ) {
         let inverse = 1.0 / self.scale(rod_view.rod);
         match self {
             Self::Clearance {
-                shape,
-                velocity,
-                points,
-                ..
+                shape, velocity, ..
             } => {
-                let (q, s, _) = Self::point(*points, item, rod_view);
+                let (q, s, _) = Self::point(self.points(), item, rod_view);
                 let x = Self::point_from(velocity, rod_view, k, q, s);
                 let direction = -shape.distance(&x).gradient * inverse;
-                at(k, point_form(q, s, &direction))
+                point_form(q, s, &direction).for_each(|term| write(0, term));
             }
             Self::Stretch { .. } => {
                 let q = item / 2;
@@ -477,27 +582,28 @@ impl PathLimit {
                 let direction =
                     unit(&(x[q + 1] - x[q])) * (side(item) * inverse / rod_view.rod.rest_chords[q]);
                 let terms = along(q, 0, &-direction).chain(along(q + 1, 0, &direction));
-                at(k, terms.collect())
+                terms.for_each(|term| write(0, term));
             }
             Self::Curvature { .. } => {
                 let kappa = Self::curvature_vector(rod_view, k, item);
                 let n = unit(&Vector3::new(kappa.x, kappa.y, 0.0)) * inverse;
-                at(k, strain_form(rod_view, k, item, &n))
+                strain_form(rod_view, k, item, &n).for_each(|term| write(0, term));
             }
-            Self::Twist { .. } => at(
-                k,
-                strain_form(
-                    rod_view,
-                    k,
-                    item / 2,
-                    &(Vector3::z() * (side(item) * inverse)),
-                ),
-            ),
-            Self::Speed { node, .. } => {
-                let n = unit(&Self::velocity(rod_view, k, *node)) * (inverse / rod_view.grid.step);
-                velocity_form(k, *node, &n)
+            Self::Twist { .. } => {
+                let n = Vector3::z() * (side(item) * inverse);
+                strain_form(rod_view, k, item / 2, &n).for_each(|term| write(0, term));
             }
-            Self::Term(term) => at(k, term.gradient(&rod_view.view(k), item).terms),
+            Self::Speed { at, .. } => {
+                let node = at.node(rod_view.rod.n_elements());
+                let along_motion = unit(&Self::velocity(rod_view, [from, k], node));
+                let n = along_motion * (inverse / Self::between(rod_view, [from, k]));
+                along(node, 0, &n).for_each(|term| write(0, term));
+                along(node, 0, &-n).for_each(|term| write(1, term));
+            }
+            Self::Term(own) => {
+                let form = own.gradient(&rod_view.view(k), item);
+                form.terms.into_iter().for_each(|term| write(0, term));
+            }
         }
     }
 
@@ -508,15 +614,14 @@ impl PathLimit {
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
         match self {
             Self::Clearance {
-                shape,
-                velocity,
-                points,
-                ..
+                shape, velocity, ..
             } => {
-                let (q, s, _) = Self::point(*points, item, rod_view);
+                let (q, s, _) = Self::point(self.points(), item, rod_view);
                 let x = Self::point_from(velocity, rod_view, k, q, s);
                 RowCurvature {
-                    forms: axes.map(|axis| at(k, point_form(q, s, &axis))).to_vec(),
+                    forms: axes
+                        .map(|axis| at(k, point_form(q, s, &axis).collect()))
+                        .to_vec(),
                     matrix: dynamic(&(shape.distance(&x).curvature * -inverse)),
                 }
             }
@@ -555,9 +660,10 @@ impl PathLimit {
                 &(Vector3::z() * (side(item) * inverse)),
                 &Matrix3::zeros(),
             ),
-            Self::Speed { node, .. } => {
-                let v = Self::velocity(rod_view, k, *node);
-                let forms = axes.map(|axis| velocity_form(k, *node, &(axis / rod_view.grid.step)));
+            Self::Speed { at, .. } => {
+                let node = at.node(rod_view.rod.n_elements());
+                let v = Self::velocity(rod_view, [k.saturating_sub(1), k], node);
+                let forms = axes.map(|axis| velocity_form(k, node, &(axis / rod_view.grid.step)));
                 RowCurvature {
                     forms: forms.to_vec(),
                     matrix: dynamic(&(norm_curvature(&v) * inverse)),
@@ -588,14 +694,14 @@ pub(super) fn term_curvature(
 }
 
 /// `direction · δ` of a point at the fraction `s` of the chord of element `q`.
-fn point_form(q: usize, s: f64, direction: &Vector3<f64>) -> Vec<FormTerm> {
-    if s > 0.0 {
-        along(q, 0, &(direction * (1.0 - s)))
-            .chain(along(q + 1, 0, &(direction * s)))
-            .collect()
-    } else {
-        along(q, 0, direction).collect()
-    }
+fn point_form(
+    q: usize,
+    s: f64,
+    direction: &Vector3<f64>,
+) -> impl Iterator<Item = FormTerm> + use<> {
+    // A point on a node has no share of the next one, which the last node lacks.
+    let next = (s > 0.0).then(|| along(q + 1, 0, &(direction * s)));
+    along(q, 0, &(direction * (1.0 - s))).chain(next.into_iter().flatten())
 }
 
 /// `direction · (δx^k - δx^{k-1})`.
@@ -608,7 +714,12 @@ fn velocity_form(k: usize, node: usize, direction: &Vector3<f64>) -> RowGradient
 }
 
 /// `n · δκ` of an element.
-fn strain_form(rod_view: &RodView, k: usize, q: usize, n: &Vector3<f64>) -> Vec<FormTerm> {
+fn strain_form(
+    rod_view: &RodView,
+    k: usize,
+    q: usize,
+    n: &Vector3<f64>,
+) -> impl Iterator<Item = FormTerm> + use<> {
     element_form(q, &(curvature_rows(rod_view, k, q).transpose() * n))
 }
 

@@ -15,7 +15,7 @@ use crate::mechanics::sparse_motion::SparseMotion;
 use crate::mechanics::{ControlSignal, Rod, State, TimeGrid, Wrench};
 use crate::stop::StopSignal;
 
-/// Limit on one of the two vectors of a wrench.
+/// Limit of one of the two vectors of a wrench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
     /// `|u| ≤ limit`: a second-order cone.
@@ -25,7 +25,7 @@ pub enum Bound {
 }
 
 impl Bound {
-    /// Whether axis `i` can be used at all.
+    /// Tells whether component `axis` can act at all.
     #[must_use]
     pub fn actuates(&self, axis: usize) -> bool {
         match self {
@@ -34,7 +34,7 @@ impl Bound {
         }
     }
 
-    /// By how much `u` exceeds the limit (0 inside).
+    /// Returns by how much `u` exceeds the limit; 0 inside.
     #[must_use]
     pub fn violation(&self, u: &Vector3<f64>) -> f64 {
         match self {
@@ -46,7 +46,7 @@ impl Bound {
     }
 }
 
-/// In words, which components act where not all of them do: what follows a bound; empty where all do.
+/// Names the components that act, as the end of a phrase about a bound; empty if all act.
 pub(crate) fn named_axes(axes: [bool; 3]) -> String {
     if axes == [true; 3] {
         return String::new();
@@ -62,18 +62,18 @@ pub(crate) fn named_axes(axes: [bool; 3]) -> String {
 /// One of the two vectors of a wrench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Channel {
-    /// Magnitude that counts as 1 in the cost, N or N m; and in the solver, as far as the [bound](Self::unit) reaches it.
+    /// Magnitude that counts as 1 in the cost, N or N m; also in the solver, unless a [smaller bound](Self::unit) replaces it.
     pub scale: f64,
-    /// Limit; none means unbounded.
+    /// Limit; `None` means unbounded.
     pub bound: Option<Bound>,
-    /// Limit of the rate of change, N/s or N m/s; none means unbounded.
+    /// Limit of the rate of change, N/s or N m/s; `None` means unbounded.
     pub rate_bound: Option<Bound>,
-    /// Components that may act, whatever their bound.
+    /// Components that may act, whatever their bound is.
     pub axes: [bool; 3],
 }
 
 impl Channel {
-    /// A channel of all three components, without a limit of its rate.
+    /// Returns a channel of all three components, without a limit of its rate.
     #[must_use]
     pub fn new(scale: f64, bound: Option<Bound>) -> Self {
         Self {
@@ -84,8 +84,8 @@ impl Channel {
         }
     }
 
-    /// Magnitude that counts as 1 in the solver, N or N m: the scale, or a smaller bound. Variables of a size far below 1 would be lost in
-    /// the tolerances of the subproblem.
+    /// Returns the magnitude that counts as 1 in the solver, N or N m: the scale, or a smaller bound. Variables far below 1 would be lost
+    /// in the tolerances of the subproblem.
     #[must_use]
     pub fn unit(&self) -> f64 {
         let largest = match self.bound {
@@ -100,25 +100,25 @@ impl Channel {
         }
     }
 
-    /// Whether component `axis` can be used at all.
+    /// Tells whether component `axis` can act at all.
     #[must_use]
     pub fn acts_along(&self, axis: usize) -> bool {
         self.axes[axis] && self.bound.is_none_or(|bound| bound.actuates(axis))
     }
 
-    /// Whether any component can be used.
+    /// Tells whether any component can act.
     #[must_use]
     pub fn acts(&self) -> bool {
         (0..3).any(|axis| self.acts_along(axis))
     }
 
-    /// The components of `u` that may act; the others are 0.
+    /// Returns the components of `u` that may act; the others are 0.
     #[must_use]
     pub fn acting(&self, u: &Vector3<f64>) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| if self.axes[axis] { u[axis] } else { 0.0 })
     }
 
-    /// `u` brought within the limit: by its length where that is bounded, component by component otherwise.
+    /// Returns `u` moved within the limit: shortened if its norm is bounded, otherwise clamped component by component.
     #[must_use]
     pub fn within(&self, u: &Vector3<f64>) -> Vector3<f64> {
         let u = self.acting(u);
@@ -132,7 +132,7 @@ impl Channel {
         }
     }
 
-    /// By how much `u` exceeds the limit, or acts where nothing may (0 inside).
+    /// Returns by how much `u` exceeds the limit, or the size of components that may not act; 0 inside.
     #[must_use]
     pub fn violation(&self, u: &Vector3<f64>) -> f64 {
         let beyond = self.bound.map_or(0.0, |bound| bound.violation(u));
@@ -140,10 +140,10 @@ impl Channel {
     }
 }
 
-/// A wrench on one node that may be chosen, or six controls of an [actuator of one's own](crate::mechanics::Actuator).
+/// A controllable wrench on one node, or six controls of a [user-defined actuator](crate::mechanics::Actuator).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActuatedNode {
-    /// The node; of an actuator of one's own its first.
+    /// Index of the node; for a user-defined actuator its first node.
     pub node: usize,
     /// Force, spatial frame.
     pub force: Channel,
@@ -160,38 +160,38 @@ pub struct Component {
     pub axis: usize,
 }
 
-/// Whether a goal must be met, met within a distance, or is paid for.
+/// The way in which a goal is enforced: as an equality, within a tolerance, or by a penalty.
 ///
-/// A soft goal is solved as a hard one with variables of its own: residual = s, at the price `½ weight |s|²`. It then
-/// has all that makes hard goals converge (second-order correction, filter).
+/// A soft goal is solved as a hard one with variables of its own: residual = s, with the penalty `½ weight |s|²`. It thereby has all that
+/// makes hard goals converge (second-order correction, filter).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Enforcement {
     /// Equality constraints.
     Hard,
-    /// `½ weight Σ r²` over the scaled residuals of [`Goal`].
+    /// Penalty `½ weight Σ r²` on the scaled residuals of [`Goal`].
     Soft {
         /// Weight on the squared scaled residual.
         weight: f64,
     },
-    /// A set around the goal: `|x - x*| ≤ distance`, a rotation away from `R*` of at most `angle`, and where it asks for rest
-    /// `|v| ≤ speed` and `|ω| ≤ spin`; a tolerance of 0 is an equality.
+    /// A set around the goal: `|x - x*| ≤ distance`, an angle of at most `angle` between the rotations, and for a goal at rest `|v| ≤
+    /// speed` and `|ω| ≤ spin`; a tolerance of 0 is an equality.
     ///
     /// Each of the four is solved as a hard goal with variables of its own: residual = s, with s in the ball of the tolerance. The
     /// subproblem has the ball as a second-order cone, so that no step linearizes its surface.
     Within {
-        /// m
+        /// Tolerance of the position, m.
         distance: f64,
-        /// rad
+        /// Tolerance of the orientation, rad.
         angle: f64,
-        /// m/s
+        /// Tolerance of the velocity, m/s.
         speed: f64,
-        /// rad/s
+        /// Tolerance of the angular velocity, rad/s.
         spin: f64,
     },
 }
 
 impl Enforcement {
-    /// By how much a part of the goal may be off, in the part's own unit; 0 where it is an equality or paid for.
+    /// Returns the tolerance of a part of the goal, in the part's own unit; 0 for an equality and for a soft goal.
     #[must_use]
     pub fn tolerance(&self, part: GoalPart) -> f64 {
         match (*self, part) {
@@ -205,32 +205,32 @@ impl Enforcement {
     }
 }
 
-/// What a node must have reached at a time node.
+/// A pose that a node must reach at a time node.
 ///
-/// Scaled residuals: position over the rod's length, orientation as the rotation vector `log(R*ᵀ R)`, and with
-/// `at_rest` the velocity times `T₀/L` and the angular velocity times `T₀` ([`Scales`](crate::mechanics::Scales)), both from the
-/// terminal Legendre transform.
+/// Scaled residuals: the position error divided by the rod's length, the orientation error as the rotation vector `log(R*ᵀ R)`, and with
+/// `at_rest` the velocity times `T₀/L` and the angular velocity times `T₀` ([`Scales`](crate::mechanics::Scales)), both from the terminal
+/// Legendre transform.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Goal {
     /// Name in reports: its key in the scene.
     pub name: String,
-    /// The node.
+    /// Index of the node.
     pub node: usize,
-    /// When.
+    /// Index of the time node.
     pub time_node: usize,
     /// Position, m.
     pub position: Option<Vector3<f64>>,
     /// Rotation, body to space.
     pub rotation: Option<Matrix3<f64>>,
-    /// Zero linear and angular velocity of the node; only of a goal at the end of the horizon (a solve of any other fails): on the way,
-    /// momenta are those before the kick, which is not the velocity of the time node.
+    /// Asks for zero linear and angular velocity of the node. Only a goal at the end of the horizon may ask for it (otherwise a solve
+    /// fails): before the end, momenta are those before the kick, which do not give the velocity of the time node.
     pub at_rest: bool,
-    /// Hard, soft, or a set.
+    /// Equality, tolerance or penalty.
     pub enforcement: Enforcement,
 }
 
 impl Goal {
-    /// A hard goal of the tip at the end of the horizon, at rest.
+    /// Returns a hard goal at rest of the tip at the end of the horizon.
     #[must_use]
     pub fn reach(rod: &Rod, grid: TimeGrid, position: Vector3<f64>) -> Self {
         Self {
@@ -244,7 +244,7 @@ impl Goal {
         }
     }
 
-    /// The vectors of which the goal makes equations.
+    /// Returns the vectors of the goal, each of which gives three equations.
     #[must_use]
     pub fn parts(&self) -> Vec<GoalPart> {
         let mut parts = Vec::new();
@@ -259,87 +259,87 @@ impl Goal {
 
 /// The objective.
 ///
-/// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt + energy ∫ U/(EI/L) dt + Σ tracking + Σ terms`. Time integrals carry
-/// the step: refining the grid does not change what weights mean. Those over states are sums by the trapezoidal rule over
+/// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt + energy ∫ U/(EI/L) dt + Σ tracking + Σ terms`. Time integrals
+/// include the time step, so that weights keep their meaning on finer grids. Integrals of states are sums by the trapezoidal rule over
 /// [`samples`](Self::samples) of the time nodes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Objective {
-    /// Weight of the effort (per second of a control of size 1, halved).
+    /// Weight of the effort: half of it is the cost of a second of a control of size 1.
     pub effort: f64,
     /// Weight of the rate, s².
     pub rate: f64,
-    /// Weight of the elastic energy over `EI/L`, per second.
+    /// Weight of the elastic energy divided by `EI/L`, per second.
     pub energy: f64,
-    /// Nodes that should follow a path.
+    /// Paths that nodes should follow.
     pub tracking: Vec<Tracking>,
-    /// Terms of one's own.
+    /// User-defined terms.
     pub terms: Vec<StateCost>,
-    /// Intervals between the samples of what is integrated over states; all time nodes where it exceeds their number. Not
-    /// 0 where there is anything to integrate.
+    /// Number of intervals between the samples of integrals of states; all time nodes if it exceeds their number. Positive if there is
+    /// anything to integrate.
     pub samples: usize,
 }
 
-/// A duration that may be chosen: the number of steps stays, the time step changes.
+/// A free final time: the number of steps stays, the time step changes.
 ///
-/// Everything that is given by time nodes (goals, blocks of the control, samples) stretches with it; what is given by times (loads, paths
-/// to follow) does not.
+/// Everything that is given by time nodes (goals, blocks of the control, samples) scales with the duration; times (loads, tracked paths) do
+/// not.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FreeDuration {
-    /// Shortest, s; above 0.
+    /// Shortest duration, s; positive.
     pub shortest: f64,
-    /// Longest, s; finite, and its step one that the integrator can take.
+    /// Longest duration, s; finite, and with a step that the integrator can take.
     pub longest: f64,
-    /// Price of a second, added to the objective; with [`Objective::effort`] it is the time penalty, without it minimum time.
+    /// Cost of a second, added to the objective: a time penalty beside [`Objective::effort`], minimum time without it.
     pub price: f64,
 }
 
-/// Minimize the objective over wrenches on some nodes, subject to the discrete equations of motion, the bounds, the goals, and the path
-/// constraints.
+/// The problem to minimize the objective over wrenches on some nodes, subject to the discrete equations of motion, the bounds, the goals,
+/// and the path constraints.
 #[derive(Clone, Debug)]
 pub struct OptimalControlProblem {
-    /// The rod, shared by the problems that are made from this one.
+    /// The rod, shared with the problems that are derived from this one.
     pub rod: Arc<Rod>,
-    /// Radius of the arm at every node, m: what keeps clear of obstacles. Empty for a line without thickness.
+    /// Radius of the arm at every node, m, for the distance from obstacles. Empty for a line without thickness.
     pub radii: Vec<f64>,
-    /// The time grid of the horizon; where the duration is free, the one that the search starts from.
+    /// Time grid of the horizon; if the duration is free, the grid from which the search starts.
     pub grid: TimeGrid,
-    /// Whether the duration may be chosen; `None` keeps that of the grid.
+    /// Limits and price of a free duration; `None` fixes the duration to that of the grid.
     pub duration: Option<FreeDuration>,
     /// State at time 0.
     pub initial: State,
     /// Blocks of the control.
     pub control: ControlGrid,
-    /// The wrenches that may be chosen; no node twice.
+    /// Controllable wrenches; no node occurs twice.
     pub actuators: Vec<ActuatedNode>,
-    /// Actuators of one's own. Their controls are what the last of the `actuators` stand for, in the order of force and moment.
+    /// User-defined actuators. Their controls are the last of the `actuators`, in the order of force and moment.
     pub acting: Vec<Acting>,
-    /// What must be reached.
+    /// Goals to be reached.
     pub goals: Vec<Goal>,
-    /// Where the arm stays from the end of the horizon on; `None` where it may go on moving.
+    /// Equilibrium in which the arm stays from the end of the horizon on; `None` if it may go on moving.
     pub stay: Option<Arc<Stay>>,
     /// The path constraints: obstacles and limits.
     pub path: Vec<PathConstraint>,
     /// The objective.
     pub objective: Objective,
-    /// What may end work on the problem before it is done: roll-outs, sweeps, first points, gains and the check look at it. By
-    /// default nothing.
+    /// Signal that ends work on the problem early: rollouts, sweeps, initial guesses, gains and the check read it. By default it is never
+    /// raised.
     pub stop: StopSignal,
 }
 
-/// Parts of a problem that a free duration does not allow.
+/// A part of a problem that a free duration does not allow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DurationConflict {
     /// A bound on the magnitude of a rate.
     Rate,
-    /// A soft path constraint, whose price the check does not follow over the duration; its index.
+    /// A soft path constraint, whose penalty the check does not follow over the duration; its index.
     Path(usize),
     /// A driven base, whose motion is a function of time.
     Base,
-    /// A term of one's own, which may depend on time.
+    /// A user-defined term, which may depend on time.
     Term,
-    /// An actuator of one's own, which may depend on time.
+    /// A user-defined actuator, which may depend on time.
     Actuator,
-    /// A track with a price of its speed, which the check does not follow over the duration; its index.
+    /// A track with a weight on its speed, which the check does not follow over the duration; its index.
     Speed(usize),
 }
 
@@ -348,15 +348,15 @@ pub enum DurationConflict {
 pub struct GoalRow {
     /// Index of the goal.
     pub goal: usize,
-    /// The vector of the goal.
+    /// Vector of the goal.
     pub part: GoalPart,
     /// Component, 0..3.
     pub axis: usize,
 }
 
 impl GoalRow {
-    /// Tells whether both are components of one vector; the deviation from where the arm stays is one as a whole. Those of a vector follow each
-    /// other among the rows.
+    /// Tells whether both rows are components of one vector; the deviation from a stay counts as one vector as a whole. Rows of a vector
+    /// are adjacent.
     #[must_use]
     pub fn shares_vector_with(&self, other: &Self) -> bool {
         let is_of_whole = |row: &Self| matches!(row.part, GoalPart::Deviation(_));
@@ -381,7 +381,7 @@ pub enum GoalPart {
 }
 
 impl GoalPart {
-    /// Scene key (or what it stands for) of this part, below the goal's own.
+    /// Returns the scene key of this part, below the goal's own key, or a description if it has none.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -393,7 +393,7 @@ impl GoalPart {
         }
     }
 
-    /// Unit of the residual before scaling.
+    /// Returns the unit of the residual before scaling.
     #[must_use]
     pub fn unit(self) -> &'static str {
         match self {
@@ -407,7 +407,7 @@ impl GoalPart {
 }
 
 impl Objective {
-    /// Whether anything of it depends on the states.
+    /// Tells whether a term depends on the states.
     #[must_use]
     pub fn sees_states(&self) -> bool {
         self.energy > 0.0 || !self.tracking.is_empty() || !self.terms.is_empty()
@@ -425,8 +425,8 @@ impl OptimalControlProblem {
         }
     }
 
-    /// Unknowns of the configurations that the sparse route keeps, where it is [offered](SparseMotion::unknowns_per_time_node): not where
-    /// an actuator is one's own.
+    /// Returns the number of unknowns of the configurations for the sparse route, if it [supports](SparseMotion::unknowns_per_time_node)
+    /// the rod; `None` with user-defined actuators.
     #[must_use]
     pub fn n_states(&self) -> Option<usize> {
         if !self.acting.is_empty() {
@@ -436,7 +436,7 @@ impl OptimalControlProblem {
             .map(|at_once| at_once * self.grid.n_steps)
     }
 
-    /// The least effort of a tip wrench that brings the tip to a goal.
+    /// Returns the problem of least effort of a tip wrench that brings the tip to a goal.
     #[must_use]
     pub fn least_effort(
         rod: impl Into<Arc<Rod>>,
@@ -471,7 +471,7 @@ impl OptimalControlProblem {
         }
     }
 
-    /// The scalar residuals of the goals, in the solver's order.
+    /// Returns the scalar residuals of the goals, in the solver's order.
     #[must_use]
     pub fn goal_rows(&self) -> Vec<GoalRow> {
         let mut rows = Vec::new();
@@ -490,13 +490,13 @@ impl OptimalControlProblem {
         rows
     }
 
-    /// The goals of the tip at the end of the horizon.
+    /// Returns the goals of the tip at the end of the horizon.
     pub fn final_goals(&self) -> impl Iterator<Item = &Goal> {
         let (tip, last) = (self.rod.tip(), self.grid.n_steps);
         (self.goals.iter()).filter(move |goal| goal.node == tip && goal.time_node == last)
     }
 
-    /// What one unit of a scaled residual is worth in the part's own unit.
+    /// Returns the value of one unit of a scaled residual in the part's own unit.
     #[must_use]
     pub fn goal_scale(&self, part: GoalPart) -> f64 {
         let scales = &self.rod.scales;
@@ -509,7 +509,7 @@ impl OptimalControlProblem {
         }
     }
 
-    /// Weight of a goal's squared residuals; `None` where they are constraints.
+    /// Returns the weight of a goal's squared residuals; `None` if the goal is a constraint.
     #[must_use]
     pub fn soft_weight(&self, row: &GoalRow) -> Option<f64> {
         if matches!(row.part, GoalPart::Deviation(_)) {
@@ -521,7 +521,7 @@ impl OptimalControlProblem {
         }
     }
 
-    /// Radius of the ball in which the scaled residual of a goal's part may lie; `None` where it is an equality, or paid for.
+    /// Returns the radius of the ball of a goal's scaled residual; `None` for an equality and for a soft goal.
     #[must_use]
     pub fn goal_radius(&self, goal: usize, part: GoalPart) -> Option<f64> {
         let radius = match (part, &self.stay) {
@@ -531,13 +531,13 @@ impl OptimalControlProblem {
         (radius > 0.0).then(|| radius / self.goal_scale(part))
     }
 
-    /// Whether a goal's residual equals a variable of its own, instead of zero.
+    /// Tells whether a goal's residual equals a variable of its own, instead of zero.
     #[must_use]
     pub fn has_slack(&self, row: &GoalRow) -> bool {
         self.soft_weight(row).is_some() || self.goal_radius(row.goal, row.part).is_some()
     }
 
-    /// The components that are actuated, in the order of the variables of one coefficient.
+    /// Returns the actuated components, in the order of the variables of one coefficient.
     #[must_use]
     pub fn actuated_components(&self) -> Vec<Component> {
         (0..self.actuators.len())
@@ -547,7 +547,7 @@ impl OptimalControlProblem {
             .collect()
     }
 
-    /// Channel of a component.
+    /// Returns the channel of a component.
     #[must_use]
     pub fn channel(&self, component: &Component) -> &Channel {
         let actuator = &self.actuators[component.actuator];
@@ -558,12 +558,12 @@ impl OptimalControlProblem {
         }
     }
 
-    /// Whether a component is one at all: of a wrench, or a control of an actuator of one's own.
+    /// Tells whether a component exists: in a wrench, or as a control of a user-defined actuator.
     fn is_control(&self, component: &Component) -> bool {
         component.actuator < self.wrench_actuators().len() || self.own_control(component).is_some()
     }
 
-    /// Index of the actuator of one's own and of its control, where a component is one.
+    /// Returns the indices of the user-defined actuator and of its control, if the component is one.
     #[must_use]
     pub fn own_control(&self, component: &Component) -> Option<(usize, usize)> {
         (self.acting.iter().enumerate()).find_map(|(index, acting)| {
@@ -573,14 +573,14 @@ impl OptimalControlProblem {
         })
     }
 
-    /// Those of the actuators that are wrenches on nodes.
+    /// Returns the actuators that are wrenches on nodes.
     #[must_use]
     pub fn wrench_actuators(&self) -> &[ActuatedNode] {
         let first = (self.acting.first()).map_or(self.actuators.len(), |acting| acting.first);
         &self.actuators[..first]
     }
 
-    /// The nodes with a wrench that may be chosen.
+    /// Returns the nodes with a controllable wrench.
     #[must_use]
     pub fn actuated_nodes(&self) -> Vec<usize> {
         self.wrench_actuators()
@@ -589,7 +589,7 @@ impl OptimalControlProblem {
             .collect()
     }
 
-    /// The same problem on a grid that lasts `time_scale` times as long.
+    /// Returns the same problem on a grid whose duration is multiplied by `time_scale`.
     #[must_use]
     pub fn with_time_scale(&self, time_scale: f64) -> Self {
         let mut out = self.clone();
@@ -598,7 +598,7 @@ impl OptimalControlProblem {
         out
     }
 
-    /// The same problem with the duration of its grid.
+    /// Returns the same problem with a fixed duration, that of its grid.
     #[must_use]
     pub fn with_fixed_duration(&self) -> Self {
         Self {
@@ -607,13 +607,14 @@ impl OptimalControlProblem {
         }
     }
 
-    /// What a free duration adds to the objective where it is that of the grid; 0 where it is fixed.
+    /// Returns the term of a free duration in the objective, for the duration of the grid; 0 for a fixed duration.
     #[must_use]
     pub fn duration_price(&self) -> f64 {
         (self.duration).map_or(0.0, |free| free.price * self.grid.duration())
     }
 
-    /// What stands in the way of a free duration, and which of its parts it is; `None` where nothing does, or the duration is fixed.
+    /// Returns a part of the problem that conflicts with a free duration, with a description; `None` if there is none or the duration is
+    /// fixed.
     #[must_use]
     pub fn duration_conflict(&self) -> Option<(DurationConflict, String)> {
         self.duration?;
@@ -647,20 +648,21 @@ impl OptimalControlProblem {
         None
     }
 
-    /// Number of the solver's variables that are controls; the rest are the residuals of soft goals and of those within a tolerance.
+    /// Returns the number of the solver's variables that are controls; the rest are the residuals of soft goals and of goals within a
+    /// tolerance.
     #[must_use]
     pub fn n_controls(&self) -> usize {
         self.control.n_coefficients() * self.actuated_components().len()
     }
 
-    /// Number of rows of `controls.csv`: one per coefficient and actuator, and where the arm stays one per actuator for the time after the
-    /// horizon.
+    /// Returns the number of rows of `controls.csv`: one per coefficient and actuator, and if the arm stays one more per actuator for the
+    /// time after the horizon.
     #[must_use]
     pub fn n_control_rows(&self) -> usize {
         (self.control.n_coefficients() + usize::from(self.stay.is_some())) * self.actuators.len()
     }
 
-    /// Number of the solver's variables.
+    /// Returns the number of the solver's variables.
     #[must_use]
     pub fn n_variables(&self) -> usize {
         self.n_controls()
@@ -669,7 +671,7 @@ impl OptimalControlProblem {
                 .count()
     }
 
-    /// Coefficients of the wrenches from the solver's scaled variables: coefficient by coefficient, all actuators of each.
+    /// Returns the coefficients of the wrenches from the solver's scaled variables: coefficient by coefficient, all actuators of each.
     #[must_use]
     pub fn wrenches(&self, variables: &[f64]) -> Vec<Wrench> {
         let components = self.actuated_components();
@@ -692,7 +694,8 @@ impl OptimalControlProblem {
         out
     }
 
-    /// Inverse of [`Self::wrenches`] on the actuated components; residuals of goals are zero.
+    /// Returns the scaled variables of wrenches, as the inverse of [`Self::wrenches`] on the actuated components; residuals of goals are
+    /// zero.
     #[must_use]
     pub fn variables(&self, wrenches: &[Wrench]) -> Vec<f64> {
         let components = self.actuated_components();
@@ -714,7 +717,7 @@ impl OptimalControlProblem {
         variables
     }
 
-    /// The wrenches at every time node of `grid`, the control's own or a refined one.
+    /// Returns the wrenches at every time node of `grid`, which is the control's own grid or a refinement.
     #[must_use]
     pub fn signal(&self, grid: &ControlGrid, coefficients: &[Wrench]) -> ControlSignal {
         let n = self.actuators.len();

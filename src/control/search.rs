@@ -1,4 +1,4 @@
-//! From a problem to a solution: several first points, continuation from easier problems, and several starts.
+//! The search for a solution: several initial guesses, continuation from easier problems, and several starts.
 
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
@@ -17,40 +17,40 @@ use crate::mechanics::rotation::{exp, log};
 use crate::sqp::{IterationRecord, SqpOutcome, SqpSettings, SqpStatus, solve};
 use crate::stop::Stop;
 
-/// Continuation: the part of the problem that is made easier at first.
+/// Continuation: the part of the problem that is easier at first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Continuation {
-    /// Goals move from where the arm starts to where they are.
+    /// Goals move from the start of the arm to their places.
     Target {
-        /// Problems solved on the way, the last one included.
+        /// Number of problems on the way, the last one included.
         stages: usize,
     },
-    /// Gravity and loads grow from nothing.
+    /// Gravity and loads grow from zero.
     Load {
-        /// Problems solved on the way, the last one included.
+        /// Number of problems on the way, the last one included.
         stages: usize,
     },
 }
 
-/// First points, continuation, starts and threads of a search.
+/// Initial guesses, continuation, starts and threads of a search.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Search {
-    /// How the first point is made; `None` tries one after the other until a solve converges.
+    /// Kind of the initial guess; `None` tries one after the other until a solve converges.
     pub guess: Option<Guess>,
-    /// Coefficients to start from before that, those of all actuators together: a solution found before.
+    /// Coefficients of a known solution, those of all actuators together, from which the search starts first.
     pub previous: Option<Vec<Wrench>>,
-    /// Easier problems first.
+    /// Continuation from easier problems.
     pub continuation: Option<Continuation>,
-    /// Number of starts, at least 1; those after the first make detours chosen by `seed`.
+    /// Number of starts, at least 1; those after the first take detours chosen by `seed`.
     pub starts: usize,
     /// Seed of the detours.
     pub seed: u64,
-    /// Threads: over starts, or inside the one there is.
+    /// Number of threads, over several starts or inside a single one.
     pub n_threads: usize,
 }
 
 impl Default for Search {
-    /// One start, one thread, first points as they prove necessary.
+    /// Returns one start on one thread, with initial guesses as they prove necessary.
     fn default() -> Self {
         Self {
             guess: None,
@@ -63,38 +63,38 @@ impl Default for Search {
     }
 }
 
-/// A solve beside the one that counts: given up for another first point, or with another duration.
+/// A solve other than that of the result: given up for another initial guess, or for another duration.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Abandoned {
-    /// Where it started, or `held duration`.
+    /// Name of the initial guess, or `held duration`.
     pub from: &'static str,
-    /// Whether it ended at a point that is infeasible to first order.
+    /// Tells whether it ended at a point that is infeasible to first order.
     pub infeasible: bool,
-    /// Iterations it took.
+    /// Number of its iterations.
     pub iterations: usize,
 }
 
-/// One solve.
+/// The result of one start.
 #[derive(Clone, Debug)]
 pub struct Attempt {
-    /// Number of the start, from 0.
+    /// Index of the start, from 0.
     pub start: usize,
-    /// Where it started: name of a guess, `detour`, or `previous`.
+    /// Name of the initial guess: that of a guess, `detour`, or `previous`.
     pub from: &'static str,
-    /// The end of the solve; its objective has the price of a free duration.
+    /// Outcome of the solve; its objective includes the price of a free duration.
     pub outcome: SqpOutcome<LiftedPoint>,
-    /// Duration of the outcome over that of the problem's grid; 1 where it is fixed.
+    /// Duration of the outcome divided by that of the problem's grid; 1 if it is fixed.
     pub time_scale: f64,
-    /// The solves of the same start before it.
+    /// Earlier solves of the same start.
     pub abandoned: Vec<Abandoned>,
-    /// All solves of this start in the order in which they were made, with their rows.
+    /// All solves of this start in their order, with their rows.
     pub solves: Vec<SolveLog>,
-    /// Index of the solve that has the outcome.
+    /// Index of the solve with the outcome.
     pub chosen: usize,
 }
 
 impl Attempt {
-    /// Iterations, those of abandoned solves with them.
+    /// Returns the number of iterations, including abandoned solves.
     #[must_use]
     pub fn iterations(&self) -> usize {
         if !self.solves.is_empty() {
@@ -104,7 +104,7 @@ impl Attempt {
         before + iterations(&self.outcome)
     }
 
-    /// Converged ones first, then by objective, or else by infeasibility; equal ones in the order of their starts.
+    /// Orders attempts: converged ones first, by objective; the others by infeasibility; equal ones by their starts.
     fn rank(&self, other: &Self) -> std::cmp::Ordering {
         let converged = |attempt: &Self| attempt.outcome.status == SqpStatus::Converged;
         let value = |attempt: &Self| {
@@ -119,7 +119,7 @@ impl Attempt {
             .then(self.start.cmp(&other.start))
     }
 
-    /// Whether this attempt replaces an earlier one. One that was proven infeasible is not replaced by one that is unfinished.
+    /// Tells whether this attempt replaces an earlier one. An unfinished attempt does not replace one that is locally infeasible.
     fn improves_on(&self, earlier: &Self) -> bool {
         let is_proven = |attempt: &Self| attempt.outcome.status == SqpStatus::LocallyInfeasible;
         let is_unfinished = self.outcome.status != SqpStatus::Converged && !is_proven(self);
@@ -127,18 +127,18 @@ impl Attempt {
     }
 }
 
-/// Detours that are tried around obstacles before a single start gives up.
+/// Cap on the detours around obstacles that a single start tries.
 const DETOURS: usize = 6;
-/// Distance of a detour from the middle of the way, in rod lengths, at most.
+/// Largest distance of a detour from the middle of the path, in lengths of the arm.
 const DETOUR: f64 = 0.5;
 
 /// Solves a problem from one or several starts; the best attempt comes first. The result does not depend on the number of threads.
 ///
-/// `observer` sees every row with the number of its start, and may stop that solve. The problem's [stop signal](OptimalControlProblem::stop) ends
-/// all work; a start that has no point by then has the motion without any control, and starts that have not begun are left out.
+/// `observer` gets every row with the index of its start, and may stop that solve. The problem's [stop signal](OptimalControlProblem::stop)
+/// ends all work; a start that has no point by then gets the motion without any control, and starts that have not begun are left out.
 ///
 /// # Errors
-/// [`GuessError`] when the first start cannot be made.
+/// Returns [`GuessError`] if the first start has no initial guess.
 pub fn search(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
@@ -151,7 +151,7 @@ pub fn search(
     })
 }
 
-/// [`search`] that tells where starts and their solves begin, and where starts end, as well.
+/// Solves as [`search`] does and also reports where starts and their solves begin, and where starts end.
 ///
 /// # Errors
 /// As [`search`].
@@ -202,7 +202,7 @@ fn iterations(outcome: &SqpOutcome<LiftedPoint>) -> usize {
     outcome.history.len().saturating_sub(1)
 }
 
-/// The first point of one solve.
+/// The initial guess of one solve.
 #[derive(Clone, Copy)]
 enum First<'a> {
     Previous(&'a [Wrench]),
@@ -211,7 +211,7 @@ enum First<'a> {
     Detour(usize),
 }
 
-/// First points in the order in which they are tried.
+/// Returns the initial guesses in the order in which they are tried.
 fn first_points<'a>(
     problem: &OptimalControlProblem,
     search: &'a Search,
@@ -225,24 +225,24 @@ fn first_points<'a>(
         firsts.push(First::Guess(guess));
         return firsts;
     }
-    // Where the arm stays, its last shape and wrench are known, and the way there through static shapes ends in them. Of a path that turns by half a turn
-    // and more, the end seems to lie the other way round from rest.
+    // If the arm stays, its last shape and wrench are known, and a path of static shapes ends in them. Seen from rest, the end of a track
+    // that turns by half a turn or more seems to lie the other way round.
     if problem.stay.is_some() || long_turns(problem).next().is_some() {
         firsts.push(First::Guess(Guess::StaticPath));
     }
-    // From rest, motions stay small for as long as they can: the optima found are rarely the worse ones.
+    // From rest, motions stay small for as long as they can; the optima found are rarely the worse ones.
     firsts.push(First::Guess(Guess::Rest));
     let is_obstacle = |limit: &PathLimit| matches!(limit, PathLimit::Clearance { .. });
     let around = problem.path.iter().any(|path| is_obstacle(&path.limit));
     if search.starts <= 1 {
-        // On one side of an obstacle; and an arm in line with its target does not see that it could bend.
+        // A detour leads past one side of an obstacle; for an arm in line with its target it breaks the symmetry.
         let detours = if around { DETOURS } else { 1 };
         firsts.extend((1..=detours).map(First::Detour));
     }
     firsts
 }
 
-/// One start, and its solves.
+/// Runs one start with its solves.
 fn attempt(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
@@ -251,7 +251,7 @@ fn attempt(
     n_threads: usize,
     listener: &Listener,
 ) -> Result<Attempt, GuessError> {
-    // There is nothing to stop before a start and after it.
+    // A listener cannot stop a start before it begins and after it ends.
     let _ = listener(&SearchEvent::StartBegins { start });
     let journal = Journal::new(start, listener);
     let found =
@@ -283,7 +283,7 @@ fn attempted(
             best.outcome.status = SqpStatus::Stopped(stop);
             break;
         }
-        // All first points together have as many iterations as one may take.
+        // All initial guesses together share the iterations of one solve.
         let settings = SqpSettings {
             max_iterations: (settings.max_iterations).saturating_sub(journal.iterations()),
             ..settings.clone()
@@ -335,7 +335,7 @@ fn attempted(
     }
 }
 
-/// The better of two attempts of a start, with the other one among those that were given up.
+/// Returns the better of two attempts of a start, with the other one among the abandoned solves.
 fn better_of(earlier: Attempt, found: Attempt) -> Attempt {
     let status = found.outcome.status.clone();
     let (mut kept, dropped) = if found.improves_on(&earlier) {
@@ -355,7 +355,7 @@ fn better_of(earlier: Attempt, found: Attempt) -> Attempt {
     kept
 }
 
-/// What is left of a start that was stopped before it had a first point: the motion without any control.
+/// Returns the attempt of a start that was stopped before it had an initial guess: the motion without any control.
 fn unmoved(
     problem: &OptimalControlProblem,
     start: usize,
@@ -381,17 +381,17 @@ struct Staged {
     before: Vec<Abandoned>,
 }
 
-/// A first point, and whether a solve from rest came before it.
+/// An initial guess, and whether a solve from rest came before it.
 #[derive(Clone, Copy)]
 struct Start<'a> {
     first: First<'a>,
     tried_rest: bool,
     journal: &'a Journal<'a>,
-    /// Whether a free duration is held for this solve.
+    /// Tells whether a free duration is fixed for this solve.
     is_held: bool,
 }
 
-/// One solve, with its easier problems first; `None` where there is nothing better to start from than rest, from which one came before.
+/// Runs one solve, with its easier problems first. Returns `None` if the only initial guess is rest and rest was tried already.
 fn staged(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
@@ -430,7 +430,7 @@ fn staged(
         };
         let point = match warm.as_ref().map(|warm| simulated(here, warm)) {
             Some(Ok(point)) => point,
-            // There is a solution from before the first stage only where the solve begins with one.
+            // Before the first stage there is a solution only if the solve begins with one.
             Some(Err(error)) if stage == 1 => return Err(error.into()),
             _ => {
                 let (guess, detour) = match first {
@@ -452,7 +452,7 @@ fn staged(
                 point
             }
         };
-        // A long motion takes as long to evaluate as to simulate; who shows it may do so where it does not.
+        // A stopped solve is not evaluated: that takes as long as a simulation, and the caller evaluates the point where it is reported.
         if let Some(stop) = problem.stop.raised() {
             return Ok(Some(Staged {
                 from,
@@ -486,14 +486,14 @@ fn staged(
                 before: Vec::new(),
             }));
         }
-        // A stage that failed says nothing about the next.
+        // The solution of a failed stage is not used for the next one.
         warm = (outcome.status == SqpStatus::Converged)
             .then(|| here.wrenches(&outcome.point.variables));
     }
     unreachable!("the last stage returns")
 }
 
-/// A search over a free duration; several starts begin with several durations.
+/// Searches over a free duration; several starts begin with several durations.
 fn timed(
     problem: &OptimalControlProblem,
     settings: &SqpSettings,
@@ -543,7 +543,7 @@ fn timed(
             break;
         }
     }
-    // The solutions of the scan lead from one to the next, and may all be worse than one that the first point leads to.
+    // The solutions of the scan follow from each other and may all be worse than the one from the initial guess.
     if let (true, Some((time_scale, settings))) = (scans, durations.doubtful())
         && let Ok(Some(found)) = solve_at(&durations, &settings, time_scale)
     {
@@ -556,7 +556,7 @@ fn timed(
     }))
 }
 
-/// The problem at a fraction of the way from an easy one.
+/// Returns the problem at a fraction of the way from an easy one.
 fn eased(
     problem: &OptimalControlProblem,
     continuation: Continuation,
@@ -585,7 +585,7 @@ fn eased(
     easier
 }
 
-/// A point around the middle of the tip's way to its last goal, the same for the same seed and start.
+/// Returns a point around the middle of the tip's path to its last goal, the same for the same seed and start.
 fn detour(problem: &OptimalControlProblem, seed: u64, start: usize) -> Vector3<f64> {
     let tip = problem.rod.tip();
     let from = problem.initial.configuration.positions[tip];
@@ -603,7 +603,7 @@ fn detour(problem: &OptimalControlProblem, seed: u64, start: usize) -> Vector3<f
     0.5 * (from + to) + offset * (DETOUR * problem.rod.scales.length)
 }
 
-/// Starts are apart in the seed by an odd constant, so that no two share a sequence.
+/// Returns the generator of a start. An odd constant separates the seeds of starts, so that no two share a sequence.
 fn random(seed: u64, start: usize) -> fastrand::Rng {
     fastrand::Rng::with_seed(seed ^ (start as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15))
 }

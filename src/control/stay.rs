@@ -1,9 +1,10 @@
-//! Staying: an arm that comes to rest in an equilibrium under a wrench that is held from then on.
+//! Staying: an arm that comes to rest in an equilibrium under a wrench that is constant from then on.
 //!
-//! Under a constant wrench the energy of a deviation from a stable equilibrium `z*` does not grow, nor, to second order, that of any of its modes. With
-//! the deviation `d = (δx, η)` of the free nodes and their momenta `P`, the mode `φ` of angular frequency `ω` has the energy `½ |(ω φᵀ M d, φᵀ P)|²`.
-//! The ball `|r| ≤ ρ` over these pairs of the slow modes, which have nearly all of the compliance `C` of the tip, is a promise for all later
-//! time: they move the tip by at most `ρ sqrt(C)`. Faster modes can carry much energy without moving the tip.
+//! Under a constant wrench, the energy of a deviation from a stable equilibrium `z*` does not grow, nor, to second order, that of any of
+//! its modes. With the deviation `d = (δx, η)` of the free nodes and their momenta `P`, the mode `φ` of angular frequency `ω` has the
+//! energy `½ |(ω φᵀ M d, φᵀ P)|²`. The ball `|r| ≤ ρ` over these pairs of the slow modes, which have nearly all of the compliance `C` of
+//! the tip, holds for all later times: these modes move the tip by at most `ρ sqrt(C)`. Faster modes can carry much energy without moving
+//! the tip.
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 
@@ -13,40 +14,40 @@ use crate::mechanics::rotation::{log, log_tangent};
 use crate::mechanics::slow_modes::{GROUP, SlowModes};
 use crate::mechanics::{BaseCondition, Configuration, FormTerm, Rod, State, Wrench};
 
-/// Fraction of the allowed distance that the motion after the arrival may use. The rest is for the grid: on a finer one the equilibrium of
-/// the held wrench lies elsewhere.
+/// Fraction of the allowed distance that the motion after the arrival may use. The rest is for the grid: on a finer one, the equilibrium of
+/// the same wrench lies elsewhere.
 const MOTION_SHARE: f64 = 0.5;
 
-/// Where an arm stays after its task, and what holds it there.
+/// The equilibrium in which an arm stays after its task, and the wrench that holds it there.
 #[derive(Clone, Debug)]
 pub struct Stay {
-    /// Index of the goal that it belongs to.
+    /// Index of the goal to which the stay belongs.
     pub goal: usize,
-    /// The wrench of every actuator from the end of the horizon on; the last coefficient of the control.
+    /// Wrench of every actuator from the end of the horizon on, which is the last coefficient of the control.
     pub wrenches: Vec<Wrench>,
     /// The equilibrium under these wrenches.
     pub shape: Configuration,
-    /// How long the arm stays, s.
+    /// Duration of the stay, s.
     pub seconds: f64,
-    /// How far the tip may be from its place at the equilibrium meanwhile, m.
+    /// Largest allowed distance of the tip from its place at the equilibrium, m.
     pub distance: f64,
     /// Largest eigenvalue of the tip's compliance, m/N.
     pub compliance: f64,
-    /// Tells whether deviations do not grow; a body moment may let them, by no more than the stay has room for.
+    /// Tells whether deviations do not grow; under a body moment they may, by no more than `Stay::ROOM`.
     pub is_stable: bool,
     modes: SlowModes,
     first_free_node: usize,
 }
 
 impl Stay {
-    /// Factor by which a deviation may grow, in length, before the tip is as far off as it may be.
+    /// Factor by which a deviation may grow, in length, before the tip is at the allowed distance.
     pub(crate) const ROOM: f64 = 1.0 / MOTION_SHARE;
 
-    /// Staying where `held` holds the arm of this rod, for some seconds and within a distance in m, as a part of goal number `goal`. `None` where
-    /// the symmetric part of the tangent stiffness is not positive.
+    /// Returns the stay in the equilibrium `held` of this rod, for a duration in s and within a distance in m, as a part of goal number
+    /// `goal`. Returns `None` if the symmetric part of the tangent stiffness is not positive.
     ///
-    /// Nothing brings a free arm back, but it has only so many seconds `τ` to drift away: with `K + M/τ²` in the place of the stiffness a rigid motion of
-    /// velocity `v` counts as one of amplitude `v τ`.
+    /// A free arm has no restoring force, but it can drift away only during the stay `τ`: with `K + M/τ²` in the place of the stiffness, a
+    /// rigid motion of velocity `v` counts as one of amplitude `v τ`.
     #[must_use]
     pub fn at(rod: &Rod, held: Held, [seconds, distance]: [f64; 2], goal: usize) -> Option<Self> {
         let unit = held.least_squared_frequency;
@@ -68,34 +69,35 @@ impl Stay {
         })
     }
 
-    /// Largest energy of the slow modes at the arrival, J: with `½ (share δ)²/C` the tip stays within that share of the distance `δ`.
+    /// Returns the largest energy of the slow modes at the arrival, J: with `½ (share δ)²/C` the tip stays within that share of the
+    /// distance `δ`.
     #[must_use]
     pub fn energy(&self) -> f64 {
         0.5 * (MOTION_SHARE * self.distance).powi(2) / self.compliance
     }
 
-    /// Radius `ρ` of the ball of `r`, J^½.
+    /// Returns the radius `ρ` of the ball of `r`, J^½.
     #[must_use]
     pub fn radius(&self) -> f64 {
         (2.0 * self.energy()).sqrt()
     }
 
-    /// Energy of the deviation of a state, J, to second order.
+    /// Returns the energy of the deviation of a state, J, to second order.
     #[must_use]
     pub fn energy_of(&self, state: &State) -> f64 {
         let [deviation, momenta] = self.deviation(state);
         self.modes.energy(&deviation, &momenta)
     }
 
-    /// Largest distance of the tip from its place at the equilibrium with the energy that a state's deviation has in each of its modes, m, to second
-    /// order: at most `sqrt(2 E C)`.
+    /// Returns the largest distance of the tip from its place at the equilibrium, m, with the energy that a state's deviation has in each
+    /// of its modes, to second order: at most `sqrt(2 E C)`.
     #[must_use]
     pub fn reach(&self, state: &State) -> f64 {
         let [deviation, momenta] = self.deviation(state);
         self.modes.reach(&deviation, &momenta)
     }
 
-    /// `(δx, η)` and `(δp, δπ)` of the free nodes.
+    /// Returns `(δx, η)` and `(δp, δπ)` of the free nodes.
     fn deviation(&self, state: &State) -> [Vec<Vector6<f64>>; 2] {
         let at = &state.configuration;
         let nodes = self.free_nodes();
@@ -107,18 +109,18 @@ impl Stay {
         ]
     }
 
-    /// `(x - x*, log(R*ᵀ R))` of a node of the rod.
+    /// Returns `(x - x*, log(R*ᵀ R))` of a node of the rod.
     fn pose(&self, q: usize, x: &Vector3<f64>, r: &Matrix3<f64>) -> Vector6<f64> {
         join(x - self.shape.positions[q], self.turn(q, r))
     }
 
-    /// Number of vectors of `r`: of every three slow modes their `ω φᵀ M d`, and their `φᵀ P`.
+    /// Returns the number of vectors of `r`: for every three slow modes one of `ω φᵀ M d` and one of `φᵀ P`.
     #[must_use]
     pub fn n_vectors(&self) -> usize {
         2 * self.modes.n_groups()
     }
 
-    /// A vector of `r`, J^½, from the positions and rotations of all nodes and their momenta.
+    /// Returns a vector of `r`, J^½, from the positions and rotations of all nodes and their momenta.
     #[must_use]
     pub fn vector(
         &self,
@@ -131,7 +133,7 @@ impl Stay {
             .sum()
     }
 
-    /// Part of one node of the rod in a vector of `r`, which is a sum over the free nodes.
+    /// Returns the term of one node of the rod in a vector of `r`, which is a sum over the free nodes.
     #[must_use]
     pub fn part_of_node(
         &self,
@@ -148,7 +150,7 @@ impl Stay {
         Vector3::from_fn(|i, _| covectors[i].dot(&of_node))
     }
 
-    /// Derivatives of the components of a vector of `r` along a node's pose or its momenta, whichever it looks at.
+    /// Returns the derivatives of the components of a vector of `r` along a node's pose or its momenta, whichever the vector depends on.
     fn covectors(&self, vector: usize, q: usize) -> [Vector6<f64>; GROUP] {
         let (group, free) = (vector / 2, q - self.first_free_node);
         match Half::of(vector) {
@@ -157,7 +159,8 @@ impl Stay {
         }
     }
 
-    /// Derivative of component `axis` of a vector along `(δx, ζ)` or `(δp, δπ)` of the nodes with these rotations: six terms a free node, in order.
+    /// Returns the derivative of component `axis` of a vector along `(δx, ζ)` or `(δp, δπ)` of the nodes with these rotations: six terms
+    /// for each free node, in order.
     pub(crate) fn gradient<'a>(
         &'a self,
         vector: usize,
@@ -185,7 +188,7 @@ impl Stay {
         })
     }
 
-    /// Covector `Σ y·r` over the logarithm `log(R*ᵀ R)` of a node of the rod.
+    /// Returns the covector `Σ y·r` with respect to the logarithm `log(R*ᵀ R)` of a node of the rod.
     #[must_use]
     pub fn on_turn(&self, q: usize, y: &[Vector3<f64>]) -> Vector3<f64> {
         let vectors = (0..self.n_vectors()).filter(|vector| Half::of(*vector) == Half::Deviation);
@@ -197,13 +200,13 @@ impl Stay {
             .sum()
     }
 
-    /// Nodes of the rod that are free.
+    /// Returns the free nodes of the rod.
     #[must_use]
     pub fn free_nodes(&self) -> std::ops::Range<usize> {
         self.first_free_node..self.shape.positions.len()
     }
 
-    /// `log(R*ᵀ R)` of a node of the rod.
+    /// Returns `log(R*ᵀ R)` of a node of the rod.
     #[must_use]
     pub fn turn(&self, q: usize, r: &Matrix3<f64>) -> Vector3<f64> {
         log(&(self.shape.rotations[q].transpose() * r))

@@ -1,9 +1,10 @@
-//! Terms of the user: functions of the arm's configuration that are costs, or that stay below zero.
+//! User-defined terms: functions of the arm's configuration that are costs, or that must stay below zero.
 //!
-//! A [`StateTerm`] is a list of values `f_i(x, R)` at one instant, each with its first derivative as a linear form of `(δx, ζ)` of a few nodes,
-//! `δR = R ζ̂`. As a cost it adds `weight/2 ∫ Σ f_i² dt` to the objective ([`StateCost`]), as a limit it asks for `f_i ≤ 0` at all times, hard
-//! or at a price ([`PathLimit::Term`](super::PathLimit)). Solver, derivative check, certificate and regulator see it like the terms that are
-//! built in. The certificate uses the values alone, which it differentiates by itself: a wrong derivative makes it reject the solution.
+//! A [`StateTerm`] is a list of values `f_i(x, R)` at one instant, each with its first derivative as a linear form of `(δx, ζ)` of a few
+//! nodes, `δR = R ζ̂`. As a cost it adds `weight/2 ∫ Σ f_i² dt` to the objective ([`StateCost`]), as a limit it requires `f_i ≤ 0` at all
+//! times, hard or with a penalty ([`PathLimit::Term`](super::PathLimit)). Solver, derivative check, certificate and regulator treat it like
+//! the built-in terms. The certificate uses the values alone, which it differentiates by itself: a wrong derivative makes it reject the
+//! solution.
 
 use std::fmt;
 use std::sync::Arc;
@@ -22,13 +23,13 @@ pub struct NodeForm {
 }
 
 impl NodeForm {
-    /// Adds `a·δx` of a node, `a` in the spatial frame.
+    /// Adds `a·δx` of a node, with `a` in the spatial frame.
     #[must_use]
     pub fn along_position(self, node: usize, a: &Vector3<f64>) -> Self {
         self.along(node, 0, a)
     }
 
-    /// Adds `b·ζ` of a node, `δR = R ζ̂`, `b` in its body frame.
+    /// Adds `b·ζ` of a node, `δR = R ζ̂`, with `b` in its body frame.
     #[must_use]
     pub fn along_rotation(self, node: usize, b: &Vector3<f64>) -> Self {
         self.along(node, 3, b)
@@ -43,7 +44,7 @@ impl NodeForm {
         self
     }
 
-    /// Coefficient of a component of a node: 0..3 `δx`, 3..6 `ζ`.
+    /// Returns the coefficient of a component of a node: 0..3 `δx`, 3..6 `ζ`.
     fn coefficient(&self, node: usize, component: usize) -> f64 {
         (self.terms.iter())
             .filter(|term| (term.node, term.component) == (node, component))
@@ -54,28 +55,29 @@ impl NodeForm {
 
 /// A function of the arm's configuration at one instant.
 pub trait StateTerm: fmt::Debug + Send + Sync {
-    /// How many values it has; one unless said otherwise.
+    /// Returns the number of values; one by default.
     fn n_values(&self, rod: &Rod) -> usize {
         let _ = rod;
         1
     }
 
-    /// The nodes that value `item` depends on.
+    /// Returns the nodes on which value `item` depends.
     fn nodes(&self, rod: &Rod, item: usize) -> Vec<usize>;
 
-    /// Value `item`, of order one where it matters: divide by what counts as large.
+    /// Returns value `item`, which should be of order one: divide it by a value that counts as large.
     fn value(&self, at: &StateView, item: usize) -> f64;
 
-    /// First derivative of value `item`.
+    /// Returns the first derivative of value `item`.
     fn gradient(&self, at: &StateView, item: usize) -> NodeForm;
 
-    /// Second derivative of value `item` over `(δx, ζ)` of its [nodes](Self::nodes), six rows each, symmetric; along a rotation that of
-    /// `s ↦ f(R exp(s ζ̂))`. By default from central differences of the gradient, to about 1e-9 of its size.
+    /// Returns the second derivative of value `item` with respect to `(δx, ζ)` of its [nodes](Self::nodes), six rows each, symmetric; along
+    /// a rotation it is that of `s ↦ f(R exp(s ζ̂))`. By default it comes from central differences of the gradient, accurate to about 1e-9
+    /// of its size.
     fn curvature(&self, at: &StateView, item: usize) -> Mat<f64> {
         differenced(at, &self.nodes(at.rod, item), |at| self.gradient(at, item))
     }
 
-    /// Unit of the values in reports; none by default.
+    /// Returns the unit of the values in reports; none by default.
     fn unit(&self) -> &'static str {
         ""
     }
@@ -84,7 +86,7 @@ pub trait StateTerm: fmt::Debug + Send + Sync {
 /// Half the width of the central differences along rotations, rad, and along positions, in rod lengths.
 const DIFFERENCE: f64 = 1e-5;
 
-/// The symmetric derivative of a gradient over the components of some nodes.
+/// Returns the symmetric derivative of a gradient with respect to the components of some nodes.
 fn differenced(
     at: &StateView,
     nodes: &[usize],
@@ -114,12 +116,12 @@ fn differenced(
     out
 }
 
-/// A term that is shared; equal to itself alone.
+/// A shared term, which is equal only to itself.
 #[derive(Clone, Debug)]
 pub struct SharedTerm(pub Arc<dyn StateTerm>);
 
 impl SharedTerm {
-    /// Of a term.
+    /// Shares a term.
     pub fn new(term: impl StateTerm + 'static) -> Self {
         Self(Arc::new(term))
     }

@@ -1,34 +1,34 @@
-//! Paths that a node should follow, of its position, of its orientation, and of its velocity.
+//! Paths that a node should follow with its position, its orientation and its velocity.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::mechanics::rotation::{exp, log};
 
-/// Part of a second by which times that are the same may differ.
+/// Times are equal if they differ by less than this fraction of a second, or of the time itself.
 const SAME_TIME: f64 = 1e-9;
 
-/// Weighted distances of a node from where it should be and from how it should be turned, from a time on.
+/// Weighted distances of a node from a path and from a sequence of orientations, from a given time on.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tracking {
-    /// The node.
+    /// Index of the node.
     pub node: usize,
-    /// Where it should be: `(t, x)` in s and m with increasing times; linear in between, constant outside. Empty: anywhere.
+    /// Path: `(t, x)` in s and m with increasing times; linear in between, constant outside. Empty for a free position.
     pub path: Vec<(f64, Vector3<f64>)>,
     /// Weight of `½ |x - x*|²/L²`, per second.
     pub weight: f64,
-    /// How it should be turned: `(t, R*)`, body to space, with increasing times; at constant speed about one axis in between, constant
-    /// outside. Empty: in any way.
+    /// Orientations: `(t, R*)`, body to space, with increasing times; turning at constant speed about one axis in between, constant
+    /// outside. Empty for a free orientation.
     pub rotations: Vec<(f64, Matrix3<f64>)>,
     /// Weight of `½ |log(R*ᵀ R)|²`, per second.
     pub rotation_weight: f64,
-    /// Weight of `½ |v - v*|² T²/L²`, per second, with `v*` the velocity along the path, 0 without a path. Both are means from one
-    /// sample to the next; 0: any velocity.
+    /// Weight of `½ |v - v*|² T²/L²`, per second, where `v*` is the velocity along the path, or 0 without a path. Both are means from one
+    /// sample to the next. 0 leaves the velocity free.
     pub speed_weight: f64,
-    /// Time from which on the distances count, s.
+    /// Time from which the distances count, s.
     pub from: f64,
 }
 
-/// The rows around a time, and the part of the way between them that has passed.
+/// Returns the rows around a time, and the fraction of the interval between them that has passed.
 fn around<T: Copy>(rows: &[(f64, T)], t: f64) -> Option<(T, T, f64)> {
     let next = rows.partition_point(|&(time, _)| time <= t);
     let at = |i: usize| rows.get(i).copied();
@@ -40,19 +40,19 @@ fn around<T: Copy>(rows: &[(f64, T)], t: f64) -> Option<(T, T, f64)> {
 }
 
 impl Tracking {
-    /// Whether the distances count at time `t`.
+    /// Tells whether the distances count at time `t`.
     #[must_use]
     pub fn counts(&self, t: f64) -> bool {
         t >= self.from - SAME_TIME * (1.0 + self.from.abs())
     }
 
-    /// Where the node should be at time `t`, m; `None` where that is free.
+    /// Returns the position on the path at time `t`, m; `None` if the position is free.
     #[must_use]
     pub fn position(&self, t: f64) -> Option<Vector3<f64>> {
         around(&self.path, t).map(|(from, to, part)| from + (to - from) * part)
     }
 
-    /// Mean velocity of the path between two times, m/s; 0 without a path.
+    /// Returns the mean velocity of the path between two times, m/s; 0 without a path.
     #[must_use]
     pub fn velocity(&self, [from, to]: [f64; 2]) -> Vector3<f64> {
         match (self.position(from), self.position(to)) {
@@ -61,7 +61,7 @@ impl Tracking {
         }
     }
 
-    /// How the node should be turned at time `t`, body to space; `None` where that is free.
+    /// Returns the orientation at time `t`, body to space; `None` if the orientation is free.
     #[must_use]
     pub fn rotation(&self, t: f64) -> Option<Matrix3<f64>> {
         around(&self.rotations, t).map(|(from, to, part)| {
@@ -73,7 +73,7 @@ impl Tracking {
         })
     }
 
-    /// `log(R*ᵀ R)` of a node that is turned by `r` at time `t`, rad; `None` where its orientation is free.
+    /// Returns `log(R*ᵀ R)`, rad, for a node of rotation `r` at time `t`; `None` if the orientation is free.
     #[must_use]
     pub fn turn(&self, t: f64, r: &Matrix3<f64>) -> Option<Vector3<f64>> {
         (self.rotation(t)).map(|rotation| log(&(rotation.transpose() * r)))

@@ -1,22 +1,22 @@
-//! How far a motion is from the paths that it should follow.
+//! Distances of a motion from the paths that it should follow.
 
 use super::problem::OptimalControlProblem;
 use super::tracking::Tracking;
 use crate::mechanics::Trajectory;
 
-/// Distances of a node from where it should be, from how it should be turned and from how fast it should be; those that nothing asks for are absent.
+/// Distances of a node from its path, its orientations and its velocities; distances that no track asks for are absent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct TrackingError {
-    /// The node.
+    /// Index of the node.
     pub node: usize,
-    /// `sqrt(1/T ∫ |x - x*|² dt)` over the time `T` in which the distance counts, by the trapezoidal rule over its time nodes, m; 0 where it
+    /// `sqrt(1/T ∫ |x - x*|² dt)` over the time `T` in which the distance counts, by the trapezoidal rule over its time nodes, m; 0 if it
     /// never counts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rms_m: Option<f64>,
-    /// Largest at any time node at which it counts, m; NaN if any is.
+    /// Largest distance at the time nodes at which it counts, m; NaN if any is NaN.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_m: Option<f64>,
-    /// Time of the largest, s.
+    /// Time of the largest distance, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_at_s: Option<f64>,
     /// `sqrt(1/T ∫ |log(R*ᵀ R)|² dt)`, rad.
@@ -25,21 +25,21 @@ pub struct TrackingError {
     /// Largest of these angles, rad.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_rad: Option<f64>,
-    /// Time of the largest, s.
+    /// Time of the largest angle, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_rad_at_s: Option<f64>,
-    /// `sqrt(1/T ∫ |v - v*|² dt)` with mean velocities over steps, m/s; where the objective has a price of it.
+    /// `sqrt(1/T ∫ |v - v*|² dt)` with mean velocities over steps, m/s; present if the objective has a weight on it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rms_m_s: Option<f64>,
     /// Largest of these differences, m/s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_m_s: Option<f64>,
-    /// Time at the end of its step, s.
+    /// Time at the end of the step of the largest difference, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_m_s_at_s: Option<f64>,
 }
 
-/// The error of every path that the objective wants to be followed, in their order.
+/// Returns the error of every track of the objective, in their order.
 #[must_use]
 pub fn tracking_errors(
     problem: &OptimalControlProblem,
@@ -84,7 +84,7 @@ pub fn tracking_errors(
     problem.objective.tracking.iter().map(of).collect()
 }
 
-/// Root mean square and largest of distances at time nodes, and the time of the largest.
+/// Returns the root mean square and the largest of distances at time nodes, and the time of the largest.
 fn sized(
     problem: &OptimalControlProblem,
     tracking: &Tracking,
@@ -92,7 +92,7 @@ fn sized(
 ) -> [Option<f64>; 3] {
     let grid = problem.grid;
     let first = (0..=grid.n_steps).find(|&k| tracking.counts(grid.time(k)));
-    // It counts to the end, or never.
+    // A track counts until the end, or never.
     let first = first.unwrap_or(grid.n_steps + 1);
     let (mut sum, mut max, mut at) = (0.0, 0.0, first.min(grid.n_steps));
     for k in first..=grid.n_steps {
@@ -109,7 +109,7 @@ fn sized(
     [(sum / intervals as f64).sqrt(), max, grid.time(at)].map(Some)
 }
 
-/// In words, for the terminal and the report.
+/// Writes the distances in words, for the terminal and the report.
 impl std::fmt::Display for TrackingError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut separator = "";

@@ -1,8 +1,9 @@
-//! Ways round to orientations that are half a turn away, or more.
+//! The direction of turns of half a turn or more.
 //!
-//! An orientation is a rotation, which a node comes to by two kinds of ways that no motion changes into each other: the unit quaternion, whose sign
-//! follows the node continuously from the start, ends at `q*` or at `-q*`. The rotation vector of what is missing, `log(R*ᵀ R)`, turns round at half a
-//! turn, where its sign is decided by rounding; the logarithm of the quaternion does not before a full turn.
+//! A node can turn to an orientation in two classes of ways that no continuous change of the motion transforms into each other: the unit
+//! quaternion, whose sign follows the node continuously from the start, ends at `q*` or at `-q*`. The rotation vector of the error,
+//! `log(R*ᵀ R)`, changes its sign at half a turn, where rounding decides about it; the logarithm of the quaternion jumps at a full turn
+//! only.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -15,10 +16,10 @@ use crate::mechanics::{BaseCondition, Configuration, Trajectory};
 
 /// Stiffness of a cantilever against a force on its tip, in units of `EI/L³`.
 const TIP_STIFFNESS: f64 = 3.0;
-/// Part of the energy of one way that the other must save: beyond what the two ways of a half turn differ by from rounding.
+/// Fraction of the energy of one way that the other must save: more than the rounding of the energies of two ways that are equal.
 const SAVED: f64 = 1e-6;
 
-/// The rotation vector of the same rotation as `psi` the other way round, `ψ (1 - 2π/|ψ|)`; zero stays.
+/// Returns the rotation vector of the same rotation as `psi` in the other direction, `ψ (1 - 2π/|ψ|)`; zero stays.
 pub(super) fn other_way(psi: &Vector3<f64>) -> Vector3<f64> {
     let angle = psi.norm();
     if angle > 0.0 {
@@ -28,21 +29,21 @@ pub(super) fn other_way(psi: &Vector3<f64>) -> Vector3<f64> {
     }
 }
 
-/// Of every goal, whether its orientation is approached by more than half a turn from the start.
+/// Tells for every goal whether its orientation is approached by more than half a turn from the start.
 pub(super) fn longer_ways(problem: &OptimalControlProblem) -> Vec<bool> {
     (problem.goals.iter())
         .map(|goal| is_longer(problem, goal).unwrap_or(false))
         .collect()
 }
 
-/// Tells whether a goal is approached by more than half a turn: along the rows of a track, or the goals of its node, that come before it, or else
-/// where that bends the arm less. `None` where the goal has no orientation.
+/// Tells whether a goal is approached by more than half a turn: along the rows of a track, or the goals of its node, that come before it;
+/// without these, in the direction that bends the arm less. `None` if the goal has no orientation.
 fn is_longer(problem: &OptimalControlProblem, goal: &Goal) -> Option<bool> {
     let to = goal.rotation?;
     let start = &problem.initial.configuration;
     let before = rows_before(problem, goal);
     if before.is_empty() {
-        // Of the logarithm that the residual begins with: at half a turn its sign is decided by rounding.
+        // The logarithm with which the residual begins: at half a turn its sign is decided by rounding.
         let from = &start.rotations[goal.node];
         let psi = from * -log(&(to.transpose() * from));
         return Some(psi.norm() > FRAC_PI_2 && is_bent_less_the_other_way(problem, goal, &psi));
@@ -53,7 +54,7 @@ fn is_longer(problem: &OptimalControlProblem, goal: &Goal) -> Option<bool> {
     Some(is_followed_beyond_half_turn(off, false))
 }
 
-/// Orientations that the goal's node is to have before the goal, in the order of time.
+/// Returns the orientations of the goal's node that are prescribed before the goal, in the order of time.
 fn rows_before(problem: &OptimalControlProblem, goal: &Goal) -> Vec<Matrix3<f64>> {
     let end = problem.grid.time(goal.time_node);
     let goals = (problem.goals.iter())
@@ -67,8 +68,9 @@ fn rows_before(problem: &OptimalControlProblem, goal: &Goal) -> Vec<Matrix3<f64>
     rows.into_iter().map(|(_, rotation)| rotation).collect()
 }
 
-/// Compares the energies of an arm that turns evenly along its length by the rotation vector `psi` (space) or the other way round, and whose tip is then
-/// pulled to the goal's position as that of a cantilever: in units of `½ EI/L`, `|ψ|² + 3 |x - x*|²/L²`. A free arm takes the shorter way.
+/// Compares the energies of an arm that turns evenly along its length by the rotation vector `psi` (spatial frame) or in the other
+/// direction, and whose tip is then pulled to the goal's position like that of a cantilever: in units of `½ EI/L`, `|ψ|² + 3 |x - x*|²/L²`.
+/// A free arm turns the shorter way.
 fn is_bent_less_the_other_way(
     problem: &OptimalControlProblem,
     goal: &Goal,
@@ -88,7 +90,7 @@ fn is_bent_less_the_other_way(
     energy(&other_way(psi)) < (1.0 - SAVED) * energy(psi)
 }
 
-/// The position of a node of a shape whose elements up to it are turned by equal steps, by `psi` (space) at the node.
+/// Returns the position of a node of a shape whose elements up to it are turned in equal steps, by `psi` (spatial frame) at the node.
 fn evenly_turned(shape: &Configuration, node: usize, psi: &Vector3<f64>) -> Vector3<f64> {
     (0..node).fold(shape.positions[0], |x, q| {
         let turn = exp(&(psi * ((q as f64 + 0.5) / node as f64)));
@@ -96,25 +98,25 @@ fn evenly_turned(shape: &Configuration, node: usize, psi: &Vector3<f64>) -> Vect
     })
 }
 
-/// `log(R*ᵀ R)` of a goal of rotation `to`, followed along the motion of its node from the start, where `longer` says by which way: so it goes on beyond half
+/// `log(R*ᵀ R)` of a node at time node `k`, where `R*` is `to`, followed along the motion of its node from the start, where `longer` says by which way: so it goes on beyond half
 /// a turn where the motion does. Within a quarter turn of the goal the node is there by either way.
 pub(super) fn rotation_error(
-    goal: &Goal,
+    node: usize,
     to: &Matrix3<f64>,
-    trajectory: &Trajectory,
+    (trajectory, k): (&Trajectory, usize),
     longer: bool,
 ) -> Vector3<f64> {
-    let off = |k: usize| to.transpose() * trajectory.rotations_at(k)[goal.node];
-    let psi = log(&off(goal.time_node));
-    if psi.norm() > FRAC_PI_2 && is_followed_beyond_half_turn((0..=goal.time_node).map(off), longer)
-    {
+    let off = |k: usize| to.transpose() * trajectory.rotations_at(k)[node];
+    let psi = log(&off(k));
+    if psi.norm() > FRAC_PI_2 && is_followed_beyond_half_turn((0..=k).map(off), longer) {
         other_way(&psi)
     } else {
         psi
     }
 }
 
-/// Orientations on the way to `to` from `from`, each a quarter turn at most from the one before; the last is `to`. `longer`: more than half a turn.
+/// Returns orientations on the way from `from` to `to`, each at most a quarter turn from the one before; the last is `to`. `longer` selects
+/// the direction of more than half a turn.
 pub(super) fn quarter_turns(
     from: &Matrix3<f64>,
     to: &Matrix3<f64>,
@@ -127,7 +129,7 @@ pub(super) fn quarter_turns(
     between.chain([*to]).collect()
 }
 
-/// The tip's tracks of orientations that lead away from the start by more than half a turn, in any number of rows.
+/// Returns the tip's tracks of orientations that lead away from the start by more than half a turn, in any number of rows.
 pub(super) fn long_turns(problem: &OptimalControlProblem) -> impl Iterator<Item = &Tracking> {
     let tip = problem.rod.tip();
     let start = problem.initial.configuration.rotations[tip].transpose();

@@ -1,21 +1,22 @@
-//! Compares an analytic derivative with central differences over a sweep of step sizes; the bound follows from the sweep.
+//! The comparison of an analytic derivative with central differences over a sweep of step sizes, from which the bound follows.
 
 use serde::Serialize;
 
-/// What a comparison says.
+/// Verdict of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
     /// The deviation is within its bound.
     Ok,
-    /// It is above the bound by less than a factor of 10, or differences are too rough to tell (a bound above 1e-3).
+    /// The deviation exceeds the bound by less than a factor of 10, or the differences are too inaccurate for a verdict (a bound above
+    /// 1e-3).
     Suspicious,
-    /// It is above the bound by more.
+    /// The deviation exceeds the bound by more.
     Wrong,
 }
 
 impl Verdict {
-    /// The word in tables and summaries.
+    /// Returns the word for tables and summaries.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -26,12 +27,12 @@ impl Verdict {
     }
 }
 
-/// From this multiple of its bound on a deviation is no accident.
+/// A deviation of at least this multiple of its bound is wrong.
 const WRONG: f64 = 10.0;
-/// A bound above this tells nothing. (The momenta of a stiff wire under implicit steps are known to some six digits of what a
-/// control changes in a few steps.)
+/// A bound above this allows no verdict. (The momenta of a stiff wire under implicit steps are known to some six digits of the change that
+/// a control causes in a few steps.)
 const BLUNT: f64 = 1e-3;
-/// Times the plateau: the error of the best differences is of its size, and the bound well above.
+/// Factor on the plateau: the error of the best differences is of its size, and the bound is well above.
 const PLATEAU_MARGIN: f64 = 10.0;
 /// First and last step of a sweep, as powers of two.
 const SWEEP: std::ops::RangeInclusive<i32> = -20..=1;
@@ -39,20 +40,20 @@ const SWEEP: std::ops::RangeInclusive<i32> = -20..=1;
 /// Groups of quantities, each of which is compared in units of its own largest entry.
 pub type Groups = Vec<Vec<f64>>;
 
-/// The values of groups of quantities along a curve, at a distance from its start; `None` where the model has no meaning.
+/// The values of groups of quantities along a curve, as a function of the distance from its start; `None` where the model has no meaning.
 pub type Curve<'a> = dyn FnMut(f64) -> Option<Groups> + 'a;
 
-/// How far an analytic derivative is from the best differences, relative to the largest entry of its group.
+/// The distance between an analytic derivative and the best differences, relative to the largest entry of its group.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Largest deviation of an entry; infinite, in JSON `null`, where nothing could be compared.
+    /// Largest deviation of an entry; infinite (in JSON `null`) if nothing could be compared.
     pub deviation: f64,
-    /// Step at which differences did best, in units of the direction.
+    /// Step of the best differences, in units of the direction.
     pub step: Option<f64>,
     /// Largest change of the extrapolated differences around this step, from one of its neighbors to the next, and not less than
     /// their rounding `ε |f|/s`.
     pub plateau: Option<f64>,
-    /// `10 plateau + rounding`: what the deviation is judged by.
+    /// Bound of the deviation, `10 plateau + rounding`.
     pub bound: f64,
 }
 
@@ -60,7 +61,7 @@ impl Comparison {
     /// Returns the verdict on the derivative.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
-        // A NaN is wrong.
+        // A NaN counts as wrong.
         if !(self.deviation <= WRONG * self.bound) {
             Verdict::Wrong
         } else if self.deviation <= self.bound && self.bound <= BLUNT {
@@ -70,7 +71,7 @@ impl Comparison {
         }
     }
 
-    /// Returns the one that is nearer to its bound, or farther beyond it.
+    /// Returns the comparison that is nearer to its bound, or exceeds it more.
     #[must_use]
     pub fn worse(self, other: Self) -> Self {
         let ratio = |c: &Self| c.deviation / c.bound;
@@ -83,10 +84,10 @@ impl Comparison {
     }
 }
 
-/// Compares the derivative `analytic` of a curve at its start with central differences, extrapolated once (error `s⁴`, rounding
-/// `1/s`), at the steps `s = 2, 1, ½, …`. Truncation falls with the step and rounding grows; where they meet, what the
-/// differences change from one step to the next (the plateau) is their error. `rounding` is what the analytic side itself may
-/// lose. The worst group is returned; `None` where all of them are zero.
+/// Compares the derivative `analytic` of a curve at its start with central differences, extrapolated once (error `s⁴`, rounding `1/s`), at
+/// the steps `s = 2, 1, ½, …`. Truncation falls with the step and rounding grows; where they are equal, the change of the differences from
+/// one step to the next (the plateau) is their error. `rounding` is the rounding of the analytic side. Returns the worst group; `None` if
+/// all of them are zero.
 pub fn compare(curve: &mut Curve, analytic: &[Vec<f64>], rounding: f64) -> Option<Comparison> {
     let sides: Vec<_> = (SWEEP.rev().map(|power| f64::powi(2.0, power)))
         .map(|step| (step, curve(step).zip(curve(-step))))
@@ -161,7 +162,7 @@ fn largest(values: &[f64]) -> f64 {
     values.iter().fold(0.0, |m, v| v.abs().max(m))
 }
 
-/// Largest difference of two entries; NaN if any is.
+/// Returns the largest difference of two entries; NaN if any is.
 fn distance(a: &[f64], b: &[f64]) -> f64 {
     (zipped(a, b, |a, b| (a - b).abs()).into_iter())
         .fold(0.0, |m: f64, d| if d <= m || m.is_nan() { m } else { d })
@@ -176,12 +177,12 @@ mod tests {
     use super::*;
 
     fn curve(s: f64) -> Option<Vec<Vec<f64>>> {
-        // No meaning far out.
+        // The curve has no meaning far from its start.
         (s.abs() < 0.6).then(|| vec![vec![(1.0 + s).exp(), s.sin()], vec![1e6 + 1e-3 * s]])
     }
 
-    /// A right derivative passes with a sharp bound, each group in its own scale; a relative error of 1e-6 in one of its entries
-    /// is wrong; one below the bound is not seen.
+    /// A right derivative passes with a sharp bound, each group in its own scale; a relative error of 1e-6 in one of its entries is wrong;
+    /// an error below the bound is not noticed.
     #[test]
     fn errors_are_seen_down_to_the_bound() {
         let right = vec![vec![1f64.exp(), 1.0], vec![1e-3]];
@@ -192,16 +193,15 @@ mod tests {
         wrong[0][1] *= 1.0 + 1e-6;
         let found = compare(&mut curve, &wrong[..1], 1e-13).expect("something to compare");
         assert_eq!(found.verdict(), Verdict::Wrong, "{found:?}");
-        // 1e-3 against 1e6: rounding leaves nothing below 1e-7, and the bound says so.
+        // 1e-3 against 1e6: rounding hides errors below 1e-7, and the bound shows it.
         let rough = compare(&mut |s| Some(curve(s)?.split_off(1)), &right[1..], 1e-13);
         let rough = rough.expect("something to compare");
         assert!(rough.bound > 1e-8, "{rough:?}");
     }
 
-    /// Where no difference can be made, and where the derivative is not a number, the verdict is wrong; where all is zero, there
-    /// is none.
+    /// Without any difference, and for a derivative that is not finite, the verdict is wrong; if everything is zero, there is none.
     #[test]
-    fn nothing_passes_for_lack_of_numbers() {
+    fn missing_numbers_do_not_pass() {
         let none = compare(&mut |_| None, &[vec![1.0]], 1e-12).expect("a verdict");
         assert_eq!(none.verdict(), Verdict::Wrong);
         let nan = compare(&mut |s| Some(vec![vec![s]]), &[vec![f64::NAN]], 1e-12);

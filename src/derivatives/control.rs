@@ -19,18 +19,18 @@ use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{Rod, RodModel, StateView, Trajectory, TrajectoryTangent, Wrench};
 use crate::sqp::{LiftedProgram as _, LinearizationRequest, Multipliers};
 
-/// The second derivative of the elastic part is itself a difference, good to about 1e-10 of its largest term (2e-9 in lanes), and
-/// terms of random multipliers cancel.
+/// Rounding of the exact Hessian: the second derivative of its elastic part is itself a difference, accurate to about 1e-10 of its largest
+/// term (2e-9 in lanes), and terms of random multipliers cancel.
 const HESSIAN_ROUNDING: f64 = 5e-8;
-/// An actuator's second derivative may itself be a difference, good to about 1e-9 of it.
+/// Rounding of an actuator's second derivative, which may itself be a difference with a relative error of about 1e-9.
 const ACTUATOR_ROUNDING: f64 = 1e-8;
-/// Rows of a path constraint that are compared, points around an obstacle, and states of an actuator.
+/// Number of rows of a path constraint that are compared, of points around an obstacle, and of states of an actuator.
 const SAMPLES: usize = 24;
-/// Rows of path constraints that have a multiplier in the Lagrangian.
+/// Number of rows of path constraints with a multiplier in the Lagrangian.
 const ACTIVE_ROWS: usize = 12;
 
-/// The same problem over the first `n_steps` steps, with at most `n_blocks` blocks: times move with the horizon, so that every goal
-/// and constraint stays.
+/// Returns the same problem over the first `n_steps` steps, with at most `n_blocks` blocks: times move with the horizon, so that every goal
+/// and constraint is kept.
 pub(super) fn shortened(
     problem: &OptimalControlProblem,
     n_steps: usize,
@@ -60,7 +60,7 @@ pub(super) fn shortened(
 /// Compares all derivatives of a problem, at controls in general position.
 ///
 /// # Errors
-/// [`DerivativeError`] where the motion breaks down.
+/// Returns [`DerivativeError`] if the motion breaks down.
 pub(super) fn blocks(
     problem: &OptimalControlProblem,
     rng: &mut Rng,
@@ -91,10 +91,10 @@ pub(super) fn blocks(
     Ok(out.into_iter().flatten().collect())
 }
 
-/// The weight of a term in an objective.
+/// Access to the weight of a term in an objective.
 type Weight = fn(&mut Objective) -> &mut f64;
 
-/// Names the whole objective and every term of it by itself.
+/// Returns the named whole objective and every single term of it.
 fn terms(whole: &Objective) -> Vec<(String, Objective)> {
     let nothing = || Objective {
         samples: whole.samples,
@@ -122,12 +122,12 @@ fn terms(whole: &Objective) -> Vec<(String, Objective)> {
         terms.push((format!("objective.term.{i}"), term));
     }
     terms.retain(|(_, term)| *term != nothing());
-    // The whole has the price of soft goals as well.
+    // The whole objective includes the penalties of soft goals.
     terms.insert(0, ("objective".into(), whole.clone()));
     terms
 }
 
-/// Kinds of variables that are moved together: forces, moments, and residuals of soft goals.
+/// Returns the kinds of variables that are moved together: forces, moments, and residuals of soft goals.
 fn kinds(problem: &OptimalControlProblem) -> Vec<Vec<usize>> {
     let components = problem.actuated_components();
     let n_controls = problem.n_controls();
@@ -196,7 +196,7 @@ fn objective_block(
     let values = |there: &LiftedPoint| Some(vec![vec![program.evaluate(there).ok()?.objective]]);
     Ok(gather(
         name,
-        "gradient over the controls by the adjoint, and simulations",
+        "gradient with respect to the controls by the adjoint, and simulations",
         along_variables(program, point, rng, ROUNDING, &slopes, &values),
     ))
 }
@@ -299,7 +299,7 @@ fn distance_block(rod: &Rod, constraint: &PathConstraint, rng: &mut Rng) -> Opti
     )
 }
 
-/// Compares both derivatives of the wrenches of an actuator of one's own, and the second derivative, at random states and controls.
+/// Compares both derivatives of the wrenches of a user-defined actuator, and the second derivative, at random states and controls.
 fn actuator_block(problem: &OptimalControlProblem, index: usize, rng: &mut Rng) -> Option<Block> {
     let rod = &problem.rod;
     let length = rod.scales.length;
@@ -320,7 +320,7 @@ fn actuator_block(problem: &OptimalControlProblem, index: usize, rng: &mut Rng) 
             Some(j) => controls[(i, j)],
         })
     };
-    // Forces, moments, and `λ·w` or its slope.
+    // Groups: forces, moments, and `λ·w` or its slope.
     let groups = |components: &[f64], last: f64| -> Groups {
         let part = |from: usize| -> Vec<f64> {
             let rows = components.chunks(6).map(|row| &row[from..from + 3]);
@@ -377,8 +377,8 @@ fn actuator_block(problem: &OptimalControlProblem, index: usize, rng: &mut Rng) 
     )
 }
 
-/// Compares the exact Hessian of the Lagrangian along random changes of the controls with gradients by the adjoint; `None` where the
-/// Hessian is an approximation by design ([`curvature`](crate::mechanics::curvature)).
+/// Compares the exact Hessian of the Lagrangian along random changes of the controls with gradients by the adjoint; `None` if the Hessian
+/// is an approximation by design ([`curvature`](crate::mechanics::curvature)).
 fn hessian_block(
     program: &Transcription,
     point: &LiftedPoint,
@@ -422,7 +422,7 @@ fn hessian_block(
     };
     Ok(gather(
         "hessian",
-        "exact Hessian of the Lagrangian over the controls, and gradients by the adjoint",
+        "exact Hessian of the Lagrangian with respect to the controls, and gradients by the adjoint",
         along_variables(program, point, rng, HESSIAN_ROUNDING, &slopes, &values),
     ))
 }

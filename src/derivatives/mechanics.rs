@@ -14,8 +14,7 @@ use crate::mechanics::{
     ControlSignal, Rod, State, StepError, Stepper, TimeGrid, Trajectory, Wrench,
 };
 
-/// What sums of thousands of products may lose, relative to the largest entry, and forces of a wire to the cancellation of its
-/// stretching.
+/// Rounding of sums of thousands of products, relative to the largest entry, and of a wire's forces, in which its stretching cancels.
 pub(super) const ROUNDING: f64 = 1e-10;
 
 fn groups<const N: usize>(vectors: [&Vector3<f64>; N]) -> Groups {
@@ -24,7 +23,7 @@ fn groups<const N: usize>(vectors: [&Vector3<f64>; N]) -> Groups {
 
 /// Compares the stress of every element with its energy, and its stiffness with its stress: each of `δx_b - δx_a`, `ζ_a`, `ζ_b` by itself.
 ///
-/// The paper's model has no energy; of it only the stiffness is compared.
+/// The paper's model has no energy, and only its stiffness is compared.
 pub(super) fn element_law(rod: &Rod, state: &State, seed: u64) -> [Option<Block>; 2] {
     let rng = &mut Rng::with_seed(seed);
     let rule = rod.strain_rule;
@@ -86,7 +85,7 @@ pub(super) fn loads(rod: &Rod, state: &State, seed: u64) -> Option<Block> {
     let rng = &mut Rng::with_seed(seed);
     let found = rod.loads.iter().map(|load| {
         let r = state.configuration.rotations[load.node];
-        // Where the profile is not zero.
+        // A time at which the profile is not zero.
         let t = (load.profile.iter().copied())
             .max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))
             .map_or(0.0, |point| point.0);
@@ -109,7 +108,7 @@ pub(super) fn loads(rod: &Rod, state: &State, seed: u64) -> Option<Block> {
 /// Two steps: both parities of the `consistent` model, a half kick at either end and a whole one between.
 const STEPS: usize = 2;
 
-/// Two steps from a state under a constant wrench on the tip.
+/// Simulates two steps from a state under a constant wrench on the tip.
 fn two_steps(
     rod: &Rod,
     time_step: f64,
@@ -130,7 +129,7 @@ fn two_steps(
 /// the tip, each by itself, and each of the first four in what comes out.
 ///
 /// # Errors
-/// [`StepError`] where the steps cannot be taken or linearized.
+/// Returns [`StepError`] if the steps cannot be taken or linearized.
 pub fn step_linearization(
     rod: &Rod,
     time_step: f64,

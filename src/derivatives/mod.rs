@@ -1,10 +1,10 @@
-//! Checks every analytic derivative of a problem, with a verdict on each.
+//! The check of every analytic derivative of a problem, with a verdict on each.
 //!
-//! The code that simulations and solves run is compared: laws of the elements, the linearized step, objective, goals, path
-//! constraints, actuators, the reduced Hessian. A [`Block`] is a family of curves through one point with the analytic slopes of their
-//! values there. The step of the differences is swept, and the bound of the deviation follows from the sweep. The point is random, bent,
-//! moving and admissible, because at rest many derivatives vanish. Identities that hold for any rod (the symplectic form, tangent against
-//! adjoint, kernels against the plain sweeps) are in the tests.
+//! The code of simulations and solves is compared: laws of the elements, the linearized step, objective, goals, path constraints,
+//! actuators, the reduced Hessian. A [`Block`] is a family of curves through one point with the analytic slopes of their values there. The
+//! step of the differences is swept, and the bound of the deviation follows from the sweep. The point is random, bent, moving and
+//! admissible, because at rest many derivatives vanish. Identities that hold for any rod (the symplectic form, tangent against adjoint,
+//! kernels against the plain sweeps) are in the tests.
 
 mod compare;
 mod control;
@@ -22,17 +22,17 @@ use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::{NodeWrenches, Rod, RodModel, State, StepError, Stepper, TimeGrid};
 use crate::sqp::Failure;
 
-/// One derivative, or family of them, and how far it is from what it was compared with, at its worst.
+/// One derivative, or a family of them, with its largest deviation.
 #[derive(Clone, Debug, Serialize)]
 pub struct Block {
-    /// Its name.
+    /// Name of the derivative.
     pub name: String,
-    /// The two sides.
+    /// The two sides of the comparison.
     pub compared: &'static str,
     /// The worst of its comparisons.
     #[serde(flatten)]
     pub worst: Comparison,
-    /// What that says.
+    /// Verdict of that comparison.
     pub verdict: Verdict,
 }
 
@@ -41,9 +41,9 @@ pub struct Block {
 pub struct Report {
     /// The worst verdict of any block.
     pub verdict: Verdict,
-    /// What was compared.
+    /// The comparisons.
     pub blocks: Vec<Block>,
-    /// What was not, and where the check was made.
+    /// Notes on derivatives that were not compared, and on the point of the check.
     pub notes: Vec<String>,
 }
 
@@ -58,18 +58,18 @@ impl Report {
     }
 }
 
-/// The motion breaks down at the point where it should be differentiated.
+/// The motion breaks down at the point of the derivatives.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DerivativeError {
-    /// In the integrator.
+    /// The integrator fails.
     #[error("no motion to differentiate: {0}")]
     Step(#[from] StepError),
-    /// In the transcribed problem.
+    /// The transcribed problem fails.
     #[error("no motion to differentiate: {0}")]
     Model(#[from] Failure),
 }
 
-/// Returns the block of the worst of some comparisons; `None` if nothing was to be compared.
+/// Returns the block of the worst of some comparisons; `None` if nothing was compared.
 fn gather(
     name: impl Into<String>,
     compared: &'static str,
@@ -84,18 +84,18 @@ fn gather(
     })
 }
 
-/// Longest horizon that is differentiated, in steps; steps that are solved for cost a hundred times as much.
+/// Caps on the steps of a horizon, explicit and implicit ones; implicit steps cost a hundred times as much.
 const LONGEST: usize = 48;
 const LONGEST_IMPLICIT: usize = 16;
-/// Its blocks of control.
+/// Cap on the blocks of control of that horizon.
 const MOST_BLOCKS: usize = 4;
-/// The random state is drawn this many times, each half as far from rest as the one before.
+/// Number of draws of the random state, each half as far from rest as the one before.
 const DRAWS: i32 = 8;
 
-/// Checks what a simulation of `rod` needs, from a state drawn by `seed`.
+/// Checks the derivatives for a simulation of `rod`, at a state drawn by `seed`.
 ///
 /// # Errors
-/// [`DerivativeError`] where no drawn state can be simulated.
+/// Returns [`DerivativeError`] if no drawn state can be simulated.
 pub fn check_motion(rod: &Rod, grid: TimeGrid, seed: u64) -> Result<Report, DerivativeError> {
     let short = shortened(rod, grid);
     let state = simulable_state(rod, short, seed)?;
@@ -113,10 +113,10 @@ pub fn check_motion(rod: &Rod, grid: TimeGrid, seed: u64) -> Result<Report, Deri
     Ok(Report::new(blocks.into_iter().flatten().collect(), notes))
 }
 
-/// Checks everything that an optimal-control problem needs, from a state and controls drawn by `seed`.
+/// Checks all derivatives of an optimal-control problem, at a state and controls drawn by `seed`.
 ///
 /// # Errors
-/// [`DerivativeError`] where no drawn state can be simulated.
+/// Returns [`DerivativeError`] if no drawn state can be simulated.
 pub fn check(problem: &OptimalControlProblem, seed: u64) -> Result<Report, DerivativeError> {
     let rod = &problem.rod;
     let Report {
@@ -136,7 +136,7 @@ pub fn check(problem: &OptimalControlProblem, seed: u64) -> Result<Report, Deriv
     Ok(Report::new(blocks, notes))
 }
 
-/// The beginning of a horizon that is not too long to be differentiated.
+/// Returns the beginning of a horizon, within the caps on its steps.
 fn shortened(rod: &Rod, grid: TimeGrid) -> TimeGrid {
     let longest = match IntervalWeights::of(rod, grid.step) {
         None => LONGEST,
@@ -148,7 +148,7 @@ fn shortened(rod: &Rod, grid: TimeGrid) -> TimeGrid {
     }
 }
 
-/// A random state from which the rod can be simulated over the grid.
+/// Returns a random state from which the rod can be simulated over the grid.
 fn simulable_state(rod: &Rod, grid: TimeGrid, seed: u64) -> Result<State, DerivativeError> {
     let mut outcome = Ok(());
     for draw in 0..DRAWS {

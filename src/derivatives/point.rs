@@ -10,25 +10,25 @@ use crate::sqp::ConvexSet;
 
 /// Angle by which the arm is bent from end to end, rad.
 const BEND: f64 = 1.5;
-/// Speeds over the rod's length and time.
+/// Scale of the speeds, in the rod's length divided by its time.
 const SPEED: f64 = 0.3;
-/// Stretch and shear: those of this many of the rod's force scales.
+/// Scale of stretch and shear: the strains under this multiple of the rod's force scale.
 const FORCES: f64 = 10.0;
-/// Largest stretch and shear.
+/// Cap on stretch and shear.
 const STRETCH: f64 = 0.01;
 
-/// Between -1 and 1.
+/// Returns a random number between -1 and 1.
 pub fn number(rng: &mut Rng) -> f64 {
     2.0 * rng.f64() - 1.0
 }
 
-/// Each component between `-size` and `size`.
+/// Returns a random vector with components between `-size` and `size`.
 pub fn vector(rng: &mut Rng, size: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| number(rng) * size)
 }
 
-/// A state in general position, of which `size` is 1 or less: strains as of a bending by an angle of order one and of forces of the
-/// rod's own scale, velocities of the order of its length over its time. A driven base is where its motion starts.
+/// Returns a state in general position; `size` is at most 1. Strains are those of bending by an angle of order one and of forces of the
+/// rod's own scale, velocities are of the order of its length divided by its time. A driven base is at the start of its motion.
 pub fn random_state(rod: &Rod, size: f64, rng: &mut Rng) -> State {
     let mut state = rod.at_rest_on_base(rod.rest.clone());
     let scales = &rod.scales;
@@ -61,8 +61,8 @@ pub fn random_state(rod: &Rod, size: f64, rng: &mut Rng) -> State {
     state
 }
 
-/// Scaled control coefficients of half their scale at most, drawn towards zero until they are inside all of `sets`; variables of
-/// soft goals are small.
+/// Returns scaled control coefficients of at most half their scale, reduced until they are inside all of `sets`; variables of soft goals
+/// are small.
 pub fn random_variables(
     problem: &OptimalControlProblem,
     sets: &[ConvexSet],
@@ -71,7 +71,7 @@ pub fn random_variables(
     let mut variables: Vec<f64> = (0..problem.n_variables())
         .map(|_| 0.5 * number(rng))
         .collect();
-    // A variable that is fixed is in general position where it is.
+    // A fixed variable keeps its value, which is in general position.
     let is_fixed = |set: &&ConvexSet| matches!(set, ConvexSet::Interval { lower, upper, .. } if lower == upper);
     let (fixed, free): (Vec<_>, Vec<_>) = sets.iter().partition(is_fixed);
     for _ in 0..60 {

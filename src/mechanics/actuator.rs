@@ -1,11 +1,11 @@
-//! Actuators of one's own: wrenches on nodes as functions of controls and of the configuration.
+//! User-defined actuators: wrenches on nodes as functions of controls and of the configuration.
 //!
-//! An [`Actuator`] applies `w(x, R, u)`, a force and a moment on each of its nodes, at every time node. Its derivatives along the configuration
-//! enter the linearized equations of motion like those of loads that turn, those along `u` are the columns of the control, and its second
-//! derivatives belong to the Hessian of the Lagrangian. Solver, derivative check, certificate and regulator see it like a force in the
-//! spatial frame or a moment in the body frame, which are linear in the control and constant along the configuration, and have a path of
-//! their own for it. The certificate uses [`Actuator::wrench`] alone, which it differentiates by itself: a wrong derivative makes it reject
-//! the solution.
+//! An [`Actuator`] applies `w(x, R, u)`, a force and a moment on each of its nodes, at every time node. Its derivatives along the
+//! configuration enter the linearized equations of motion like those of loads that turn, those along `u` are the columns of the control,
+//! and its second derivatives belong to the Hessian of the Lagrangian. Solver, derivative check, certificate and regulator treat it like a
+//! force in the spatial frame or a moment in the body frame; these are linear in the control and constant along the configuration, and have
+//! code of their own. The certificate uses [`Actuator::wrench`] alone, which it differentiates by itself: a wrong derivative makes it
+//! reject the solution.
 
 use std::fmt;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ use super::rod::Rod;
 use super::rotation::exp;
 use super::time::TimeGrid;
 
-/// The arm at one instant, as terms and actuators of one's own see it.
+/// The arm at one instant, as the argument of user-defined terms and actuators.
 #[derive(Clone, Copy, Debug)]
 pub struct StateView<'a> {
     /// The rod.
@@ -33,7 +33,7 @@ pub struct StateView<'a> {
 }
 
 impl<'a> StateView<'a> {
-    /// A time node of a trajectory.
+    /// Returns the view of a time node of a trajectory.
     #[must_use]
     pub fn of(rod: &'a Rod, grid: &TimeGrid, trajectory: &'a Trajectory, k: usize) -> Self {
         Self {
@@ -44,7 +44,7 @@ impl<'a> StateView<'a> {
         }
     }
 
-    /// What `seen` sees after component `component` of a node (0..3 `δx`, 3..6 `ζ`) was moved by `step`.
+    /// Returns the value of `seen` after component `component` of a node (0..3 `δx`, 3..6 `ζ`) was moved by `step`.
     pub(crate) fn moved<T>(
         &self,
         node: usize,
@@ -69,39 +69,39 @@ impl<'a> StateView<'a> {
 
 /// Wrenches on nodes as a function `w(x, R, u)` of controls and of the configuration.
 ///
-/// The rows of its derivatives are six of every node, in the order of [`Self::nodes`]: force (spatial, N), then moment (body frame, N m).
-/// Columns along the configuration are six of every node as well: `δx` (spatial, m), then `ζ` (body frame, rad) with `δR = R ζ̂`.
-/// It depends on the configuration of its own nodes alone, and on no velocity.
+/// The rows of its derivatives are six for every node, in the order of [`Self::nodes`]: force (spatial frame, N), then moment (body frame,
+/// N m). Columns along the configuration are six for every node as well: `δx` (spatial frame, m), then `ζ` (body frame, rad) with `δR = R
+/// ζ̂`. An actuator depends on the configuration of its own nodes only, and on no velocity.
 pub trait Actuator: fmt::Debug + Send + Sync {
-    /// Number `n` of its controls.
+    /// Returns the number `n` of controls.
     fn n_controls(&self) -> usize;
 
-    /// The `m` nodes that it acts on and looks at, each once.
+    /// Returns the `m` nodes on which it acts and depends, each once.
     fn nodes(&self, rod: &Rod) -> Vec<usize>;
 
-    /// The wrenches on its nodes under the controls `u`; `out` has one for every node, which this overwrites.
+    /// Writes the wrenches on the nodes under the controls `u` to `out`, which has one for every node.
     fn wrench(&self, at: &StateView, u: &[f64], out: &mut [Wrench]);
 
-    /// Derivative of the wrenches along the configuration of the nodes, `6m × 6m`.
+    /// Returns the derivative of the wrenches along the configuration of the nodes, `6m × 6m`.
     fn configuration_jacobian(&self, at: &StateView, u: &[f64]) -> Mat<f64>;
 
-    /// Derivative of the wrenches along the controls, `6m × n`.
+    /// Returns the derivative of the wrenches along the controls, `6m × n`.
     fn control_jacobian(&self, at: &StateView, u: &[f64]) -> Mat<f64>;
 
-    /// [`Self::control_jacobian`] of an actuator whose wrenches are linear in its controls, and depend neither on configuration nor on time; `None`,
-    /// by default, of any other. Controllers of closed loops take the former alone.
+    /// Returns [`Self::control_jacobian`] of an actuator whose wrenches are linear in its controls and depend neither on configuration nor
+    /// on time; `None`, the default, for any other. Controllers of closed loops accept the former only.
     fn linear_map(&self, _rod: &Rod) -> Option<Mat<f64>> {
         None
     }
 
-    /// Name of its controls in messages, in the plural, and their unit.
+    /// Returns the name of the controls in messages, in the plural, and their unit.
     fn named_controls(&self) -> (&'static str, &'static str) {
         ("controls of an actuator of one's own", "")
     }
 
-    /// Second derivative of `Σ λ·w`, for constant components `λ` of as many wrenches, over the configuration and then the controls: `6m + n` rows and
-    /// columns, symmetric; along a rotation that of `s ↦ w(R exp(s ζ̂))`. By default from central differences of both Jacobians, to about
-    /// 1e-9 of its size.
+    /// Returns the second derivative of `Σ λ·w`, for constant components `λ` of as many wrenches, with respect to the configuration and
+    /// then the controls: `6m + n` rows and columns, symmetric; along a rotation it is that of `s ↦ w(R exp(s ζ̂))`. By default it comes
+    /// from central differences of both Jacobians, accurate to about 1e-9 of its size.
     fn curvature(&self, at: &StateView, u: &[f64], covector: &[Wrench]) -> Mat<f64> {
         differenced(at, &self.nodes(at.rod), u, |at, u| {
             let rows = flat(covector);
@@ -117,10 +117,11 @@ pub trait Actuator: fmt::Debug + Send + Sync {
     }
 }
 
-/// Half the width of the central differences along rotations, rad; along positions in rod lengths, along controls in the largest of them.
+/// Half the width of central differences: along rotations in rad, along positions in lengths of the rod, along controls as a fraction of
+/// the largest.
 const DIFFERENCE: f64 = 1e-5;
 
-/// The symmetric derivative of a gradient over the configuration of some nodes and over controls.
+/// Returns the symmetric derivative of a gradient with respect to the configuration of some nodes and to controls.
 fn differenced(
     at: &StateView,
     nodes: &[usize],
@@ -162,7 +163,7 @@ fn differenced(
     out
 }
 
-/// Components of wrenches one after the other: force, then moment.
+/// Returns the components of wrenches one after the other: force, then moment.
 pub(crate) fn flat(wrenches: &[Wrench]) -> Vec<f64> {
     (wrenches.iter())
         .flat_map(|wrench| [wrench.force, wrench.moment])
@@ -170,12 +171,12 @@ pub(crate) fn flat(wrenches: &[Wrench]) -> Vec<f64> {
         .collect()
 }
 
-/// An actuator that is shared; equal to itself alone.
+/// A shared actuator, which is equal only to itself.
 #[derive(Clone, Debug)]
 pub struct SharedActuator(pub Arc<dyn Actuator>);
 
 impl SharedActuator {
-    /// Of an actuator.
+    /// Shares an actuator.
     pub fn new(actuator: impl Actuator + 'static) -> Self {
         Self(Arc::new(actuator))
     }
@@ -195,19 +196,19 @@ impl PartialEq for SharedActuator {
     }
 }
 
-/// An actuator of one's own and where its controls are in a [signal](super::ControlSignal).
+/// A user-defined actuator, and the places of its controls in a [signal](super::ControlSignal).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Acting {
     /// The actuator.
     pub actuator: SharedActuator,
-    /// First of the signal's wrenches, of one time node, whose components are controls of the actuator.
+    /// Index of the first of the signal's wrenches, at one time node, whose components are controls of the actuator.
     pub first: usize,
-    /// For every control its place from there on: six to a wrench, force before moment.
+    /// Place of every control from there on: six for each wrench, force before moment.
     pub places: Vec<usize>,
 }
 
 impl Acting {
-    /// The controls of one time node, from all wrenches of the signal there.
+    /// Returns the controls of one time node, from all wrenches of the signal there.
     #[must_use]
     pub fn controls(&self, wrenches: &[Wrench]) -> Vec<f64> {
         (self.places.iter())
@@ -223,7 +224,7 @@ impl Acting {
             .collect()
     }
 
-    /// The wrenches on the nodes under these controls.
+    /// Returns the wrenches on the nodes under the given controls.
     #[must_use]
     pub fn wrenches(&self, at: &StateView, u: &[f64]) -> Vec<(usize, Wrench)> {
         let nodes = self.actuator.nodes(at.rod);
@@ -233,7 +234,7 @@ impl Acting {
     }
 }
 
-/// How the wrenches of an actuator follow the configuration of its nodes at one time node.
+/// The derivative of an actuator's wrenches along the configuration of its nodes at one time node.
 #[derive(Clone, Debug)]
 pub struct ActingDerivative {
     /// The nodes.

@@ -1,7 +1,7 @@
-//! A base that is moved: position and rotation of node 0 as given functions of time.
+//! A driven base: position and rotation of node 0 as given functions of time.
 //!
-//! For the integrator this is a holonomic constraint. Its rows for node 0 are dropped and the pose at every time node
-//! is put in place of the unknown; the velocities below are needed only for momenta and energies.
+//! For the integrator this is a holonomic constraint. Its rows for node 0 are dropped and the unknown is replaced by the pose at every time
+//! node; the velocities below are needed only for momenta and energies.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -25,23 +25,23 @@ pub struct MotionCurve {
     pub rate: Vector3<f64>,
     /// Curve through given points.
     pub table: Option<CubicSpline>,
-    /// Harmonic parts; each is zero at t = 0.
+    /// Harmonic terms; each is zero at t = 0.
     pub oscillations: Vec<Oscillation>,
 }
 
 /// `amplitude (sin(2π f t + phase) - sin(phase))`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Oscillation {
-    /// In the unit of the curve.
+    /// Amplitude, in the unit of the curve.
     pub amplitude: Vector3<f64>,
     /// `f`, Hz.
     pub frequency: f64,
-    /// rad.
+    /// Phase, rad.
     pub phase: f64,
 }
 
-/// The cubic spline through given points that starts and ends with zero slope, constant outside: twice continuously
-/// differentiable between the first and the last point, once everywhere.
+/// The cubic spline through given points with zero slope at both ends, constant outside: twice continuously differentiable between the
+/// first and the last point, once everywhere.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CubicSpline {
     times: Vec<f64>,
@@ -52,18 +52,18 @@ pub struct CubicSpline {
 /// Pose and velocity of the base at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BaseState {
-    /// Spatial, m.
+    /// Position, spatial frame, m.
     pub position: Vector3<f64>,
-    /// Body to space.
+    /// Rotation, body to space.
     pub rotation: Matrix3<f64>,
-    /// Spatial, m/s.
+    /// Velocity, spatial frame, m/s.
     pub velocity: Vector3<f64>,
-    /// Body frame, rad/s.
+    /// Angular velocity, body frame, rad/s.
     pub angular_velocity: Vector3<f64>,
 }
 
 impl BaseMotion {
-    /// Where the base is and how it moves at time `t`, from the reference pose `position`, `rotation`.
+    /// Returns pose and velocity of the base at time `t`, from the reference pose `position`, `rotation`.
     #[must_use]
     pub fn at(&self, position: &Vector3<f64>, rotation: &Matrix3<f64>, t: f64) -> BaseState {
         let (displacement, velocity) = self.translation.at(t);
@@ -76,8 +76,10 @@ impl BaseMotion {
         }
     }
 
+    /// Checks that all numbers are finite.
+    ///
     /// # Errors
-    /// A number that is not finite.
+    /// Returns [`RodError`] for a number that is not.
     pub(super) fn check(&self) -> Result<(), RodError> {
         for curve in [&self.translation, &self.rotation] {
             let numbers = curve
@@ -102,7 +104,7 @@ impl BaseMotion {
 }
 
 impl MotionCurve {
-    /// Value and time derivative at `t`.
+    /// Returns value and time derivative at `t`.
     #[must_use]
     pub fn at(&self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
         let (mut value, mut slope) = (self.rate * t, self.rate);
@@ -122,15 +124,15 @@ impl MotionCurve {
 }
 
 impl CubicSpline {
-    /// The points that it goes through, `(t, value)`.
+    /// Returns the points of the spline, `(t, value)`.
     pub fn points(&self) -> impl Iterator<Item = (f64, Vector3<f64>)> + '_ {
         self.times.iter().copied().zip(self.values.iter().copied())
     }
 
-    /// The spline through `(t, value)`.
+    /// Creates the spline through points `(t, value)`.
     ///
     /// # Errors
-    /// No points, times that do not increase, or numbers that are not finite.
+    /// Returns [`RodError`] without points, for times that do not increase, and for numbers that are not finite.
     pub fn through(points: &[(f64, Vector3<f64>)]) -> Result<Self, RodError> {
         if points.is_empty() {
             return Err(RodError::OutOfRange {
@@ -163,7 +165,7 @@ impl CubicSpline {
         })
     }
 
-    /// Value and time derivative at `t`.
+    /// Returns value and time derivative at `t`.
     #[must_use]
     pub fn at(&self, t: f64) -> (Vector3<f64>, Vector3<f64>) {
         let after = self.times.partition_point(|&time| time <= t);
@@ -184,13 +186,13 @@ impl CubicSpline {
     }
 }
 
-/// Slopes that make the second derivative continuous at the inner points, zero at the ends:
-/// `h_i m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_{i-1} m_{i+1} = 3 (h_i d_{i-1} + h_{i-1} d_i)` with the widths `h` and the
-/// slopes `d` of the chords. Diagonally dominant, solved by elimination.
+/// Returns the slopes for which the second derivative is continuous at the inner points, zero at the ends: `h_i m_{i-1} + 2 (h_{i-1} + h_i)
+/// m_i + h_{i-1} m_{i+1} = 3 (h_i d_{i-1} + h_{i-1} d_i)` with the widths `h` and the slopes `d` of the chords. The system is diagonally
+/// dominant and solved by elimination.
 fn spline_slopes(times: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let n = times.len();
     let mut slopes = vec![Vector3::zeros(); n];
-    // Of m_{i+1} in the eliminated row of i.
+    // Coefficient of m_{i+1} in the eliminated row of i.
     let mut upper = vec![0.0; n];
     for i in 1..n.saturating_sub(1) {
         let (before, after) = (times[i] - times[i - 1], times[i + 1] - times[i]);
@@ -252,7 +254,8 @@ mod tests {
         }
     }
 
-    /// Through its points; flat ends and constant outside; value, slope and curvature continuous at the inner points.
+    /// The spline passes through its points, has flat ends and is constant outside; value, slope and curvature are continuous at the inner
+    /// points.
     #[test]
     fn spline_is_smooth() {
         let spline = wavy_table();
@@ -264,7 +267,7 @@ mod tests {
         assert_eq!(spline.at(last + 1.0), (spline.values[5], Vector3::zeros()));
         assert!(spline.at(first + 1e-9).1.norm() < 1e-6);
         assert!(spline.at(last - 1e-9).1.norm() < 1e-6);
-        // One-sided second derivatives from slopes; their own error is h times the third derivative, below 1e3.
+        // One-sided second derivatives from slopes; their error is h times the third derivative, which is below 1e3.
         let h = 1e-6;
         for &t in &spline.times[1..5] {
             let here = spline.at(t).1;
@@ -299,7 +302,7 @@ mod tests {
             let [before, here, after] = [t - h, t, t + h].map(|t| motion.at(&x, &r, t));
             let velocity = (after.position - before.position) / (2.0 * h);
             let spin = log(&before.rotation.tr_mul(&after.rotation)) / (2.0 * h);
-            // The difference's error: h² times third derivatives of order 1e3.
+            // The error of the difference is h² times third derivatives of order 1e3.
             assert!((velocity - here.velocity).norm() < 1e-6, "{t}");
             assert!((spin - here.angular_velocity).norm() < 1e-6, "{t}");
         }
@@ -319,9 +322,9 @@ mod tests {
         assert_eq!((start.position, start.rotation), (x, r));
     }
 
-    /// What is not a function of time is refused.
+    /// A table that is not a function of time is refused.
     #[test]
-    fn tables_that_are_none_are_refused() {
+    fn invalid_tables_are_refused() {
         let point = |t| (t, Vector3::zeros());
         assert!(CubicSpline::through(&[]).is_err());
         assert!(CubicSpline::through(&[point(0.0), point(0.0)]).is_err());

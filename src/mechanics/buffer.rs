@@ -2,7 +2,7 @@
 
 use std::ops::{Deref, DerefMut};
 
-/// Numbers that start on a cache line, so that no vector straddles two.
+/// Numbers that start on a cache line, so that no vector crosses a line.
 #[derive(Debug)]
 pub(super) struct Buffer {
     store: Vec<f64>,
@@ -34,7 +34,7 @@ impl DerefMut for Buffer {
 }
 
 impl Clone for Buffer {
-    /// The copy finds its own start: its memory may lie differently.
+    /// Copies into new aligned memory, which may begin at another offset.
     fn clone(&self) -> Self {
         let mut copy = Self::zeros(self.len);
         copy.copy_from_slice(self);

@@ -33,7 +33,7 @@ impl Clone for Configuration {
         }
     }
 
-    /// Into the memory that is there.
+    /// Copies into existing memory.
     fn clone_from(&mut self, other: &Self) {
         self.positions.clone_from(&other.positions);
         self.rotations.clone_from(&other.rotations);
@@ -49,7 +49,7 @@ impl Clone for State {
         }
     }
 
-    /// Into the memory that is there.
+    /// Copies into existing memory.
     fn clone_from(&mut self, other: &Self) {
         self.configuration.clone_from(&other.configuration);
         self.linear_momentum.clone_from(&other.linear_momentum);
@@ -58,7 +58,7 @@ impl Clone for State {
 }
 
 impl State {
-    /// A configuration at rest.
+    /// Returns a configuration at rest.
     #[must_use]
     pub fn at_rest(configuration: Configuration) -> Self {
         let n = configuration.positions.len();
@@ -69,8 +69,8 @@ impl State {
         }
     }
 
-    /// The tangent at `reference` that leads here: `x - x̄`, `log(R̄ᵀ R)`, `p - p̄`, `π - π̄`; the momenta of a turned node are
-    /// compared in their own body frames, as the linearized motion does.
+    /// Returns the tangent at `reference` that leads here: `x - x̄`, `log(R̄ᵀ R)`, `p - p̄`, `π - π̄`. The momenta of a turned node are
+    /// compared in their own body frames, as in the linearized motion.
     #[must_use]
     pub fn difference(&self, reference: &Self) -> StateTangent {
         let mut out = StateTangent::zeros(self.linear_momentum.len());
@@ -78,7 +78,7 @@ impl State {
         out
     }
 
-    /// [`difference`](Self::difference) into a tangent of the same size.
+    /// Writes [`difference`](Self::difference) into a tangent of the same size.
     pub fn difference_into(&self, reference: &Self, out: &mut StateTangent) {
         let (here, there) = (&self.configuration, &reference.configuration);
         for q in 0..here.positions.len() {
@@ -89,7 +89,8 @@ impl State {
         }
     }
 
-    /// The state that a tangent leads to: `x + δx`, `R exp(ζ)`, `p + δp`, `π + δπ`; the inverse of [`difference`](Self::difference).
+    /// Returns the state to which a tangent leads: `x + δx`, `R exp(ζ)`, `p + δp`, `π + δπ`; the inverse of
+    /// [`difference`](Self::difference).
     #[must_use]
     pub fn retract(&self, tangent: &StateTangent) -> Self {
         let plus =
@@ -111,7 +112,7 @@ impl State {
 /// Configurations at the time nodes `k = 0..=N`, stored one after the other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
-    /// Nodes of the rod, `K + 1`.
+    /// Number of nodes of the rod, `K + 1`.
     pub n_nodes: usize,
     /// Positions: time node `k`, rod node `q` at `k (K+1) + q`.
     pub positions: Vec<Vector3<f64>>,
@@ -120,7 +121,7 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// An empty trajectory with room for `n_times` time nodes.
+    /// Creates an empty trajectory with room for `n_times` time nodes.
     #[must_use]
     pub fn with_capacity(n_nodes: usize, n_times: usize) -> Self {
         Self {
@@ -130,7 +131,7 @@ impl Trajectory {
         }
     }
 
-    /// Number of time nodes, `N + 1`.
+    /// Returns the number of time nodes, `N + 1`.
     #[must_use]
     pub fn n_times(&self) -> usize {
         self.positions.len() / self.n_nodes
@@ -142,21 +143,21 @@ impl Trajectory {
         self.rotations.extend_from_slice(&configuration.rotations);
     }
 
-    /// Positions at time node `k`.
+    /// Returns the positions at time node `k`.
     #[inline]
     #[must_use]
     pub fn positions_at(&self, k: usize) -> &[Vector3<f64>] {
         &self.positions[k * self.n_nodes..(k + 1) * self.n_nodes]
     }
 
-    /// Rotations at time node `k`.
+    /// Returns the rotations at time node `k`.
     #[inline]
     #[must_use]
     pub fn rotations_at(&self, k: usize) -> &[Matrix3<f64>] {
         &self.rotations[k * self.n_nodes..(k + 1) * self.n_nodes]
     }
 
-    /// The configuration at time node `k`.
+    /// Returns the configuration at time node `k`.
     #[must_use]
     pub fn configuration(&self, k: usize) -> Configuration {
         Configuration {
@@ -165,7 +166,7 @@ impl Trajectory {
         }
     }
 
-    /// Moves every node along `direction`, `x + α δx` and `R exp(α ζ)`.
+    /// Returns the trajectory with every node moved along `direction`, `x + α δx` and `R exp(α ζ)`.
     #[must_use]
     pub fn retract(&self, direction: &TrajectoryTangent, step_length: f64) -> Self {
         Self {
@@ -196,7 +197,7 @@ pub struct TrajectoryTangent {
 }
 
 impl TrajectoryTangent {
-    /// Largest rotation of any node at any time, rad.
+    /// Returns the largest rotation of any node at any time, rad.
     #[must_use]
     pub fn largest_rotation(&self) -> f64 {
         self.rotations.iter().map(Vector3::norm).fold(0.0, f64::max)

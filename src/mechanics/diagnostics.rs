@@ -1,8 +1,8 @@
-//! What a motion looks like from outside: momenta, strains, internal forces, the reaction at the base, and balances.
+//! Diagnostics of a motion: momenta, strains, internal forces, the reaction at the base, and balances.
 //!
-//! [`Diagnostics`] are those of an instant: the forces of the rod in its configuration and with its velocities there, the
-//! reaction what they leave to the base. [`MomentumBalance`] and [`PowerBalance`] are those of a step of length `h` from `k`
-//! to `k+1`. With the external wrench (gravity, loads, reaction) and the damping wrench, moments about a fixed point:
+//! [`Diagnostics`] belong to one instant: the forces of the rod in its configuration and with its velocities, and the reaction at the base
+//! that balances them. [`MomentumBalance`] and [`PowerBalance`] belong to a step of length `h` from `k` to `k+1`. With the external wrench
+//! (gravity, loads, reaction) and the damping wrench, moments about a fixed point:
 //!
 //! ```text
 //! P⁺ - P = h (F̄ + F̄_damping)                exactly, over every step: `MomentumBalance`
@@ -11,16 +11,15 @@
 //! E⁺ - E = h (external - dissipated power)  to second order in h: `PowerBalance`
 //! ```
 //!
-//! The first two are the sums of the steps of the [integrator](super::stepper) over the nodes: elastic and viscous
-//! stresses and the [kinetic reaction](super::inertia) come in pairs and do not feel a rigid rotation, every impulse acts
-//! where the node is, and a drift keeps `x × p½` and `R g`. The reaction there is the impulse of the constraint, which takes a
-//! driven base from its own momentum at `k` to the one at `k+1`. Under the model `dilatation` a drift changes `R g`, by inertia
-//! that changes without its momentum, and the angular balance misses just that.
+//! The first two are the sums of the steps of the [integrator](super::stepper) over the nodes: elastic and viscous stresses and the
+//! [kinetic reaction](super::inertia) cancel in pairs and do no work on a rigid rotation, every impulse acts at the position of its node,
+//! and a drift keeps `x × p½` and `R g`. The reaction there is the impulse of the constraint, which changes the momentum of a driven base
+//! from that at `k` to that at `k+1`. Under the model `dilatation` a drift changes `R g`, because the inertia changes without its momentum,
+//! and the residual of the angular balance is exactly that.
 //!
-//! The third is exact too for a clamped or free rod with explicit steps, no internal damping, and the standard model (of the
-//! model `dilatation`, the linear part), where nothing but the forces of the time nodes acts. The kinetic reaction of the model
-//! `consistent` acts at even time nodes only, for two steps at once; there the second order is that of two steps from an even
-//! node on.
+//! The third is exact too for a clamped or free rod with explicit steps, no internal damping, and the standard model (for the model
+//! `dilatation` its linear part), in which only the forces of the time nodes act. The kinetic reaction of the model `consistent` acts at
+//! even time nodes only, for two steps at once; there the second order is that of two steps from an even node on.
 
 use nalgebra::{SVector, Vector3};
 
@@ -38,12 +37,12 @@ use super::rotation::cay_inverse;
 use super::rotation_step::TurnedNode;
 use super::time::TimeNode;
 
-/// Force and moment on the whole rod, both spatial, the moment about the origin.
+/// Force and moment on the whole rod, both in the spatial frame, the moment about the origin.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TotalWrench {
-    /// N.
+    /// Force, N.
     pub force: Vector3<f64>,
-    /// N m.
+    /// Moment, N m.
     pub moment: Vector3<f64>,
 }
 
@@ -69,7 +68,7 @@ impl TotalWrench {
 /// [`Element::stress`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ElementStress {
-    /// `ε = v - v_rest`, the mean of both ends.
+    /// `ε = v - v_rest`, the mean of both ends, without unit.
     pub linear_strain: Vector3<f64>,
     /// `κ = ψ/l - κ_rest`, 1/m.
     pub angular_strain: Vector3<f64>,
@@ -80,7 +79,7 @@ pub struct ElementStress {
 }
 
 impl ElementStress {
-    /// Of an element in the pose `pose`, its elastic stress.
+    /// Returns strain and elastic stress of an element in the pose `pose`.
     #[must_use]
     pub fn of(element: &Element, rule: StrainRule, pose: &ElementPose) -> Self {
         let strain = rule.strain(element.length, pose);
@@ -96,23 +95,23 @@ impl ElementStress {
     }
 }
 
-/// Power in and out over one step, W. Under the model `consistent` its second order is that of the mean over two steps from an
-/// even time node on; the model `dilatation` has no energy to balance.
+/// Power over one step, W. Under the model `consistent` it is of second order as the mean over two steps from an even time node on; the
+/// model `dilatation` has no energy to balance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PowerBalance {
-    /// Of the loads and of what drives the base, `Σ f·v + τ·ω`, the mean of both ends of the step, with what the step applies
-    /// there. Gravity counts as energy.
+    /// Power of the loads and of the base's drive, `Σ f·v + τ·ω`, the mean of both ends of the step, with the wrenches that the step
+    /// applies there. The work of gravity is part of the energy instead.
     pub external: f64,
-    /// Taken by damping: `c Σ |p|²/m + π·J⁻¹π`, the mean of both ends, and `τ Σ l ṡ·C ṡ` with the step's own rate of strain.
+    /// Power of damping: `c Σ |p|²/m + π·J⁻¹π`, the mean of both ends, and `τ Σ l ṡ·C ṡ` with the step's own rate of strain.
     pub dissipated: f64,
     /// Change of the energy over the step, divided by its length.
     pub energy_rate: f64,
-    /// `energy_rate - external + dissipated`: falls with the square of the step.
+    /// `energy_rate - external + dissipated`, which decreases with the square of the step.
     pub residual: f64,
 }
 
 impl PowerBalance {
-    /// Over the step of length `time_step` that ends at time `t`.
+    /// Computes the balance over the step of length `time_step` that ends at time `t`.
     #[must_use]
     pub fn over_step(rod: &Rod, time_step: f64, t: f64, before: &State, after: &State) -> Self {
         let ends = ends_of_step(time_step, t, before, after);
@@ -139,7 +138,7 @@ impl PowerBalance {
     }
 }
 
-/// The ends of the step of length `time_step` that ends at time `t`, and the states there.
+/// Returns the ends of the step of length `time_step` that ends at time `t`, with the states there.
 fn ends_of_step<'a>(
     time_step: f64,
     t: f64,
@@ -159,7 +158,7 @@ fn ends_of_step<'a>(
     [(start, before), (end, after)]
 }
 
-/// Velocity (spatial) and angular velocity (body frame) of every node.
+/// Returns velocity (spatial frame) and angular velocity (body frame) of every node.
 fn velocities(rod: &Rod, state: &State) -> [Vec<Vector3<f64>>; 2] {
     let rotary = rod.rotary_at(&state.configuration.positions);
     let linear = (state.linear_momentum.iter().zip(&rod.nodes)).map(|(p, node)| p / node.mass);
@@ -167,7 +166,7 @@ fn velocities(rod: &Rod, state: &State) -> [Vec<Vector3<f64>>; 2] {
     [linear.collect(), angular.collect()]
 }
 
-/// Kelvin-Voigt stress `τ C ṡ` of every element at the velocities of `state`.
+/// Returns the Kelvin-Voigt stress `τ C ṡ` of every element at the velocities of `state`.
 fn viscous_stresses(rod: &Rod, state: &State) -> Vec<IntervalStress> {
     let [velocity, spin] = velocities(rod, state);
     let (x, r) = (
@@ -193,8 +192,8 @@ fn viscous_stresses(rod: &Rod, state: &State) -> Vec<IntervalStress> {
         .collect()
 }
 
-/// All forces of the rod on its nodes but viscous damping and the reaction, at the configuration and the velocities of
-/// `state`: elastic and viscous stress, gravity, loads, and the kinetic reaction.
+/// Returns all forces of the rod on its nodes except viscous damping and the reaction, at the configuration and the velocities of `state`:
+/// elastic and viscous stress, gravity, loads, and the kinetic reaction.
 fn forces_of_motion(rod: &Rod, node: &TimeNode, state: &State) -> NodalForces {
     let (x, r) = (
         &state.configuration.positions,
@@ -227,9 +226,9 @@ fn forces_of_motion(rod: &Rod, node: &TimeNode, state: &State) -> NodalForces {
     net
 }
 
-/// The wrench that holds or drives node 0, on which `net` acts otherwise: `ṗ + c p - f`, and `Rᵀ d(R π)/dt + c π - τ`.
-/// The rates of a driven base are central differences over `2 h`, one-sided at the start; its inertia changes with the
-/// dilatation where its momentum does, under the model `consistent`.
+/// Returns the wrench that holds or drives node 0, on which `net` acts otherwise: `ṗ + c p - f`, and `Rᵀ d(R π)/dt + c π - τ`. The rates of
+/// a driven base are central differences over `2 h`, one-sided at the start; under the model `consistent` its inertia changes with the
+/// dilatation together with its momentum.
 fn reaction(rod: &Rod, time_step: f64, t: f64, state: &State, net: &NodalForces) -> Wrench {
     if rod.base == BaseCondition::Free {
         return Wrench::default();
@@ -257,7 +256,7 @@ fn reaction(rod: &Rod, time_step: f64, t: f64, state: &State, net: &NodalForces)
             let [velocity, _] = velocities(rod, state);
             let e = rod.chord_dilatation(0, x);
             let dx = x[1] - x[0];
-            // ė/e
+            // The rate ė/e.
             let rate = dx.dot(&(velocity[1] - velocity[0])) / dx.norm_squared();
             let share = rod.element_inertia[0][0].rotary;
             wrench.moment -= share.component_mul(&now.angular_velocity) * (rate / e);
@@ -266,7 +265,7 @@ fn reaction(rod: &Rod, time_step: f64, t: f64, state: &State, net: &NodalForces)
     wrench
 }
 
-/// `Σ f·v + τ·ω` of what drives the base, W.
+/// Returns `Σ f·v + τ·ω` of the base's drive, W.
 fn base_power(rod: &Rod, time_step: f64, node: &TimeNode, state: &State) -> f64 {
     let Some(base) = rod.driven_base(node.time) else {
         return 0.0;
@@ -276,7 +275,7 @@ fn base_power(rod: &Rod, time_step: f64, node: &TimeNode, state: &State) -> f64 
     wrench.force.dot(&base.velocity) + wrench.moment.dot(&base.angular_velocity)
 }
 
-/// `Σ f·v + τ·ω` of the loads, W.
+/// Returns `Σ f·v + τ·ω` of the loads, W.
 fn load_power(rod: &Rod, node: &TimeNode, state: &State) -> f64 {
     let [velocity, spin] = velocities(rod, state);
     (rod.loads.iter())
@@ -288,25 +287,24 @@ fn load_power(rod: &Rod, node: &TimeNode, state: &State) -> f64 {
         .sum()
 }
 
-/// Mean wrenches over one step, and what they leave of the change of the momenta.
+/// Mean wrenches over one step, and their residual in the change of the momenta.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MomentumBalance {
-    /// Of what holds or drives the base: the impulse of the constraint on node 0, from its own rows of the step. Zero for a free
-    /// base.
+    /// Wrench that holds or drives the base: the impulse of the constraint on node 0, from its own rows of the step. Zero for a free base.
     pub reaction: TotalWrench,
-    /// Gravity and loads.
+    /// Wrench of gravity and loads.
     pub loads: TotalWrench,
     /// Viscous damping, `-c Σ p½` and `-c Σ x × p½ + R g`.
     pub damping: TotalWrench,
     /// Change of the momenta over the step, divided by its length.
     pub momentum_rate: TotalWrench,
-    /// `momentum_rate - reaction - loads - damping`: rounding, of the free nodes' rows, which the reaction does not see. Under
-    /// [`RodModel::Dilatation`] its moment is `Σ (R⁺π - R g)/h` of the nodes' drifts, which no wrench stands for.
+    /// `momentum_rate - reaction - loads - damping`: the rounding of the free nodes' rows, which do not enter the reaction. Under
+    /// [`RodModel::Dilatation`] its moment is `Σ (R⁺π - R g)/h` of the nodes' drifts, to which no wrench corresponds.
     pub residual: TotalWrench,
 }
 
 impl MomentumBalance {
-    /// Over the step of length `time_step` that ends at time `t`, a multiple of it, without a control wrench.
+    /// Computes the balance over the step of length `time_step` that ends at time `t`, a multiple of it, without a control wrench.
     #[must_use]
     pub fn over_step(rod: &Rod, time_step: f64, t: f64, before: &State, after: &State) -> Self {
         let h = time_step;
@@ -339,14 +337,14 @@ impl MomentumBalance {
     }
 }
 
-/// A step as its two configurations tell it.
+/// A step, reconstructed from its two configurations.
 struct Step {
     inertia_rule: InertiaRule,
     /// Cayley vectors of the nodes' rotations.
     turns: Vec<Vector3<f64>>,
     /// `p½` of every node.
     linear: Vec<Vector3<f64>>,
-    /// Angular momenta of every node where the step leaves and where it arrives, in the body frames there.
+    /// Angular momenta of every node at both ends of the step, in the body frames there.
     angular: [Vec<Vector3<f64>>; 2],
 }
 
@@ -381,7 +379,7 @@ impl Step {
         }
     }
 
-    /// What the constraint on node 0 adds to its momenta where the step leaves (`end` 0) or arrives (1), at the time node `node`.
+    /// Returns the impulse of the constraint on node 0 at the start (`end` 0) or the end (1) of the step, at the time node `node`.
     fn base_impulse(
         &self,
         rod: &Rod,
@@ -437,24 +435,24 @@ fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, node: &TimeNode, sta
     }
 }
 
-/// Everything that a state says about the motion at one time.
+/// All quantities that follow from a state at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Diagnostics {
-    /// `Σ p`, spatial, kg m/s.
+    /// `Σ p`, spatial frame, kg m/s.
     pub linear_momentum: Vector3<f64>,
-    /// `Σ x × p + R π`, about the origin, spatial, kg m²/s.
+    /// `Σ x × p + R π`, about the origin, spatial frame, kg m²/s.
     pub angular_momentum: Vector3<f64>,
     /// Strain and internal force and moment of every element, with the Kelvin-Voigt stress `τ C ṡ` at the velocities of the
     /// state.
     pub elements: Vec<ElementStress>,
-    /// What holds or drives the base: the force (spatial) and the moment (body frame of the base) that, with all others
-    /// on node 0 (those of the stress of the first element, of viscosity and of the kinetic reaction among them), give it its
-    /// motion; zero for a free base.
+    /// Wrench that holds or drives the base: the force (spatial frame) and the moment (body frame of the base) that, with all others on
+    /// node 0 (those of the stress of the first element, of viscosity and of the kinetic reaction among them), cause its motion; zero for a
+    /// free base.
     pub reaction: Wrench,
-    /// Gravity, loads and the reaction; where a load jumps, the mean of both sides.
+    /// Gravity, loads and the reaction; at a jump of a load the mean of both sides.
     pub external: TotalWrench,
-    /// Mean wrench of viscous damping over the step that begins here, `-c Σ p½` and `-c Σ x × p½ + R g`, with the momenta that
-    /// the forces at its start give it.
+    /// Mean wrench of viscous damping over the step that begins here, `-c Σ p½` and `-c Σ x × p½ + R g`, with the momenta after the kick of
+    /// the forces at its start.
     pub damping: TotalWrench,
     /// Largest `|V/V₀ - 1|` of any element, as in the paper's equations (89) and (90): `|e - 1|` under the standard model,
     /// whose section keeps its size; 0 under the others, whose section thins by `e`.
@@ -462,8 +460,8 @@ pub struct Diagnostics {
 }
 
 impl Diagnostics {
-    /// Of a state at time `t`, with its momenta at the same instant, in a motion of step `time_step`. Control wrenches
-    /// are not included.
+    /// Computes the diagnostics of a state at time `t`, with its momenta at the same instant, in a motion of step `time_step`. Control
+    /// wrenches are not included.
     #[must_use]
     pub fn of(rod: &Rod, time_step: f64, t: f64, state: &State) -> Self {
         let configuration = &state.configuration;

@@ -2,7 +2,7 @@
 
 use std::ops::{Mul, Sub};
 
-/// `f'(0) + O(step⁴)` from `f(step)`, `f(-step)` and `f(2 step)`, `f(-2 step)`.
+/// Returns `f'(0) + O(step⁴)` from `f(step)`, `f(-step)` and `f(2 step)`, `f(-2 step)`.
 pub fn slope<T>(near: [T; 2], far: [T; 2], step: f64) -> T
 where
     T: Sub<Output = T> + Mul<f64, Output = T>,
@@ -15,7 +15,7 @@ where
 mod tests {
     use super::*;
 
-    /// Exact for polynomials up to the fourth degree; of the fifth `4 step⁴` times its coefficient is left.
+    /// Slopes are exact for polynomials up to the fourth degree; for the fifth the error is `4 step⁴` times its coefficient.
     #[test]
     fn slopes_are_of_fourth_order() {
         let step = 0.1_f64;

@@ -17,7 +17,7 @@ pub struct Energy {
 }
 
 impl Energy {
-    /// Energy of a state, with its momenta at the same instant as its configuration.
+    /// Returns the energy of a state, with its momenta at the same instant as its configuration.
     #[must_use]
     pub fn of(rod: &Rod, state: &State) -> Self {
         let configuration = &state.configuration;
@@ -28,14 +28,14 @@ impl Energy {
         }
     }
 
-    /// Sum of the parts.
+    /// Returns the sum of the parts.
     #[must_use]
     pub fn total(&self) -> f64 {
         self.kinetic + self.elastic + self.potential
     }
 }
 
-/// `Σ |p|²/(2m) + ½ π·J⁻¹π`, J, with the inertia of the state's dilatation.
+/// Returns `Σ |p|²/(2m) + ½ π·J⁻¹π`, J, with the inertia of the state's dilatation.
 #[must_use]
 pub fn kinetic_energy(rod: &Rod, state: &State) -> f64 {
     let rotary = rod.rotary_at(&state.configuration.positions);
@@ -47,13 +47,13 @@ pub fn kinetic_energy(rod: &Rod, state: &State) -> f64 {
         .sum()
 }
 
-/// Total linear momentum `Σ p`, kg m/s.
+/// Returns the total linear momentum `Σ p`, kg m/s.
 #[must_use]
 pub fn linear_momentum(state: &State) -> Vector3<f64> {
     state.linear_momentum.iter().sum()
 }
 
-/// Total angular momentum about the origin, `Σ x × p + R π`, spatial, kg m²/s.
+/// Returns the total angular momentum about the origin, `Σ x × p + R π`, spatial frame, kg m²/s.
 #[must_use]
 pub fn angular_momentum(state: &State) -> Vector3<f64> {
     let configuration = &state.configuration;

@@ -13,22 +13,22 @@ use super::forms::NODE_COMPONENTS;
 use super::rod::Rod;
 use super::vibration::inertia_roots;
 
-/// Components of a node's deviation that belong to its pose; its momenta follow.
+/// Number of components of a node's deviation that belong to its pose; those of its momenta follow.
 const POSE: usize = NODE_COMPONENTS / 2;
 
-/// `|dx|² = dxᵀ L Lᵀ dx`: twice the energy of a deviation `(δx, ζ, δp, δπ)` of every free node, kinetic, and that of the strains that
-/// it adds to the elements; on a free base also that of springs `EI/L³`, `EI/L` at node 0. What maps deviations can be had over
-/// `z = Lᵀ dx`, whose Euclidean norm this is.
+/// The norm `|dx|² = dxᵀ L Lᵀ dx`: twice the energy of a deviation `(δx, ζ, δp, δπ)` of every free node, kinetic, and that of the strains
+/// that it adds to the elements; on a free base also that of springs `EI/L³`, `EI/L` at node 0. Maps of deviations can be transformed to `z
+/// = Lᵀ dx`, whose Euclidean norm this is.
 #[derive(Clone, Debug)]
 pub struct EnergyNorm {
-    /// `L` over the poses.
+    /// `L` for the poses.
     poses: BlockCholesky,
-    /// Its diagonal over the momenta, node by node.
+    /// Diagonal of `L` for the momenta, node by node.
     momenta: Vec<Vector6<f64>>,
 }
 
 impl EnergyNorm {
-    /// The norm at a configuration; `None` where the energy is not positive definite.
+    /// Returns the norm at a configuration; `None` if the energy is not positive definite.
     #[must_use]
     pub fn at(rod: &Rod, at: &Configuration) -> Option<Self> {
         let first = rod.first_free_node();
@@ -42,7 +42,7 @@ impl EnergyNorm {
         for (q, element) in rod.elements.iter().enumerate() {
             let pose = Rod::element_pose(q, &at.positions, &at.rotations);
             let stiffness = element.stiffness_under(rod.strain_rule, &pose, &nothing, 1.0);
-            // Of the element's (dx, ζ_a, ζ_b), the row and the sign of a component of its ends.
+            // Row and sign of a component of the element's ends in its (dx, ζ_a, ζ_b).
             let place = |end: usize, component: usize| match component.checked_sub(3) {
                 None => (component, [-1.0, 1.0][end]),
                 Some(axis) => (3 + 3 * end + axis, 1.0),
@@ -72,7 +72,7 @@ impl EnergyNorm {
         })
     }
 
-    /// `M L⁻ᵀ`: a map of deviations, as one of `z`.
+    /// Returns `M L⁻ᵀ`: a map of deviations as a map of `z`.
     #[must_use]
     pub fn columns_over(&self, mut map: Mat<f64>) -> Mat<f64> {
         for node in 0..self.momenta.len() {
@@ -83,7 +83,7 @@ impl EnergyNorm {
                 let below = block(below).transpose();
                 matmul(poses.rb_mut(), Accum::Add, before, below, -1.0, Par::Seq);
             }
-            // X Lᵀ = M, by its transpose.
+            // Solves X Lᵀ = M by its transpose.
             let diagonal = block(&self.poses.diagonal()[node]);
             solve_lower_triangular_in_place(diagonal, poses.transpose_mut(), Par::Seq);
             for (i, root) in self.momenta[node].iter().enumerate() {
@@ -94,12 +94,12 @@ impl EnergyNorm {
         map
     }
 
-    /// `M Lᵀ`: a map of `z`, as one of deviations.
+    /// Returns `M Lᵀ`: a map of `z` as a map of deviations.
     #[must_use]
     pub fn columns_of(&self, map: &Mat<f64>) -> Mat<f64> {
         let mut transposed = map.transpose().to_owned();
         let mut own = Mat::zeros(POSE, map.nrows());
-        // What a node takes from the one before must not be its own yet.
+        // The rows of the node before must not have been overwritten yet.
         for node in (0..self.momenta.len()).rev() {
             let (before, here) = (transposed.as_mut()).split_at_row_mut(node * NODE_COMPONENTS);
             let diagonal = block(&self.poses.diagonal()[node]);
@@ -118,7 +118,7 @@ impl EnergyNorm {
         transposed.transpose().to_owned()
     }
 
-    /// `Lᵀ M`: a map to deviations, as one to `z`.
+    /// Returns `Lᵀ M`: a map to deviations as a map to `z`.
     #[must_use]
     pub fn out_of(&self, mut map: Mat<f64>) -> Mat<f64> {
         let mut own = Mat::zeros(POSE, map.ncols());
@@ -133,7 +133,8 @@ impl EnergyNorm {
         map
     }
 
-    /// A node's rows times its block of the factor, or of its transpose, to which a neighbor's poses add by theirs; `own` is room for a copy.
+    /// Multiplies a node's rows by its block of the factor, or of its transpose, and adds those of a neighbor's poses by theirs; `own` is
+    /// room for a copy.
     fn multiply(
         &self,
         node: usize,
@@ -179,7 +180,7 @@ mod tests {
         Rod::new(&RodParameters::straight(1.0, 5, section)).expect("a rod")
     }
 
-    /// At rest, the square of the norm of a small deviation is twice the energy that the moved arm has.
+    /// At rest, the square of the norm of a small deviation is twice the energy of the displaced arm.
     #[test]
     fn the_square_is_twice_the_energy() {
         let rod = rod();
@@ -208,9 +209,9 @@ mod tests {
         assert!((found - exact).abs() < 1e-5 * exact, "{found:e} {exact:e}");
     }
 
-    /// A map over `z` and back is the map; along `z` it gives what it gave along the deviation.
+    /// A map transformed to `z` and back is the same map; along `z` it gives the same as along the deviation.
     #[test]
-    fn maps_go_over_and_back() {
+    fn transformed_maps_are_recovered() {
         let rod = rod();
         let norm = EnergyNorm::at(&rod, &rod.rest).expect("positive");
         let n = NODE_COMPONENTS * rod.n_elements();

@@ -1,10 +1,10 @@
-//! Static equilibrium of a rod whose base is held under its loads, gravity, and springs on the tip.
+//! Static equilibrium of a rod with a held base under its loads, gravity, and springs on the tip.
 //!
-//! Globally, argmin's L-BFGS minimizes the potential energy in the tangent space of the current configuration, in
-//! coordinates in which the elastic stiffness there is the identity; locally, Newton's method with faer's sparse LU
-//! solves the equilibrium itself, with steps along which the strains are linear, so that turning does not stretch. Loads whose work has no
-//! potential (body-fixed forces, moments) enter the minimization at their current direction and Newton exactly; where Newton's method fails from
-//! the start, these loads are increased from zero.
+//! Globally, argmin's L-BFGS minimizes the potential energy in the tangent space of the current configuration, in coordinates in which the
+//! elastic stiffness there is the identity; locally, Newton's method with faer's sparse LU solves the equilibrium itself, with steps along
+//! which the strains are linear, so that turning does not stretch. Loads without a potential (body-fixed forces, moments) enter the
+//! minimization at their current direction and Newton's method exactly; if Newton's method fails from the start, these loads are increased
+//! from zero.
 
 use std::cell::{Cell, RefCell};
 
@@ -24,7 +24,7 @@ use super::strain_coordinates::retract_shape;
 use super::tangent::Tangent;
 use crate::stop::{Stop, StopSignal};
 
-/// Springs that pull the tip to a place and an orientation.
+/// Springs that pull the tip to a position and an orientation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TipSpring {
     /// Target position, and stiffness, N/m: energy `½ k |x - x*|²`.
@@ -34,7 +34,7 @@ pub struct TipSpring {
 }
 
 impl TipSpring {
-    /// Wrench of the springs on a tip at `x`, `r`.
+    /// Returns the wrench of the springs on a tip at `x`, `r`.
     #[must_use]
     pub fn wrench(&self, x: &Vector3<f64>, r: &Matrix3<f64>) -> Wrench {
         Wrench {
@@ -58,7 +58,7 @@ impl TipSpring {
         stretch + turn
     }
 
-    /// Derivative of minus the wrench along `(δx, η)` of the tip.
+    /// Returns the derivative of minus the wrench along `(δx, η)` of the tip.
     pub(crate) fn stiffness(&self, r: &Matrix3<f64>) -> Matrix6<f64> {
         let mut k = Matrix6::zeros();
         if let Some((_, stiffness)) = self.position {
@@ -74,10 +74,10 @@ impl TipSpring {
     }
 }
 
-/// Why no equilibrium was found.
+/// The reason why no equilibrium was found.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EquilibriumError {
-    /// A free rod has no place to rest.
+    /// A free rod has no place of rest.
     #[error("a static equilibrium needs a base that is held, and this one is free")]
     FreeBase,
     /// The iteration limit was reached.
@@ -85,53 +85,56 @@ pub enum EquilibriumError {
         "no static equilibrium within {iterations} iterations: residual {residual:.3e} of the rod's force scale EI/L²"
     )]
     NotConverged {
-        /// Iterations spent.
+        /// Number of iterations.
         iterations: usize,
-        /// Scaled residual that remained.
+        /// Scaled residual.
         residual: f64,
     },
-    /// An element is stretched beyond all measure: the load is more than its model bears.
+    /// An element is stretched beyond any reasonable length: its model does not bear the load.
     #[error(
         "element {element} would be stretched to {dilatation:.1e} of its length: its model bears no such load"
     )]
     Overstretched {
-        /// Element, between nodes `element` and `element + 1`.
+        /// Index of the element, between nodes `element` and `element + 1`.
         element: usize,
-        /// Length over the length at rest.
+        /// Length divided by the length at rest.
         dilatation: f64,
     },
-    /// Somebody ended the iteration.
+    /// A stop signal ended the iteration.
     #[error("stopped before the static equilibrium was found: {0}")]
     Stopped(#[from] Stop),
 }
 
-/// Scaled residual at which Newton's method is done, where [rounding](Statics::rounding) allows it.
+/// Scaled residual at which Newton's method ends, unless [rounding](Statics::rounding) is larger.
 const TOLERANCE: f64 = 1e-9;
-/// Beyond this no length means anything.
+/// Dilatation above which a length has no meaning.
 const LARGEST_DILATATION: f64 = 1e6;
+/// Cap on the alternations of minimization and Newton's method.
 const OUTER_LIMIT: usize = 200;
+/// Cap on the iterations of a stage of L-BFGS.
 const LBFGS_ITERATIONS: u64 = 30;
+/// Vectors that L-BFGS stores.
 const LBFGS_MEMORY: usize = 12;
-/// Energies that a stage may ask for; its line searches, usually of one to three, have no limit of their own.
+/// Cap on the evaluations of the energy in a stage. Its line searches, usually of one to three, have no limit of their own.
 const EVALUATION_LIMIT: usize = 1000;
-/// Newton steps without a smaller residual before the minimization takes over. A full step that turns a node stretches
-/// its elements by the square of the turn, and the residual falls only with the next one; without a potential the
-/// minimization would have no answer.
+/// Cap on Newton's steps without a smaller residual before the minimization takes over. A full step that turns a node stretches its
+/// elements by the square of the turn, and the residual falls only with the next step; without a potential the minimization would not help.
 const NEWTON_PATIENCE: usize = 8;
-/// Newton steps that turn a node further than this are left to the minimization; without a potential, those that bend an element further.
+/// Largest turn of a node in a Newton step, rad; longer steps are left to the minimization. Without a potential, the largest bend of an
+/// element.
 const LARGEST_NEWTON_TURN: f64 = 0.5;
-/// Turn of a node up to which a step may stretch the rod, by the square of it.
+/// Turn of a node up to which a step may stretch the rod, which it does by the square of the turn.
 const SMALL_TURN: f64 = 1e-3;
-/// Part of the loads in the first step of a continuation, and the least one.
+/// Fraction of the loads in the first step of a continuation, and the smallest one.
 const FIRST_STRIDE: f64 = 0.1;
 const LEAST_STRIDE: f64 = 1e-3;
-/// Newton steps at one load.
+/// Cap on Newton's steps at one load.
 const CONTINUATION_STEPS: usize = 12;
 
-/// Finds an equilibrium from `start` whose base stays where it is in `start`, with loads at their value at time `t`.
+/// Finds an equilibrium from `start`, with the base as in `start` and loads at their value at time `t`.
 ///
 /// # Errors
-/// [`EquilibriumError`] for a free base, when the iterations run out, or for a load that no shape bears.
+/// Returns [`EquilibriumError`] for a free base, if the iterations run out, or for a load that no shape bears.
 pub fn static_equilibrium(
     rod: &Rod,
     start: &Configuration,
@@ -141,7 +144,7 @@ pub fn static_equilibrium(
     static_equilibrium_until(rod, start, t, spring, &StopSignal::default())
 }
 
-/// [`static_equilibrium`], unless `stop` is raised before it is found.
+/// Finds an equilibrium as [`static_equilibrium`] does, unless `stop` is raised before it is found.
 ///
 /// # Errors
 /// As [`static_equilibrium`], and [`EquilibriumError::Stopped`].
@@ -174,7 +177,7 @@ pub fn static_equilibrium_until(
                 residual = trial_residual;
                 continue;
             }
-            // At rounding already: nothing more can be gained.
+            // At rounding, further steps bring no improvement.
             if size < 1e3 * TOLERANCE && statics.scaled(&trial_residual) < 1e3 * TOLERANCE {
                 let is_nearer = statics.scaled(&trial_residual) < size;
                 return checked(rod, if is_nearer { trial } else { center });
@@ -200,7 +203,8 @@ pub fn static_equilibrium_until(
     })
 }
 
-/// The equilibrium that the loads without a potential lead to when they are increased from zero; `None` where Newton's method cannot follow it.
+/// Returns the equilibrium that is reached when the loads without a potential are increased from zero; `None` if Newton's method cannot
+/// follow it.
 fn continued(
     rod: &Rod,
     start: &Configuration,
@@ -226,23 +230,24 @@ fn continued(
     Ok((part == 1.0).then_some(shape))
 }
 
-/// What becomes of an equilibrium that was found on a path.
+/// Decision about an equilibrium that was found on a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Passage {
-    /// The path goes on from it.
+    /// The path continues from the equilibrium.
     On,
-    /// It is the last one.
+    /// The equilibrium is the last one.
     End,
-    /// It is not on the path: a shorter stride is taken.
+    /// The equilibrium is not on the path, and a shorter stride is tried.
     Refused,
 }
 
-/// Follows the equilibrium of a family of rods from a factor and its shape to another factor by Newton's method. The first stride of the factor is the first
-/// of `strides`; a stride that fails is halved down to the second one, of factors above 1 to that part of them. `each` is told every equilibrium that is found, and whether its stride is the least;
-/// returned is the last one that it did not refuse.
+/// Follows the equilibrium of a family of rods from a factor and its shape to another factor by Newton's method. The first stride of the
+/// factor is the first of `strides`; a stride that fails is halved down to the second one, which for factors above 1 is relative to the
+/// factor. `each` is called with every equilibrium that is found, and whether its stride is the smallest; the last one that it did not
+/// refuse is returned.
 ///
 /// # Errors
-/// [`EquilibriumError::Stopped`].
+/// Returns [`EquilibriumError::Stopped`].
 #[expect(
     clippy::too_many_arguments,
     reason = "a rod, its time and springs, and a path"
@@ -284,7 +289,7 @@ pub(crate) fn followed(
     Ok((factor, shape))
 }
 
-/// Whether the work of a load has a potential: a force fixed in space, no moment.
+/// Tells whether a load has a potential: a force fixed in space, no moment.
 fn has_potential(load: &Load) -> bool {
     load.moment == Vector3::zeros()
         && (load.frame == LoadFrame::Spatial || load.force == Vector3::zeros())
@@ -317,7 +322,7 @@ impl<'a> Statics<'a> {
         }
     }
 
-    /// Unbalanced force and moment on every free node (node 1 first).
+    /// Returns the unbalanced force and moment on every free node (node 1 first).
     fn residual(&mut self, at: &Configuration) -> Vec<Vector6<f64>> {
         self.forces
             .evaluate(self.rod, &at.positions, &at.rotations, self.t);
@@ -333,7 +338,7 @@ impl<'a> Statics<'a> {
             .collect()
     }
 
-    /// Largest component, forces over `EI/L²` and moments over `EI/L`.
+    /// Returns the largest component, forces divided by `EI/L²` and moments by `EI/L`.
     fn scaled(&self, residual: &[Vector6<f64>]) -> f64 {
         let scales = &self.rod.scales;
         let mut largest: f64 = 0.0;
@@ -349,7 +354,7 @@ impl<'a> Statics<'a> {
         largest
     }
 
-    /// What rounding of the positions leaves of the scaled residual: `2 |x| ε C₁/l` from either side of a node.
+    /// Returns the effect of the positions' rounding on the scaled residual: `2 |x| ε C₁/l` from either side of a node.
     fn rounding(&self, at: &Configuration) -> f64 {
         let farthest = at.positions.iter().map(|x| x.norm()).fold(0.0, f64::max);
         let stiffest = (self.rod.elements.iter())
@@ -366,13 +371,13 @@ impl<'a> Statics<'a> {
         out
     }
 
-    /// Whether the work of the loads has a potential: forces fixed in space, no moments.
+    /// Tells whether all loads have a potential: forces fixed in space, no moments.
     fn is_conservative(&self) -> bool {
         self.rod.loads.iter().all(has_potential)
     }
 
-    /// An equilibrium within the tolerance, and one Newton step more: rounding of the stiff strains hides in the residual what the soft ones
-    /// still lack.
+    /// Takes one more Newton step from an equilibrium within the tolerance: the rounding of the stiff strains hides in the residual the
+    /// remaining error of the soft ones.
     fn refined_once(&mut self, at: Configuration, residual: &[Vector6<f64>]) -> Configuration {
         let tolerance = TOLERANCE.max(self.rounding(&at));
         match self.newton(&at, residual) {
@@ -381,7 +386,7 @@ impl<'a> Statics<'a> {
         }
     }
 
-    /// Newton's method to the end; `None` where it does not converge.
+    /// Runs Newton's method to the end; `None` if it does not converge.
     fn solved(&mut self, start: &Configuration) -> Option<Configuration> {
         let mut at = start.clone();
         let mut residual = self.residual(&at);
@@ -391,7 +396,7 @@ impl<'a> Statics<'a> {
                 return Some(self.refined_once(at, &residual));
             }
             let next = self.newton(&at, &residual)?;
-            // At rounding already: nothing more can be gained.
+            // At rounding, further steps bring no improvement.
             if size < 1e3 * TOLERANCE && self.scaled(&next.1) > 0.5 * size {
                 return Some(at);
             }
@@ -400,7 +405,7 @@ impl<'a> Statics<'a> {
         None
     }
 
-    /// Newton steps until the residual is halved: one where the minimization can do better, otherwise a few.
+    /// Takes Newton steps until the residual is halved: one if the minimization is the alternative, otherwise a few.
     fn newton_steps(
         &mut self,
         at: &Configuration,
@@ -422,7 +427,7 @@ impl<'a> Statics<'a> {
         Some(trial)
     }
 
-    /// One full Newton step; `None` when the matrix is singular or the step is too long to be trusted.
+    /// Takes one full Newton step; `None` if the matrix is singular or the step too long to be trusted.
     fn newton(
         &mut self,
         at: &Configuration,
@@ -439,7 +444,7 @@ impl<'a> Statics<'a> {
         if !is_short && self.is_conservative() {
             return None;
         }
-        // Near steps have no need of keeping the strains, and round less.
+        // Short steps need not preserve the strains, and have less rounding.
         let farthest = (step.iter())
             .map(|s| s.fixed_rows::<3>(3).norm())
             .fold(0.0, f64::max);
@@ -455,7 +460,7 @@ impl<'a> Statics<'a> {
         Some((trial, residual))
     }
 
-    /// A stage of L-BFGS from `center`, on the energy with non-conservative loads frozen.
+    /// Runs a stage of L-BFGS from `center`, on the energy with non-conservative loads frozen.
     fn minimize(&mut self, center: &Configuration, stop: &StopSignal) -> Configuration {
         let k = self.stiffness(center);
         let symmetric: Vec<_> = k
@@ -469,7 +474,7 @@ impl<'a> Statics<'a> {
             .zip(&k.above)
             .map(|(b, a)| 0.5 * (b + a.transpose()))
             .collect();
-        // Shift an indefinite stiffness until it can be factored; the shift is relative to each diagonal.
+        // Shifts an indefinite stiffness until it can be factored; the shift is relative to each diagonal entry.
         let mut shift = 0.0;
         let factor = loop {
             let shifted: Vec<_> = symmetric
@@ -508,7 +513,7 @@ impl<'a> Statics<'a> {
                     .timer(false)
                     .run()
             });
-        // A line search that cannot improve ends the stage; the caller sees no progress and stops.
+        // A line search without improvement ends the stage; the caller sees no progress and stops.
         let Ok(result) = run else {
             return center.clone();
         };
@@ -527,7 +532,7 @@ fn blocks(flat: &[f64]) -> Vec<Vector6<f64>> {
         .collect()
 }
 
-/// `x + δx`, `R exp(η)` on the free nodes.
+/// Returns `x + δx`, `R exp(η)` on the free nodes.
 fn moved(at: &Configuration, step: &[Vector6<f64>]) -> Configuration {
     let mut out = at.clone();
     for (q, s) in step.iter().enumerate() {
@@ -537,7 +542,7 @@ fn moved(at: &Configuration, step: &[Vector6<f64>]) -> Configuration {
     out
 }
 
-/// The shape to which a step leads along which the strains of all elements are linear.
+/// Returns the shape after a step along which the strains of all elements are linear.
 fn strained(at: &Configuration, step: &[Vector6<f64>]) -> Configuration {
     let mut positions = vec![Vector3::zeros()];
     let mut rotations = positions.clone();
@@ -550,7 +555,7 @@ fn strained(at: &Configuration, step: &[Vector6<f64>]) -> Configuration {
     out
 }
 
-/// Largest change of the turn between the ends of an element, rad.
+/// Returns the largest change of the turn between the ends of an element, rad.
 fn largest_bend(from: &Configuration, to: &Configuration) -> f64 {
     let turn =
         |shape: &Configuration, q: usize| log(&shape.rotations[q].tr_mul(&shape.rotations[q + 1]));
@@ -559,7 +564,7 @@ fn largest_bend(from: &Configuration, to: &Configuration) -> f64 {
         .fold(0.0, |most, bend| if bend <= most { most } else { bend })
 }
 
-/// The rod's loads as wrenches at `center`, summed per node.
+/// Returns the rod's loads as wrenches at `center`, summed per node.
 fn frozen_loads(rod: &Rod, center: &Configuration, t: f64) -> Vec<Wrench> {
     let mut out = vec![Wrench::default(); rod.n_nodes()];
     for load in &rod.loads {
@@ -570,7 +575,7 @@ fn frozen_loads(rod: &Rod, center: &Configuration, t: f64) -> Vec<Wrench> {
     out
 }
 
-/// Potential energy over `z`, where `(δx, η) = L⁻ᵀ z` and `L Lᵀ` is the stiffness at the center.
+/// Potential energy as a function of `z`, where `(δx, η) = L⁻ᵀ z` and `L Lᵀ` is the stiffness at the center.
 struct PotentialEnergy<'a> {
     rod: &'a Rod,
     spring: TipSpring,
@@ -625,7 +630,7 @@ impl Gradient for PotentialEnergy<'_> {
         let tip = self.rod.tip();
         let mut forces = self.forces.borrow_mut();
         forces.evaluate(self.rod, &at.positions, &at.rotations, self.t);
-        // The loads in `forces` are those at the displaced rotations; put the frozen ones in their place.
+        // The loads in `forces` are those at the displaced rotations; the frozen ones replace them.
         for load in &self.rod.loads {
             let wrench = load.wrench(self.t, &at.rotations[load.node]);
             forces.forces[load.node] -= wrench.force;

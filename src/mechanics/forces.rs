@@ -15,7 +15,7 @@ pub struct NodalForces {
 }
 
 impl NodalForces {
-    /// Zero forces on `n_nodes` nodes.
+    /// Returns zero forces on `n_nodes` nodes.
     #[must_use]
     pub fn zeros(n_nodes: usize) -> Self {
         Self {
@@ -24,7 +24,7 @@ impl NodalForces {
         }
     }
 
-    /// `-dU/dx`, `-dU/dη`, gravity and loads at the instant `t`. Control wrenches are not included.
+    /// Computes `-dU/dx`, `-dU/dη`, gravity and loads at the instant `t`. Control wrenches are not included.
     pub fn evaluate(
         &mut self,
         rod: &Rod,
@@ -41,7 +41,7 @@ impl NodalForces {
         self.add_loads(rod, rotations, &instant);
     }
 
-    /// `-dU/dx`, `-dU/dη` and gravity, whatever the time scheme.
+    /// Computes `-dU/dx`, `-dU/dη` and gravity, whatever the time scheme is.
     pub fn evaluate_elastic(
         &mut self,
         rod: &Rod,
@@ -52,8 +52,8 @@ impl NodalForces {
         self.add_elastic(rod, positions, rotations);
     }
 
-    /// What acts at a time node by itself: elastic forces, gravity and loads, or under [`TimeScheme::Implicit`] gravity and loads
-    /// only, because the elastic forces are those of the intervals.
+    /// Computes the forces of a time node: elastic forces, gravity and loads, or under [`TimeScheme::Implicit`] gravity and loads only,
+    /// because the elastic forces belong to the intervals.
     pub fn evaluate_at_node(
         &mut self,
         rod: &Rod,
@@ -65,7 +65,7 @@ impl NodalForces {
         self.add_loads(rod, rotations, node);
     }
 
-    /// [`Self::evaluate_at_node`] without loads, which the steps before and after the time node may find different.
+    /// Computes [`Self::evaluate_at_node`] without loads, which may differ before and after the time node.
     pub fn evaluate_without_loads(
         &mut self,
         rod: &Rod,
@@ -101,7 +101,7 @@ impl NodalForces {
         }
     }
 
-    /// Adds what the loads apply at a time node.
+    /// Adds the loads at a time node.
     pub fn add_loads(&mut self, rod: &Rod, rotations: &[Matrix3<f64>], node: &TimeNode) {
         for load in &rod.loads {
             let wrench = load.wrench_at_node(node, &rotations[load.node]);

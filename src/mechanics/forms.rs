@@ -1,15 +1,15 @@
-//! Linear forms of the variation of a motion at single time nodes: all that constraints and costs ask of a linearized motion.
+//! Linear forms of the variation of a motion at single time nodes, by which constraints and costs enter a linearized motion.
 
 use super::configuration::TrajectoryTangent;
 use super::linearization::StateTangent;
 
-/// Components of a node's tangent: `δx, ζ, δp, δπ`.
+/// Number of components of a node's tangent: `δx, ζ, δp, δπ`.
 pub const NODE_COMPONENTS: usize = 12;
 
 /// One component of one node, with its coefficient.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FormTerm {
-    /// Rod node.
+    /// Index of the rod's node.
     pub node: usize,
     /// 0..3 `δx` (spatial), 3..6 `ζ` (body), 6..9 `δp` (spatial), 9..12 `δπ` (body).
     pub component: usize,
@@ -19,9 +19,8 @@ pub struct FormTerm {
 
 /// A linear form `Σ coefficient · component` of the tangent at one time node.
 ///
-/// At `k < N` the momenta are those that arrive at `k`, before its kick: `m (x^k - x^{k-1})/h` for a standard rod with
-/// explicit steps, the initial ones at 0. At `N` they are those after the last kick, the terminal Legendre
-/// transform. Nodes that are held or driven have no tangent.
+/// At `k < N` the momenta are those that arrive at `k`, before its kick: `m (x^k - x^{k-1})/h` for a standard rod with explicit steps, the
+/// initial ones at 0. At `N` they are those after the last kick, the terminal Legendre transform. Held or driven nodes have no tangent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StateForm {
     /// Time node `k`.
@@ -31,7 +30,7 @@ pub struct StateForm {
 }
 
 impl StateForm {
-    /// The form whose value is [`StateTangent::dot`] with `covector`.
+    /// Returns the form whose value is [`StateTangent::dot`] with `covector`.
     #[must_use]
     pub fn of_covector(time_node: usize, covector: &StateTangent) -> Self {
         let parts = [
@@ -55,7 +54,7 @@ impl StateForm {
         Self { time_node, terms }
     }
 
-    /// Value on a tangent at the form's time node.
+    /// Returns the value on a tangent at the form's time node.
     #[must_use]
     pub fn of(&self, tangent: &StateTangent) -> f64 {
         (self.terms.iter())
@@ -65,7 +64,7 @@ impl StateForm {
             .sum()
     }
 
-    /// Value on a direction of the configurations of `n_nodes` nodes; of a form without momenta.
+    /// Returns the value on a direction of the configurations of `n_nodes` nodes; the form must not contain momenta.
     #[must_use]
     pub fn along(&self, direction: &TrajectoryTangent, n_nodes: usize) -> f64 {
         (self.terms.iter())
@@ -89,7 +88,7 @@ impl StateForm {
     }
 }
 
-/// The forms of time node `k`, of forms in ascending order of time.
+/// Returns the range of the forms of time node `k`, among forms in ascending order of time.
 pub(super) fn forms_at(forms: &[StateForm], k: usize) -> std::ops::Range<usize> {
     let before = |limit| forms.partition_point(|form| form.time_node < limit);
     before(k)..before(k + 1)

@@ -1,4 +1,4 @@
-//! Where a motion leaves the range of the model: the errors that end a step.
+//! The guards of a step: errors for motions outside the range of the model.
 
 use nalgebra::{Matrix3, Quaternion, Vector3};
 
@@ -8,7 +8,7 @@ use super::rotation::{cay_inverse, log};
 use super::step_error::StepError;
 use super::time::Clock;
 
-/// Where a driven base will be at the end of the step, and the Cayley vector of its turn from `rotation` until then.
+/// Returns the state of a driven base at the end of the step, and the Cayley vector of its turn from `rotation` until then.
 pub(crate) fn approach_base(
     rod: &Rod,
     rotation: &Matrix3<f64>,
@@ -20,7 +20,7 @@ pub(crate) fn approach_base(
         return Ok(None);
     };
     let turn = rotation.tr_mul(&base.rotation);
-    // The speed as well, lest whole turns between two time nodes go unseen.
+    // The speed counts as well, so that whole turns between two time nodes are noticed.
     let angle = log(&turn)
         .norm()
         .max(base.angular_velocity.norm() * clock.step);
@@ -34,7 +34,7 @@ pub(crate) fn approach_base(
     Ok(Some((base, turn)))
 }
 
-/// Whether the time step resolves the dilatation of element `q` with its ends at `ends`.
+/// Checks that the time step resolves the dilatation of element `q` with its ends at `ends`.
 pub(crate) fn check_dilatation(
     rod: &Rod,
     q: usize,
@@ -56,7 +56,7 @@ pub(crate) fn check_dilatation(
     })
 }
 
-/// The relative quaternion of an element's ends, continuous along its motion, stays on this side of half a turn.
+/// Checks that the relative quaternion of an element's ends, continuous along its motion, stays below half a turn.
 pub(crate) fn check_fold(
     relative: &Quaternion<f64>,
     element: usize,
@@ -95,7 +95,7 @@ pub(crate) fn rotation_error(
     }
 }
 
-/// A value of a node that is not finite.
+/// Returns the error of a node with a value that is not finite.
 pub(crate) fn not_finite(node: usize, step: usize, time: f64, quantity: &'static str) -> StepError {
     StepError::NotFinite {
         node,

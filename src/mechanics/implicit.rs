@@ -7,10 +7,10 @@
 //! Kelvin-Voigt    stress τ C (s^{k+1} - s^k)/h
 //! ```
 //!
-//! The first is a discrete Lagrangian too, so the step is symplectic, and because strains do not see rigid motions it keeps
-//! both momenta exactly; about the stress-free shape it is the implicit midpoint rule, symmetric, of second order and stable at
-//! any step. What is slower than the step is followed, what is faster rings at its own amplitude with a wrong frequency. The
-//! second takes energy and nothing else: a rigid motion does not feel it. Either way one stress acts at both ends,
+//! The first is a discrete Lagrangian too, so the step is symplectic, and because strains do not depend on rigid motions it preserves both
+//! momenta exactly; about the stress-free shape it is the implicit midpoint rule, symmetric, of second order and stable at any step. Modes
+//! slower than the step are resolved, faster ones oscillate with their own amplitude at a wrong frequency. The second only dissipates
+//! energy, and has no effect on a rigid motion. In both cases one stress acts at both ends,
 //!
 //! ```text
 //! σ = C (γ (s^k - s_rest) + β (s^{k+1} - s_rest)),      γ, β = ½ - τ/h, ½ + τ/h implicit,  -τ/h, τ/h explicit
@@ -21,33 +21,33 @@
 //! with the drift, gravity, loads and viscous damping of the [explicit step](super::stepper), whose elastic forces are
 //! part of `f` under [`TimeScheme::Explicit`]. There Kelvin-Voigt damping leaves the stable step as it is: the roots of
 //! `(1 + z) λ² - (2 - h²ω²) λ + (1 - z)`, `z = τ h ω²/2`, are in the unit circle up to `h ω = 2` for any `τ`.
-//! Follower loads stay explicit, so a stiff one (force over arm length near `m/h²`) limits the step of both schemes.
+//! Follower loads stay explicit, so a stiff one (with force divided by arm length near `m/h²`) limits the step of both schemes.
 //!
-//! Under stress the implicit step has a limit after all, because the change of `Bᵀ` at a given stress, the geometric stiffness
-//! `K_σ`, still acts at the time nodes. A wave that the step does not resolve changes its sign every step, and its amplitude `y`
-//! obeys `(M + h²K/4) ÿ + (4M/h² - K_σ) y = 0`: it grows where `K_σ > 4M/h²`, that is, for a bending moment `m` on the rotary
-//! inertia `J` of a node, beyond about `h = 2 sqrt(J/m)`. Internal damping slows the growth and does not end it. See
-//! [`bent_step`](super::stability::bent_step). The potential at a mean configuration would have no such limit.
+//! Under stress the implicit step has a limit nevertheless, because the change of `Bᵀ` at a given stress, the geometric stiffness `K_σ`,
+//! still acts at the time nodes. A wave that the step does not resolve changes its sign at every step, and its amplitude `y` obeys `(M +
+//! h²K/4) ÿ + (4M/h² - K_σ) y = 0`: it grows if `K_σ > 4M/h²`, that is, for a bending moment `m` on the rotary inertia `J` of a node,
+//! beyond about `h = 2 sqrt(J/m)`. Internal damping slows the growth and does not end it. See [`bent_step`](super::stability::bent_step).
+//! The potential at a mean configuration would have no such limit.
 //!
-//! The step is solved by Newton's method for the configuration at its end ([`lanes`](super::lanes)). A node meets its two neighbors only, hence
-//! the Jacobian is block-tridiagonal: momentum per motion of every node, plus `h/2 β B_kᵀ C B_{k+1}` of every element, not
-//! symmetric. Momenta are then taken from the forces, so that linear momentum is kept however small the last residual is.
+//! The step is solved by Newton's method for the configuration at its end ([`lanes`](super::lanes)). A node is coupled to its two neighbors
+//! only, so that the Jacobian is block-tridiagonal: momentum per motion of every node, plus `h/2 β B_kᵀ C B_{k+1}` of every element, not
+//! symmetric. Momenta are then computed from the forces, so that linear momentum is preserved whatever the last residual is.
 
 use super::element::{Element, ElementStrain, IntervalStress};
 use super::rod::Rod;
 use super::time::TimeScheme;
 
-/// How the strains at both ends of an interval make its stress.
+/// Weights of the strains at both ends of an interval in its stress.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntervalWeights {
-    /// `γ`, of the strain where the interval starts.
+    /// `γ`, weight of the strain at the start.
     pub start: f64,
-    /// `β`, of the strain where it ends.
+    /// `β`, weight of the strain at the end.
     pub end: f64,
 }
 
 impl IntervalWeights {
-    /// For steps of length `h`; `None` where no stress depends on both ends, so that nothing is to be solved.
+    /// Returns the weights for steps of length `h`; `None` if no stress depends on both ends, so that no equations are solved.
     #[must_use]
     pub fn of(rod: &Rod, h: f64) -> Option<Self> {
         let mean = match rod.scheme {
@@ -62,7 +62,7 @@ impl IntervalWeights {
         })
     }
 
-    /// `σ` of an element between two strains.
+    /// Returns `σ` of an element between two strains.
     pub(super) fn stress(
         self,
         element: &Element,

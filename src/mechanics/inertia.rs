@@ -1,35 +1,35 @@
-//! Rotary inertia that follows the dilatation, and the kinetic reaction that it brings about.
+//! Rotary inertia that follows the dilatation, and the kinetic reaction that this causes.
 //!
-//! An element whose chord is `e = |dx|/|dx_rest|` times its rest length gives its ends their shares of rotary inertia
-//! divided by `e`. Which `e` an interval `[k, k+1]` uses depends on the [model](RodModel):
+//! An element whose chord is `e = |dx|/|dx_rest|` times its rest length gives its ends their shares of rotary inertia divided by `e`. The
+//! [model](RodModel) determines which `e` an interval `[k, k+1]` uses:
 //!
-//! * `dilatation`: `e^k` where it leaves and `e^{k+1}` where it arrives, the printed equation (81) of the paper;
-//! * `consistent`: one value for the whole interval, so that there is a discrete Lagrangian: `e^k` for even `k`, `e^{k+1}` for
-//!   odd `k`. Every step is then explicit, and two steps together are symmetric, hence second order.
+//! * `dilatation`: `e^k` at its start and `e^{k+1}` at its end, the printed equation (81) of the paper;
+//! * `consistent`: one value for the whole interval, so that there is a discrete Lagrangian: `e^k` for even `k`, `e^{k+1}` for odd `k`.
+//! Every step is then explicit, and two steps together are symmetric, hence of second order.
 //!
-//! The rotational kinetic energy of an element over an interval, `T = Σ_ends f·J f / (2 h² α e)` with the ends' Cayley vectors
-//! `f` and `α = 1 + |f|²/4`, pulls its nodes together with the impulse `h ∂T/∂dx` at that end of the interval whose `e` it uses.
+//! The rotational kinetic energy of an element over an interval, `T = Σ_ends f·J f / (2 h² α e)` with the ends' Cayley vectors `f` and `α =
+//! 1 + |f|²/4`, pulls its nodes together with the impulse `h ∂T/∂dx` at that end of the interval whose `e` it uses.
 
 use nalgebra::Vector3;
 
 use super::element::RodModel;
 use super::rod::Rod;
 
-/// At which ends of an interval the inertia follows the dilatation.
+/// The ends of an interval at which the inertia follows the dilatation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InertiaRule {
-    /// Inertia at rest.
+    /// Neither end: the inertia is that of the rod at rest.
     Constant,
-    /// That of the start where it leaves, that of the end where it arrives.
+    /// Both ends: the momentum that leaves the start has the inertia of the start, the momentum that arrives at the end that of the end.
     Both,
-    /// That of the start, with the kinetic reaction there.
+    /// The start only, with the kinetic reaction there.
     Start,
-    /// That of the end, with the kinetic reaction there.
+    /// The end only, with the kinetic reaction there.
     End,
 }
 
 impl InertiaRule {
-    /// Rule for the interval from time node `k` on.
+    /// Returns the rule for the interval from time node `k` on.
     #[inline]
     #[must_use]
     pub fn of(model: RodModel, k: usize) -> Self {
@@ -43,7 +43,7 @@ impl InertiaRule {
 }
 
 impl Rod {
-    /// Principal moments of inertia of every node in a configuration, kg m², body frame; those at rest under
+    /// Returns the principal moments of inertia of every node in a configuration, kg m², body frame; those at rest under
     /// [`RodModel::Standard`].
     #[must_use]
     pub fn rotary_at(&self, positions: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
@@ -52,7 +52,7 @@ impl Rod {
         rotary
     }
 
-    /// [`Self::rotary_at`] into a buffer.
+    /// Writes [`Self::rotary_at`] to a buffer.
     pub(super) fn write_rotary(&self, positions: &[Vector3<f64>], rotary: &mut Vec<Vector3<f64>>) {
         rotary.clear();
         rotary.extend(self.nodes.iter().map(|node| node.rotary));
@@ -67,7 +67,7 @@ impl Rod {
         }
     }
 
-    /// That of node 0 in [`Self::rotary_at`].
+    /// Returns the moments of node 0 in [`Self::rotary_at`].
     pub(super) fn base_rotary(&self, positions: &[Vector3<f64>]) -> Vector3<f64> {
         let rotary = self.nodes[0].rotary;
         if self.model == RodModel::Standard {
@@ -77,13 +77,13 @@ impl Rod {
         rotary + self.element_inertia[0][0].rotary * change
     }
 
-    /// `|x_{q+1} - x_q|/|x_{q+1} - x_q|_rest`
+    /// Returns the dilatation of a chord, `|x_{q+1} - x_q|/|x_{q+1} - x_q|_rest`.
     #[inline]
     pub(super) fn chord_dilatation(&self, q: usize, positions: &[Vector3<f64>]) -> f64 {
         (positions[q + 1] - positions[q]).norm() / self.rest_chords[q]
     }
 
-    /// `h c/l`: the dilatation at which the axial stiffness `EA/e²` of element `q` reaches the stability limit of the step.
+    /// Returns `h c/l`: the dilatation at which the axial stiffness `EA/e²` of element `q` reaches the stability limit of the step.
     pub(crate) fn least_dilatation(&self, q: usize, time_step: f64) -> f64 {
         let [a, b] = &self.element_inertia[q];
         let element = &self.elements[q];
@@ -91,8 +91,8 @@ impl Rod {
         0.5 * time_step * (stiffness * (1.0 / a.mass + 1.0 / b.mass)).sqrt()
     }
 
-    /// Adds `factor` times the impulses of the kinetic reaction at `positions` to the momenta of the nodes that move;
-    /// `turn` gives the Cayley vector of a node's step.
+    /// Adds `factor` times the impulses of the kinetic reaction at `positions` to the momenta of the moving nodes; `turn` returns the
+    /// Cayley vector of a node's step.
     pub(super) fn add_kinetic_reaction<'a>(
         &self,
         positions: &[Vector3<f64>],
@@ -111,8 +111,8 @@ impl Rod {
         }
     }
 
-    /// Impulse of the kinetic reaction on node `q + 1` (and its opposite on node `q`), kg m/s, for the Cayley vectors of
-    /// the two ends: `-h L₀ T dx/|dx|³`, `T = Σ_ends f·J f/(2 h² α)`, `L₀ = |dx_rest|`.
+    /// Returns the impulse of the kinetic reaction on node `q + 1` (opposite on node `q`), kg m/s, for the Cayley vectors of the two ends:
+    /// `-h L₀ T dx/|dx|³`, `T = Σ_ends f·J f/(2 h² α)`, `L₀ = |dx_rest|`.
     #[inline]
     pub(super) fn kinetic_reaction(
         &self,
@@ -124,15 +124,15 @@ impl Rod {
         self.kinetic_pull(q, dx, self.rotational_energy(q, turns, h)) * h
     }
 
-    /// Force on node `q + 1` (and its opposite on node `q`), N, of an element whose ends rotate with the kinetic energy
-    /// `energy` at `e = 1`: `∂L/∂dx = -L₀ T dx/|dx|³`.
+    /// Returns the force on node `q + 1` (opposite on node `q`), N, of an element whose ends rotate with the kinetic energy `energy` at `e
+    /// = 1`: `∂L/∂dx = -L₀ T dx/|dx|³`.
     #[inline]
     pub(super) fn kinetic_pull(&self, q: usize, dx: &Vector3<f64>, energy: f64) -> Vector3<f64> {
         let length = dx.norm();
         dx * (-self.rest_chords[q] * energy / (length * length * length))
     }
 
-    /// `Σ_ends f·J f/(2 h² α)` of element `q` at `e = 1`, J.
+    /// Returns `Σ_ends f·J f/(2 h² α)` of element `q` at `e = 1`, J.
     pub(super) fn rotational_energy(&self, q: usize, turns: [&Vector3<f64>; 2], h: f64) -> f64 {
         let shares = &self.element_inertia[q];
         (0..2)

@@ -1,9 +1,10 @@
 //! Loads: wrenches on nodes as functions of time and, for some frames, of the node's rotation.
 //!
-//! The profile of a load jumps where it begins or ends with a factor other than zero, and may jump in between. At a time node a step function
-//! that rises at `t₀` has the value `∫ φ(t) [t ≥ t₀] dt / ∫ φ(t) dt`, `φ` the hat that is 1 at the node and falls to 0 at its neighbors:
-//! half of the jump where it falls on the node, as the mean of both sides says. The steps then apply the impulse of the load, and its first
-//! moment in time, exactly, wherever the jump lies between the nodes, and the motion stays second order in the step.
+//! The profile of a load jumps where it begins or ends with a factor other than zero, and may jump in between. At a time node a step
+//! function that rises at `t₀` has the value `∫ φ(t) [t ≥ t₀] dt / ∫ φ(t) dt`, where `φ` is the hat function that is 1 at the node and
+//! falls to 0 at its neighbors: half of the jump if it falls on the node, which is the mean of both sides. The steps then apply the impulse
+//! of the load, and its first moment in time, exactly, wherever the jump lies between the nodes, and the motion remains of second order in
+//! the step.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -12,14 +13,14 @@ use super::time::TimeNode;
 /// A force and a moment on a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Wrench {
-    /// Spatial frame, N.
+    /// Force, spatial frame, N.
     pub force: Vector3<f64>,
-    /// Body frame of the node, N m.
+    /// Moment, body frame of the node, N m.
     pub moment: Vector3<f64>,
 }
 
 impl Wrench {
-    /// Components in the order fx, fy, fz (spatial), mx, my, mz (body).
+    /// Returns the wrench with components in the order fx, fy, fz (spatial frame), mx, my, mz (body frame).
     #[must_use]
     pub fn from_array(u: [f64; 6]) -> Self {
         Self {
@@ -28,7 +29,7 @@ impl Wrench {
         }
     }
 
-    /// Components in the same order.
+    /// Returns the components in the order of [`Self::from_array`].
     #[must_use]
     pub fn to_array(&self) -> [f64; 6] {
         let (f, m) = (&self.force, &self.moment);
@@ -36,27 +37,27 @@ impl Wrench {
     }
 }
 
-/// The frame that a load is given in.
+/// Frame in which a vector is given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum LoadFrame {
-    /// The load keeps its direction in space.
+    /// The vector keeps its direction in space.
     #[default]
     Spatial,
-    /// The load turns with the node.
+    /// The vector turns with the node.
     Body,
 }
 
 /// A given force and moment per rest length on a part of the rod.
 ///
-/// Lumped like the mass: a node carries what acts on its own halves of the elements beside it, also where the loaded
-/// part ends within them.
+/// It is lumped like the mass: a node carries the load on its own halves of the elements beside it, also if the loaded part ends within
+/// them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DistributedLoad {
     /// Start of the loaded part, as a fraction of the rest length from the base.
     pub from: f64,
-    /// Its end.
+    /// End of the loaded part, as such a fraction.
     pub to: f64,
     /// Force per rest length in `frame`, N/m.
     pub force: Vector3<f64>,
@@ -64,12 +65,12 @@ pub struct DistributedLoad {
     pub moment: Vector3<f64>,
     /// Frame of both.
     pub frame: LoadFrame,
-    /// As in [`Load::profile`].
+    /// Profile, as in [`Load::profile`].
     pub profile: Vec<(f64, f64)>,
 }
 
 impl DistributedLoad {
-    /// The loads on the nodes of a rod of rest length `length` (m) and `n_elements` elements.
+    /// Returns the loads on the nodes of a rod of rest length `length` (m) and `n_elements` elements.
     #[must_use]
     pub fn lumped(&self, length: f64, n_elements: usize) -> Vec<Load> {
         let n = n_elements as f64;
@@ -107,13 +108,13 @@ pub struct Load {
 }
 
 impl Load {
-    /// Factor of the profile at the instant `t`; at a jump the value just after it, at the end of the table the last one.
+    /// Returns the factor of the profile at the instant `t`: at a jump the value just after it, at the end of the table the last one.
     #[must_use]
     pub fn factor(&self, t: f64) -> f64 {
         let (Some(first), Some(last)) = (self.profile.first(), self.profile.last()) else {
             return 1.0;
         };
-        // Also outside: a NaN.
+        // A NaN also counts as outside.
         if !(first.0..=last.0).contains(&t) {
             return 0.0;
         }
@@ -125,8 +126,8 @@ impl Load {
         f0 + (f1 - f0) * (t - t0) / (t1 - t0)
     }
 
-    /// What the steps on either side of a time node apply there: [`Self::factor`], with jumps shared between the time nodes beside them
-    /// (see the [module](self)).
+    /// Returns the factor at a time node for the steps on both sides: [`Self::factor`], with jumps shared between the time nodes beside
+    /// them (see the [module](self)).
     #[must_use]
     pub fn factor_at_node(&self, node: &TimeNode) -> f64 {
         let &TimeNode {
@@ -138,10 +139,10 @@ impl Load {
         if self.profile.is_empty() || !(before + after > 0.0) {
             return factor;
         }
-        // Part of a step function from `start` on that the node takes.
+        // The node's share of a step function that rises at `start`.
         let share = |start: f64| {
             let part = |length: f64, distance: f64| {
-                // Of the half of the hat that is `length` long, what lies farther than `distance` from the node.
+                // Fraction of the half of the hat of the given `length` that lies farther than `distance` from the node.
                 let rest = (1.0 - distance / length).clamp(0.0, 1.0);
                 if length > 0.0 {
                     length * rest * rest
@@ -161,7 +162,7 @@ impl Load {
         };
         let (first, last) = (self.profile[0], self.profile[self.profile.len() - 1]);
         jump(first.0, first.1, first.0 <= t);
-        // At the end of the table `factor` has the last value.
+        // At the end of the table [`Self::factor`] has the last value.
         jump(last.0, -last.1, last.0 < t);
         let from = self.profile.partition_point(|&(own, _)| own < t - before);
         let to = self.profile.partition_point(|&(own, _)| own <= t + after);
@@ -173,7 +174,7 @@ impl Load {
         factor
     }
 
-    /// Whether the wrench depends on the rotation of the node at all.
+    /// Tells whether the wrench depends on the rotation of the node.
     #[must_use]
     pub fn turns(&self) -> bool {
         match self.frame {
@@ -182,13 +183,13 @@ impl Load {
         }
     }
 
-    /// The wrench at the instant `t` on a node turned by `rotation`.
+    /// Returns the wrench at the instant `t` on a node turned by `rotation`.
     #[must_use]
     pub fn wrench(&self, t: f64, rotation: &Matrix3<f64>) -> Wrench {
         self.scaled(self.factor(t), rotation)
     }
 
-    /// The wrench that the steps beside a time node apply, with [`Self::factor_at_node`].
+    /// Returns the wrench that the steps beside a time node apply, with [`Self::factor_at_node`].
     #[must_use]
     pub fn wrench_at_node(&self, node: &TimeNode, rotation: &Matrix3<f64>) -> Wrench {
         self.scaled(self.factor_at_node(node), rotation)
@@ -207,7 +208,7 @@ impl Load {
         }
     }
 
-    /// Derivatives of [`Load::wrench`]'s force and moment along a body-frame rotation `ζ` of the node.
+    /// Returns the derivatives of [`Load::wrench`]'s force and moment along a body-frame rotation `ζ` of the node.
     #[must_use]
     pub fn wrench_derivative(
         &self,
@@ -217,7 +218,7 @@ impl Load {
         self.scaled_derivative(self.factor(t), rotation)
     }
 
-    /// The same of [`Load::wrench_at_node`].
+    /// Returns the derivatives of [`Load::wrench_at_node`].
     #[must_use]
     pub fn wrench_derivative_at_node(
         &self,
@@ -278,9 +279,9 @@ mod tests {
         assert_eq!(load(LoadFrame::Body, vec![]).factor(1e9), 1.0);
     }
 
-    /// The factors of the time nodes of a grid, each with its share of the time, apply the impulse of a profile and its first moment in
-    /// time exactly: jumps at its beginning, at its end and in between, on the nodes, between them, several within one step, and outside
-    /// of the grid. The profile is constant between the jumps, so that nothing else is left to the quadrature.
+    /// The factors of a grid's time nodes, each with its share of the time, apply the impulse of a profile and its first moment in time
+    /// exactly: for jumps at its beginning, at its end and in between, on the nodes, between them, several within one step, and outside of
+    /// the grid. The profile is constant between the jumps, so that the quadrature has no other error.
     #[test]
     fn jumps_keep_impulse_and_moment() {
         let grid = TimeGrid {
@@ -304,7 +305,7 @@ mod tests {
                 LoadFrame::Spatial,
                 vec![(a, first), (b, first), (b, second), (c, second)],
             );
-            // `∫ t^power dt` of the part of a piece that the grid covers.
+            // `∫ t^power dt` over the part of a piece that the grid covers.
             let piece = |from: f64, to: f64, power: i32| {
                 let [from, to] = [from, to].map(|t: f64| t.clamp(0.0, 1.0));
                 (to.powi(power + 1) - from.powi(power + 1)) / f64::from(power + 1)
@@ -323,8 +324,8 @@ mod tests {
         }
     }
 
-    /// Where a jump falls on a time node the node has the mean of both sides, each of its two steps its own side; the ends of the grid have
-    /// the side that lies in the grid. Without a jump nearby all of them have the factor itself.
+    /// If a jump falls on a time node, the node has the mean of both sides, and each of its two steps its own side; the ends of the grid
+    /// have the side within the grid. Without a jump nearby all of them have the factor itself.
     #[test]
     fn a_jump_on_a_node_is_halved() {
         let h = 0.1;
@@ -339,7 +340,7 @@ mod tests {
         );
         let at = |k: usize| l.factor_at_node(&grid.node(k));
         assert_eq!([at(0), at(1), at(2), at(5)], [1.0, 1.0, 1.0, 3.0]);
-        // The node's time, 3 h, is a rounding off the jump's, which is magnified by the jump over the step.
+        // The node's time, 3 h, differs from the jump's by rounding, which is magnified by the jump divided by the step.
         assert!((at(3) - 3.0).abs() < 1e-14 && (at(4) - 4.0).abs() < 1e-14);
         let [after, _] = Clock::from(h)
             .ends_of_step(3)
@@ -348,7 +349,7 @@ mod tests {
             .ends_of_step(2)
             .map(|node| l.factor_at_node(&node));
         assert!((before - 1.0).abs() < 1e-14 && (after - 5.0).abs() < 1e-14);
-        // A longer grid: half of what ends at its node 5, nothing after.
+        // On a longer grid, node 5 has half of the ending load, and later nodes none.
         let longer = TimeGrid {
             start: 0.0,
             step: h,
@@ -358,8 +359,7 @@ mod tests {
         assert_eq!(l.factor_at_node(&longer.node(6)), 0.0);
     }
 
-    /// Whatever part is loaded, and however it lies between the nodes, the nodes carry it all, each at most its own
-    /// length's worth.
+    /// Whatever part is loaded, and however it lies between the nodes, the nodes carry it all, each at most the load of its own length.
     #[test]
     fn lumping_keeps_the_resultant() {
         let length = 0.7;
@@ -389,7 +389,7 @@ mod tests {
                     let ends = [0, n_elements].contains(&load.node);
                     let own = length / n_elements as f64 * if ends { 0.5 } else { 1.0 };
                     assert!(load.force.norm() <= distributed.force.norm() * own * (1.0 + 1e-12));
-                    // The load is within half an element of the part it stands for.
+                    // The load is within half an element of the part that it represents.
                     let at = load.node as f64 / n_elements as f64;
                     let half = 0.5 / n_elements as f64 + 1e-12;
                     assert!((from - half..=to + half).contains(&at));
@@ -398,9 +398,9 @@ mod tests {
         }
     }
 
-    /// A wrench is said not to turn exactly when its derivative vanishes.
+    /// A wrench is reported as independent of rotation exactly if its derivative vanishes.
     #[test]
-    fn what_does_not_turn_has_no_derivative() {
+    fn loads_without_rotation_have_no_derivative() {
         let r = exp(&Vector3::new(0.4, -0.9, 0.3));
         for frame in [LoadFrame::Spatial, LoadFrame::Body] {
             for (force, moment) in [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.0, 0.0)] {

@@ -1,10 +1,10 @@
-//! Equilibria of a held arm while a factor multiplies its loads: the path from the unloaded shape, the stability along it, and the factor at which
-//! it is lost.
+//! Equilibria of a held arm while a factor multiplies its loads: the path from the unloaded shape, the stability along it, and the factor
+//! at which it is lost.
 //!
-//! The path is followed by Newton's method from factor to factor. It passes branching points, where a straight column may go on straight, and ends where
-//! it turns back (a limit point, from which the arm snaps through). Along a path the smallest eigenvalue of the stiffness changes its sign only at a
-//! singular point; a stride across which it does is shortened to the least one, and no stride moves a node far, so that Newton's method does not jump from one path
-//! to another.
+//! The path is followed by Newton's method from factor to factor. It passes branching points, at which a straight column may stay straight,
+//! and ends where it turns back (a limit point, from which the arm snaps through). Along a path the smallest eigenvalue of the stiffness
+//! changes its sign only at a singular point; a stride across such a change is shortened to the smallest one, and no stride moves a node
+//! far, so that Newton's method does not jump to another path.
 
 use std::ops::ControlFlow;
 
@@ -34,7 +34,7 @@ pub enum Varied {
 }
 
 impl Varied {
-    /// The loads in words.
+    /// Describes the loads in words.
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
@@ -52,25 +52,25 @@ pub struct LoadedShape {
     pub factor: f64,
     /// The shape.
     pub shape: Configuration,
-    /// Its stability with the loads held; `None` where the stiffness is no number.
+    /// Stability under constant loads; `None` if the stiffness is not finite.
     pub stability: Option<Stability>,
-    /// True where the path broke off before this factor, so that the arm jumped to another equilibrium.
+    /// Tells whether the path ended before this factor, so that the arm jumped to another equilibrium.
     pub jumped: bool,
 }
 
-/// How stability is lost along a load path.
+/// Kind of a loss of stability along a load path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Loss {
-    /// The stiffness becomes singular and the path goes on: the arm buckles to a side.
+    /// The stiffness becomes singular and the path continues: the arm buckles to a side.
     Buckling,
     /// The stiffness becomes singular where the path turns back: the arm snaps through.
     Snapping,
-    /// Motions swing and grow, as they may under loads without a potential, such as forces that turn with the arm.
+    /// Motions oscillate and grow, as they may under loads without a potential, such as forces that turn with the arm.
     Flutter,
 }
 
-/// Why no loss of stability was found.
+/// The reason why no loss of stability was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kept {
@@ -80,62 +80,63 @@ pub enum Kept {
     OutOfRange,
     /// Newton's method could not follow the path.
     NotFollowed,
-    /// Nothing acts that the factor multiplies.
+    /// The factor multiplies no load.
     Unloaded,
 }
 
 /// The factor at which an arm that is loaded from zero loses its stability.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Critical {
-    /// It does at this factor.
+    /// Stability is lost at this factor.
     Lost {
         /// Load factor.
         factor: f64,
         /// Kind of loss.
         how: Loss,
     },
-    /// It does not up to this factor.
+    /// Stability is not lost up to this factor.
     Kept {
         /// Load factor.
         factor: f64,
-        /// Why it was not followed farther.
+        /// The reason why the path was not followed farther.
         why: Kept,
     },
 }
 
-/// Largest load factor that is looked at.
+/// Cap on the load factor.
 pub const LARGEST_FACTOR: f64 = 1e4;
-/// First stride of the load factor, and the least one as a part of the factor.
+/// First stride of the load factor, and the smallest one as a fraction of the factor.
 const FIRST_STRIDE: f64 = 0.05;
 const LEAST_STRIDE: f64 = 1e-6;
 /// Relative error of a critical factor.
 const PRECISION: f64 = 1e-7;
-/// No node moves farther in one stride, over the length of the arm: at a limit point the way of the least stride is about its square root, 1e-3, and another
-/// equilibrium lies a part of the length away.
+/// Largest displacement of a node in one stride, divided by the length of the arm: at a limit point, the smallest stride moves nodes by
+/// about its square root, 1e-3, and other equilibria are a fraction of the length away.
 const NEAR: f64 = 0.1;
-/// Distance beyond a critical factor, relative to it, to which a path is followed to see that it goes on.
+/// Relative distance beyond a critical factor to which a path is followed to show that it continues.
 const PAST: f64 = 1e-3;
-/// Dilatation of elements beyond which a linear elastic law is no model any more.
+/// Dilatations of elements between which a linear elastic law is a valid model.
 const CREDIBLE_DILATATION: [f64; 2] = [0.7, 1.3];
 
 /// The equilibria of a rod while a factor multiplies its loads.
 pub struct LoadPath<'a> {
     rod: &'a Rod,
     varied: Varied,
-    /// Time at which profiles of loads and the motion of a driven base are looked at, s.
+    /// Time at which profiles of loads and the motion of a driven base are evaluated, s.
     time: f64,
-    /// Dead force on the tip that the factor does not multiply, N: an imperfection, by which a symmetric arm chooses a side.
+    /// Dead force on the tip that the factor does not multiply, N: an imperfection that decides to which side a symmetric arm buckles.
     aside: Vector3<f64>,
-    /// `ω²` of the unloaded arm, 1/s².
+    /// Smallest `ω²` of the unloaded arm, 1/s².
     unit: f64,
     stop: &'a StopSignal,
 }
 
 impl<'a> LoadPath<'a> {
-    /// The path of a rod whose loads have their values at `time` (s), with a dead force `aside` (N, spatial frame) on the tip at every factor.
+    /// Creates the path of a rod whose loads have their values at `time` (s), with a dead force `aside` (N, spatial frame) on the tip at
+    /// every factor.
     ///
     /// # Errors
-    /// [`EquilibriumError::FreeBase`].
+    /// Returns [`EquilibriumError::FreeBase`].
     pub fn new(
         rod: &'a Rod,
         varied: Varied,
@@ -156,7 +157,7 @@ impl<'a> LoadPath<'a> {
         })
     }
 
-    /// The rod under the loads at a factor.
+    /// Returns the rod under the loads at a factor.
     #[must_use]
     pub fn rod_at(&self, factor: f64) -> Rod {
         let mut out = self.rod.clone();
@@ -181,7 +182,7 @@ impl<'a> LoadPath<'a> {
         out
     }
 
-    /// Tells whether the factor multiplies anything that acts.
+    /// Tells whether the factor multiplies a nonzero load.
     #[must_use]
     pub fn is_loaded(&self) -> bool {
         let weighs = self.varied != Varied::Loads && self.rod.gravity != Vector3::zeros();
@@ -191,21 +192,22 @@ impl<'a> LoadPath<'a> {
         weighs || (loads && acting.next().is_some())
     }
 
-    /// The tangent stiffness of an equilibrium at a factor.
+    /// Returns the tangent stiffness of an equilibrium at a factor.
     pub(crate) fn tangent(&self, at: &LoadedShape) -> Tangent {
         Tangent::stiffness(&self.rod_at(at.factor), &at.shape, self.time)
     }
 
-    /// Displacement of the tip per dead force on it, m/N, spatial frame; `None` where the stiffness is singular.
+    /// Returns the displacement of the tip per dead force on it, m/N, spatial frame; `None` if the stiffness is singular.
     #[must_use]
     pub fn tip_compliance(&self, at: &LoadedShape) -> Option<Matrix3<f64>> {
         self.tangent(at).tip_compliance()
     }
 
-    /// The equilibrium at factor 0: the one that the stress-free shape comes to while what the factor does not multiply grows from zero.
+    /// Returns the equilibrium at factor 0, which is reached from the stress-free shape while the loads that the factor does not multiply
+    /// grow from zero.
     ///
     /// # Errors
-    /// [`EquilibriumError`] where there is none.
+    /// Returns [`EquilibriumError`] if there is none.
     pub fn start(&self) -> Result<LoadedShape, EquilibriumError> {
         let rest = self.rod.carried(self.rod.rest.clone(), self.time);
         let constant = self.rod_at(0.0);
@@ -223,7 +225,7 @@ impl<'a> LoadPath<'a> {
         Ok(self.looked_at(0.0, found.shape, found.jumped))
     }
 
-    /// The equilibrium that the arm settles in from a shape, at a factor.
+    /// Returns the equilibrium at a factor in which the arm settles from a shape.
     fn settled(
         &self,
         factor: f64,
@@ -236,10 +238,10 @@ impl<'a> LoadPath<'a> {
         Ok(self.looked_at(factor, shape, jumped))
     }
 
-    /// The equilibrium near one of another path at the same factor.
+    /// Returns the equilibrium near that of another path at the same factor.
     ///
     /// # Errors
-    /// [`EquilibriumError`] where there is none.
+    /// Returns [`EquilibriumError`] if there is none.
     pub fn released(&self, from: &LoadedShape) -> Result<LoadedShape, EquilibriumError> {
         self.settled(from.factor, &from.shape, from.jumped)
     }
@@ -255,7 +257,8 @@ impl<'a> LoadPath<'a> {
         }
     }
 
-    /// Follows the path from an equilibrium to a factor, and hands what it passes to `each`, which may end it; the last equilibrium that was reached.
+    /// Follows the path from an equilibrium to a factor, and calls `each` with every equilibrium on the way, which may end it; returns the
+    /// last equilibrium that was reached.
     fn follow(
         &self,
         from: &LoadedShape,
@@ -291,7 +294,8 @@ impl<'a> LoadPath<'a> {
         Ok(last)
     }
 
-    /// Sign of the smallest `ω²`, 0 within rounding; also 0 under loads without a potential, where it is not that of the determinant.
+    /// Returns the sign of the smallest `ω²`, 0 within rounding; also 0 under loads without a potential, for which it is not the sign of
+    /// the determinant.
     fn sign(&self, at: &LoadedShape) -> i32 {
         if !at.stability.is_some_and(|found| found.has_potential) {
             return 0;
@@ -303,10 +307,11 @@ impl<'a> LoadPath<'a> {
         }
     }
 
-    /// The equilibrium at a factor that the path leads to from another; where it breaks off before, the one in which the arm settles from there.
+    /// Returns the equilibrium at a factor to which the path leads from another; if the path ends before, the one in which the arm settles
+    /// from there.
     ///
     /// # Errors
-    /// [`EquilibriumError`] where there is none.
+    /// Returns [`EquilibriumError`] if there is none.
     pub fn at(&self, from: &LoadedShape, factor: f64) -> Result<LoadedShape, EquilibriumError> {
         let reached = self.follow(from, factor, &mut |_| ControlFlow::Continue(()))?;
         if reached.factor == factor {
@@ -316,10 +321,10 @@ impl<'a> LoadPath<'a> {
         }
     }
 
-    /// The factor at which an arm that is loaded from `start` on loses its stability.
+    /// Returns the factor at which an arm that is loaded from `start` on loses its stability.
     ///
     /// # Errors
-    /// [`EquilibriumError::Stopped`].
+    /// Returns [`EquilibriumError::Stopped`].
     pub fn critical(&self, start: &LoadedShape) -> Result<Critical, EquilibriumError> {
         let kept = |factor, why| Ok(Critical::Kept { factor, why });
         let is_stable = |at: &LoadedShape| at.stability.is_some_and(|found| found.is_stable);
@@ -367,7 +372,7 @@ impl<'a> LoadPath<'a> {
         }
     }
 
-    /// The factor between a stable and an unstable equilibrium of the path.
+    /// Returns the factor between a stable and an unstable equilibrium of the path.
     fn bisected(
         &self,
         mut stable: LoadedShape,
@@ -396,7 +401,7 @@ impl<'a> LoadPath<'a> {
     }
 }
 
-/// The kind of instability of an equilibrium.
+/// Returns the kind of instability of an equilibrium.
 fn how(at: &LoadedShape) -> Loss {
     match at.stability.and_then(|found| found.growth_frequency) {
         Some(omega) if omega > 0.0 => Loss::Flutter,
@@ -404,14 +409,15 @@ fn how(at: &LoadedShape) -> Loss {
     }
 }
 
-/// 1/s²
+/// Returns the smallest `ω²` of an equilibrium, 1/s².
 fn squared(at: &LoadedShape) -> f64 {
     at.stability
         .map_or(f64::NAN, |found| found.least_squared_frequency)
 }
 
-/// The factor at which a path turns back, from the factors and `ω²` of its equilibria. There `ω²` falls as the square root of what is left of the factor, so that
-/// its square is linear; `None` where, from the last equilibrium and one [`PAST`] before it, it does not reach zero within the distance of the two.
+/// Returns the factor at which a path turns back, from the factors and `ω²` of its equilibria. There `ω²` falls as the square root of the
+/// remaining factor, so that its square is linear in the factor; `None` if, extrapolated from the last equilibrium and one [`PAST`] before
+/// it, the square does not reach zero within the distance of the two.
 fn fold(path: &[(f64, f64)]) -> Option<f64> {
     let &(last, second) = path.last()?;
     let far = PAST * last.max(1.0);

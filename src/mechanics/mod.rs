@@ -109,6 +109,7 @@ pub use forms::{FormTerm, StateForm};
 pub use lanes::{LaneIntegrator, SolverWork};
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
+pub use place::Place;
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile,

@@ -1,4 +1,4 @@
-//! Places between the nodes of a rod, where the strain of an element is taken as constant.
+//! Places on a rod. Between nodes the strain of an element is taken as constant.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -6,7 +6,51 @@ use super::configuration::Configuration;
 use super::rod::Rod;
 use super::rotation::{exp, exp_tangent, log};
 
-/// The pose at the fraction `s` of element `q`.
+/// A place along an arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Place {
+    /// The base, where the arm is held.
+    Base,
+    /// Its free end.
+    #[default]
+    Tip,
+    /// The arc coordinate at rest over the length, from 0 at the base to 1 at the tip. A discretization takes the nearest node.
+    Fraction(f64),
+}
+
+impl Place {
+    /// The place of a node of a rod of `elements`.
+    #[must_use]
+    pub fn of_node(node: usize, elements: usize) -> Self {
+        match node {
+            0 => Self::Base,
+            last if last == elements => Self::Tip,
+            _ => Self::Fraction(node as f64 / elements as f64),
+        }
+    }
+
+    /// Arc coordinate at rest over the length.
+    #[must_use]
+    pub fn fraction(self) -> f64 {
+        match self {
+            Self::Base => 0.0,
+            Self::Tip => 1.0,
+            Self::Fraction(s) => s,
+        }
+    }
+
+    /// The nearest node of a rod of `elements`.
+    #[must_use]
+    pub fn node(self, elements: usize) -> usize {
+        match self {
+            Self::Base => 0,
+            Self::Tip => elements,
+            Self::Fraction(s) => ((s * elements as f64).round() as usize).min(elements),
+        }
+    }
+}
+
+/// Returns the pose at the fraction `s` of element `q`.
 pub(crate) fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matrix3<f64>) {
     if s == 0.0 {
         return (at.positions[q], at.rotations[q]);
@@ -24,7 +68,7 @@ pub(crate) fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matri
     (x + r * (part * strain), r * exp(&(psi * s)))
 }
 
-/// Arc length of every node over the rod's length.
+/// Returns the arc length of every node divided by the rod's length.
 pub(crate) fn node_places(rod: &Rod) -> Vec<f64> {
     let mut sum = 0.0;
     let mut ends = vec![0.0];
@@ -38,9 +82,9 @@ pub(crate) fn node_places(rod: &Rod) -> Vec<f64> {
     ends
 }
 
-/// The element that a part of the length is on, and the fraction of it, for the [places of the nodes](node_places).
+/// Returns the element at a fraction of the length, and the fraction of the element, given the [places of the nodes](node_places).
 pub(crate) fn locate(nodes: &[f64], part: f64) -> (usize, f64) {
-    // A node to rounding is that node.
+    // A place that equals a node up to rounding is that node.
     const SAME: f64 = 1e-12;
     let q = nodes
         .partition_point(|end| *end <= part + SAME)

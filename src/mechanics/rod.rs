@@ -25,7 +25,7 @@ pub enum BaseCondition {
 }
 
 impl BaseCondition {
-    /// A base that follows `motion`.
+    /// Returns a base that follows `motion`.
     #[must_use]
     pub fn driven(motion: BaseMotion) -> Self {
         Self::Driven(Box::new(motion))
@@ -41,24 +41,24 @@ pub struct NodeInertia {
     pub rotary: Vector3<f64>,
 }
 
-/// The rotary inertia that a rod gives to its nodes.
+/// Kind of the rotary inertia of nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum RotaryInertia {
-    /// That of the section, `ρI` per length.
+    /// Inertia of the section, `ρI` per length.
     #[default]
     Section,
-    /// That of the section and of the length of rod that a node stands for, `ρI + ρA l²/12` about all three axes, with `l` the length of
-    /// an element.
+    /// Inertia of the section plus that of the length of rod that belongs to a node, `ρI + ρA l²/12` about all three axes, with `l` the
+    /// length of an element.
     ///
-    /// About the transverse axes it is the inertia of a rigid piece of rod as long as an element; about the rod's own axis it is as much
-    /// more, an isotropic approximation like that of the Abaqus Theory Manual ("Mass and inertia for Timoshenko beams"). It vanishes with
-    /// `l²`, as the other errors of the discretization in space do, and slows down what a slender element cannot resolve: rotations of a
-    /// node against its neighbors, which otherwise limit the step of both schemes. [`RodModel::Standard`] only.
+    /// About the transverse axes it is the inertia of a rigid piece of rod as long as an element; about the rod's own axis the same amount
+    /// is added, an isotropic approximation like that of the Abaqus Theory Manual ("Mass and inertia for Timoshenko beams"). It vanishes
+    /// with `l²`, as the other errors of the discretization in space do, and slows down motions that a slender element cannot resolve:
+    /// rotations of a node relative to its neighbors, which otherwise limit the step of both schemes. [`RodModel::Standard`] only.
     Segment,
 }
 
 impl RotaryInertia {
-    /// Name in scene and result files.
+    /// Returns the name in scene and result files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -77,7 +77,7 @@ pub struct RodParameters {
     pub n_elements: usize,
     /// The strain rule.
     pub strain_rule: StrainRule,
-    /// How axial stretch enters stiffness and inertia.
+    /// Effect of the axial stretch on stiffness and inertia.
     pub model: RodModel,
     /// Cross-section along the rod.
     pub section: SectionProfile,
@@ -85,22 +85,22 @@ pub struct RodParameters {
     pub rotary_inertia: RotaryInertia,
     /// Stress-free curvature `κ`, 1/m, body frame.
     pub rest_curvature: Vector3<f64>,
-    /// Stress-free stretch (1: the rod is as long as `length`).
+    /// Stress-free stretch; 1 for a rod as long as `length`.
     pub rest_stretch: f64,
     /// The condition at node 0.
     pub base: BaseCondition,
-    /// Position of the base, m; what a driven base moves from.
+    /// Position of the base, m, relative to which a driven base moves.
     pub base_position: Vector3<f64>,
-    /// Rotation of the base, body to space; the rod starts along its third column. What a driven base turns from.
+    /// Rotation of the base, body to space, relative to which a driven base turns; the rod starts along its third column.
     pub base_rotation: Matrix3<f64>,
     /// Acceleration of gravity, m/s².
     pub gravity: Vector3<f64>,
-    /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum. A velocity that nothing else changes falls as
-    /// `exp(-c t)`, the amplitude of a swing as `exp(-c t/2)`.
+    /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum. A velocity without other forces decays as `exp(-c
+    /// t)`, the amplitude of an oscillation as `exp(-c t/2)`.
     pub viscous_damping: f64,
     /// Kelvin-Voigt time `τ`, s: an additional stress `τ C ṡ`, `ṡ` the rate of strain; [`RodModel::Standard`] only.
     pub internal_damping: f64,
-    /// How the elastic forces act within a time step; implicit under [`RodModel::Standard`] only.
+    /// Action of the elastic forces within a time step; implicit under [`RodModel::Standard`] only.
     pub scheme: TimeScheme,
     /// Given loads on nodes.
     pub loads: Vec<Load>,
@@ -111,8 +111,8 @@ pub struct RodParameters {
 }
 
 impl RodParameters {
-    /// A straight, unloaded, undamped rod of helical elements, clamped at the origin along e3; change what differs with
-    /// `..`.
+    /// Returns the parameters of a straight, unloaded, undamped rod of helical elements, clamped at the origin along e3, to be completed
+    /// with `..`.
     #[must_use]
     pub fn straight(length: f64, n_elements: usize, section: SectionProfile) -> Self {
         Self {
@@ -138,8 +138,8 @@ impl RodParameters {
     }
 }
 
-/// Reference magnitudes of a rod, used to make residuals dimensionless: `EI` is the harmonic mean of the bending
-/// stiffness over the length (what a tip moment feels), `ρA` the rod's own mean mass per length.
+/// Reference magnitudes of a rod, by which residuals are made dimensionless: `EI` is the harmonic mean of the bending stiffness over the
+/// length (the resistance to a tip moment), `ρA` the rod's own mean mass per length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scales {
     /// Rest length `L`, m.
@@ -175,22 +175,21 @@ impl Scales {
 pub struct Rod {
     /// The strain rule.
     pub strain_rule: StrainRule,
-    /// How axial stretch enters stiffness and inertia.
+    /// Effect of the axial stretch on stiffness and inertia.
     pub model: RodModel,
     /// The elements, from base to tip.
     pub elements: Vec<Element>,
-    /// Lumped inertia of the nodes (trapezoidal rule: each element gives a half to each end), with the payload at the
-    /// tip.
+    /// Lumped inertia of the nodes (trapezoidal rule: each element gives half of its inertia to each end), with the payload at the tip.
     pub nodes: Vec<NodeInertia>,
     /// The share of each element in the inertia of its two ends, without the payload.
     pub element_inertia: Vec<[NodeInertia; 2]>,
     /// The condition at node 0.
     pub base: BaseCondition,
-    /// What the rotary inertia of the nodes is made of.
+    /// Kind of the rotary inertia of the nodes.
     pub rotary_inertia: RotaryInertia,
     /// Length of every element's chord in the stress-free configuration, m.
     pub rest_chords: Vec<f64>,
-    /// Pose that the motion of a driven base is relative to: position, m, and rotation, body to space.
+    /// Pose relative to which a driven base moves: position, m, and rotation, body to space.
     pub base_reference: (Vector3<f64>, Matrix3<f64>),
     /// Stress-free configuration, starting at the base pose (at t = 0).
     pub rest: Configuration,
@@ -200,8 +199,8 @@ pub struct Rod {
     pub viscous_damping: f64,
     /// Kelvin-Voigt time, s.
     pub internal_damping: f64,
-    /// How the elastic forces act within a time step: no property of the rod itself, but whatever steps, linearizes or
-    /// checks it must know.
+    /// Action of the elastic forces within a time step: no property of the rod itself, but needed by all code that steps, linearizes or
+    /// checks it.
     pub scheme: TimeScheme,
     /// Given loads on nodes; distributed ones are lumped.
     pub loads: Vec<Load>,
@@ -212,17 +211,17 @@ pub struct Rod {
 /// A parameter that no rod can have.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RodError {
-    /// A number out of its range.
+    /// A number is out of its range.
     #[error("{parameter}: {value} is not {expected}")]
     OutOfRange {
-        /// Name of the field of [`RodParameters`], or of what was computed from them.
+        /// Name of the field of [`RodParameters`], or of a quantity computed from them.
         parameter: &'static str,
         /// The offending value.
         value: f64,
         /// The values that are allowed.
         expected: &'static str,
     },
-    /// Something that only [`RodModel::Standard`] has.
+    /// A feature is supported by [`RodModel::Standard`] only.
     #[error("{parameter}: only the standard model has it")]
     NeedsStandardModel {
         /// Name of the field of [`RodParameters`].
@@ -231,7 +230,7 @@ pub enum RodError {
 }
 
 impl RodError {
-    /// Name of the field of [`RodParameters`], or of what was computed from them.
+    /// Returns the name of the field of [`RodParameters`], or of a quantity computed from them.
     #[must_use]
     pub fn parameter(&self) -> &'static str {
         match self {
@@ -242,7 +241,7 @@ impl RodError {
     }
 }
 
-/// `|RᵀR - I|` of what is taken for a rotation.
+/// Largest `|RᵀR - I|` of a rotation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-9;
 
 fn require(
@@ -266,10 +265,10 @@ impl Rod {
     /// Builds the discrete rod in its stress-free shape.
     ///
     /// # Errors
-    /// A length, stiffness, mass or inertia that is not positive and finite, no elements, a load on a node that does
-    /// not exist or on a part that is none, a base rotation that is none, a base motion that is not finite, a negative
-    /// payload, half a turn or more of rest curvature per element, numbers whose products overflow or vanish, or a model
-    /// other than the standard one with internal damping, the implicit scheme or the inertia of segments.
+    /// Returns [`RodError`] for a length, stiffness, mass or inertia that is not positive and finite, no elements, a load on a node or a
+    /// part that does not exist, a base rotation that is not orthogonal, a base motion that is not finite, a negative payload, half a turn
+    /// or more of rest curvature per element, numbers whose products overflow or vanish, or a model other than the standard one with
+    /// internal damping, the implicit scheme or the inertia of segments.
     pub fn new(parameters: &RodParameters) -> Result<Self, RodError> {
         let p = parameters;
         let positive = |x: f64| x > 0.0;
@@ -491,25 +490,25 @@ impl Rod {
         })
     }
 
-    /// `K + 1`.
+    /// Returns the number of nodes, `K + 1`.
     #[must_use]
     pub fn n_nodes(&self) -> usize {
         self.nodes.len()
     }
 
-    /// `K`.
+    /// Returns the number of elements, `K`.
     #[must_use]
     pub fn n_elements(&self) -> usize {
         self.elements.len()
     }
 
-    /// Index of the tip node, `K`.
+    /// Returns the index of the tip node, `K`.
     #[must_use]
     pub fn tip(&self) -> usize {
         self.elements.len()
     }
 
-    /// First node whose motion is not given: 1 for a clamped or driven base, 0 for a free one.
+    /// Returns the first node whose motion is not prescribed: 1 for a clamped or driven base, 0 for a free one.
     #[must_use]
     pub fn first_free_node(&self) -> usize {
         match self.base {
@@ -518,7 +517,7 @@ impl Rod {
         }
     }
 
-    /// Where a driven base is at time `t` and how it moves; `None` for any other.
+    /// Returns pose and velocity of a driven base at time `t`; `None` for any other base.
     #[must_use]
     pub fn driven_base(&self, t: f64) -> Option<BaseState> {
         match &self.base {
@@ -530,7 +529,7 @@ impl Rod {
         }
     }
 
-    /// The shape, moved as a whole to where a driven base is at time `t`.
+    /// Returns the shape, moved rigidly with a driven base to its pose at time `t`.
     pub(crate) fn carried(&self, shape: Configuration, t: f64) -> Configuration {
         let Some(base) = self.driven_base(t) else {
             return shape;
@@ -546,7 +545,8 @@ impl Rod {
         out
     }
 
-    /// What the base exerts on an arm at rest in a shape, under the loads at time `t`: force in the spatial frame, moment in the frame of the base.
+    /// Returns the wrench of the base on an arm at rest in a shape, under the loads at time `t`: force in the spatial frame, moment in the
+    /// frame of the base.
     #[must_use]
     pub fn static_reaction(&self, at: &Configuration, t: f64) -> Wrench {
         let mut net = NodalForces::zeros(self.n_nodes());
@@ -557,7 +557,7 @@ impl Rod {
         }
     }
 
-    /// Puts node 0 where `base` is, with the momenta `m v` and `J ω` of its motion.
+    /// Moves node 0 to the pose of `base`, with the momenta `m v` and `J ω` of its motion.
     pub fn set_base(&self, base: &BaseState, state: &mut State) {
         state.configuration.positions[0] = base.position;
         state.configuration.rotations[0] = base.rotation;
@@ -566,14 +566,14 @@ impl Rod {
         state.angular_momentum[0] = rotary.component_mul(&base.angular_velocity);
     }
 
-    /// Puts a driven base where its motion is at time `t` (s), and leaves any other.
+    /// Moves a driven base to its pose at time `t` (s); does nothing for any other base.
     pub fn start_base(&self, t: f64, state: &mut State) {
         if let Some(base) = self.driven_base(t) {
             self.set_base(&base, state);
         }
     }
 
-    /// Mean power that Kelvin-Voigt damping takes over a step of length `time_step`, W: `τ Σ l ṡ·C ṡ`.
+    /// Returns the mean power of Kelvin-Voigt damping over a step of length `time_step`, W: `τ Σ l ṡ·C ṡ`.
     #[must_use]
     pub fn internal_dissipation(
         &self,
@@ -601,17 +601,17 @@ impl Rod {
         self.internal_damping * work / (time_step * time_step)
     }
 
-    /// `Σ m x / Σ m`, m.
+    /// Returns the center of mass, `Σ m x / Σ m`, m.
     #[must_use]
     pub fn center_of_mass(&self, positions: &[Vector3<f64>]) -> Vector3<f64> {
         let nodes = self.nodes.iter().zip(positions);
         nodes.map(|(node, x)| node.mass * x).sum::<Vector3<f64>>() / self.mass()
     }
 
-    /// A configuration that moves as a rigid body: `p = m (v + ω × (x - x_ref))` and `π = J Rᵀω` at every node.
+    /// Returns a configuration that moves as a rigid body: `p = m (v + ω × (x - x_ref))` and `π = J Rᵀω` at every node.
     ///
-    /// `reference` is the point `x_ref` (m) that has the velocity `velocity` (m/s); `angular_velocity` (rad/s) is
-    /// spatial. The integrator takes these momenta as those at t = 0, before the first half kick.
+    /// `reference` is the point `x_ref` (m) with the velocity `velocity` (m/s); `angular_velocity` (rad/s) is in the spatial frame. The
+    /// integrator takes these momenta as those at t = 0, before the first half kick.
     #[must_use]
     pub fn rigid_motion(
         &self,
@@ -631,7 +631,7 @@ impl Rod {
         state
     }
 
-    /// `configuration` at t = 0: at rest, or, where the base is driven, moving with it as a rigid body.
+    /// Returns `configuration` at t = 0: at rest, or moving with a driven base as a rigid body.
     #[must_use]
     pub fn at_rest_on_base(&self, configuration: Configuration) -> State {
         match self.driven_base(0.0) {
@@ -643,7 +643,7 @@ impl Rod {
         }
     }
 
-    /// Takes over the stiffness of another rod of as many elements, times `factor`.
+    /// Copies the stiffness of another rod with equally many elements, multiplied by `factor`.
     pub(crate) fn take_stiffness(&mut self, model: &Self, factor: f64) {
         for (element, own) in self.elements.iter_mut().zip(&model.elements) {
             element.linear_stiffness = own.linear_stiffness * factor;
@@ -651,13 +651,13 @@ impl Rod {
         }
     }
 
-    /// Total mass, payload included, kg.
+    /// Returns the total mass including the payload, kg.
     #[must_use]
     pub fn mass(&self) -> f64 {
         self.nodes.iter().map(|node| node.mass).sum()
     }
 
-    /// Pose of element `q` in a configuration.
+    /// Returns the pose of element `q` in a configuration.
     #[inline]
     #[must_use]
     pub fn element_pose<'a>(
@@ -672,7 +672,7 @@ impl Rod {
         }
     }
 
-    /// Elastic energy of a configuration, J.
+    /// Returns the elastic energy of a configuration, J.
     #[must_use]
     pub fn elastic_energy(&self, positions: &[Vector3<f64>], rotations: &[Matrix3<f64>]) -> f64 {
         self.elements
@@ -687,7 +687,7 @@ impl Rod {
             .sum()
     }
 
-    /// Potential energy of gravity, J: `-Σ m g·x`.
+    /// Returns the potential energy of gravity, J: `-Σ m g·x`.
     #[must_use]
     pub fn gravity_energy(&self, positions: &[Vector3<f64>]) -> f64 {
         -self
@@ -698,7 +698,7 @@ impl Rod {
             .sum::<f64>()
     }
 
-    /// Dilatation `e_q = |x_{q+1} - x_q| / l` of every element (the paper's equation (58)).
+    /// Returns the dilatation `e_q = |x_{q+1} - x_q| / l` of every element (the paper's equation (58)).
     #[must_use]
     pub fn dilatation(&self, positions: &[Vector3<f64>]) -> Vec<f64> {
         self.elements
@@ -708,7 +708,8 @@ impl Rod {
             .collect()
     }
 
-    /// Factor by which the trapezoidal rule stiffens bending beyond `EI`, largest over the elements: `GA l²/(4 EI)`.
+    /// Returns the largest ratio by which the trapezoidal rule increases the bending stiffness beyond `EI`, over all elements: `GA l²/(4
+    /// EI)`.
     #[must_use]
     pub fn locking_ratio(&self) -> f64 {
         self.elements
@@ -737,7 +738,7 @@ fn check_distributed(load: &DistributedLoad) -> Result<(), RodError> {
     Ok(())
 }
 
-/// The stress-free shape: constant curvature and stretch from the base pose on.
+/// Returns the stress-free shape: constant curvature and stretch from the base pose on.
 fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
     let psi = p.rest_curvature * l;
     let turn = exp(&psi);
@@ -765,7 +766,7 @@ fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
     shape
 }
 
-/// Rest strain by the rod's own rule, so that the rest shape is free of stress under both rules.
+/// Returns the rest strain by the rod's own rule, so that the rest shape is free of stress under both rules.
 fn rest_strain(p: &RodParameters, l: f64, rest: &Configuration, q: usize) -> ElementStrain {
     if p.strain_rule == StrainRule::Helical {
         let v = Vector3::new(0.0, 0.0, p.rest_stretch);

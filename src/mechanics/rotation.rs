@@ -2,14 +2,14 @@
 
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 
-/// The skew matrix `v̂` with `v̂ w = v × w`.
+/// Returns the skew matrix `v̂` with `v̂ w = v × w`.
 #[inline]
 #[must_use]
 pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
 
-/// The vector of the skew part of `m`: `vee(m) = ½ (m - mᵀ)^∨`, so that `vee(v̂) = v`.
+/// Returns the vector of the skew part of `m`: `vee(m) = ½ (m - mᵀ)^∨`, so that `vee(v̂) = v`.
 #[inline]
 #[must_use]
 pub fn vee(m: &Matrix3<f64>) -> Vector3<f64> {
@@ -131,15 +131,15 @@ pub fn log(rotation: &Matrix3<f64>) -> Vector3<f64> {
     imaginary * (2.0 * sine_half.atan2(q.w) / sine_half)
 }
 
-/// The unit quaternion of a rotation whose scalar part is not negative: that of at most half a turn.
+/// Returns the unit quaternion of a rotation with a nonnegative scalar part: that of at most half a turn.
 fn shorter_way(rotation: &Matrix3<f64>) -> Quaternion<f64> {
     let q = quaternion(rotation);
     if q.w < 0.0 { -q } else { q }
 }
 
-/// Tells whether a logarithm that is followed along some rotations, each less than half a turn from the one before, ends as the one beyond half
-/// a turn, `ψ (1 - 2π/|ψ|)` with `ψ` of [`log`]; `begins` tells it of the first. The sign of a unit quaternion, which has half of the angle, is
-/// continuous there.
+/// Tells whether a logarithm that is followed along a sequence of rotations, each less than half a turn from the one before, ends as the
+/// one beyond half a turn, `ψ (1 - 2π/|ψ|)` with `ψ` of [`log`]; `begins` tells this for the first rotation. The sign of a unit quaternion,
+/// which has half of the angle, is continuous there.
 pub fn is_followed_beyond_half_turn(
     rotations: impl Iterator<Item = Matrix3<f64>>,
     begins: bool,
@@ -156,24 +156,24 @@ pub fn is_followed_beyond_half_turn(
     is_beyond
 }
 
-/// Unit quaternion (w, i, j, k) of a rotation matrix, with a non-negative scalar part where that is meaningful.
+/// Returns the unit quaternion (w, i, j, k) of a rotation matrix, with a nonnegative scalar part where that has a meaning.
 #[must_use]
 pub fn quaternion(rotation: &Matrix3<f64>) -> Quaternion<f64> {
     let r = nalgebra::Rotation3::from_matrix_unchecked(*rotation);
     UnitQuaternion::from_rotation_matrix(&r).into_inner()
 }
 
-/// Unit quaternion `(1, f/2)/sqrt(1 + |f|²/4)` of [`cay`]`(f)`.
+/// Returns the unit quaternion `(1, f/2)/sqrt(1 + |f|²/4)` of [`cay`]`(f)`.
 pub(crate) fn cayley_quaternion(f: &Vector3<f64>) -> Quaternion<f64> {
     let w = 1.0 / (1.0 + 0.25 * f.norm_squared()).sqrt();
     Quaternion::from_parts(w, f * (0.5 * w))
 }
 
-/// Rotation matrix of a quaternion `[w, x, y, z]` of any non-zero length.
+/// Returns the rotation matrix of a quaternion `[w, x, y, z]` of any nonzero length.
 #[must_use]
 pub fn from_quaternion(wxyz: [f64; 4]) -> Matrix3<f64> {
     let square = |q: [f64; 4]| q.iter().map(|c| c * c).sum::<f64>();
-    // Where squares neither overflow nor vanish, no root is needed.
+    // Where squares neither overflow nor vanish, no square root is needed.
     let is_near_unity = (0.25..4.0).contains(&square(wxyz));
     let q = if is_near_unity { wxyz } else { unit(wxyz) };
     let [w, x, y, z] = q;
@@ -192,7 +192,7 @@ pub fn from_quaternion(wxyz: [f64; 4]) -> Matrix3<f64> {
     )
 }
 
-/// A vector of any length but zero, divided by its length; scaled first, so that squares neither overflow nor vanish.
+/// Returns a nonzero vector divided by its length; scaled first, so that squares neither overflow nor vanish.
 #[must_use]
 pub fn unit<const N: usize>(vector: [f64; N]) -> [f64; N] {
     let largest = (vector.iter()).fold(0.0, |largest: f64, component| largest.max(component.abs()));
@@ -205,7 +205,7 @@ pub fn unit<const N: usize>(vector: [f64; N]) -> [f64; N] {
     scaled.map(|component| component / length)
 }
 
-/// The smallest rotation that takes `e3` to `direction` (any non-zero length), preceded by `roll` about `e3`.
+/// Returns the smallest rotation that takes `e3` to `direction` (any nonzero length), preceded by `roll` about `e3`.
 #[must_use]
 pub fn from_direction(direction: &Vector3<f64>, roll: f64) -> Matrix3<f64> {
     let d = Vector3::from(unit((*direction).into()));
@@ -219,7 +219,7 @@ pub fn from_direction(direction: &Vector3<f64>, roll: f64) -> Matrix3<f64> {
     minimal * exp(&Vector3::new(0.0, 0.0, roll))
 }
 
-/// A matrix near a rotation, nearer to it: one step `R (3 I - RᵀR)/2` of Newton and Schulz, which squares `RᵀR - I`.
+/// Projects a matrix near a rotation toward it: one step `R (3 I - RᵀR)/2` of Newton and Schulz, which squares `RᵀR - I`.
 #[must_use]
 pub fn orthonormalized(rotation: &Matrix3<f64>) -> Matrix3<f64> {
     let excess = rotation.tr_mul(rotation) - Matrix3::identity();
@@ -233,12 +233,12 @@ pub struct InverseTangentCoefficients {
     pub value: f64,
     /// `c'(θ)/θ`, so that the gradient of `c(|ψ|)` is `slope ψ`.
     pub slope: f64,
-    /// Derivative of `slope` over θ once more, so that the Hessian of `c(|ψ|)` is `slope I + bend ψψᵀ`.
+    /// Derivative of `slope` divided by θ once more, so that the Hessian of `c(|ψ|)` is `slope I + bend ψψᵀ`.
     pub bend: f64,
 }
 
 impl InverseTangentCoefficients {
-    /// `θ² = |ψ|²`, below `(2π)²`.
+    /// Evaluates the coefficients at `θ² = |ψ|²`, below `(2π)²`.
     #[inline]
     #[must_use]
     pub fn at(angle_squared: f64) -> Self {
@@ -373,7 +373,8 @@ mod tests {
             prop_assert!((s.transpose() * zeta - difference).norm() < 1e-8 * (1.0 + difference.norm()) * (1.0 + s.norm()).powi(3));
         }
 
-        /// It inverts the transposed tangent of the logarithm, to rounding: two formulas, series and closed forms.
+        /// The tangent of the exponential inverts the transposed tangent of the logarithm, to rounding: two formulas, series and closed
+        /// forms.
         #[test]
         fn exp_tangent_inverts_the_logarithms(psi in vector(3.0)) {
             let s = log_tangent(&psi);
@@ -398,7 +399,7 @@ mod tests {
             prop_assert!((cay_tangent(&f) * df - body).norm() < 1e-9);
         }
 
-        /// A direction is taken from e3, whatever its length.
+        /// The rotation maps e3 to the direction, whatever its length.
         #[test]
         fn direction_is_the_third_director(d in proptest::array::uniform3(-1.0..1.0f64), roll in -3.0..3.0f64) {
             let d = Vector3::from(d);

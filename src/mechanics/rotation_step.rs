@@ -1,8 +1,7 @@
-//! The rotation of one step: the angular momentum that belongs to it, and the equation that (81) leaves to each node.
+//! The rotation of one step: its angular momentum, and the equation (81) for each node.
 //!
-//! With the Cayley vector `f` of a node's rotation over a step of length `h` and `α = 1 + |f|²/4`, equation (81) is
-//! `(J f + ½ f × J f)/(α h) = g` for the angular momentum `g` in the frame before the step; after it, the same momentum is
-//! `(J f - ½ f × J f)/(α h)`.
+//! With the Cayley vector `f` of a node's rotation over a step of length `h` and `α = 1 + |f|²/4`, equation (81) is `(J f + ½ f × J f)/(α
+//! h) = g` for the angular momentum `g` in the frame before the step; after it, the same momentum is `(J f - ½ f × J f)/(α h)`.
 
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Scalar, Simd};
@@ -16,7 +15,7 @@ pub(super) fn inverse_alpha<S: Simd>(f: Vec3<S>) -> Lanes<S> {
     Lanes::splat(f.x.simd, 1.0) / (f.dot(f) * 0.25 + 1.0)
 }
 
-/// `(J f ± ½ f × J f)/(α h)` for `rate = J/h`: before the step with the sign `1`, after it with `-1`.
+/// Returns `(J f ± ½ f × J f)/(α h)` for `rate = J/h`: before the step with the sign `1`, after it with `-1`.
 #[inline(always)]
 pub(super) fn momentum<S: Simd>(
     rate: Vec3<S>,
@@ -28,7 +27,7 @@ pub(super) fn momentum<S: Simd>(
     (jf + f.cross(jf) * (0.5 * sign)) * inverse_alpha
 }
 
-/// The derivative of a [`momentum`] `g` along `f`.
+/// Returns the derivative of a [`momentum`] `g` along `f`.
 #[inline(always)]
 pub(super) fn momentum_slope<S: Simd>(
     rate: Vec3<S>,
@@ -42,7 +41,7 @@ pub(super) fn momentum_slope<S: Simd>(
         - Mat3::outer(g * (inverse_alpha * 0.5), f)
 }
 
-/// `∂g/∂η` of the momentum before the step along the body rotation at its end, from its [slope](momentum_slope).
+/// Returns `∂g/∂η` of the momentum before the step along the body rotation at its end, from its [slope](momentum_slope).
 #[inline(always)]
 pub(super) fn spin_inertia<S: Simd>(slope: Mat3<S>, f: Vec3<S>) -> Mat3<S> {
     let one = Mat3::multiple(Lanes::splat(f.x.simd, 1.0));
@@ -84,12 +83,12 @@ impl TurnedNode {
 
 /// Solves `J f + ½ f × J f = (1 + |f|²/4) b` for the Cayley vector `f` of one step's rotation, `b = h g`.
 ///
-/// Regular branch: exists whenever `|b| < min J` (a quarter turn); `None` outside, and for NaN.
+/// The regular branch exists if `|b| < min J` (a quarter turn); otherwise, and for NaN, returns `None`.
 #[inline]
 #[must_use]
 pub fn solve_rotation(inertia: &Vector3<f64>, b: &Vector3<f64>) -> Option<Vector3<f64>> {
     let least = inertia.min();
-    // Normalized first, so that extreme inertias neither overflow nor vanish.
+    // Normalization prevents overflow and underflow of extreme inertias.
     let (j, b) = (inertia / least, b / least);
     if !(b.norm_squared() < 1.0) {
         return None;
@@ -103,10 +102,10 @@ pub fn solve_rotation(inertia: &Vector3<f64>, b: &Vector3<f64>) -> Option<Vector
 
 const ROTATION_NEWTON_LIMIT: usize = 40; // 5 to 11 needed next to the fold, 2 usually
 
-/// `J = diag(a, a, b)`: one scalar unknown `s = (1 + |f|²/4)/2`.
+/// Solves the equation for `J = diag(a, a, b)`, with one scalar unknown `s = (1 + |f|²/4)/2`.
 ///
-/// With `c = f/2`: `c₃ = s g₃/b`, `(c₁, c₂) = s [a, ks; -ks, a]⁻¹ (g₁, g₂)`, `k = (b - a) g₃/b`, and
-/// `2s - 1 = s² [(g₁² + g₂²)/(a² + k²s²) + (g₃/b)²]`.
+/// With `c = f/2`: `c₃ = s g₃/b`, `(c₁, c₂) = s [a, ks; -ks, a]⁻¹ (g₁, g₂)`, `k = (b - a) g₃/b`, and `2s - 1 = s² [(g₁² + g₂²)/(a² + k²s²)
+/// + (g₃/b)²]`.
 #[inline]
 fn solve_axisymmetric(a: f64, b: f64, g: &Vector3<f64>) -> Vector3<f64> {
     let lateral = g.x * g.x + g.y * g.y;
@@ -137,7 +136,7 @@ fn solve_axisymmetric(a: f64, b: f64, g: &Vector3<f64>) -> Vector3<f64> {
     )
 }
 
-/// Three different moments of inertia: Newton on the vector equation.
+/// Solves the vector equation by Newton's method, for three different moments of inertia.
 fn solve_general(j: &Vector3<f64>, b: &Vector3<f64>) -> Option<Vector3<f64>> {
     let mut f = b.component_div(j);
     let mut last_change = f64::INFINITY;
@@ -192,7 +191,7 @@ mod tests {
         }
     }
 
-    /// Outside the limit, and for NaN, there is no answer rather than a wrong one.
+    /// Outside the limit, and for NaN, there is no solution rather than a wrong one.
     #[test]
     fn rotation_beyond_a_quarter_turn_is_refused() {
         let j = Vector3::new(1.0, 1.0, 2.0);

@@ -30,7 +30,7 @@ pub struct Material {
 }
 
 impl Material {
-    /// Isotropic: `G = E / (2 (1 + ν))`, shear factor 1.
+    /// Returns the isotropic material with `G = E / (2 (1 + ν))` and shear factor 1.
     #[must_use]
     pub fn isotropic(youngs_modulus: f64, poisson_ratio: f64, density: f64) -> Self {
         Self {
@@ -43,7 +43,7 @@ impl Material {
 }
 
 impl Section {
-    /// Full circle of radius `radius` (m): `A = π r²`, `I = π r⁴/4`, `J = 2 I`.
+    /// Returns the section of a full circle of radius `radius` (m): `A = π r²`, `I = π r⁴/4`, `J = 2 I`.
     #[must_use]
     pub fn circle(material: &Material, radius: f64) -> Self {
         let area = std::f64::consts::PI * radius * radius;
@@ -66,9 +66,9 @@ impl Section {
 /// The cross-section as a function of the arc coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SectionProfile {
-    /// The same section everywhere.
+    /// One section along the whole rod.
     Uniform(Section),
-    /// Full circles whose radius goes linearly from base to tip.
+    /// Full circles whose radius changes linearly from base to tip.
     TaperedCircle {
         /// Material of the whole rod.
         material: Material,
@@ -80,7 +80,7 @@ pub enum SectionProfile {
 }
 
 impl SectionProfile {
-    /// Section at the fraction `s` of the length (0 at the base, 1 at the tip).
+    /// Returns the section at the fraction `s` of the length (0 at the base, 1 at the tip).
     #[must_use]
     pub fn at(&self, s: f64) -> Section {
         match self {
@@ -93,8 +93,8 @@ impl SectionProfile {
         }
     }
 
-    /// Mass (kg) and inertia (kg m²) between the fractions `from` and `to` of a rod of length `length`: Simpson's
-    /// rule, exact for the mass of a linear taper.
+    /// Returns mass (kg) and inertia (kg m²) between the fractions `from` and `to` of a rod of length `length`: by Simpson's rule, exact
+    /// for the mass of a linear taper.
     pub(super) fn inertia_between(&self, from: f64, to: f64, length: f64) -> NodeInertia {
         let (a, m, b) = (self.at(from), self.at(0.5 * (from + to)), self.at(to));
         let weight = (to - from) * length / 6.0;

@@ -6,26 +6,26 @@ use super::load::Wrench;
 use super::rod::Rod;
 use super::time::TimeGrid;
 
-/// Wrenches on some nodes at one time node. On a node that is held or driven they have no effect.
+/// Wrenches on some nodes at one time node. They have no effect on a held or driven node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NodeWrenches<'a> {
-    /// The nodes; a node may occur again, its wrenches add up.
+    /// Indices of the nodes; the wrenches of a repeated node add up.
     pub nodes: &'a [usize],
-    /// A wrench for each of them, and then the controls of actuators of one's own, six to a wrench.
+    /// A wrench for each of the nodes, followed by the controls of user-defined actuators, six to a wrench.
     pub wrenches: &'a [Wrench],
-    /// Actuators of one's own.
+    /// User-defined actuators.
     pub acting: &'a [Acting],
 }
 
 impl<'a> NodeWrenches<'a> {
-    /// No control at all.
+    /// No control.
     pub const NONE: Self = Self {
         nodes: &[],
         wrenches: &[],
         acting: &[],
     };
 
-    /// Wrenches on nodes, one each.
+    /// Returns wrenches on nodes, one each.
     #[must_use]
     pub fn on(nodes: &'a [usize], wrenches: &'a [Wrench]) -> Self {
         Self {
@@ -35,12 +35,12 @@ impl<'a> NodeWrenches<'a> {
         }
     }
 
-    /// Nodes with their wrenches; those of actuators of one's own [depend on the configuration](Self::acting_on).
+    /// Returns nodes with their wrenches; those of user-defined actuators [depend on the configuration](Self::acting_on).
     pub fn iter(self) -> impl Iterator<Item = (usize, &'a Wrench)> {
         self.nodes.iter().copied().zip(self.wrenches)
     }
 
-    /// Nodes and wrenches of the actuators of one's own at a configuration.
+    /// Returns nodes and wrenches of the user-defined actuators at a configuration.
     pub fn acting_on(self, at: StateView<'a>) -> impl Iterator<Item = (usize, Wrench)> {
         (self.acting.iter())
             .flat_map(move |acting| acting.wrenches(&at, &acting.controls(self.wrenches)))
@@ -50,16 +50,17 @@ impl<'a> NodeWrenches<'a> {
 /// Wrenches on the same nodes at every time node. The default is no control, on any time grid.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ControlSignal {
-    /// The nodes.
+    /// Indices of the nodes.
     pub nodes: Vec<usize>,
-    /// Time-major: one of each node, and then the controls of actuators of one's own, six to a wrench, at time node 0, then at 1, up to `N`.
+    /// Wrenches in the order of time: one for each node, followed by the controls of user-defined actuators, six to a wrench, at time node
+    /// 0, then at 1, up to `N`.
     pub wrenches: Vec<Wrench>,
-    /// Actuators of one's own.
+    /// User-defined actuators.
     pub acting: Vec<Acting>,
 }
 
 impl ControlSignal {
-    /// Wrenches on nodes, time-major.
+    /// Returns a signal of wrenches on nodes, in the order of time.
     #[must_use]
     pub fn on(nodes: Vec<usize>, wrenches: Vec<Wrench>) -> Self {
         Self {
@@ -69,13 +70,13 @@ impl ControlSignal {
         }
     }
 
-    /// Wrenches on the tip of `rod`, one a time node.
+    /// Returns a signal of wrenches on the tip of `rod`, one for each time node.
     #[must_use]
     pub fn tip(rod: &Rod, wrenches: Vec<Wrench>) -> Self {
         Self::on(vec![rod.tip()], wrenches)
     }
 
-    /// Wrenches of one time node, those that carry controls included.
+    /// Returns the number of wrenches of one time node, including those that hold controls.
     #[must_use]
     pub fn width(&self) -> usize {
         let carriers = |acting: &Acting| {
@@ -85,10 +86,10 @@ impl ControlSignal {
         (self.acting.iter().map(carriers)).fold(self.nodes.len(), usize::max)
     }
 
-    /// The wrenches of time node `k`.
+    /// Returns the wrenches of time node `k`.
     ///
     /// # Panics
-    /// When the signal ends before `k`.
+    /// Panics if the signal ends before `k`.
     #[must_use]
     pub fn at(&self, k: usize) -> NodeWrenches<'_> {
         let n = self.width();
@@ -99,7 +100,7 @@ impl ControlSignal {
         }
     }
 
-    /// The wrenches that act along a trajectory, with those of the actuators of one's own as they are there.
+    /// Returns the wrenches along a trajectory, including those of user-defined actuators.
     #[must_use]
     pub fn along(&self, rod: &Rod, grid: &TimeGrid, trajectory: &Trajectory) -> Self {
         let mut nodes = self.nodes.clone();

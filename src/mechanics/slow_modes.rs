@@ -1,8 +1,9 @@
-//! The slow modes of an arm about an equilibrium, which carry the compliance of its tip, and the energy of a deviation in each of them.
+//! The slow modes of an arm about an equilibrium, which have nearly all of the compliance of its tip, and the energy of a deviation in each
+//! of them.
 //!
-//! A deviation `d = (δx, η)` of the free nodes with momenta `P = (δp, δπ)` has in a mode `K φ = ω² M φ`, `φᵀ M φ = 1`, the amplitude `φᵀ M d`
-//! and the velocity `φᵀ P`. With `r = (ω φᵀ M d, φᵀ P)` its energy is `½ |r|²`, and as long as `K` is symmetric and constant the mode moves the tip
-//! by no more than `|r| |φ_tip|/ω`.
+//! A deviation `d = (δx, η)` of the free nodes with momenta `P = (δp, δπ)` has in a mode `K φ = ω² M φ`, `φᵀ M φ = 1`, the amplitude `φᵀ M
+//! d` and the velocity `φᵀ P`. With `r = (ω φᵀ M d, φᵀ P)` its energy is `½ |r|²`, and as long as `K` is symmetric and constant the mode
+//! moves the tip by no more than `|r| |φ_tip|/ω`.
 
 use nalgebra::{Vector3, Vector6};
 
@@ -11,33 +12,33 @@ use super::rod::Rod;
 use super::tangent::{Mode, Tangent, dot};
 use super::vibration::inertia_roots;
 
-/// Part of the tip's compliance that the modes beyond the slow ones have at most.
+/// Largest fraction of the tip's compliance in modes beyond the slow ones.
 const LEFT_OUT: f64 = 1e-3;
-/// The same of the modes whose energy is looked at one by one.
+/// Largest fraction of the tip's compliance in modes whose energies are not computed one by one.
 const LUMPED: f64 = 1e-6;
-/// Modes come in threes, so that what belongs to them fills vectors.
+/// Modes are grouped by three, so that their amplitudes fill vectors.
 pub(crate) const GROUP: usize = 3;
-/// Modes that are computed at first.
+/// Number of modes that are computed at first.
 const FIRST_MODES: usize = 4 * GROUP;
 
 /// Modes about a stable equilibrium.
 #[derive(Clone, Debug)]
 pub(crate) struct SlowModes {
-    /// Ascending; a multiple of [`GROUP`].
+    /// Modes, ascending; their number is a multiple of [`GROUP`].
     modes: Vec<Mode>,
-    /// Number of the slow ones, which come first.
+    /// Number of slow modes, which come first.
     n_slow: usize,
     tangent: Tangent,
     /// The diagonal of the inertia of every free node.
     inertia: Vec<Vector6<f64>>,
-    /// Largest eigenvalue of the tip's compliance, and of the part of it that all other modes have, m/N.
+    /// Largest eigenvalue of the tip's compliance, and of its part in all other modes, m/N.
     compliance: f64,
     left_out: f64,
 }
 
 impl SlowModes {
-    /// The slowest modes that have all but [`LEFT_OUT`] of the tip's compliance, by the symmetric part of the tangent stiffness at an equilibrium;
-    /// `unit` is about the smallest `ω²` of a stable arm, 1/s². `None` where an `ω²` is not positive.
+    /// Computes the slowest modes, with all but [`LEFT_OUT`] of the tip's compliance, by the symmetric part of the tangent stiffness at an
+    /// equilibrium; `unit` is about the smallest `ω²` of a stable arm, 1/s². `None` if an `ω²` is not positive.
     pub fn about(rod: &Rod, at: &Configuration, tangent: Tangent, unit: f64) -> Option<Self> {
         let symmetric = tangent.symmetric();
         let whole = symmetric.tip_compliance()?;
@@ -78,17 +79,17 @@ impl SlowModes {
         }
     }
 
-    /// Number of groups of [`GROUP`] slow modes.
+    /// Returns the number of groups of [`GROUP`] slow modes.
     pub fn n_groups(&self) -> usize {
         self.n_slow / GROUP
     }
 
-    /// Largest eigenvalue of the tip's compliance, m/N.
+    /// Returns the largest eigenvalue of the tip's compliance, m/N.
     pub fn compliance(&self) -> f64 {
         self.compliance
     }
 
-    /// Covectors of a node's deviation (of the free ones, 0 is the first) in the `ω φᵀ M d` of a group's modes.
+    /// Returns the covectors of a free node's deviation (node 0 is the first free one) in the `ω φᵀ M d` of a group's modes.
     pub fn along_deviation(&self, group: usize, free: usize) -> [Vector6<f64>; GROUP] {
         std::array::from_fn(|i| {
             let mode = &self.modes[GROUP * group + i];
@@ -96,12 +97,12 @@ impl SlowModes {
         })
     }
 
-    /// Covectors of a node's momenta in the `φᵀ P` of a group's modes.
+    /// Returns the covectors of a node's momenta in the `φᵀ P` of a group's modes.
     pub fn along_momenta(&self, group: usize, free: usize) -> [Vector6<f64>; GROUP] {
         std::array::from_fn(|i| self.modes[GROUP * group + i].shape[free])
     }
 
-    /// Energy `½ dᵀ K d + ½ Pᵀ M⁻¹ P` of a deviation, J.
+    /// Returns the energy `½ dᵀ K d + ½ Pᵀ M⁻¹ P` of a deviation, J.
     pub fn energy(&self, deviation: &[Vector6<f64>], momenta: &[Vector6<f64>]) -> f64 {
         let elastic = dot(deviation, &self.tangent.times(deviation));
         let kinetic: f64 = (momenta.iter().zip(&self.inertia))
@@ -110,11 +111,13 @@ impl SlowModes {
         0.5 * (elastic + kinetic)
     }
 
-    /// Largest distance of the tip from the equilibrium with the energy that a deviation has in each of its modes, m.
+    /// Returns an upper bound of the distance of the tip from the equilibrium, m, with the energy that a deviation has in each of its
+    /// modes.
     ///
-    /// Modes of energy `E` together move it by at most `sqrt(2 E C)` (Cauchy and Schwarz), one mode by `sqrt(2 E_k) |φ_tip,k|/ω_k`, and all beyond
-    /// those that are known by `sqrt(2 E C_r)` with their part `C_r` of the compliance. The first modes count together, the others one by
-    /// one; the number of the first ones is that which gives the least. Never more than `sqrt(2 E C)` of the whole energy.
+    /// Modes of energy `E` together move the tip by at most `sqrt(2 E C)` (Cauchy and Schwarz), one mode by `sqrt(2 E_k) |φ_tip,k|/ω_k`,
+    /// and all modes beyond the known ones by `sqrt(2 E C_r)` with their part `C_r` of the compliance. The first modes count together, the
+    /// others one by one; the number of the first ones is the one with the smallest bound. The result never exceeds `sqrt(2 E C)` of the
+    /// whole energy.
     pub fn reach(&self, deviation: &[Vector6<f64>], momenta: &[Vector6<f64>]) -> f64 {
         let whole = 2.0 * self.energy(deviation, momenta);
         let doubled: Vec<f64> = (self.modes.iter())
@@ -139,7 +142,7 @@ impl SlowModes {
 }
 
 impl Mode {
-    /// Displacement of the tip.
+    /// Returns the displacement of the tip.
     fn tip(&self) -> Vector3<f64> {
         (self.shape.last()).map_or_else(Vector3::zeros, |tip| tip.fixed_rows::<3>(0).into_owned())
     }
@@ -156,8 +159,8 @@ mod tests {
         Rod::new(&RodParameters::straight(1.0, n_elements, section)).expect("a rod")
     }
 
-    /// With all modes the sum of their energies is the energy; with the slow ones a push at the tip along the softest way reaches as far as the
-    /// compliance says.
+    /// The energies of all modes add up to the energy; with the slow modes, a push at the tip in the softest direction reaches as far as
+    /// the compliance says.
     #[test]
     fn modes_share_the_energy() {
         for n_elements in [2, 16] {

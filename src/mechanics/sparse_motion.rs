@@ -16,20 +16,20 @@ use super::{RodModel, StepError, Trajectory};
 /// A linear function of configurations and wrenches.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MotionRow {
-    /// Unknown, coefficient; an unknown may occur more than once.
+    /// `(unknown, coefficient)`; an unknown may occur more than once.
     pub states: Vec<(usize, f64)>,
-    /// The terms of the control wrenches.
+    /// Terms of the control wrenches.
     pub wrenches: Vec<WrenchTerm>,
 }
 
 /// One component of the wrench on a node at a time node, with its coefficient.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WrenchTerm {
-    /// Time node.
+    /// Index of the time node.
     pub time_node: usize,
-    /// Rod node.
+    /// Index of the rod's node.
     pub node: usize,
-    /// 0..3 force (spatial), 3..6 moment (body).
+    /// Component: 0..3 force (spatial frame), 3..6 moment (body frame).
     pub component: usize,
     /// Unit of the row per newton, or newton meter.
     pub coefficient: f64,
@@ -62,8 +62,8 @@ pub struct SparseMotion {
 }
 
 impl SparseMotion {
-    /// Unknowns of one time node, where the motion has such rows: steps of the standard model with stresses at time nodes couple
-    /// only configurations of neighboring nodes at neighboring times. `None` for others.
+    /// Returns the number of unknowns of one time node, if the motion has such rows: steps of the standard model with stresses at time
+    /// nodes couple only configurations of neighboring nodes at neighboring times. `None` for other motions.
     #[must_use]
     pub fn unknowns_per_time_node(motion: &Motion) -> Option<usize> {
         let rod = motion.rod;
@@ -72,10 +72,10 @@ impl SparseMotion {
         is_local.then(|| 6 * (rod.n_nodes() - rod.first_free_node()))
     }
 
-    /// Linearizes along a trajectory; `None` where [`Self::unknowns_per_time_node`] is.
+    /// Linearizes along a trajectory; `None` if [`Self::unknowns_per_time_node`] is.
     ///
     /// # Errors
-    /// [`StepError`] where the trajectory cannot be linearized.
+    /// Returns [`StepError`] if the trajectory cannot be linearized.
     pub fn along(motion: &Motion, trajectory: &Trajectory) -> Result<Option<Self>, StepError> {
         if Self::unknowns_per_time_node(motion).is_none() {
             return Ok(None);
@@ -99,7 +99,7 @@ impl SparseMotion {
         }))
     }
 
-    /// All equations of motion, time node by time node: their homogeneous part.
+    /// Returns the homogeneous part of all equations of motion, time node by time node.
     #[must_use]
     pub fn equations(&self) -> Vec<MotionRow> {
         let n_steps = self.steps.len() - 1;
@@ -130,7 +130,7 @@ impl SparseMotion {
         out
     }
 
-    /// A linear form of the tangent as a row.
+    /// Returns a linear form of the tangent as a row.
     #[must_use]
     pub fn form(&self, form: &StateForm) -> MotionRow {
         let k = form.time_node;
@@ -152,7 +152,7 @@ impl SparseMotion {
         row
     }
 
-    /// Component 0..3 of the linear, 3..6 of the angular momentum of a node after the kick at `k`.
+    /// Returns component 0..3 of the linear or 3..6 of the angular momentum of a node after the kick at `k`.
     fn kicked(&self, k: usize, node: usize, component: usize) -> MotionRow {
         let step = &self.steps[k];
         let mut row = MotionRow::default();
@@ -161,7 +161,7 @@ impl SparseMotion {
         }
         row.add(step.decay, &self.arriving(k, node, component));
         let axis = component % 3;
-        // Rows of the stiffness: the pull of an element at its start is the opposite of that at its end.
+        // Rows of the stiffness: the pull of an element at its start is opposite to that at its end.
         let next = (step.elements.get(node))
             .map(|s| (node, s, if component < 3 { 1.0 } else { -1.0 }, component));
         let last = (node.checked_sub(1)).map(|q| {
@@ -191,7 +191,7 @@ impl SparseMotion {
         row
     }
 
-    /// The same of the momentum that arrives at `k`.
+    /// Returns the same component of the momentum that arrives at `k`.
     fn arriving(&self, k: usize, node: usize, component: usize) -> MotionRow {
         let mut row = MotionRow::default();
         let Some(before) = k.checked_sub(1) else {
@@ -217,7 +217,7 @@ impl SparseMotion {
         }
     }
 
-    /// The initial configuration and held nodes have no unknowns.
+    /// Adds a coefficient; the initial configuration and held nodes have no unknowns.
     fn put(&self, row: &mut MotionRow, k: usize, node: usize, component: usize, coefficient: f64) {
         if k == 0 || node < self.first_free_node || coefficient == 0.0 {
             return;

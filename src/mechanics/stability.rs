@@ -1,4 +1,4 @@
-//! Time steps: the stable step of the explicit integrator, the limit of the implicit one under bending, and the step that is chosen.
+//! Time steps: the stable step of the explicit integrator, the limit of the implicit one under bending, and the automatic step.
 
 use nalgebra::SMatrix;
 
@@ -6,21 +6,20 @@ use super::element::ElementStiffness;
 use super::rod::Rod;
 use super::time::TimeScheme;
 
-/// Largest time step at which the explicit integrator is linearly stable about the rest shape, s: `2/ω` with `ω` the
-/// highest frequency of any single element carrying its own share of the nodes' inertia.
+/// Returns the largest time step at which the explicit integrator is linearly stable about the rest shape, s: `2/ω` with `ω` the highest
+/// frequency of any single element with its own share of the nodes' inertia.
 ///
-/// By the element eigenvalue theorem (Irons and Treharne 1971) no assembled frequency is higher, so the bound is safe;
-/// for a uniform rod it is sharp within a few percent. A payload is left out: more inertia only lowers frequencies. Under
-/// the trapezoidal rule it is
-/// `2 / sqrt(max(4EA/(ρA l²), 4GA/(ρA l²) + GA/J₁, 4EI/(J₁ l²) + GA/J₁, 4GJ/(J₃ l²)))`, J per unit length.
-/// Compressed elements (dilatation e < 1) and large loads can shorten it.
+/// By the element eigenvalue theorem (Irons and Treharne 1971) no assembled frequency is higher, so the bound is safe; for a uniform rod it
+/// is sharp within a few percent. A payload is left out, because more inertia only lowers frequencies. Under the trapezoidal rule it is `2
+/// / sqrt(max(4EA/(ρA l²), 4GA/(ρA l²) + GA/J₁, 4EI/(J₁ l²) + GA/J₁, 4GJ/(J₃ l²)))`, J per unit length. Compressed elements (dilatation e <
+/// 1) and large loads can shorten it.
 #[must_use]
 pub fn stable_step(rod: &Rod) -> f64 {
     let [_, fastest] = highest_frequencies(rod);
     2.0 / fastest
 }
 
-/// The least and the largest of the elements' highest `ω`, each element on its own at rest, 1/s.
+/// Returns the smallest and the largest of the elements' highest `ω`, each element on its own at rest, 1/s.
 fn highest_frequencies(rod: &Rod) -> [f64; 2] {
     (0..rod.n_elements())
         .map(|q| highest_frequency_squared(rod, q).sqrt())
@@ -29,7 +28,7 @@ fn highest_frequencies(rod: &Rod) -> [f64; 2] {
         })
 }
 
-/// Highest `ω²` of element `q` on its own at rest, 1/s².
+/// Returns the highest `ω²` of element `q` on its own at rest, 1/s².
 fn highest_frequency_squared(rod: &Rod, q: usize) -> f64 {
     let rest = &rod.rest;
     let (_, k) = rod.elements[q].stiffness(
@@ -47,7 +46,7 @@ fn highest_frequency_squared(rod: &Rod, q: usize) -> f64 {
     let scaled = SMatrix::<f64, 12, 12>::from_fn(|i, j| {
         0.5 * (full[(i, j)] + full[(j, i)]) * inverse_root[i] * inverse_root[j]
     });
-    // The eigenvalue iteration would overflow, or never end, on what is too large to be squared or is no number.
+    // The eigenvalue iteration would overflow, or never end, for values that are too large to be squared or not finite.
     let largest = scaled.amax();
     if !(largest > 0.0 && scaled.iter().all(|entry| entry.is_finite())) {
         return f64::INFINITY;
@@ -55,7 +54,7 @@ fn highest_frequency_squared(rod: &Rod, q: usize) -> f64 {
     largest * (scaled / largest).symmetric_eigenvalues().max()
 }
 
-/// The stiffness over `(x_a, η_a, x_b, η_b)` from the one over `(x_b - x_a, η_a, η_b)`.
+/// Returns the stiffness with respect to `(x_a, η_a, x_b, η_b)` from that with respect to `(x_b - x_a, η_a, η_b)`.
 fn expand(k: &ElementStiffness) -> SMatrix<f64, 12, 12> {
     let mut difference = SMatrix::<f64, 9, 12>::zeros();
     for i in 0..3 {
@@ -69,27 +68,27 @@ fn expand(k: &ElementStiffness) -> SMatrix<f64, 12, 12> {
 
 /// Fraction of [`stable_step`] that `step_s = "auto"` uses with the explicit scheme: room for compressed elements and large rotations.
 pub const AUTO_STEP_FRACTION: f64 = 0.7;
-/// The same for rods whose elements are unlike. Their fastest waves cannot leave the fastest elements, as the thin end of a tapered
-/// rod, and a moment there that keeps its direction in space, which is not conservative (Ziegler 1968), makes weakly damped ones grow.
-/// Long steps exaggerate their growth (`tests/published_frequencies.rs`); the waves of a uniform rod die out with any stable step.
+/// Fraction of [`stable_step`] for rods with unequal elements. Their fastest waves cannot leave the fastest elements, such as the thin end
+/// of a tapered rod, and a moment there with a fixed direction in space, which is not conservative (Ziegler 1968), amplifies weakly damped
+/// ones. Long steps exaggerate this growth (`tests/statics_and_modes/published_frequencies.rs`); the waves of a uniform rod decay with any stable step.
 const UNLIKE_STEP_FRACTION: f64 = 0.55;
-/// Ratio of the highest frequencies of two elements above which they are unlike.
+/// Elements are unequal if the ratio of two of their highest frequencies exceeds this.
 const UNLIKE: f64 = 1.1;
 
-/// Steps of [`resolving_step`] in a period: the implicit scheme lengthens it by `(2π/40)²/12`, 0.2 %.
+/// Number of [resolving steps](resolving_step) in a period: the implicit scheme lengthens the period by `(2π/40)²/12`, 0.2 %.
 pub const STEPS_PER_PERIOD: f64 = 40.0;
 /// `(β₃ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: frequency of the third bending mode in units of the rod's own time.
 const THIRD_BENDING_MODE: f64 = 61.697_214;
 
-/// A time step that resolves the three slowest bending modes, s: [`STEPS_PER_PERIOD`] of them are a period of the third one of a
+/// Returns a time step that resolves the three slowest bending modes, s: [`STEPS_PER_PERIOD`] of them are a period of the third one of a
 /// clamped Euler-Bernoulli beam with the mean stiffness and mass of the rod.
 #[must_use]
 pub fn resolving_step(rod: &Rod) -> f64 {
     std::f64::consts::TAU * rod.scales.time / (THIRD_BENDING_MODE * STEPS_PER_PERIOD)
 }
 
-/// The step up to which the implicit scheme is stable while the rod is bent into a circle, s: `2 sqrt(J/m)` of the worst element,
-/// `m = 2π EI/L` its bending (or twisting) moment and `J` its least rotary inertia. See [`implicit`](super::implicit).
+/// Returns the largest step at which the implicit scheme is stable while the rod is bent into a circle, s: `2 sqrt(J/m)` of the worst
+/// element, with `m = 2π EI/L` its bending (or twisting) moment and `J` its smallest rotary inertia. See [`implicit`](super::implicit).
 #[must_use]
 pub fn bent_step(rod: &Rod) -> f64 {
     (rod.elements.iter().zip(&rod.element_inertia))
@@ -101,8 +100,8 @@ pub fn bent_step(rod: &Rod) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// What `step_s = "auto"` uses, s: [`AUTO_STEP_FRACTION`] of the stable step, or 0.55 of it for a rod whose elements are unlike; under the
-/// implicit scheme the resolving step, or the bent step if that is shorter, unless the explicit one is longer.
+/// Returns the step of `step_s = "auto"`, s: [`AUTO_STEP_FRACTION`] of the stable step, or 0.55 of it for a rod with unequal elements;
+/// under the implicit scheme the resolving step, or the bent step if that is shorter, unless the explicit one is longer.
 #[must_use]
 pub fn automatic_step(rod: &Rod) -> f64 {
     let [slowest, fastest] = highest_frequencies(rod);

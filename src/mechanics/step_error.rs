@@ -1,4 +1,4 @@
-//! Why a step could not be taken.
+//! Errors of a step.
 
 use crate::stop::Stop;
 
@@ -11,13 +11,13 @@ pub enum StepError {
          inertia, must stay below 1); shorten time.step_s, soften the load, or add elements"
     )]
     RotationTooLarge {
-        /// Rod node.
+        /// Index of the rod's node.
         node: usize,
         /// Step, counted from 0.
         step: usize,
         /// Time at the start of the step, s.
         time: f64,
-        /// `|h g| / min J`.
+        /// `|h g| / min J`, which must be below 1.
         ratio: f64,
     },
     /// The given motion of the base is too fast for the step.
@@ -33,48 +33,47 @@ pub enum StepError {
         /// Rotation of the base in one step, rad.
         angle: f64,
     },
-    /// An element is pressed together so far that the time step does not resolve its stiffness `EA/e²` any more.
+    /// An element is compressed so much that the time step no longer resolves its stiffness `EA/e²`.
     #[error(
         "element {element}, step {step} (t = {time} s): pressed to {dilatation:.3e} of its rest length, the time step resolves \
          {least:.3e}; shorten time.step_s or soften the load"
     )]
     ElementCollapsed {
-        /// Element, between nodes `element` and `element + 1`.
+        /// Index of the element, between nodes `element` and `element + 1`.
         element: usize,
         /// Step, counted from 0.
         step: usize,
         /// Time at the start of the step, s.
         time: f64,
-        /// Its dilatation.
+        /// Dilatation of the element.
         dilatation: f64,
-        /// `h c/l`, `c` the speed of axial waves.
+        /// Smallest dilatation that the step resolves: `h c/l`, with `c` the speed of axial waves.
         least: f64,
     },
-    /// Newton's method for an implicit step came to no end.
+    /// Newton's method for an implicit step did not converge.
     #[error(
         "node {node}, step {step} (t = {time} s): the implicit step leaves {residual:.1e} of the momentum after {iterations} \
          iterations; shorten time.step_s or soften the load"
     )]
     NotConverged {
-        /// Rod node with the largest residual.
+        /// Index of the node with the largest residual.
         node: usize,
         /// Step, counted from 0.
         step: usize,
         /// Time at the start of the step, s.
         time: f64,
-        /// Its residual over the largest momentum of any node, linear or angular.
+        /// Residual of the node, divided by the largest momentum of any node, linear or angular.
         residual: f64,
-        /// Newton iterations taken.
+        /// Number of Newton iterations.
         iterations: usize,
     },
-    /// The ends of an element have come past half a turn against each other, where the rotation vector of either strain
-    /// rule ends.
+    /// The ends of an element have passed half a turn relative to each other, where the rotation vector of either strain rule ends.
     #[error(
         "element {element}, step {step} (t = {time} s): its ends have come past half a turn against each other, to {angle:.3} \
          rad; strains end there; soften the load, add elements, or shorten time.step_s"
     )]
     ElementFolded {
-        /// Element, between nodes `element` and `element + 1`.
+        /// Index of the element, between nodes `element` and `element + 1`.
         element: usize,
         /// Step, counted from 0.
         step: usize,
@@ -83,21 +82,21 @@ pub enum StepError {
         /// Relative rotation of its ends at the end of the step, rad: above `π`.
         angle: f64,
     },
-    /// A force, moment or momentum is not a number any more.
+    /// A force, moment or momentum is no longer finite.
     #[error(
         "node {node}, step {step} (t = {time} s): {quantity} is not finite; shorten time.step_s or check the loads"
     )]
     NotFinite {
-        /// Rod node.
+        /// Index of the rod's node.
         node: usize,
         /// Step, counted from 0.
         step: usize,
         /// Time at the start of the step, s.
         time: f64,
-        /// The value that was found.
+        /// Name of the quantity.
         quantity: &'static str,
     },
-    /// Somebody ended it.
+    /// A stop signal ended the motion.
     #[error("stopped before the end: {0}")]
     Stopped(#[from] Stop),
 }

@@ -10,14 +10,14 @@
 //! p⁺ = (1 - a) p½ + h/2 f⁺              π⁺ = (1 - a) Fᵀ g + h/2 τ⁺
 //! ```
 //!
-//! Where the inertia follows the dilatation, [`InertiaRule`](super::inertia::InertiaRule) says which dilatation a step uses.
+//! If the inertia follows the dilatation, [`InertiaRule`](super::inertia::InertiaRule) tells which dilatation a step uses.
 //!
-//! The damping force is that of the interval's own velocity, split over both ends: second order, symmetric, and it
-//! does not shorten the stable step. Momenta at the nodes are the forced discrete Legendre transforms, so initial
-//! velocities and rest at the end are exact to second order.
+//! The damping force is that of the interval's own velocity, divided between both ends: it is of second order, symmetric, and does not
+//! shorten the stable step. Momenta at the nodes are the forced discrete Legendre transforms, so initial velocities and rest at the end are
+//! exact to second order.
 //!
-//! [`lanes`](super::lanes) take these steps, several nodes at a time. The check has an integrator of its own
-//! ([`ReferenceStepper`](crate::verify::ReferenceStepper)) in the form in which the paper has the equations.
+//! [`lanes`](super::lanes) takes these steps, several nodes at a time. The check has an integrator of its own
+//! ([`ReferenceStepper`](crate::verify::ReferenceStepper)) in the form of the paper's equations.
 
 use nalgebra::Vector3;
 
@@ -28,7 +28,8 @@ use super::signal::NodeWrenches;
 use super::step_error::StepError;
 use super::time::Clock;
 
-/// What a [`Stepper`] is besides its rod, put away between two motions of the same rod with the same step: the next motion asks for no memory.
+/// The memory of a [`Stepper`] without its rod, kept between two motions of the same rod with the same step, so that the next motion
+/// allocates none.
 #[derive(Clone, Debug)]
 pub(crate) struct StepperMemory {
     lanes: LaneMemory,
@@ -36,17 +37,19 @@ pub(crate) struct StepperMemory {
 }
 
 impl StepperMemory {
-    /// Memory for motions of `rod` with steps of this length.
+    /// Creates memory for motions of `rod` with steps of this length.
     pub fn new(rod: &Rod, step: f64) -> Self {
         Stepper::new(rod, step, State::at_rest(rod.rest.clone())).into_memory()
     }
 
-    /// For steps of another length, and for the rod of the motion before with all its elements stiffer or softer by the same factor.
+    /// Prepares the memory for steps of another length, and for the rod of the motion before with all its elements stiffer or softer by the
+    /// same factor.
     pub fn retune(&mut self, rod: &Rod, step: f64) {
         self.lanes.retune(rod, step);
     }
 
-    /// A motion of `rod`, which is the rod of the motion before, from `start` (s) and `initial` on; a driven base is where the state has it.
+    /// Begins a motion of `rod`, which must be the rod of the motion before, from `start` (s) and `initial`; a driven base has the pose of
+    /// the state.
     pub fn begin<'a>(self, rod: &'a Rod, start: f64, initial: &State) -> Stepper<'a> {
         let mut seat = self.seat;
         seat.0 = 0;
@@ -58,22 +61,21 @@ impl StepperMemory {
     }
 }
 
-/// Advances a rod in time as fast as this machine can, by the equations (77) and (81) of the paper in the form of
-/// [`LaneIntegrator`].
+/// Advances a rod in time, by the equations (77) and (81) of the paper in the vectorized form of [`LaneIntegrator`].
 #[derive(Clone, Debug)]
 pub struct Stepper<'a> {
     lanes: LaneIntegrator<'a>,
-    /// Step, and state after it, from which the motion last went on; the lanes give it back rounded.
+    /// Step, and state after it, at which the motion was last re-seated; the lanes return that state rounded.
     seat: (usize, State),
 }
 
 impl<'a> Stepper<'a> {
-    /// Every so many steps the motion goes on from its own [`State`], whatever the integrator keeps besides: what
-    /// [resumes](Self::resume) at such a step is the same to the bit.
+    /// Number of steps between two re-seatings, after which the motion continues from its [`State`] alone: a motion [resumed](Self::resume)
+    /// at such a step is exactly the same.
     pub const SEAT: usize = 256;
 
-    /// Starts from a state: at time 0 where `clock` is a step length, at the start of a [`TimeGrid`](super::TimeGrid)
-    /// otherwise. A driven base is put where its motion is then.
+    /// Starts from a state: at time 0 if `clock` is a step length, otherwise at the start of a [`TimeGrid`](super::TimeGrid). A driven base
+    /// is moved to its pose at that time.
     #[must_use]
     pub fn new(rod: &'a Rod, clock: impl Into<Clock>, mut initial: State) -> Self {
         let clock = clock.into();
@@ -81,7 +83,8 @@ impl<'a> Stepper<'a> {
         Self::resume(rod, clock, initial, 0)
     }
 
-    /// Goes on from the state after `step` steps of the same clock; to the bit, if `step` is a multiple of [`Self::SEAT`].
+    /// Resumes from the state after `step` steps of the same clock; the motion is exactly the same if `step` is a multiple of
+    /// [`Self::SEAT`].
     #[must_use]
     pub fn resume(rod: &'a Rod, clock: impl Into<Clock>, state: State, step: usize) -> Self {
         Self {
@@ -90,11 +93,11 @@ impl<'a> Stepper<'a> {
         }
     }
 
-    /// One step under control wrenches: `control[0]` just after this time node, `control[1]` just before the next.
+    /// Takes one step under control wrenches: `control[0]` just after this time node, `control[1]` just before the next.
     ///
     /// # Errors
-    /// [`StepError`] when a node would turn more than a quarter turn, when the base does, when an element collapses or folds, when an implicit
-    /// step does not converge, or when something is not finite. The state is then no longer meaningful.
+    /// Returns [`StepError`] if a node or the base would turn by more than a quarter turn, an element collapses or folds, an implicit step
+    /// does not converge, or a value is not finite. The state is then no longer meaningful.
     pub fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
         self.lanes.advance(control)?;
         let step = self.step();
@@ -105,7 +108,7 @@ impl<'a> Stepper<'a> {
         Ok(())
     }
 
-    /// The last step, and the state after it, from which a [resumed](Self::resume) motion is the same to the bit.
+    /// Returns the step and state of the last re-seating, from which a [resumed](Self::resume) motion is exactly the same.
     #[must_use]
     pub fn seat(&self) -> &(usize, State) {
         &self.seat
@@ -115,7 +118,7 @@ impl<'a> Stepper<'a> {
         self.step() == self.seat.0
     }
 
-    /// State at the current time node, momenta included.
+    /// Returns the state at the current time node, including momenta.
     #[must_use]
     pub fn state(&self) -> State {
         if self.is_at_seat() {
@@ -125,7 +128,7 @@ impl<'a> Stepper<'a> {
         }
     }
 
-    /// The same into a state of the same size.
+    /// Writes the state into one of the same size.
     pub(crate) fn write_state(&self, state: &mut State) {
         if self.is_at_seat() {
             state.clone_from(&self.seat.1);
@@ -134,7 +137,7 @@ impl<'a> Stepper<'a> {
         }
     }
 
-    /// Ends the motion, and keeps its memory for another.
+    /// Ends the motion, and returns its memory for another one.
     pub(crate) fn into_memory(self) -> StepperMemory {
         StepperMemory {
             lanes: self.lanes.into_memory(),
@@ -142,7 +145,7 @@ impl<'a> Stepper<'a> {
         }
     }
 
-    /// Position of a node at the current time node, m.
+    /// Returns the position of a node at the current time node, m.
     #[must_use]
     pub fn position(&self, node: usize) -> Vector3<f64> {
         if self.is_at_seat() {
@@ -161,13 +164,13 @@ impl<'a> Stepper<'a> {
         }
     }
 
-    /// Steps taken so far.
+    /// Returns the number of steps taken.
     #[must_use]
     pub fn step(&self) -> usize {
         self.lanes.step()
     }
 
-    /// Current time, s.
+    /// Returns the current time, s.
     #[must_use]
     pub fn time(&self) -> f64 {
         self.lanes.time()

@@ -6,8 +6,8 @@ use super::block_tridiagonal::BlockTridiagonal;
 use super::configuration::Configuration;
 use super::rod::Rod;
 
-/// Derivative of minus the forces and body moments on the free nodes (elements, and loads at their value at time `t`) along
-/// `(δx, η)` of these nodes, the first of them in block 0. Symmetric at an equilibrium under loads that have a potential.
+/// Returns the derivative of minus the forces and body moments on the free nodes (elements, and loads at their value at time `t`) along
+/// `(δx, η)` of these nodes, the first of them in block 0. It is symmetric at an equilibrium under loads with a potential.
 pub(super) fn tangent_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
     let first = rod.first_free_node();
     let mut out = BlockTridiagonal::zeros(rod.n_nodes() - first);

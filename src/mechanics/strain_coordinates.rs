@@ -1,10 +1,10 @@
-//! Configurations in terms of their strains: a shape between two others, and a motion along a direction, in which the rod bends
-//! and twists but is not stretched by the way itself.
+//! Configurations in terms of their strains: a shape between two others, and a motion along a direction, in which the rod bends and twists
+//! without being stretched by the motion itself.
 //!
-//! Each element is described by `ψ = log(R_aᵀ R_b)` and `w = S(ψ) R_aᵀ (x_b - x_a)`, `S` the inverse tangent of the exponential: rotation and
-//! translation of the helix through its ends, whatever rule the rod is computed with. From the base on, `R_b = R_a exp(ψ)` and
-//! `x_b = x_a + R_a S(ψ)⁻¹ w`. The stiff strains are linear in these coordinates, where those of positions and rotations
-//! moved on their own grow with the square of the turn.
+//! Each element is described by `ψ = log(R_aᵀ R_b)` and `w = S(ψ) R_aᵀ (x_b - x_a)`, with `S` the inverse tangent of the exponential:
+//! rotation and translation of the helix through its ends, whatever the rule of the rod is. From the base on, `R_b = R_a exp(ψ)` and `x_b =
+//! x_a + R_a S(ψ)⁻¹ w`. The stiff strains are linear in these coordinates, whereas those of positions and rotations that are moved
+//! independently grow with the square of the turn.
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
@@ -12,7 +12,7 @@ use super::configuration::{Configuration, Trajectory, TrajectoryTangent};
 use super::element::{ElementPose, StrainRule, tangent_derivative};
 use super::rotation::{exp, exp_tangent, log, log_tangent};
 
-/// Poses that are worth a thread of their own: some hundred microseconds.
+/// Smallest number of poses for a thread of its own: some hundred microseconds of work.
 const LEAST_SHARE: usize = 2048;
 
 /// `w` and `ψ` of one element.
@@ -41,7 +41,7 @@ impl Helix {
         }
     }
 
-    /// The far end of the helix that begins at `x`, `r`.
+    /// Returns the far end of the helix that begins at `x`, `r`.
     fn end(&self, x: &Vector3<f64>, r: &Matrix3<f64>) -> (Vector3<f64>, Matrix3<f64>) {
         // S(ψ)⁻¹ is the spatial tangent of the exponential.
         (
@@ -67,7 +67,7 @@ struct Chart {
     bend: Matrix3<f64>,
 }
 
-/// Of a node: `δx` (spatial) and `ζ` (body frame).
+/// Motion of a node: `δx` (spatial frame) and `ζ` (body frame).
 type Move = (Vector3<f64>, Vector3<f64>);
 
 impl Chart {
@@ -93,7 +93,7 @@ impl Chart {
         }
     }
 
-    /// `(δw, δψ)` of a motion of both ends.
+    /// Returns `(δw, δψ)` of a motion of both ends.
     fn strain(&self, a: &Move, b: &Move) -> Helix {
         let turn = self.tangent.tr_mul(&b.1) - self.tangent * a.1;
         let shift = self.rotation_a.tr_mul(&(b.0 - a.0)) + self.y.cross(&a.1);
@@ -103,7 +103,7 @@ impl Chart {
         }
     }
 
-    /// The motion of the far end that makes these with a motion of the near end.
+    /// Returns the motion of the far end for a given strain and a motion of the near end.
     fn far_end(&self, a: &Move, strain: &Helix) -> Move {
         let shift = self.inverse * (strain.translation - self.bend * strain.turn);
         (
@@ -113,8 +113,8 @@ impl Chart {
     }
 }
 
-/// The shape that a tangent `(δx, ζ)` of every node leads to if it moves the base by `x + δx` and `R exp(ζ)`, and the strains of all elements
-/// linearly; written to a shape of the same size. To first order that of [`State::retract`](super::State::retract).
+/// Writes the shape to which a tangent `(δx, ζ)` of every node leads if it moves the base by `x + δx` and `R exp(ζ)`, and the strains of
+/// all elements linearly, to a shape of the same size. To first order it is that of [`State::retract`](super::State::retract).
 pub fn retract_shape(
     from: &Configuration,
     positions: &[Vector3<f64>],
@@ -137,7 +137,7 @@ pub fn retract_shape(
     }
 }
 
-/// The tangent at `from` that leads to `to`: the inverse of [`retract_shape`].
+/// Computes the tangent at `from` that leads to `to`: the inverse of [`retract_shape`].
 pub fn shape_difference(
     to: &Configuration,
     from: &Configuration,
@@ -165,19 +165,19 @@ pub fn shape_difference(
     }
 }
 
-/// Takes tangents at one shape to those at another that change the strains of the elements alike, and turn the base alike: the derivative
-/// of [`shape_difference`] along its reference.
+/// A map of tangents at one shape to those at another that change the strains of the elements and the base alike: the derivative of
+/// [`shape_difference`] along its reference.
 #[derive(Clone, Debug)]
 pub struct ShapeTransport {
-    /// Of the motion `(δx, ζ)` of the base.
+    /// Map of the motion `(δx, ζ)` of the base.
     pub base: Matrix6<f64>,
-    /// Of every element: what the motions of its near and of its far end, and what became of that of its near end, add to what becomes of that
-    /// of its far end.
+    /// Maps of every element from the motions of its near and its far end, and from the mapped motion of its near end, to the mapped motion
+    /// of its far end, which is their sum.
     pub links: Vec<[Matrix6<f64>; 3]>,
 }
 
 impl ShapeTransport {
-    /// Memory for shapes of so many nodes.
+    /// Creates memory for shapes of `n_nodes` nodes.
     #[must_use]
     pub fn new(n_nodes: usize) -> Self {
         Self {
@@ -186,7 +186,7 @@ impl ShapeTransport {
         }
     }
 
-    /// From one shape to another.
+    /// Computes the transport from one shape to another.
     pub fn between(&mut self, from: &Configuration, to: &Configuration) {
         let turn = log(&from.rotations[0].tr_mul(&to.rotations[0]));
         self.base.fill_with_identity();
@@ -221,7 +221,7 @@ impl ShapeTransport {
     }
 }
 
-/// The shape whose strains lie between those of two others, on the base of the first.
+/// Returns the shape whose strains lie between those of two others, on the base of the first.
 #[must_use]
 pub fn between(from: &Configuration, to: &Configuration, fraction: f64) -> Configuration {
     let helix = |shape: &Configuration, q: usize| {
@@ -242,8 +242,8 @@ pub fn between(from: &Configuration, to: &Configuration, fraction: f64) -> Confi
 }
 
 impl Trajectory {
-    /// Moves every configuration along `direction`: its base by `x + α δx` and `R exp(α ζ)`, the strains of its elements linearly. To
-    /// first order the same as [`retract`](Self::retract). `n_threads` changes the time only.
+    /// Moves every configuration along `direction`: its base by `x + α δx` and `R exp(α ζ)`, the strains of its elements linearly. To first
+    /// order this equals [`retract`](Self::retract). `n_threads` has no effect on the result.
     #[must_use]
     pub fn retract_strains(
         &self,
@@ -281,7 +281,7 @@ impl Trajectory {
         moved
     }
 
-    /// The element behind row `a`.
+    /// Returns the moved strain of the element that begins at row `a`.
     fn moved_element(&self, a: usize, direction: &TrajectoryTangent, step_length: f64) -> Helix {
         let (x, r) = (&self.positions, &self.rotations);
         let (dx, zeta) = (&direction.positions, &direction.rotations);
@@ -331,7 +331,7 @@ mod tests {
         (trajectory, direction)
     }
 
-    /// `w` and `ψ` of all elements.
+    /// Returns `w` and `ψ` of all elements.
     fn strains(trajectory: &Trajectory) -> Vec<Vector3<f64>> {
         (0..trajectory.n_times())
             .flat_map(|k| {
@@ -344,8 +344,8 @@ mod tests {
             .collect()
     }
 
-    /// A tangent leads to a shape from which the difference is that tangent, and moves it as the plain retraction does to first order; a transport
-    /// from a shape to another is how that difference changes with the reference.
+    /// A tangent leads to a shape whose difference from the first is that tangent, and moves it to first order as the plain retraction
+    /// does; a transport from one shape to another is the change of that difference with the reference.
     #[test]
     fn differences_invert_retractions() {
         let (trajectory, direction) = motion();
@@ -374,7 +374,7 @@ mod tests {
             let r = log(&from.rotations[q].tr_mul(&near.rotations[q])) / SMALL - zeta[q];
             assert!(x.norm() < 1e-5 && r.norm() < 1e-5, "{q}");
         }
-        // A small motion of `to`, seen from there and from `from`.
+        // A small motion of `to`, relative to `to` and relative to `from`.
         let mut beyond = to.clone();
         let small = |v: &[Vector3<f64>]| v.iter().map(|v| v * SMALL).collect::<Vec<_>>();
         let (dx, zeta) = (
@@ -405,7 +405,7 @@ mod tests {
         }
     }
 
-    /// Strains move along straight lines, on any number of threads; their slope is that of the configurations moved on their own.
+    /// Strains move along straight lines, on any number of threads; their slope is that of configurations moved independently.
     #[test]
     fn strains_move_linearly() {
         let (trajectory, direction) = motion();

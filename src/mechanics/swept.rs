@@ -1,7 +1,7 @@
-//! The surface that the tip of an arm sweeps where forces across the direction of its base bend it, and nothing pushes or pulls along it.
+//! The surface that the tip of an arm sweeps under forces perpendicular to the direction of its base, without force along it.
 //!
 //! The tip of an arm has three coordinates, and near any place on this surface the arm needs little force; off it, a force along the arm
-//! stretches it or presses it together, and an arm that is pressed buckles.
+//! stretches or compresses it, and a compressed arm buckles.
 
 use nalgebra::{Matrix2, Matrix3, Unit, Vector2, Vector3};
 
@@ -12,29 +12,29 @@ use super::rod::Rod;
 use super::tangent::Tangent;
 use crate::stop::StopSignal;
 
-/// Steps of Newton's method on the force, and the distance over the length at which the tip is there.
+/// Cap on the steps of Newton's method for the force, and largest distance of a tip at its place, divided by the length.
 const STEPS: usize = 40;
 const THERE: f64 = 1e-6;
-/// Largest way across of the tip in one step, over the length.
+/// Largest lateral displacement of the tip in one step, divided by the length.
 const LONGEST_WAY: f64 = 0.1;
 
 /// The surface of an arm with a held base.
 #[derive(Clone, Debug)]
 pub struct SweptSurface<'a> {
     rod: &'a Rod,
-    /// Time of loads and of a driven base, s.
+    /// Time at which loads and a driven base are evaluated, s.
     time: f64,
-    /// Direction of the base, and two across it.
+    /// Direction of the base, and two perpendicular directions.
     axes: [Vector3<f64>; 3],
     force: Vector2<f64>,
     shape: Configuration,
 }
 
 impl<'a> SweptSurface<'a> {
-    /// The surface near the equilibrium of the rod under its loads at time `t` (s).
+    /// Creates the surface near the equilibrium of the rod under its loads at time `t` (s).
     ///
     /// # Errors
-    /// [`EquilibriumError`] where that is not found; a free base has none.
+    /// Returns [`EquilibriumError`] if the equilibrium is not found; a free base has none.
     pub fn new(
         rod: &'a Rod,
         start: &Configuration,
@@ -53,18 +53,18 @@ impl<'a> SweptSurface<'a> {
         })
     }
 
-    /// Direction of the base.
+    /// Returns the direction of the base.
     #[must_use]
     pub fn direction(&self) -> Unit<Vector3<f64>> {
         Unit::new_normalize(self.axes[0])
     }
 
-    /// Distance of a place (m) from the surface along the direction of the base, m: positive beyond it, where the arm must be stretched.
-    /// Places are asked for in the order of a path, each from the shape of the one before. `None` where no force across brings the tip under or over
-    /// the place.
+    /// Returns the distance of a place (m) from the surface along the direction of the base, m: positive beyond it, where the arm must be
+    /// stretched. Places are to be given in the order of a path, each is reached from the shape of the one before. `None` if no
+    /// perpendicular force brings the tip under or over the place.
     ///
     /// # Errors
-    /// [`EquilibriumError::Stopped`].
+    /// Returns [`EquilibriumError::Stopped`].
     pub fn distance(
         &mut self,
         place: &Vector3<f64>,

@@ -1,7 +1,9 @@
-//! The tangent stiffness of an arm with whatever acts on it, as a sparse matrix: its inverse, its lowest modes, and how fast motions grow.
+//! The tangent stiffness of an arm with everything that acts on it, as a sparse matrix: its inverse, its lowest modes, and the growth of
+//! small motions.
 //!
-//! Deviations `q = (δx, η)` of the free nodes obey `M q̈ + C q̇ + K q = 0`. `K` couples neighbors by the elements, and any nodes by actuators that look
-//! at them; body moments make it unsymmetric. `C` is viscous damping `c M` and Kelvin-Voigt damping `τ` times the elements' stiffness without stress.
+//! Deviations `q = (δx, η)` of the free nodes obey `M q̈ + C q̇ + K q = 0`. `K` couples neighbors by the elements, and any nodes by
+//! actuators that depend on them; body moments make it unsymmetric. `C` is viscous damping `c M` and Kelvin-Voigt damping, `τ` times the
+//! elements' stiffness without stress.
 
 use std::collections::BTreeMap;
 
@@ -29,49 +31,51 @@ pub(crate) struct Tangent {
 /// A mode of `K_s q = ω² M q`, `K_s` the symmetric part of `K`, with `qᵀ M q = 1`.
 #[derive(Clone, Debug)]
 pub(crate) struct Mode {
-    /// `ω²`, 1/s²; negative where a deviation grows.
+    /// `ω²`, 1/s²; negative for a deviation that grows.
     pub squared_frequency: f64,
     /// `(δx, η)` of every free node.
     pub shape: Vec<Vector6<f64>>,
 }
 
-/// Stability of an equilibrium under loads and controls that stay as they are.
+/// Stability of an equilibrium under constant loads and controls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stability {
-    /// True where small deviations stay small: nothing grows, and of loads with a potential the smallest `ω²` is above rounding.
+    /// Tells whether small deviations stay small: nothing grows, and for loads with a potential the smallest `ω²` is above rounding.
     pub is_stable: bool,
-    /// True where the tangent stiffness is symmetric: all loads have a potential.
+    /// Tells whether the tangent stiffness is symmetric, so that all loads have a potential.
     pub has_potential: bool,
-    /// True where the symmetric part of the stiffness is positive definite beyond rounding.
+    /// Tells whether the symmetric part of the stiffness is positive definite beyond rounding.
     pub is_definite: bool,
-    /// Smallest `ω²` of the symmetric part of the tangent stiffness over the inertia, 1/s².
+    /// Smallest `ω²`, 1/s², of the symmetric part of the tangent stiffness and the inertia.
     pub least_squared_frequency: f64,
-    /// Rate `s` at which small deviations grow as `exp(s t)`, 1/s, damping included; `None` where they do not.
+    /// Rate `s` at which small deviations grow as `exp(s t)`, 1/s, with damping; `None` if they do not grow.
     pub growth_rate: Option<f64>,
-    /// Angular frequency with which growing deviations swing, rad/s: zero where the arm topples or buckles, positive where it flutters; `None` where nothing
-    /// grows.
+    /// Angular frequency of growing deviations, rad/s: zero for an arm that topples or buckles, positive for one that flutters; `None` if
+    /// nothing grows.
     pub growth_frequency: Option<f64>,
-    /// Lowest angular frequency of a stable equilibrium, rad/s: without damping where the loads have a potential, otherwise with it.
+    /// Lowest angular frequency of a stable equilibrium, rad/s: without damping if the loads have a potential, otherwise with it.
     pub first_frequency: Option<f64>,
 }
 
 impl Stability {
-    /// That of an equilibrium of a rod under its loads at time `t`; `None` where something is no number.
+    /// Computes the stability of an equilibrium of a rod under its loads at time `t`; `None` if a value is not finite.
     #[must_use]
     pub fn of(rod: &Rod, at: &Configuration, t: f64) -> Option<Self> {
         Tangent::stiffness(rod, at, t).stability(rod, at, own_squared_frequency(rod))
     }
 }
 
-/// Growth rate over the frequency of the arm at rest up to which an equilibrium is stable for all purposes: an e-fold in 160 of its periods.
+/// Growth rate, divided by the frequency of the arm at rest, up to which an equilibrium counts as stable: growth by a factor e in 160 of
+/// its periods.
 pub(crate) const SLOWEST_GROWTH: f64 = 1e-3;
-/// `ω²` over that of the arm at rest above which an equilibrium is stable for certain: shapes that may turn about the base's axis have 0, and an error of
-/// discretization.
+/// `ω²`, relative to that of the arm at rest, above which an equilibrium is certainly stable: shapes that may turn about the base's axis
+/// have 0 up to an error of discretization.
 pub(crate) const POSITIVE: f64 = 1e-6;
-/// Unsymmetric part of the stiffness, relative to its largest entry, of loads without a potential.
+/// Unsymmetric part of the stiffness, relative to its largest entry, above which loads have no potential.
 const ASYMMETRIC: f64 = 1e-9;
 
-/// `ω²` of the slowest mode of an arm in its stress-free shape, without loads, 1/s²: the unit of the thresholds of [`Tangent::stability`].
+/// Returns `ω²` of the slowest mode of an arm in its stress-free shape, without loads, 1/s²: the unit of the thresholds of
+/// [`Tangent::stability`].
 pub(crate) fn own_squared_frequency(rod: &Rod) -> f64 {
     let guess = rod.scales.time.powi(-2);
     let bare = Rod {
@@ -85,20 +89,21 @@ pub(crate) fn own_squared_frequency(rod: &Rod) -> f64 {
         .unwrap_or(guess)
 }
 
-/// Modes that are computed with those that are asked for, so that subspace iteration converges fast.
+/// Number of additional modes that are computed, so that subspace iteration converges fast.
 const GUARD_MODES: usize = 4;
-/// Change of an `ω²`, relative to itself and the shift, at which subspace iteration ends, and its limit.
+/// Change of an `ω²`, relative to itself and the shift, at which subspace iteration ends, and cap on its iterations.
 const MODE_TOLERANCE: f64 = 1e-11;
 const MODE_ITERATIONS: usize = 100;
-/// Modes by which the growth of motions without a potential is computed.
+/// Number of modes by which the growth of motions without a potential is computed.
 const GROWTH_MODES: usize = 12;
-/// Steps of inverse iteration that improve them: the slowest motions then are off by the cube of the ratio of their `ω²` to that of the fastest one.
+/// Steps of inverse iteration that improve them: the error of the slowest motions is then the cube of the ratio of their `ω²` to that of
+/// the fastest one.
 const INVERSE_ITERATIONS: usize = 3;
-/// Steps of the QR iteration for each eigenvalue.
+/// Cap on the steps of the QR iteration for each eigenvalue.
 const QR_STEPS: usize = 100;
 
 impl Tangent {
-    /// The matrix with these blocks.
+    /// Returns the matrix with the given blocks.
     pub fn of(blocks: BlockTridiagonal) -> Self {
         let n_blocks = blocks.diagonal.len();
         let mut all = BTreeMap::new();
@@ -115,17 +120,17 @@ impl Tangent {
         }
     }
 
-    /// The stiffness of the elements and of the rod's own loads at time `t`.
+    /// Returns the stiffness of the elements and of the rod's own loads at time `t`.
     pub fn stiffness(rod: &Rod, at: &Configuration, t: f64) -> Self {
         Self::of(tangent_stiffness(rod, at, t))
     }
 
-    /// Rows and columns.
+    /// Returns the number of rows and columns.
     pub fn n_unknowns(&self) -> usize {
         6 * self.n_blocks
     }
 
-    /// The symmetric part.
+    /// Returns the symmetric part.
     pub fn symmetric(&self) -> Self {
         let mut blocks = BTreeMap::new();
         for (&(row, column), block) in &self.blocks {
@@ -135,7 +140,7 @@ impl Tangent {
         Self { blocks, ..*self }
     }
 
-    /// `K + σ M`, `σ` in 1/s².
+    /// Returns `K + σ M`, `σ` in 1/s².
     pub fn with_inertia(mut self, rod: &Rod, at: &Configuration, sigma: f64) -> Self {
         for (i, root) in inertia_roots(rod, at).iter().enumerate() {
             let inertia = root.map(|r| sigma / (r * r));
@@ -149,16 +154,17 @@ impl Tangent {
         *self.blocks.entry((row, column)).or_default() += block;
     }
 
-    /// Factors of the matrix; `None` where it is singular.
+    /// Returns the factors of the matrix; `None` if it is singular.
     pub fn factor(&self) -> Option<TangentLu> {
         let lu = sparse(self.n_blocks, &self.blocks)?.sp_lu().ok()?;
         Some(TangentLu(lu))
     }
 
-    /// The lowest `count` modes, ascending, with the inertia of the rod; `unit` (1/s²) is about the smallest `ω²` of a stable arm. `None` where something
-    /// is no number.
+    /// Computes the lowest `count` modes, ascending, with the inertia of the rod; `unit` (1/s²) is about the smallest `ω²` of a stable arm.
+    /// `None` if a value is not finite.
     ///
-    /// Subspace iteration with the inverse of `M^{-½} K_s M^{-½} + s`, `s` a shift that makes it positive definite (Bathe 2014, section 11.6).
+    /// The method is subspace iteration with the inverse of `M^{-½} K_s M^{-½} + s`, where the shift `s` makes it positive definite (Bathe
+    /// 2014, section 11.6).
     pub fn lowest_modes(
         &self,
         rod: &Rod,
@@ -215,7 +221,7 @@ impl Tangent {
         Some(modes.collect())
     }
 
-    /// Largest real part of the `s` of [small motions](Self::small_motions), 1/s: positive where small deviations grow.
+    /// Returns the largest real part of the `s` of [small motions](Self::small_motions), 1/s: positive if small deviations grow.
     pub fn growth_rate(&self, rod: &Rod, at: &Configuration, unit: f64) -> Option<f64> {
         let motions = self.small_motions(rod, at, unit)?;
         let largest = motions
@@ -225,9 +231,9 @@ impl Tangent {
         Some(largest)
     }
 
-    /// Deviations that span the slowest [`GROWTH_MODES`] motions without damping, with `qᵀ M q = 1` and without products of each other: the lowest modes of the
-    /// symmetric part, improved by inverse iteration with the whole matrix. Those modes alone miss the boundary conditions of a force that turns with the tip,
-    /// and put Beck's load 7 % too low.
+    /// Returns deviations that span the slowest [`GROWTH_MODES`] motions without damping, orthonormal with respect to `M`: the lowest modes
+    /// of the symmetric part, improved by inverse iteration with the whole matrix. Those modes alone miss the boundary conditions of a
+    /// force that turns with the tip, and put Beck's load 7 % too low.
     fn growth_basis(
         &self,
         rod: &Rod,
@@ -271,7 +277,8 @@ impl Tangent {
         Some(basis)
     }
 
-    /// The `s` of motions `exp(s t)`, 1/s, in the space of [`Self::growth_basis`] (Galerkin), with viscous and Kelvin-Voigt damping.
+    /// Returns the `s` of motions `exp(s t)`, 1/s, in the space of [`Self::growth_basis`] (Galerkin), with viscous and Kelvin-Voigt
+    /// damping.
     fn small_motions(&self, rod: &Rod, at: &Configuration, unit: f64) -> Option<Vec<Complex<f64>>> {
         let modes = self.growth_basis(rod, at, unit)?;
         let n = modes.len();
@@ -290,7 +297,7 @@ impl Tangent {
                 first_order[(n + i, n + j)] -= rod.internal_damping * strain[(i, j)];
             }
         }
-        // In units of time in which both halves are about as large.
+        // In this unit of time both halves are of about the same size.
         let time = unit.sqrt().recip();
         for i in 0..n {
             for j in 0..n {
@@ -303,8 +310,9 @@ impl Tangent {
         Some(values.iter().map(|value| value / time).collect())
     }
 
-    /// Stability of the equilibrium whose stiffness this is. The smallest `ω²` of a stiffness with a potential decides; without one (body moments, forces that
-    /// turn with the arm) or below zero the growth rate does. `unit` is [`own_squared_frequency`]. `None` where something is no number.
+    /// Returns the stability of the equilibrium with this stiffness. The smallest `ω²` of a stiffness with a potential decides; without a
+    /// potential (body moments, forces that turn with the arm), or if it is negative, the growth rate does. `unit` is
+    /// [`own_squared_frequency`]. `None` if a value is not finite.
     pub fn stability(&self, rod: &Rod, at: &Configuration, unit: f64) -> Option<Stability> {
         let modes = self.lowest_modes(rod, at, unit, 1)?;
         let square = modes.first()?.squared_frequency;
@@ -336,7 +344,7 @@ impl Tangent {
         })
     }
 
-    /// Displacement of the tip per force on it, m/N, spatial frame; `None` where the matrix is singular.
+    /// Returns the displacement of the tip per force on it, m/N, spatial frame; `None` if the matrix is singular.
     pub fn tip_compliance(&self) -> Option<Matrix3<f64>> {
         let unit_force = |axis: usize| {
             let mut force = vec![Vector6::zeros(); self.n_blocks];
@@ -349,7 +357,7 @@ impl Tangent {
         Some(Matrix3::from_fn(|i, j| answers[j][self.n_blocks - 1][i]))
     }
 
-    /// Largest entry of the unsymmetric part, over the largest entry.
+    /// Returns the largest entry of the unsymmetric part, divided by the largest entry.
     pub fn asymmetry(&self) -> f64 {
         let largest = self.blocks.values().map(Matrix6::amax).fold(0.0, f64::max);
         let zero = Matrix6::zeros();
@@ -360,7 +368,7 @@ impl Tangent {
         unsymmetric.fold(0.0, f64::max) / largest
     }
 
-    /// `K v`
+    /// Returns `K v`.
     pub fn times(&self, vector: &[Vector6<f64>]) -> Vec<Vector6<f64>> {
         let mut out = vec![Vector6::zeros(); self.n_blocks];
         for (&(row, column), block) in &self.blocks {
@@ -374,7 +382,7 @@ impl Tangent {
 pub(crate) struct TangentLu(Lu<usize, f64>);
 
 impl TangentLu {
-    /// `K⁻¹` times each of the right-hand sides.
+    /// Returns `K⁻¹` times each of the right-hand sides.
     pub fn solve(&self, right: &[Vec<Vector6<f64>>]) -> Vec<Vec<Vector6<f64>>> {
         let Some(first) = right.first() else {
             return Vec::new();
@@ -392,7 +400,7 @@ impl TangentLu {
     }
 }
 
-/// `aᵀ b`
+/// Returns `aᵀ b`.
 pub(crate) fn dot(a: &[Vector6<f64>], b: &[Vector6<f64>]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
 }
@@ -413,14 +421,14 @@ fn sparse(
     SparseColMat::try_new_from_triplets(n, n, &triplets).ok()
 }
 
-/// A shift, 0 or a power of four times `unit`, that makes a symmetric matrix positive definite, and the factor of the sum.
+/// Returns a shift, 0 or a power of four times `unit`, that makes a symmetric matrix positive definite, and the factor of the sum.
 fn positive(
     n_blocks: usize,
     blocks: &BTreeMap<(usize, usize), Matrix6<f64>>,
     unit: f64,
 ) -> Option<(f64, Llt<usize, f64>)> {
     let mut shift = 0.0;
-    // Beyond the largest entry there is nothing left to shift.
+    // A shift beyond the largest entry cannot help.
     while shift < f64::MAX.sqrt() {
         let mut shifted = blocks.clone();
         for i in 0..n_blocks {
@@ -437,7 +445,7 @@ fn positive(
     None
 }
 
-/// The stiffness of the elements along their strains alone, as if they bore no stress.
+/// Returns the stiffness of the elements along their strains alone, without their stress.
 fn strain_stiffness(rod: &Rod, at: &Configuration) -> BlockTridiagonal {
     let first = rod.first_free_node();
     let mut out = BlockTridiagonal::zeros(rod.n_nodes() - first);

@@ -1,18 +1,18 @@
 //! Time grids, clocks and time schemes.
 
-/// How the elastic forces act within a time step.
+/// Action of the elastic forces within a time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TimeScheme {
-    /// Those of both ends, half weight each: no equation to solve, and a [largest stable step](super::stable_step).
+    /// The forces of both ends with half weight each: no equations to solve, and a [largest stable step](super::stable_step).
     #[default]
     Explicit,
-    /// Those of the mean strain of both ends: a block-tridiagonal system a step, and no linear limit of the step. See
+    /// The forces of the mean strain of both ends: a block-tridiagonal system per step, and no linear limit of the step. See
     /// [`implicit`](super::implicit).
     Implicit,
 }
 
 impl TimeScheme {
-    /// Name in scene and result files.
+    /// Returns the name in scene and result files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -25,17 +25,17 @@ impl TimeScheme {
 /// A uniform time grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimeGrid {
-    /// Time of node 0, s: what signals, base motions and references are read from. [Time nodes](Self::time) count from it.
+    /// Time of node 0, s, from which [time nodes](Self::time) count; signals, base motions and references are functions of this time.
     pub start: f64,
-    /// `h`, s.
+    /// Step `h`, s.
     pub step: f64,
-    /// `N`.
+    /// Number of steps `N`.
     pub n_steps: usize,
 }
 
 impl TimeGrid {
-    /// Equal steps from time 0 to `end`, none longer than `longest_step`, their number a multiple of `multiple` (at least
-    /// 1; the blocks of a control are then equal). A step read back from such a grid gives the same grid again.
+    /// Returns equal steps from time 0 to `end`, none longer than `longest_step`, their number a multiple of `multiple` (at least 1; the
+    /// blocks of a control are then equal). A step read back from such a grid gives the same grid again.
     #[must_use]
     pub fn covering(end: f64, longest_step: f64, multiple: usize) -> Self {
         let multiple = multiple.max(1);
@@ -53,7 +53,7 @@ impl TimeGrid {
         }
     }
 
-    /// One time node, at `time` (s).
+    /// Returns a grid with a single time node, at `time` (s).
     #[must_use]
     pub fn instant(time: f64) -> Self {
         Self {
@@ -63,14 +63,14 @@ impl TimeGrid {
         }
     }
 
-    /// Time of node `k`, s.
+    /// Returns the time of node `k`, s.
     #[inline]
     #[must_use]
     pub fn time(&self, k: usize) -> f64 {
         self.clock().time(k)
     }
 
-    /// Its time nodes, without an end.
+    /// Returns the clock of the grid, which has no end.
     #[inline]
     #[must_use]
     pub fn clock(&self) -> Clock {
@@ -80,7 +80,7 @@ impl TimeGrid {
         }
     }
 
-    /// Node `k` with the intervals beside it, one at either end.
+    /// Returns node `k` with the intervals beside it, of which the ends of the grid have one.
     #[inline]
     #[must_use]
     pub fn node(&self, k: usize) -> TimeNode {
@@ -92,20 +92,20 @@ impl TimeGrid {
         }
     }
 
-    /// `N h`, s.
+    /// Returns the duration `N h`, s.
     #[must_use]
     pub fn duration(&self) -> f64 {
         self.n_steps as f64 * self.step
     }
 
-    /// The same grid from another time on.
+    /// Returns the same grid with another start.
     #[must_use]
     pub fn starting_at(self, start: f64) -> Self {
         Self { start, ..self }
     }
 }
 
-/// Equal steps from a time on.
+/// Equal steps from a start time, without an end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clock {
     /// Time at which step 0 begins, s.
@@ -115,14 +115,14 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Time at which step `k` begins, s.
+    /// Returns the time at which step `k` begins, s.
     #[inline]
     #[must_use]
     pub fn time(&self, k: usize) -> f64 {
         self.start + k as f64 * self.step
     }
 
-    /// The two sides of step `k`: its start with what comes after it, its end with what came before.
+    /// Returns the two sides of step `k`: its start with the interval after it, its end with the interval before it.
     #[must_use]
     pub fn ends_of_step(&self, k: usize) -> [TimeNode; 2] {
         [
@@ -141,7 +141,7 @@ impl Clock {
 }
 
 impl From<f64> for Clock {
-    /// Steps of this length from time 0 on.
+    /// Returns steps of this length from time 0.
     fn from(step: f64) -> Self {
         Self { start: 0.0, step }
     }
@@ -153,13 +153,13 @@ impl From<TimeGrid> for Clock {
     }
 }
 
-/// A time node, and the intervals over which what happens beside it acts there.
+/// A time node, and the intervals beside it over which its loads act.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimeNode {
-    /// Its time, s.
+    /// Time, s.
     pub time: f64,
-    /// Length of the interval before it, s; 0 where there is none, or where only the one after it is asked for.
+    /// Length of the interval before it, s; 0 if there is none, or if only the one after it is meant.
     pub before: f64,
-    /// Length of the interval after it, s; 0 likewise.
+    /// Length of the interval after it, s; 0 in the same way.
     pub after: f64,
 }

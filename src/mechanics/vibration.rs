@@ -1,9 +1,9 @@
-//! Small motions about a configuration at rest: natural frequencies, and the rate at which a motion leaves an unstable one.
+//! Small motions about a configuration at rest: natural frequencies, and the growth of deviations from an unstable one.
 //!
 //! Deviations `q = (δx, η)` of the free nodes obey `M q̈ + c M q̇ + K q = 0` with the inertia `M` of the nodes, the viscous damping `c` and
-//! the tangent stiffness `K`. In a mode `K q = ω² M q` they go as `exp(s t)` with `s² + c s + ω² = 0`: where `ω² < 0` they grow. Of loads
-//! that have no potential (body-fixed forces, spatial moments) the symmetric part of their stiffness is used, and Kelvin-Voigt damping is
-//! left out.
+//! the tangent stiffness `K`. In a mode `K q = ω² M q` they change as `exp(s t)` with `s² + c s + ω² = 0`: if `ω² < 0` they grow. Of loads
+//! without a potential (body-fixed forces, spatial moments) the symmetric part of their stiffness is used, and Kelvin-Voigt damping is left
+//! out.
 //!
 //! By Sylvester's law of inertia `M^{-½} K M^{-½} - σ I` has as many negative pivot eigenvalues as there are `ω² < σ`. Counting them costs
 //! O(K), and bisection over `σ` finds any `ω²` to the rounding of the largest.
@@ -21,9 +21,10 @@ pub const TOPPLING_WEIGHT_NUMBER: f64 = 7.837_347;
 /// Payload number `m g L²/EI` above which a payload topples a light uniform column that is clamped upright: `π²/4` (Euler).
 pub const TOPPLING_PAYLOAD_NUMBER: f64 = 2.467_401;
 
-/// What a rod weighs in the measure of its stiffness, beside what a uniform column bears, in words that follow a colon or a parenthesis.
+/// Describes the weight of a rod relative to its stiffness, beside the limit of a uniform column, in words that follow a colon or a
+/// parenthesis.
 ///
-/// Of a column with a payload the fractions of both limits add up to about 1 where it topples, and to no more (Dunkerley).
+/// For a column with a payload, the fractions of both limits add up to about 1 when it topples, and to no more (Dunkerley).
 #[must_use]
 pub fn weight_in_words(rod: &Rod) -> String {
     let own = weight_number(rod);
@@ -40,7 +41,8 @@ pub fn weight_in_words(rod: &Rod) -> String {
     )
 }
 
-/// `m g / (EI/L²)`, which is `ρA g L³/EI`: the rod's own weight over its scale of force, whatever its direction; the payload is left out.
+/// Returns `m g / (EI/L²)`, which is `ρA g L³/EI`: the rod's own weight divided by its scale of force, whatever its direction; the payload
+/// is left out.
 #[must_use]
 pub fn weight_number(rod: &Rod) -> f64 {
     let shares = rod.element_inertia.iter().flatten();
@@ -48,23 +50,23 @@ pub fn weight_number(rod: &Rod) -> f64 {
     mass * rod.gravity.norm() / rod.scales.force
 }
 
-/// A configuration's small motions.
+/// The small motions about a configuration.
 #[derive(Clone, Debug)]
 pub struct SmallMotions {
     /// Blocks of the symmetric `M^{-½} K M^{-½}` on the diagonal, 1/s².
     diagonal: Vec<Matrix6<f64>>,
-    /// Those below it.
+    /// Blocks below the diagonal, 1/s².
     below: Vec<Matrix6<f64>>,
-    /// No eigenvalue is larger in size, 1/s².
+    /// Upper bound of the absolute eigenvalues, 1/s².
     bound: f64,
-    /// Modes that move the rod as a whole and cost no energy.
+    /// Number of rigid modes, which have no energy.
     rigid: usize,
     /// Viscous damping, 1/s.
     damping: f64,
 }
 
 impl SmallMotions {
-    /// Those about `at`, an equilibrium of `rod` under its loads at time `t`; a driven base is held.
+    /// Computes the small motions about `at`, an equilibrium of `rod` under its loads at time `t`; a driven base is held.
     #[must_use]
     pub fn about(rod: &Rod, at: &Configuration, t: f64) -> Self {
         let stiffness = tangent_stiffness(rod, at, t);
@@ -91,8 +93,8 @@ impl SmallMotions {
         }
     }
 
-    /// The `mode`-th smallest `ω²`, counted from 0 and with those of a free rod that move it as a whole, 1/s². NaN where there is no such mode,
-    /// or the stiffness is no number.
+    /// Returns the `mode`-th smallest `ω²`, counted from 0 and including the rigid modes of a free rod, 1/s². NaN if there is no such mode,
+    /// or the stiffness is not finite.
     #[must_use]
     pub fn squared_frequency(&self, mode: usize) -> f64 {
         if !self.bound.is_finite() || mode >= 6 * self.diagonal.len() {
@@ -101,7 +103,7 @@ impl SmallMotions {
         let (mut low, mut high) = (-self.bound, self.bound);
         while high - low > f64::EPSILON * self.bound {
             let middle = 0.5 * (low + high);
-            // Also where no number is left between the two.
+            // The bisection also ends if there is no number between the two.
             if !(low < middle && middle < high) {
                 break;
             }
@@ -114,15 +116,15 @@ impl SmallMotions {
         0.5 * (low + high)
     }
 
-    /// Angular frequency of the slowest mode that deforms the rod, rad/s, without damping; `None` where that mode does not swing but grows.
+    /// Returns the angular frequency of the slowest mode that deforms the rod, rad/s, without damping; `None` if that mode grows.
     #[must_use]
     pub fn first_frequency(&self) -> Option<f64> {
         let square = self.squared_frequency(self.rigid);
         (square > self.rounding()).then(|| square.sqrt())
     }
 
-    /// Rate `s` of the fastest growth `exp(s t)` of a small deviation, 1/s, viscous damping included; `None` about a configuration that is
-    /// stable to rounding.
+    /// Returns the rate `s` of the fastest growth `exp(s t)` of a small deviation, 1/s, with viscous damping; `None` about a configuration
+    /// that is stable to rounding.
     #[must_use]
     pub fn growth_rate(&self) -> Option<f64> {
         let square = self.squared_frequency(0);
@@ -133,12 +135,12 @@ impl SmallMotions {
         })
     }
 
-    /// What rounding leaves of an `ω²` of zero, 1/s².
+    /// Returns the rounding of an `ω²` of zero, 1/s².
     fn rounding(&self) -> f64 {
         64.0 * f64::EPSILON * self.bound
     }
 
-    /// How many `ω²` are less than `shift`.
+    /// Returns the number of `ω²` below `shift`.
     fn count_below(&self, shift: f64) -> usize {
         let least = f64::EPSILON * f64::EPSILON * self.bound;
         let mut count = 0;
@@ -160,7 +162,7 @@ impl SmallMotions {
     }
 }
 
-/// The diagonal of `M^{-½}` over `(δx, η)` of every free node.
+/// Returns the diagonal of `M^{-½}` with respect to `(δx, η)` of every free node.
 pub(super) fn inertia_roots(rod: &Rod, at: &Configuration) -> Vec<Vector6<f64>> {
     let rotary = rod.rotary_at(&at.positions);
     (rod.nodes.iter().zip(&rotary).skip(rod.first_free_node()))
@@ -171,7 +173,7 @@ pub(super) fn inertia_roots(rod: &Rod, at: &Configuration) -> Vec<Vector6<f64>> 
         .collect()
 }
 
-/// Largest sum of the sizes of a row's entries of a symmetric block-tridiagonal matrix (Gershgorin).
+/// Returns the largest sum of the absolute entries of a row of a symmetric block-tridiagonal matrix (Gershgorin).
 fn largest_row_sum(diagonal: &[Matrix6<f64>], below: &[Matrix6<f64>]) -> f64 {
     let sums = |block: &Matrix6<f64>| block.abs().column_sum();
     (0..diagonal.len())
@@ -183,7 +185,7 @@ fn largest_row_sum(diagonal: &[Matrix6<f64>], below: &[Matrix6<f64>]) -> f64 {
             if let Some(right) = below.get(i) {
                 rows += sums(&right.transpose());
             }
-            // A NaN must not be lost, as in a maximum.
+            // A NaN must not be lost, as it would be in a maximum.
             rows.iter().fold(
                 0.0,
                 |largest: f64, sum| if *sum <= largest { largest } else { *sum },

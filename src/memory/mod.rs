@@ -1,60 +1,60 @@
-//! The peak of the memory that work needs, estimated before it begins, and what the system can give.
+//! Estimates of the peak memory of work, made before it begins, and the memory that the system has.
 //!
-//! An estimate is meant to be no less than what is measured and no more than a few times that: it counts the large arrays by their
-//! sizes, at the moment when most of them are alive. `tests/memory.rs` holds it to that.
+//! An estimate should be no less than the measured peak and at most a few times that: it counts the large arrays by their sizes, at the
+//! time when most of them are alive. `tests/memory.rs` asserts this.
 
 mod system;
 
 pub use self::system::{Available, available};
 
 use crate::control::OptimalControlProblem;
-use crate::control::cost::sample_times;
+use crate::control::residual::cost_residuals;
 use crate::mechanics::Rod;
 use crate::mechanics::sensitivity::TILE;
 use crate::output::{DiagnosticsRecord, MotionRecord, ThinnedMotion, row_bytes};
 use crate::scene::{OptimalControl, Simulation};
 
-/// The program itself, and what else is small.
+/// The program itself, and all small data, bytes.
 const BASE: f64 = 2.4e7;
 const NUMBER: f64 = 8.0;
 /// Numbers of the position and rotation of a node.
 const POSE: f64 = 12.0;
-/// Poses that an iteration of a solve holds for every node and time: point, best point and trial, the direction between them, defects with
-/// their adjoint, and what they are made from.
+/// Number of poses in an iteration of a solve for every node and time: point, best point and trial, the direction between them, defects
+/// with their adjoint, and their sources.
 const SOLVE_POSES: f64 = 6.0;
-/// Poses that a check holds: the solution, its replay, and the covectors of the adjoint equations.
+/// Number of poses in a check: the solution, its replay, and the covectors of the adjoint equations.
 const CHECK_POSES: f64 = 4.0;
-/// Wrenches that all of these hold for every time and actuator.
+/// Number of wrenches in all of these for every time and actuator.
 const SIGNALS: f64 = 6.0;
-/// Dense matrices of the size of the subproblem: Hessians, eigenvectors, and Clarabel's copies and factors.
+/// Number of dense matrices of the size of the subproblem: Hessians, eigenvectors, and Clarabel's copies and factors.
 const DENSE: f64 = 32.0;
-/// Dense matrices of rows by variables: gradients of all gathered forms, of rows and of goals, and Clarabel's copies.
+/// Number of dense matrices of rows by variables: gradients of all gathered forms, of rows and of goals, and Clarabel's copies.
 const DENSE_ROWS: f64 = 6.0;
-/// Rows that a subproblem linearizes at once, mostly fewer.
+/// Usual upper limit of the rows that a subproblem linearizes.
 const LINEARIZED: usize = 1500;
-/// Numbers that every row of a path constraint takes, seen or not: values, multipliers and predictions.
+/// Numbers per row of a path constraint, linearized or not: values, multipliers and predictions.
 const ROW: f64 = 14.0;
-/// Linearized steps that a sweep holds at a time, and bytes of a node's part of each.
+/// Number of linearized steps in a sweep at a time, and bytes per node of each.
 const STEPS_AT_ONCE: f64 = 64.0;
 const LINEARIZED_NODE: f64 = 2500.0;
-/// Numbers that a tile of columns holds for a node: its own rows, and those of a round of the reduced Hessian.
+/// Numbers per node of a tile of columns: its own rows, and those of a round of the reduced Hessian.
 const TILE_NODE: f64 = 130.0;
-/// Matrices of the size of a deviation that the regulator works with, besides one for every block.
+/// Number of matrices of the size of a deviation in the regulator, besides one for every block.
 const REGULATOR: f64 = 12.0;
-/// The same of the growth of disturbances in a deep check.
+/// Number of such matrices for the growth of disturbances in a deep check.
 const GROWTH_MATRICES: f64 = 8.0;
-/// Bytes of one number of a report's motion, as text and before.
+/// Bytes per number of a report's motion, as text and before.
 const REPORT_NUMBER: f64 = 60.0;
 
-/// The key of a scene that a part of the memory grows with first, and the advice to a user.
+/// A key of a scene with which a part of the memory grows, and the advice to a user.
 pub type Remedy = (&'static str, &'static str);
 
-/// Nodes times steps.
+/// Memory proportional to nodes times steps.
 const MOTION: Remedy = (
     "time.step_s",
     "motions take most of it: use a longer time.step_s, a shorter time, or fewer rod.elements",
 );
-/// Variables by variables, and by rows.
+/// Memory proportional to variables times variables, and times rows.
 const SUBPROBLEM: Remedy = (
     "control.blocks",
     "the subproblem takes most of it: use fewer control.blocks",
@@ -63,7 +63,7 @@ const ROWS: Remedy = (
     "obstacle",
     "obstacles and limits take most of it: give them a lower rate_hz, or use fewer rod.elements",
 );
-/// A matrix of the size of the state for every block.
+/// Memory for a matrix of the size of the state in every block.
 const GAINS: Remedy = (
     "control.feedback",
     "the gains take most of it: leave out control.feedback, or use fewer rod.elements or control.blocks",
@@ -77,7 +77,7 @@ const OUTPUT: Remedy = (
     "the rows of the result take most of it: give a lower output.rate_hz",
 );
 
-/// Memory at the peak, in bytes, without the program itself: the largest part first.
+/// Peak memory in bytes, without the program itself: the largest part first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate(Vec<(Remedy, f64)>);
 
@@ -88,13 +88,13 @@ impl Estimate {
         Self(parts)
     }
 
-    /// All of it, with the program itself.
+    /// Returns the sum of the parts and the program itself.
     #[must_use]
     pub fn total(&self) -> f64 {
         BASE + self.0.iter().map(|part| part.1).sum::<f64>()
     }
 
-    /// Returns the larger one of two phases of which one ends before the other begins.
+    /// Returns the larger one of two phases, one of which ends before the other begins.
     fn or(self, other: Self) -> Self {
         if self.total() >= other.total() {
             self
@@ -103,8 +103,8 @@ impl Estimate {
         }
     }
 
-    /// Why there is not enough memory, and what a user may do about it: the key of a scene, the message, and the advice. `None` where
-    /// there is, or where nothing is known about it.
+    /// Returns the key of a scene, a message and an advice if the memory does not suffice; `None` if it does, or if the available memory is
+    /// unknown.
     #[must_use]
     pub fn refused(&self, available: Option<&Available>) -> Option<(&'static str, String, String)> {
         let available = available.filter(|available| self.total() > available.bytes)?;
@@ -119,7 +119,7 @@ impl Estimate {
     }
 }
 
-/// Bytes with a unit that leaves few digits.
+/// Formats bytes with a unit that leaves few digits.
 #[must_use]
 pub fn in_words(bytes: f64) -> String {
     let gigabytes = bytes * 1e-9;
@@ -130,7 +130,7 @@ pub fn in_words(bytes: f64) -> String {
     }
 }
 
-/// Of a forward simulation, whose rows go to files as they are made; a report keeps some.
+/// Estimates the memory of a forward simulation, whose rows go to files as they are computed; a report keeps some of them.
 #[must_use]
 pub fn of_simulation(setup: &Simulation) -> Estimate {
     let nodes = setup.rod.n_nodes();
@@ -148,10 +148,11 @@ pub fn of_simulation(setup: &Simulation) -> Estimate {
     ])
 }
 
-/// Bytes of a node's part of the stiffness and its factors, and of an integrator.
+/// Bytes per node of the stiffness and its factors, and of an integrator.
 const EQUILIBRIUM_NODE: f64 = 2e4;
 
-/// Of a solve with its check, its gains and its files. Several starts keep a motion each; `n_threads` of them are solved at a time.
+/// Estimates the memory of a solve with its check, its gains and its files. Several starts keep a motion each; `n_threads` of them are
+/// solved at a time.
 #[must_use]
 pub fn of_solve(setup: &OptimalControl, starts: usize, n_threads: usize) -> Estimate {
     let problem = &setup.problem;
@@ -189,11 +190,11 @@ pub fn of_solve(setup: &OptimalControl, starts: usize, n_threads: usize) -> Esti
     let mut check = of_replays(problem);
     check.0.push((GAINS, gains));
     check.0.push((MOTION, ended));
-    // Writing holds a motion, its rows and at most some hundred rows of a report: never more than the solve.
+    // Writing needs a motion, its rows and at most some hundred rows of a report, which is never more than the solve.
     solve.or(Estimate::of(check.0))
 }
 
-/// Of a check of a result; a deep one adds the second-order condition and the growth of disturbances.
+/// Estimates the memory of a check of a result; a deep one adds the second-order condition and the growth of disturbances.
 #[must_use]
 pub fn of_verify(setup: &OptimalControl, deep: bool) -> Estimate {
     let mut estimate = of_replays(&setup.problem);
@@ -214,7 +215,7 @@ fn of_replays(problem: &OptimalControlProblem) -> Estimate {
     ])
 }
 
-/// Sizes of a motion, in bytes but for the nodes.
+/// Sizes of a motion, in bytes except for the nodes.
 struct Motion {
     nodes: f64,
     pose: f64,
@@ -233,7 +234,7 @@ impl Motion {
     }
 }
 
-/// Of all rows of path constraints.
+/// Returns the bytes of all rows of path constraints.
 fn rows(problem: &OptimalControlProblem) -> f64 {
     NUMBER * ROW * n_path_rows(problem) as f64
 }
@@ -244,30 +245,14 @@ fn n_path_rows(problem: &OptimalControlProblem) -> usize {
         .fold(0, usize::saturating_add)
 }
 
-/// Residuals of the costs over states.
+/// Rows of the costs over states; one that reads the states at two instants counts twice.
 fn n_cost_rows(problem: &OptimalControlProblem) -> usize {
-    let objective = &problem.objective;
-    let energy = if objective.energy > 0.0 {
-        6 * problem.rod.n_elements()
-    } else {
-        0
-    };
-    let followed = (objective.tracking.iter())
-        .map(|track| {
-            // A row of a velocity reads positions at two samples.
-            3 * usize::from(!track.path.is_empty())
-                + 3 * usize::from(!track.rotations.is_empty())
-                + 6 * usize::from(track.speed_weight > 0.0)
-        })
-        .sum::<usize>();
-    let a_time = energy + followed;
-    if a_time == 0 {
-        return 0;
-    }
-    sample_times(problem).len().saturating_mul(a_time)
+    (cost_residuals(problem).iter())
+        .map(|residual| residual.kind.n_rows(&problem.rod) * residual.n_instants())
+        .sum()
 }
 
-/// Numbers of a deviation of the state.
+/// Returns the number of components of a deviation of the state.
 fn deviation(rod: &Rod) -> f64 {
     12.0 * (rod.n_nodes() - rod.first_free_node()) as f64
 }

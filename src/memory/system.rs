@@ -1,19 +1,19 @@
-//! The memory that the system can still give to this process. It is known on Linux only.
+//! The memory that is available to this process, which is known on Linux only.
 
 use std::fs;
 use std::path::Path;
 
-/// The least that anything allows.
+/// The smallest of all limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Available {
-    /// Bytes.
+    /// Available memory, bytes.
     pub bytes: f64,
-    /// What allows no more.
+    /// Name of the limit.
     pub by: &'static str,
 }
 
-/// What the system can give: free memory, and what is left of the limits of the control groups and of the process. `None` where
-/// nothing of it is known.
+/// Returns the available memory: free memory, and the rest of the limits of the control groups and of the process. `None` if none of them
+/// is known.
 #[must_use]
 pub fn available() -> Option<Available> {
     available_in(Path::new("/proc"), Path::new("/sys/fs/cgroup"))
@@ -50,13 +50,13 @@ fn available_in(proc: &Path, groups: &Path) -> Option<Available> {
 
 const KIB: f64 = 1024.0;
 
-/// The number that follows `name` at the beginning of a line; `None` also where a limit is `unlimited`.
+/// Returns the number that follows `name` at the beginning of a line; `None` for a limit that is `unlimited`.
 fn number_after(text: &str, name: &str) -> Option<f64> {
     let rest = text.lines().find_map(|line| line.strip_prefix(name))?;
     rest.split_whitespace().next()?.parse().ok()
 }
 
-/// Memory that the control groups of the process leave, all of them up to the root: version 1 and version 2.
+/// Returns the memory that the control groups of the process leave, of version 1 and version 2, up to the root.
 fn group_room(groups: &Path, membership: &str) -> Option<f64> {
     let of_line = |line: &str| {
         let mut parts = line.splitn(3, ':').skip(1);
@@ -69,7 +69,7 @@ fn group_room(groups: &Path, membership: &str) -> Option<f64> {
             return None;
         };
         let root = groups.join(folder);
-        // A container sees its own group as the root, where the path leads nowhere.
+        // A container has its own group as the root, where the path leads nowhere.
         let own = root.join(path.trim_start_matches('/'));
         (own.ancestors().take_while(|at| at.starts_with(&root)))
             .filter_map(|at| room(at, limit, used))
@@ -78,7 +78,7 @@ fn group_room(groups: &Path, membership: &str) -> Option<f64> {
     membership.lines().filter_map(of_line).reduce(f64::min)
 }
 
-/// Limit of a group minus what it uses, less the cache of files that the system takes back first.
+/// Returns the limit of a group minus its use, without the cache of files that the system reclaims first.
 fn room(group: &Path, limit: &str, used: &str) -> Option<f64> {
     let read = |name: &str| fs::read_to_string(group.join(name)).ok();
     let number = |name: &str| read(name)?.trim().parse::<f64>().ok();
@@ -86,11 +86,11 @@ fn room(group: &Path, limit: &str, used: &str) -> Option<f64> {
     let statistics = read("memory.stat").unwrap_or_default();
     let cache = (number_after(&statistics, "total_inactive_file "))
         .or_else(|| number_after(&statistics, "inactive_file "));
-    // Version 1 writes the largest number there is where there is no limit.
+    // Version 1 writes the largest number if there is no limit.
     (limit < NO_LIMIT).then(|| (limit - used + cache.unwrap_or(0.0)).max(0.0))
 }
 
-/// No machine has as much, in bytes.
+/// A limit in bytes that exceeds the memory of any machine.
 const NO_LIMIT: f64 = 1e18;
 
 #[cfg(test)]
@@ -101,7 +101,7 @@ mod tests {
 
     const MIB: f64 = 1024.0 * 1024.0;
 
-    /// A made-up system: every source by itself, in the words and units of the kernel, is the least of all; without any, nothing is known.
+    /// A made-up system: each source in turn, in the words and units of the kernel, is the smallest limit; without any, nothing is known.
     #[test]
     fn the_least_of_all_limits_counts() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -1,7 +1,8 @@
-//! The controller: real-time iterations over a moving horizon.
+//! The controller: real-time iterations over a receding horizon.
 
 mod bounds;
 mod effort;
+mod issued;
 mod outlet;
 mod settings;
 mod step_length;
@@ -12,34 +13,36 @@ use std::time::Instant;
 use nalgebra::{Matrix3, Vector3};
 
 pub use self::effort::ReferenceNeed;
+pub use self::issued::Issued;
 use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
 pub(crate) use self::steps::with_long_steps;
 use self::steps::{Divided, period_and_horizon};
 use super::error::MpcError;
-use super::estimator::{Disturbance, ModelParameters};
+use super::estimator::Disturbance;
 use super::holding::Holding;
 use super::horizon::Horizon;
 use super::knots::Knots;
+use super::motions::Motions;
 use super::subproblem::{Subproblem, SubproblemEnd};
 use crate::control::{ActuatedNode, Hold};
 use crate::mechanics::linearization::StateTangent;
-use crate::mechanics::{NodeWrenches, Rod, State, StepperMemory, Wrench};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Wrench};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
 
-/// What is applied until the next sample: wrenches on nodes of the model, linear in time.
+/// The wrenches that act until the next sample: on nodes of the model, linear in time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Command {
-    /// When it begins to act, s.
+    /// Time at which the command begins to act, s.
     pub start: f64,
-    /// When the next one should, s.
+    /// Time at which the next command should begin to act, s.
     pub end: f64,
-    /// Nodes of the model.
+    /// Nodes of the model on which the wrenches act.
     pub nodes: Vec<usize>,
-    /// Force (spatial, N) and moment (body frame, N m) on each, when it begins.
+    /// Force (spatial frame, N) and moment (body frame, N m) on each node at `start`.
     pub from: Vec<Wrench>,
-    /// The same when it ends.
+    /// Wrenches at `end`.
     pub to: Vec<Wrench>,
 }
 
@@ -53,7 +56,7 @@ impl Command {
         }
     }
 
-    /// The wrenches at time `t`, constant outside of `start` to `end`.
+    /// Writes the wrenches at time `t`, constant outside of `start` to `end`.
     pub fn at(&self, t: f64, out: &mut [Wrench]) {
         let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
         for ((out, from), to) in out.iter_mut().zip(&self.from).zip(&self.to) {
@@ -63,10 +66,10 @@ impl Command {
     }
 }
 
-/// What one sample took and found.
+/// Times and results of one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SampleRecord {
-    /// Gauss-Newton iterations from the measured state to the command; the first of them was prepared.
+    /// Gauss-Newton iterations from the measured state to the command, the first of which was prepared.
     pub iterations: usize,
     /// Seconds from the measured state to the command.
     pub feedback_s: f64,
@@ -76,47 +79,47 @@ pub struct SampleRecord {
     pub predicted_cost: f64,
     /// Largest change of a scaled coefficient of the plan.
     pub change: f64,
-    /// How the subproblem ended.
+    /// End of the subproblem.
     pub subproblem: SubproblemEnd,
-    /// Largest violation of a limit that the plan is left with to first order, in the scale of the limit; 0 for none.
+    /// Largest violation of a limit in the plan, to first order and in the scale of the limit; 0 for none.
     pub violation: f64,
 }
 
 /// A model-predictive controller on the full rod.
 ///
-/// A sample has two phases (Diehl et al. 2005): [`feedback`](Self::feedback) embeds the measured state, configuration and momentum, in
-/// the linearized model, solves one quadratic program and takes the full step; [`prepare`](Self::prepare) predicts the state of the next
-/// sample under the command that was sent, moves the horizon, simulates the plan and linearizes it. Both work in memory that is made
-/// once.
+/// A sample has two phases (Diehl et al. 2005): [`feedback`](Self::feedback) embeds the measured state, configuration and momentum, in the
+/// linearized model, solves one quadratic program and takes the full step; [`Issued::prepare`] predicts the state of the next sample
+/// under the command that was sent, moves the horizon, simulates the plan and linearizes it. Both reuse memory that is allocated once.
 #[derive(Debug)]
 pub struct Controller {
     settings: MpcSettings,
     horizon: Horizon,
     subproblem: Subproblem,
-    /// Scaled coefficients of the plan, and those of the sample before on their way to the present knots.
+    /// Scaled coefficients of the plan, and those of the last sample while they are carried to the present knots.
     plan: Vec<f64>,
     before: Vec<f64>,
-    /// The plan before the last correction, on the present knots, what it costs by the linearized motion, and what is as good as nothing.
+    /// The plan before the last correction on the present knots, its cost by the linearized motion, and the cost below which changes are
+    /// ignored.
     trusted: Vec<f64>,
     expected: f64,
     negligible: f64,
     before_knots: Knots,
-    /// Effort and rate: `C` is tridiagonal in the coefficients, the same for every component.
+    /// Weights of effort and rate: `C` is tridiagonal in the coefficients, the same for every component.
     weights: [f64; 2],
-    /// Scaled control that acts when the sample begins.
+    /// Scaled control that acts at the beginning of the sample.
     acting: Vec<f64>,
-    /// What all commands go through; and where a regulator responds, what the commands of the plan alone would.
+    /// Outlet of all commands; for a regulator's response, another one for the commands of the plan alone.
     outlet: Outlet,
     planned: Option<Outlet>,
-    /// Rows of the subproblem whose origin is what acts, and the way to a plan strictly within all bounds.
+    /// Rows of the subproblem that measure from the control that acts, and the step to a plan strictly within all bounds.
     from_acting: Vec<usize>,
     inside: Vec<f64>,
-    /// Scaled control that cancels the disturbance, and the force that holds the tip: both together cost nothing.
+    /// Scaled control that cancels the disturbance, and the force that holds the tip, which together cost no effort.
     cancelling: Vec<f64>,
     holding: Option<Holding>,
-    /// Factor on the stiffness that the model is taken to have.
+    /// Factor on the model's stiffness.
     stiffness: f64,
-    /// What costs nothing, at every coefficient of the plan.
+    /// Control that costs no effort, at every coefficient of the plan.
     free: Vec<f64>,
     deviation: StateTangent,
     gradient: Vec<f64>,
@@ -124,18 +127,16 @@ pub struct Controller {
     change: Vec<f64>,
     command: Command,
     state: State,
-    prediction: Option<StepperMemory>,
-    /// What is wrong with the model that its constants are for.
-    tuned: ModelParameters,
+    prediction: Motions,
     in_period: Divided,
-    /// Of the two ends of a step, one a node.
+    /// Wrenches at both ends of a step, one for each node.
     wrenches: [Vec<Wrench>; 2],
-    /// Whether a command acts: before the first, nothing jumps.
+    /// Tells whether a command acts; before the first one there is no jump.
     acts: bool,
     record: SampleRecord,
 }
 
-/// Whether rows of a path have finite times that increase, and finite values.
+/// Checks that rows of a path have finite, increasing times and finite values.
 fn check_rows<T>(rows: &[(f64, T)], is_finite: impl Fn(&T) -> bool) -> Result<(), MpcError> {
     let refuse = |point, expected| Err(MpcError::Path { point, expected });
     if rows.is_empty() {
@@ -152,45 +153,47 @@ fn check_rows<T>(rows: &[(f64, T)], is_finite: impl Fn(&T) -> bool) -> Result<()
     Ok(())
 }
 
-/// What a command is to do that no plan has.
+/// The aim of a command that does not come from a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Aim {
-    /// This wrench at the tip, as far as it is actuated, and nothing elsewhere.
+    /// The given wrench at the tip, as far as it is actuated, and no wrench elsewhere.
     Tip(Wrench),
-    /// A part of what acts.
+    /// A fraction of the wrenches that act.
     Part(f64),
-    /// The wrenches that hold the arm where it stays, and what cancels the disturbance.
+    /// The wrenches that hold the arm where it stays, and cancel the disturbance.
     Stay,
 }
 
-/// By how much a target that is held weighs more than a path that is followed: an arm that is pressed together is held in several shapes by
-/// several forces, of which effort counts from one. A tip that is turned as well has one shape, and a loop gain that a wrong stiffness bears less of.
+/// Factor on the weight of a held target, relative to a followed path. A buckled arm has several equilibria; effort is measured from one of
+/// them, and a larger weight keeps the tip at its target nevertheless. A tip whose orientation is prescribed too has one shape, and its
+/// loop with this factor would be less robust against a wrong stiffness.
 const HELD_NEARER: f64 = 10.0;
-/// Samples of paths in a block of a horizon that recedes, at most.
+/// Cap on the samples of paths in a block of a receding horizon.
 const SAMPLES_A_BLOCK: usize = 2;
-/// Where a task has no price of rates, a change over so many blocks is as dear as the effort: without one, what a model has wrong about fast waves
-/// makes commands swing between their bounds.
+/// Number of blocks over which a change costs as much as the effort, if the task has no price of rates: without any, errors of the model in
+/// fast waves make commands oscillate between their bounds (decision 50).
 const BLOCKS_A_CHANGE: f64 = 2.0;
 
 impl Controller {
-    /// Most iterations before the first sample.
+    /// Cap on the iterations before the first sample.
     const FIRST: usize = 50;
-    /// Change of the scaled coefficients of a plan below which no further iteration is made.
+    /// Change of the scaled coefficients of a plan below which iterations end.
     const SETTLED: f64 = 1e-9;
-    /// Most iterations of a restart.
+    /// Cap on the iterations of a restart.
     pub const RESTART: usize = 3;
 
-    /// Discretizes the task over one horizon, and iterates from the task's start until the first plan does not change any more.
+    /// Discretizes the task over one horizon, and iterates from the task's start until the first plan no longer changes.
     ///
-    /// Without a price of rates, a receding horizon has one of its own, by which a change over two blocks is as dear as the effort.
-    /// A target is there to be reached by the end of the horizon; where the horizon recedes, its place is a track, and it holds from now on.
-    /// Tracks, targets (soft), effort, rate, bounds of the task's wrenches, obstacles and limits but those of speed count; its duration does not. Hold and elements are those
-    /// of `discretization`. Steps are shortened so that they divide the sample period, implicit ones of a horizon that recedes so that they divide
-    /// that; where `discretization` names neither integrator nor step, these are implicit and long if that is faster.
+    /// Without a price of rates, a receding horizon gets one by which a change over two blocks costs as much as the effort. A target must
+    /// be reached by the end of the horizon; if the horizon recedes, its position becomes a track, which counts from the beginning. Tracks,
+    /// targets (soft), all costs, bounds of the task's wrenches, obstacles and limits are used; the task's duration is not. A limit of a
+    /// speed holds for means between samples. Terms of one's own may allocate memory at every sample. Hold and elements are those of `discretization`. Steps are shortened so that they divide the sample period;
+    /// implicit steps of a receding horizon so that they divide the horizon. If `discretization` names neither integrator nor step, steps
+    /// are implicit and long where that is faster.
     ///
     /// # Errors
-    /// [`MpcError`] for settings out of range, for a task that cannot be discretized or has what the controller does not know, and where
-    /// the first plan's motion breaks down.
+    /// Returns [`MpcError`] for settings out of range, for a task that cannot be discretized or has features that the controller does not
+    /// support, and if the first plan's motion breaks down.
     pub fn new(
         arm: &Arm,
         task: &Task,
@@ -200,7 +203,8 @@ impl Controller {
         Self::new_until(arm, task, discretization, settings, &StopSignal::default())
     }
 
-    /// [`Self::new`], unless `stop` is raised before the first plan is made. Samples do not look at it.
+    /// Creates a controller as [`Self::new`] does, unless `stop` is raised before the first plan is computed. Samples do not read the
+    /// signal.
     ///
     /// # Errors
     /// As [`Self::new`], and [`MpcError::Stopped`].
@@ -239,7 +243,7 @@ impl Controller {
             ..with_long_steps(&model, discretization, settings)
         };
         if settings.due.is_none() {
-            // No plan tells more of them apart, and each takes a sweep.
+            // More samples cannot be told apart by a plan, and each one needs a sweep.
             cut.samples = cut.samples.min(SAMPLES_A_BLOCK * blocks);
         }
         let mut task = match settings.due {
@@ -250,10 +254,10 @@ impl Controller {
         let n_tracks = task.cost.tracks.len();
         for target in &mut task.targets {
             target.time = None;
-            // What is aimed at by a weight needs no tolerance that nobody named.
+            // A target with a weight needs no default tolerance.
             target.tolerances.speed.get_or_insert(0.0);
             target.tolerances.spin.get_or_insert(0.0);
-            // Without a time that comes nearer, a target at the end of the horizon could be put off for ever, and rest there is no rest.
+            // On a receding horizon, a target at the end could be put off for ever, and rest there would never come.
             if settings.due.is_none() {
                 target.rest = Rest::Passing;
                 let place = target.position.take().map(|place| (0.0, place));
@@ -269,7 +273,7 @@ impl Controller {
         (task.targets).retain(|target| {
             target.position.is_some() || target.rotation.is_some() || target.rest != Rest::Passing
         });
-        // Only its steps are of interest, not what holds the arm.
+        // Only the steps of this discretization are used, not the wrench that holds the arm.
         let chosen = (task.clone().stopping())
             .discretize_until(arm, &cut, stop)?
             .discrete;
@@ -330,8 +334,7 @@ impl Controller {
                 to: vec![Wrench::default(); nodes.len()],
                 nodes,
             },
-            prediction: Some(StepperMemory::new(&horizon.problem.rod, in_period.step)),
-            tuned: Disturbance::NONE.parameters(),
+            prediction: Motions::new(&horizon.problem.rod, in_period.step, horizon.parameters()),
             state,
             in_period,
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
@@ -363,43 +366,43 @@ impl Controller {
         Ok(controller)
     }
 
-    /// The rod of the model.
+    /// Returns the rod of the model.
     #[must_use]
     pub fn rod(&self) -> &Rod {
         &self.horizon.problem.rod
     }
 
-    /// The model's time step, s.
+    /// Returns the model's time step, s.
     #[must_use]
     pub fn model_step(&self) -> f64 {
         self.horizon.grid.step
     }
 
-    /// State that is expected at the start of the present sample.
+    /// Returns the state that is expected at the start of the present sample.
     #[must_use]
     pub fn expected(&self) -> &State {
         &self.horizon.start
     }
 
-    /// What the last sample took and found.
+    /// Returns times and results of the last sample.
     #[must_use]
     pub fn record(&self) -> &SampleRecord {
         &self.record
     }
 
-    /// Predicted positions of a node over the present horizon: time (s) and position (m).
+    /// Returns the predicted positions of a node over the present horizon, as time (s) and position (m).
     pub fn prediction(&self, node: usize) -> impl Iterator<Item = (f64, [f64; 3])> {
         let grid = self.horizon.grid;
         (0..=grid.n_steps).map(move |k| (grid.time(k), self.horizon.position(k, node).into()))
     }
 
-    /// What the model expects to disturb the arm from the next [preparation](Self::prepare) on: its wrenches are part of every predicted motion,
-    /// and its stiffness, payload and damping make the model another one. Effort is then counted from the control that cancels the wrench
-    /// at the tip and the weight of the payload, as far as it is actuated, so that no offset remains for its sake.
+    /// Sets the disturbance that the model expects from the next [preparation](Issued::prepare) on: its wrenches act in every predicted
+    /// motion, and its stiffness, payload and damping change the model. Effort is then measured from the control that cancels the wrench at
+    /// the tip and the weight of the payload, as far as it is actuated, so that it causes no offset.
     ///
     /// # Errors
-    /// [`MpcError::Setting`] for a number that is not finite, a factor on the stiffness or a mass of the tip that is not positive, and a
-    /// damping that is negative; the model is then as it was.
+    /// Returns [`MpcError::Setting`] for a number that is not finite, a factor on the stiffness or a mass of the tip that is not positive,
+    /// and a negative damping; the model is then unchanged.
     pub fn disturb(&mut self, disturbance: &Disturbance) -> Result<(), MpcError> {
         let stiffness = disturbance.stiffness;
         if !(stiffness.is_finite() && stiffness > 0.0) {
@@ -470,12 +473,12 @@ impl Controller {
         Ok(())
     }
 
-    /// Gives the tip another path to follow, from the next [feedback](Self::feedback) on: times in s, which increase, and positions in m; linear in
-    /// between and constant outside. It takes the place of the first track of the tip. Along several places effort counts from zero: what holds the
-    /// arm at all of them takes longer to compute than a sample has.
+    /// Replaces the path of the tip's first track, from the next [feedback](Self::feedback) on: increasing times in s, and positions in m;
+    /// linear in between and constant outside. Along several positions effort is measured from zero, because computing the wrenches that
+    /// hold the arm at all of them would take longer than a sample.
     ///
     /// # Errors
-    /// [`MpcError::Unsupported`] of a task without such a track, and [`MpcError::Path`]; the path is then as it was.
+    /// Returns [`MpcError::Unsupported`] for a task without such a track, and [`MpcError::Path`]; the path is then unchanged.
     pub fn follow(&mut self, path: &[(f64, Vector3<f64>)]) -> Result<(), MpcError> {
         let problem = &self.horizon.problem;
         let tip = problem.rod.tip();
@@ -493,8 +496,8 @@ impl Controller {
         Ok(())
     }
 
-    /// Gives the tip other rotations to follow, as [`Self::follow`] gives it another path: times in s, which increase, and rotations, body to space,
-    /// with a constant speed about one axis in between and constant outside. They take the place of those of the first track that has some.
+    /// Replaces the rotations of the first track that has some, as [`Self::follow`] replaces a path: increasing times in s, and rotations,
+    /// body to space; turning at constant speed about one axis in between, constant outside.
     ///
     /// # Errors
     /// As [`Self::follow`].
@@ -515,16 +518,16 @@ impl Controller {
         Ok(())
     }
 
-    /// Names of the obstacles of the task.
+    /// Returns the names of the task's obstacles.
     pub fn obstacles(&self) -> impl Iterator<Item = &str> {
         self.horizon.obstacles()
     }
 
-    /// Moves the obstacles of a name, from the next [preparation](Self::prepare) on: at time `t` (s) they are `by` (m) away from where the task has
-    /// them at t = 0, and on their way at `velocity` (m/s).
+    /// Moves the obstacles of a name, from the next [preparation](Self::prepare) on: at time `t` (s) they are displaced by `by` (m) from
+    /// their place in the task at t = 0, and move at `velocity` (m/s).
     ///
     /// # Errors
-    /// [`MpcError::Unsupported`] where no obstacle has this name, and [`MpcError::Setting`] for a number that is not finite.
+    /// Returns [`MpcError::Unsupported`] if no obstacle has this name, and [`MpcError::Setting`] for a number that is not finite.
     pub fn move_obstacle(
         &mut self,
         name: &str,
@@ -553,7 +556,7 @@ impl Controller {
         }
     }
 
-    /// Statics along a path take longer than a sample has, at one place they do not.
+    /// Computes the wrench that holds the tip anew, for a reference at one place; statics along a path take longer than a sample.
     fn hold_anew(&mut self) {
         self.holding = None;
         if self.is_reference_at_rest() {
@@ -561,34 +564,34 @@ impl Controller {
         }
     }
 
-    /// How it works.
+    /// Returns the settings.
     #[must_use]
     pub fn settings(&self) -> &MpcSettings {
         &self.settings
     }
 
-    /// The last command; before the first, none acts.
+    /// Returns the last command; before the first one, it has no wrench.
     #[must_use]
     pub fn command(&self) -> &Command {
         &self.command
     }
 
-    /// State in which the task begins.
+    /// Returns the state in which the task begins.
     #[must_use]
     pub fn initial(&self) -> &State {
         &self.horizon.problem.initial
     }
 
-    /// The actuators of the task, with their bounds.
+    /// Returns the actuators of the task, with their bounds.
     pub(super) fn actuators(&self) -> &[ActuatedNode] {
         self.horizon.problem.wrench_actuators()
     }
 
-    /// Starts anew from a state at `start` (s), with a few iterations ([`RESTART`](Self::RESTART)), because a sample waits for them: nothing is left
-    /// of what went before but the disturbance, and what acts. The first plan is no wrench; where a rate is bounded, a way there.
+    /// Restarts from a state at `start` (s), with at most [`RESTART`](Self::RESTART) iterations, because a sample waits for them. Only the
+    /// disturbance and the command that acts are kept. The first plan is zero, or a ramp to zero if a rate is bounded.
     ///
     /// # Errors
-    /// [`MpcError::Measurement`] as [`feedback`](Self::feedback), and where the motion breaks down.
+    /// Returns [`MpcError::Measurement`] as [`feedback`](Self::feedback) does, and errors of a motion that breaks down.
     pub fn restart(&mut self, start: f64, state: &State) -> Result<(), MpcError> {
         self.check(state)?;
         self.horizon.start.clone_from(state);
@@ -605,17 +608,17 @@ impl Controller {
         self.settle(Self::RESTART)
     }
 
-    /// The plan as it is, as the command from `start` (s) on: for a sample without a usable measurement, whose state is taken to be the expected
-    /// one. [`prepare`](Self::prepare) follows as after [`feedback`](Self::feedback).
-    pub fn plan_alone(&mut self, start: f64) -> &Command {
+    /// Issues the plan as it is as the command from `start` (s) on: for a sample without a usable measurement, whose state is taken to be
+    /// the expected one.
+    pub fn plan_alone(&mut self, start: f64) -> Issued<'_> {
         self.state.clone_from(&self.horizon.start);
         self.trusted.copy_from_slice(&self.plan);
         self.planned = None;
         self.issue(start);
-        &self.command
+        Issued(self)
     }
 
-    /// A command from `start` (s) on that the plan has no part in.
+    /// Issues a command from `start` (s) on that does not come from the plan.
     pub(super) fn steer(&mut self, start: f64, aim: Aim) -> &Command {
         self.acts = true;
         self.planned = None;
@@ -653,7 +656,7 @@ impl Controller {
         &self.command
     }
 
-    /// The last command, as one that acts from `start` (s) on.
+    /// Returns the last command, shifted so that it acts from `start` (s) on.
     pub(super) fn release(&mut self, start: f64) -> Command {
         if self.planned.is_none() {
             let Self {
@@ -666,29 +669,29 @@ impl Controller {
             outlet.postpone(start, horizon, settings.period, command);
             return command.clone();
         }
-        // The plan goes on with its own.
+        // The plan continues with its own outlet.
         let mut command = self.command.clone();
         (self.outlet).postpone(start, &self.horizon, self.settings.period, &mut command);
         self.outlet.write(&self.horizon, &mut command);
         command
     }
 
-    /// Both phases: the command for the measured state, then the preparation of the next sample.
+    /// Runs both phases: computes the command for the measured state, then prepares the next sample.
     ///
     /// # Errors
-    /// As [`feedback`](Self::feedback) and [`prepare`](Self::prepare).
+    /// As [`feedback`](Self::feedback) and [`Issued::prepare`].
     pub fn step(&mut self, measured: &State) -> Result<&Command, MpcError> {
-        self.feedback(measured)?;
-        self.prepare()?;
+        self.feedback(measured)?.prepare()?;
         Ok(&self.command)
     }
 
-    /// The command from the measured state at the start of the sample, which the last preparation expected.
+    /// Computes the command from the measured state at the start of the sample, for which the last preparation predicted the expected
+    /// state.
     ///
     /// # Errors
-    /// [`MpcError::Measurement`] for a state that is not finite or of another size, with the plan left as it was;
-    /// [`MpcError::Subproblem`], and with more than one iteration [`MpcError::Rollout`].
-    pub fn feedback(&mut self, measured: &State) -> Result<&Command, MpcError> {
+    /// Returns [`MpcError::Measurement`] for a state that is not finite or of another size, with the plan left unchanged;
+    /// [`MpcError::Subproblem`]; and with more than one iteration [`MpcError::Rollout`].
+    pub fn feedback(&mut self, measured: &State) -> Result<Issued<'_>, MpcError> {
         let begin = Instant::now();
         self.check(measured)?;
         self.state.clone_from(measured);
@@ -711,11 +714,11 @@ impl Controller {
         }
         self.issue(self.horizon.grid.start);
         self.record.feedback_s = begin.elapsed().as_secs_f64();
-        Ok(&self.command)
+        Ok(Issued(self))
     }
 
-    /// Responds to a measured state with the first command that the linearized model has for it, within the bounds: that of a linear-quadratic
-    /// regulator about the motion of the plan, to be [released](Self::release). The plan goes on as if its own motion were measured.
+    /// Responds to a measured state with the first command of the linearized model, within the bounds: that of a linear-quadratic regulator
+    /// about the motion of the plan, to be [released](Self::release). The plan continues as if its own motion had been measured.
     ///
     /// # Errors
     /// As [`feedback`](Self::feedback).
@@ -742,8 +745,8 @@ impl Controller {
     /// Prepares the next sample: the state at its start is predicted from the measured one under the command.
     ///
     /// # Errors
-    /// [`MpcError::Rollout`] where the model's motion breaks down.
-    pub fn prepare(&mut self) -> Result<(), MpcError> {
+    /// Returns [`MpcError::Rollout`] if the model's motion breaks down.
+    pub(super) fn prepare(&mut self) -> Result<(), MpcError> {
         let begin = Instant::now();
         self.predict()?;
         let next = self.command.end;
@@ -783,14 +786,14 @@ impl Controller {
         })
     }
 
-    /// Linearizes the plan's motion from the expected start, and factors its Hessian.
+    /// Simulates and linearizes the plan's motion from the expected start, and factors its Hessian.
     fn model(&mut self) -> Result<(), MpcError> {
         self.roll_out()?;
         self.horizon.linearize()?;
         self.condense()
     }
 
-    /// The Hessian of the linearized motion with effort, rate and jump, factored, and the bounds.
+    /// Computes and factors the Hessian of the linearized motion with effort, rate and jump, and the bounds.
     fn condense(&mut self) -> Result<(), MpcError> {
         let (n, present) = (self.horizon.n_variables(), self.horizon.n_present());
         let n_components = self.horizon.components.len();
@@ -821,7 +824,7 @@ impl Controller {
         self.subproblem.factor()
     }
 
-    /// Entries of `C` (with the jump) of a coefficient with itself and with the next.
+    /// Returns the entries of `C` (with the jump) of a coefficient with itself and with the next one.
     fn control_weights(&self, coefficient: usize) -> [f64; 2] {
         let knots = &self.horizon.knots;
         let [effort, rate] = self.weights;
@@ -843,8 +846,8 @@ impl Controller {
         out
     }
 
-    /// Weight of the jump from the control that acts. A constant course changes by jumps alone, so that the first one costs no more than the rate between
-    /// coefficients that are as far apart: a dearer one would be put off at every sample.
+    /// Returns the weight of the jump from the control that acts. A constant course changes by jumps only, so that the first one costs no
+    /// more than the rate between coefficients at the same distance: a higher price would put the jump off at every sample.
     fn jump(&self) -> f64 {
         if !self.acts {
             return 0.0;
@@ -910,7 +913,7 @@ impl Controller {
         Ok(())
     }
 
-    /// The command of the present plan from `start` (s) on.
+    /// Issues the command of the present plan from `start` (s) on.
     fn issue(&mut self, start: f64) {
         if self.stays_from(start) {
             self.steer(start, Aim::Stay);
@@ -936,42 +939,46 @@ impl Controller {
         self.horizon.problem.stay.is_some() && self.settings.due.is_some_and(is_over)
     }
 
-    /// The state at the end of the command.
+    /// Predicts the state at the end of the command.
     fn predict(&mut self) -> Result<(), MpcError> {
-        let rod = &self.horizon.problem.rod;
         let Divided { n, step } = self.in_period;
-        let memory = self.prediction.take();
-        let mut memory = memory.unwrap_or_else(|| StepperMemory::new(rod, step));
-        if self.tuned != self.horizon.parameters() {
-            memory.retune(rod, step);
-            self.tuned = self.horizon.parameters();
-        }
-        let mut stepper = memory.begin(rod, self.command.start, &self.state);
-        let n_steps = ((self.command.end - self.command.start) / step).round() as usize;
+        let Self {
+            horizon,
+            prediction,
+            command,
+            wrenches: [now, next],
+            ..
+        } = self;
+        let n_steps = ((command.end - command.start) / step).round() as usize;
         let n_steps = n_steps.min(n);
-        let mut outcome = Ok(());
-        let [now, next] = &mut self.wrenches;
-        let time = |k: usize| self.command.start + k as f64 * step;
-        let fill = |t: f64, wrenches: &mut [Wrench]| {
-            wrenches.copy_from_slice(self.horizon.disturbing());
-            self.command.add_at(t, wrenches);
+        horizon.start.clone_from(&self.state);
+        let parameters = horizon.parameters();
+        let Horizon {
+            problem,
+            nodes,
+            start,
+            disturbing,
+            ..
+        } = horizon;
+        let fill = |k: usize, wrenches: &mut [Wrench]| {
+            wrenches.copy_from_slice(disturbing);
+            command.add_at(command.start + k as f64 * step, wrenches);
         };
-        fill(time(0), now);
-        for k in 0..n_steps {
-            fill(time(k + 1), next);
-            let of = |wrenches| NodeWrenches::on(&self.horizon.nodes, wrenches);
-            outcome = stepper.advance([of(now), of(next)]);
-            if outcome.is_err() {
-                break;
+        let model = (&*problem.rod, parameters);
+        let outcome = prediction.run(model, step, (command.start, start), |stepper| {
+            fill(0, now);
+            for k in 0..n_steps {
+                fill(k + 1, next);
+                let of = |wrenches| NodeWrenches::on(nodes, wrenches);
+                stepper.advance([of(now), of(next)])?;
+                std::mem::swap(now, next);
             }
-            std::mem::swap(now, next);
-        }
-        stepper.write_state(&mut self.horizon.start);
-        self.prediction = Some(stepper.into_memory());
-        outcome.map_err(MpcError::from)
+            Ok(())
+        });
+        outcome.map_err(|error: StepError| error.into())
     }
 
-    /// Moves the horizon to `start` with the plan as the same function of time, constant where it is new.
+    /// Moves the horizon to `start`. The plan stays the same function of time, and is constant beyond its old end.
     fn carry_over(&mut self, start: f64) {
         let n_components = self.horizon.components.len();
         self.before_knots.clone_from(&self.horizon.knots);

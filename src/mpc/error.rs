@@ -1,57 +1,57 @@
-//! Why a controller cannot be made, or a sample fails.
+//! Errors of the construction of a controller and of its samples.
 
 use crate::mechanics::StepError;
 use crate::stop::Stop;
 use crate::task::DiscretizeError;
 
-/// What a [`Controller`](super::Controller) refuses.
+/// The reason why a [`Controller`](super::Controller) fails.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum MpcError {
     /// The task cannot be discretized.
     #[error(transparent)]
     Discretize(#[from] DiscretizeError),
-    /// A setting out of range.
+    /// A setting is out of range.
     #[error("{name}: {value} is not {expected}")]
     Setting {
-        /// Its name.
+        /// Name of the setting.
         name: &'static str,
-        /// What was given.
+        /// Given value.
         value: f64,
-        /// What it must be.
+        /// Allowed values.
         expected: &'static str,
     },
-    /// The course of the controls within a block.
+    /// The hold of the controls is not supported.
     #[error(
         "hold: a moving horizon takes constant or linear blocks, not cubic ones; choose one of these"
     )]
     Hold,
-    /// The task has something that the controller does not know.
+    /// The task has a feature that the controller does not support.
     #[error("{0}")]
     Unsupported(&'static str),
-    /// A path that is none.
+    /// The points of a path are invalid.
     #[error("point {point} of the path: expected {expected}")]
     Path {
-        /// The first point that is wrong.
+        /// The first invalid point.
         point: usize,
-        /// What it must be.
+        /// Requirement on it.
         expected: &'static str,
     },
-    /// A measured state that is not finite, or of another size than the model's.
+    /// A measured state is not finite, or of another size than the model's.
     #[error("the measured state has {found}; give {expected}")]
     Measurement {
-        /// What is wrong with it.
+        /// Content of the state.
         found: String,
-        /// What is expected.
+        /// Requirement on it.
         expected: String,
     },
     /// The model's motion under the plan breaks down.
     #[error("the predicted motion breaks down: {0}")]
     Rollout(#[from] StepError),
-    /// Whoever makes or runs a loop was asked to stop, or has no time left.
+    /// A stop signal or a deadline ended the work.
     #[error("{0}")]
     Stopped(#[from] Stop),
-    /// The Hessian of the subproblem has no Cholesky factor, which only happens where something is not finite.
+    /// The Hessian of the subproblem has no Cholesky factor, which happens only if a value is not finite.
     #[error("the subproblem is not finite or not convex")]
     Subproblem,
 }

@@ -19,78 +19,19 @@ use nalgebra::{Matrix3, Vector3};
 use super::error::MpcError;
 use super::estimator::{Disturbance, ModelParameters};
 use super::knots::Knots;
-use super::limits::{self, Limits};
+use super::motions::Motions;
+use super::rows::{Evaluated, Rows};
 use super::soft_rows::SoftRows;
-use super::speeds::Speeds;
 use crate::control::path::{PathLimit, RodView};
-use crate::control::{Component, OptimalControlProblem, Shape};
+use crate::control::{Component, Enforcement, Goal, OptimalControlProblem, Shape, residual};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
-use crate::mechanics::rotation::{log, log_tangent};
 use crate::mechanics::sensitivity::{ControlColumns, RepeatedReverse};
-use crate::mechanics::{
-    FormTerm, NodeWrenches, Rod, State, StateForm, StepError, StepperMemory, TimeGrid, Trajectory,
-    Wrench,
-};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, TimeGrid, Trajectory, Wrench};
 use crate::stop::StopSignal;
 
 /// Part of the length, or of a radian.
 const NEGLIGIBLE: f64 = 1e-4;
-
-/// What a row of the residuals is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Quantity {
-    /// A node's distance from its path, one axis, over the rod's length.
-    Track {
-        index: usize,
-        axis: usize,
-    },
-    /// A node's rotation from how its track wants it turned, one axis, rad.
-    TrackRotation {
-        index: usize,
-        axis: usize,
-    },
-    /// The difference of a node's mean velocity since the sample before from that of its path, one axis, over the rod's length and time; see
-    /// [`Speeds`].
-    TrackSpeed {
-        index: usize,
-        axis: usize,
-    },
-    /// A target's position, rotation, velocity or angular velocity, one axis, in the scales of its goal.
-    Position {
-        goal: usize,
-        axis: usize,
-    },
-    Rotation {
-        goal: usize,
-        axis: usize,
-    },
-    Velocity {
-        goal: usize,
-        axis: usize,
-    },
-    Spin {
-        goal: usize,
-        axis: usize,
-    },
-    /// A vector of the deviation from where the arm stays once it is due, one axis, as a distance of the tip over the length.
-    Stay {
-        vector: usize,
-        axis: usize,
-    },
-    /// A limit on the states, no residual but a row of the subproblem.
-    Limit {
-        index: usize,
-    },
-}
-
-/// A row of the residuals.
-#[derive(Clone, Copy, Debug)]
-struct Row {
-    quantity: Quantity,
-    /// Square root of its weight, over its scale.
-    factor: f64,
-}
 
 /// What a unit of a component does: node, component of its wrench, and N or N m.
 type Effect = (usize, usize, f64);
@@ -133,13 +74,7 @@ pub(super) struct Horizon {
     /// The grid of the present horizon; of the longest one with its start.
     pub grid: TimeGrid,
     longest: TimeGrid,
-    rows: Vec<Row>,
-    speeds: Speeds,
-    /// Of every row, on the longest grid: ascending in time. Those of the present horizon are the last ones, moved to its grid.
-    forms: Vec<StateForm>,
-    form_nodes: Vec<usize>,
-    /// First row of the present horizon.
-    first_row: usize,
+    rows: Rows,
     /// All nodes.
     pub nodes: Vec<usize>,
     /// Of the two ends of a step, one a node.
@@ -150,21 +85,18 @@ pub(super) struct Horizon {
     model: Arc<Rod>,
     /// What ends simulations and sweeps before they are done.
     pub stop: StopSignal,
-    /// What is wrong with the model of the present horizon, and what the constants in `memory` are for.
+    /// Parameters by which the model of the present horizon differs from the one without a disturbance.
     parameters: ModelParameters,
-    tuned: ModelParameters,
     /// What disturbs every node, constant in time.
-    disturbing: Vec<Wrench>,
+    pub disturbing: Vec<Wrench>,
     /// By how much later commands act than they say, s.
     delay: f64,
     trajectory: Trajectory,
     /// State that the roll-out starts from, and the one that it ends in.
     pub start: State,
     end: State,
-    memory: Option<StepperMemory>,
+    motions: Motions,
     sweep: RepeatedReverse,
-    residuals: Vec<f64>,
-    limits: Limits,
     /// The residuals of the present horizon with the start moved.
     moved: Vec<f64>,
     /// `J` and `G`.
@@ -215,12 +147,12 @@ impl Horizon {
         weight: f64,
         price: f64,
     ) -> Result<Self, MpcError> {
-        if !problem.objective.terms.is_empty() || problem.objective.energy != 0.0 {
+        let has_tolerance = |goal: &Goal| matches!(goal.enforcement, Enforcement::Within { .. });
+        if problem.goals.iter().any(has_tolerance) {
             return Err(MpcError::Unsupported(
-                "the controller knows tracks, targets, effort and rate; leave out cost.energy and terms of one's own",
+                "the controller's targets are soft; leave out tolerances of targets",
             ));
         }
-        limits::check(&problem)?;
         if problem.duration.is_some() {
             return Err(MpcError::Unsupported(
                 "the controller knows a fixed duration; leave out free_duration",
@@ -240,16 +172,6 @@ impl Horizon {
             .map(|component| problem.channel(component).scale)
             .collect();
         let n_states = NODE_COMPONENTS * (problem.rod.n_nodes() - problem.rod.first_free_node());
-        let mut limits = Limits::new(&problem, price, n_states);
-        let (rows, forms) = rows(&problem, weight, &limits);
-        let limited = rows.iter().enumerate();
-        let limited = limited.filter(|(_, row)| matches!(row.quantity, Quantity::Limit { .. }));
-        limits.place(limited.map(|(place, _)| place));
-        let speeds = rows.iter().enumerate();
-        let speeds = Speeds::new(speeds.filter_map(|(place, row)| match row.quantity {
-            Quantity::TrackSpeed { index, axis } => Some((place, [index, axis], row.factor)),
-            _ => None,
-        }));
         let n = knots.most(grid.duration()) * components.len();
         knots.place(grid.start, grid.time(grid.n_steps));
         let start = problem.initial.clone();
@@ -258,6 +180,10 @@ impl Horizon {
         for _ in 0..=grid.n_steps {
             trajectory.push(&start.configuration);
         }
+        let rows = {
+            let whole = evaluated(&problem, &trajectory, grid, &start);
+            Rows::new(&problem, &whole.motion, weight, price, n_states)
+        };
         let sweep = {
             let motion = Motion {
                 rod: &problem.rod,
@@ -273,13 +199,10 @@ impl Horizon {
                 scales: &scales,
                 n,
             };
-            RepeatedReverse::new(&motion, &trajectory, &columns, &forms)
+            RepeatedReverse::new(&motion, &trajectory, &columns, rows.forms())
         };
         Ok(Self {
-            limits,
-            memory: Some(StepperMemory::new(&problem.rod, grid.step)),
-            form_nodes: forms.iter().map(|form| form.time_node).collect(),
-            first_row: 0,
+            motions: Motions::new(&problem.rod, grid.step, Disturbance::NONE.parameters()),
             wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
             nodes: (0..n_nodes).collect(),
             model,
@@ -291,21 +214,17 @@ impl Horizon {
                 })
                 .collect(),
             parameters: Disturbance::NONE.parameters(),
-            tuned: Disturbance::NONE.parameters(),
             disturbing: vec![Wrench::default(); n_nodes],
             delay: 0.0,
             trajectory,
             end: start.clone(),
             start,
             sweep,
-            residuals: vec![0.0; rows.len()],
             moved: vec![0.0; rows.len()],
             jacobian: Mat::zeros(rows.len(), n),
             along_start: Mat::zeros(rows.len(), n_states),
             square: Mat::zeros(n, n),
             rows,
-            speeds,
-            forms,
             components,
             scales,
             effects,
@@ -354,10 +273,7 @@ impl Horizon {
             ..self.longest
         };
         let passed = if due.is_some() { whole - n_steps } else { 0 };
-        self.first_row = self.form_nodes.partition_point(|node| *node < passed);
-        for (form, node) in (self.forms.iter_mut().zip(&self.form_nodes)).skip(self.first_row) {
-            form.time_node = node - passed;
-        }
+        self.rows.place(passed);
         self.knots.place(start, self.grid.time(n_steps));
         true
     }
@@ -453,11 +369,6 @@ impl Horizon {
         self.parameters
     }
 
-    /// What disturbs every node.
-    pub fn disturbing(&self) -> &[Wrench] {
-        &self.disturbing
-    }
-
     /// What the plan applies at time `t`, scaled, one of each component.
     pub fn control(&self, plan: &[f64], t: f64, out: &mut [f64]) {
         let n = self.components.len();
@@ -482,44 +393,45 @@ impl Horizon {
             wrenches: [now, next],
             disturbing,
             trajectory,
+            motions,
+            parameters,
+            start,
+            end,
+            stop,
+            components,
+            effects,
+            scales,
             ..
         } = self;
-        let n = self.components.len();
+        let n = components.len();
         let fill = |k: usize, wrenches: &mut [Wrench]| {
             wrenches.copy_from_slice(disturbing);
             for (coefficient, weight) in knots.at_node(grid, k) {
                 let own = &plan[coefficient * n..][..n];
-                for ((effects, v), scale) in self.effects.iter().zip(own).zip(&self.scales) {
+                for ((effects, v), scale) in effects.iter().zip(own).zip(scales.iter()) {
                     add_effects(effects, weight * v * scale, wrenches);
                 }
             }
         };
         trajectory.positions.clear();
         trajectory.rotations.clear();
-        trajectory.push(&self.start.configuration);
-        let memory = self.memory.take();
-        let mut memory = memory.unwrap_or_else(|| StepperMemory::new(&problem.rod, grid.step));
-        if self.tuned != self.parameters {
-            memory.retune(&problem.rod, grid.step);
-            self.tuned = self.parameters;
-        }
-        let mut stepper = memory.begin(&problem.rod, grid.start, &self.start);
-        fill(0, now);
-        let mut outcome = Ok(());
-        for k in 0..grid.n_steps {
-            fill(k + 1, next);
-            let of = |wrenches| NodeWrenches::on(nodes, wrenches);
-            outcome = (self.stop.check_at(k).map_err(StepError::from))
-                .and_then(|()| stepper.advance([of(now), of(next)]));
-            if outcome.is_err() {
-                break;
+        trajectory.push(&start.configuration);
+        let steps = grid.n_steps;
+        end.clone_from(start);
+        let model = (&*problem.rod, *parameters);
+        let outcome = motions.run(model, grid.step, (grid.start, end), |stepper| {
+            fill(0, now);
+            for k in 0..steps {
+                fill(k + 1, next);
+                let of = |wrenches| NodeWrenches::on(nodes, wrenches);
+                stop.check_at(k)?;
+                stepper.advance([of(now), of(next)])?;
+                stepper.record(trajectory);
+                std::mem::swap(now, next);
             }
-            stepper.record(trajectory);
-            std::mem::swap(now, next);
-        }
-        stepper.write_state(&mut self.end);
-        self.memory = Some(stepper.into_memory());
-        outcome?;
+            Ok(())
+        });
+        outcome.map_err(|error: StepError| MpcError::from(error))?;
         self.evaluate_all();
         Ok(())
     }
@@ -543,28 +455,19 @@ impl Horizon {
             scales: &self.scales,
             n: self.square.nrows(),
         };
-        let forms = &self.forms[self.first_row..];
+        let forms = self.rows.present_forms();
         (self.sweep).sweep(&motion, &self.trajectory, &columns, forms)?;
         let n = self.knots.len() * self.components.len();
+        let n_rows = self.rows.present().len();
         for j in 0..n {
-            let column = self.jacobian.col_as_slice_mut(j);
-            for (row, value) in column[..forms.len()].iter_mut().enumerate() {
-                *value = self.sweep.along_column(row, j);
-            }
-            for (_, row) in self.limits.present(self.first_row) {
-                column[row] = 0.0;
-            }
-            self.speeds.take_differences(self.first_row, column);
+            let column = &mut self.jacobian.col_as_slice_mut(j)[..n_rows];
+            self.rows.write_along_column(&self.sweep, j, column);
         }
         for i in 0..self.along_start.ncols() {
-            let column = self.along_start.col_as_slice_mut(i);
-            for (row, value) in column[..forms.len()].iter_mut().enumerate() {
-                *value = self.sweep.along_start(row, i);
-            }
-            self.limits.take_along_start(self.first_row, i, column);
-            self.speeds.take_differences(self.first_row, column);
+            let column = &mut self.along_start.col_as_slice_mut(i)[..n_rows];
+            self.rows.write_along_start(&self.sweep, i, column);
         }
-        let jacobian = self.jacobian.get(..forms.len(), ..n);
+        let jacobian = self.jacobian.get(..n_rows, ..n);
         let square = self.square.as_mut().get_mut(..n, ..n);
         let transposed = jacobian.transpose();
         matmul(square, Accum::Replace, transposed, jacobian, 1.0, Par::Seq);
@@ -573,32 +476,24 @@ impl Horizon {
 
     /// The limits of the present horizon as rows of a subproblem, but for their values.
     pub fn write_limits(&self, soft: &mut SoftRows) {
-        self.limits.write(self.first_row, soft);
-        let n = self.n_present();
-        for (at, (_, row)) in self.limits.present(self.first_row).enumerate() {
-            let slopes = soft.slopes.col_as_slice_mut(at);
-            slopes[n..].fill(0.0);
-            for (j, slope) in slopes[..n].iter_mut().enumerate() {
-                *slope = self.sweep.along_column(row, j);
-            }
-        }
+        self.rows.write_limits(&self.sweep, self.n_present(), soft);
     }
 
     /// Their values where the start deviates.
     pub fn write_limit_values(&self, deviation: &StateTangent, out: &mut [f64]) {
         let free = self.problem.rod.first_free_node();
-        (self.limits).write_values(self.first_row, free, deviation, out);
+        self.rows.write_limit_values(free, deviation, out);
     }
 
     /// Rows that limits have in the longest horizon.
     pub fn n_limit_rows(&self) -> usize {
-        self.limits.len()
+        self.rows.n_limits()
     }
 
     /// `Jᵀ (r + G δs)` over the present variables, and `½ |r + G δs|²`.
     pub fn gradient(&mut self, deviation: &StateTangent, gradient: &mut [f64]) -> f64 {
         let first = self.problem.rod.first_free_node();
-        let present = &self.residuals[self.first_row..];
+        let present = self.rows.present();
         let moved = &mut self.moved[..present.len()];
         moved.copy_from_slice(present);
         for (i, d) in deviation.components_from(first).enumerate() {
@@ -613,26 +508,27 @@ impl Horizon {
         0.5 * moved.iter().map(|r| r * r).sum::<f64>()
     }
 
+    /// Residuals of the present horizon, from the motion of the last roll-out.
+    #[cfg(test)]
+    pub fn residuals(&self) -> &[f64] {
+        self.rows.present()
+    }
+
+    /// Slope of a present residual along a variable, of the last linearization.
+    #[cfg(test)]
+    pub fn slope(&self, row: usize, variable: usize) -> f64 {
+        self.jacobian[(row, variable)]
+    }
+
     /// `½ |r|²` of the present horizon, from the motion of the last roll-out.
     pub fn cost(&self) -> f64 {
-        let present = &self.residuals[self.first_row..];
+        let present = self.rows.present();
         0.5 * present.iter().map(|r| r * r).sum::<f64>()
     }
 
-    /// What it costs that all that is followed or aimed at is off by a ten-thousandth of the length or of a radian, all the time.
+    /// Cost where every tracked quantity has a constant error of a ten-thousandth of the length or of a radian.
     pub fn negligible_cost(&self) -> f64 {
-        let length = self.problem.rod.scales.length;
-        let of = |row: &Row| match row.quantity {
-            Quantity::Track { .. } | Quantity::Position { .. } => row.factor * length,
-            Quantity::TrackRotation { .. } | Quantity::Rotation { .. } => row.factor,
-            Quantity::TrackSpeed { .. }
-            | Quantity::Velocity { .. }
-            | Quantity::Spin { .. }
-            | Quantity::Stay { .. }
-            | Quantity::Limit { .. } => 0.0,
-        };
-        let square: f64 = self.rows.iter().map(|row| of(row).powi(2)).sum();
-        0.5 * NEGLIGIBLE * NEGLIGIBLE * square
+        self.rows.cost_of(NEGLIGIBLE)
     }
 
     /// Position of a node at time node `k` of the last roll-out, m.
@@ -642,96 +538,33 @@ impl Horizon {
 
     /// Values and forms of all rows of the present horizon.
     fn evaluate_all(&mut self) {
-        for at in self.first_row..self.rows.len() {
-            self.evaluate(at);
-        }
-        self.speeds.evaluate(
-            &self.problem,
-            (&self.trajectory, &self.acting_grid()),
-            (&self.forms, self.first_row),
-            &mut self.residuals,
-        );
-    }
-
-    /// Value and form of one row, but for those of speeds.
-    fn evaluate(&mut self, at: usize) {
-        let Row { quantity, factor } = self.rows[at];
         let acting = self.acting_grid();
-        let form = &mut self.forms[at];
-        if let Quantity::Limit { index } = quantity {
-            let view = RodView {
-                rod: &self.problem.rod,
-                radii: &self.problem.radii,
-                trajectory: &self.trajectory,
-                grid: self.grid,
-            };
-            self.limits.evaluate(&self.problem, &view, index, form);
-            self.residuals[at] = 0.0;
-            return;
-        }
-        let k = form.time_node;
-        let goals = &self.problem.goals;
-        let value = match quantity {
-            Quantity::Track { index, axis } => {
-                let track = &self.problem.objective.tracking[index];
-                let x = self.trajectory.positions_at(k)[track.node];
-                let t = acting.time(k);
-                let place = track.position(t).filter(|_| track.counts(t));
-                form.terms[0].coefficient = if place.is_some() { factor } else { 0.0 };
-                place.map_or(0.0, |place| (x - place)[axis])
-            }
-            Quantity::TrackRotation { index, axis } => {
-                let track = &self.problem.objective.tracking[index];
-                let r = self.trajectory.rotations_at(k)[track.node];
-                let t = acting.time(k);
-                let psi = track.turn(t, &r).filter(|_| track.counts(t));
-                let own = if psi.is_some() { factor } else { 0.0 };
-                let psi = psi.unwrap_or_default();
-                write_turn(form, own, psi, axis);
-                psi[axis]
-            }
-            Quantity::Position { goal, axis } => {
-                let goal = &goals[goal];
-                let x = self.trajectory.positions_at(k)[goal.node];
-                goal.position.map_or(0.0, |target| (x - target)[axis])
-            }
-            Quantity::Rotation { goal, axis } => {
-                let goal = &goals[goal];
-                let r = self.trajectory.rotations_at(k)[goal.node];
-                let psi = log(&(goal.rotation.unwrap_or(r).transpose() * r));
-                write_turn(form, factor, psi, axis);
-                psi[axis]
-            }
-            Quantity::Velocity { goal, axis } => {
-                let node = goals[goal].node;
-                let mass = self.problem.rod.nodes[node].mass;
-                form.terms[0].coefficient = factor / mass;
-                self.end.linear_momentum[node][axis] / mass
-            }
-            Quantity::Spin { goal, axis } => {
-                let node = goals[goal].node;
-                self.end.angular_momentum[node][axis] / self.problem.rod.nodes[node].rotary[axis]
-            }
-            Quantity::Stay { vector, axis } => (self.problem.stay.as_ref()).map_or(0.0, |stay| {
-                let r = self.trajectory.rotations_at(k);
-                for (term, new) in (form.terms.iter_mut()).zip(stay.gradient(vector, axis, r)) {
-                    term.coefficient = factor * new.coefficient;
-                }
-                let momenta = [&self.end.linear_momentum[..], &self.end.angular_momentum];
-                let vectors = [self.trajectory.positions_at(k), momenta[0], momenta[1]];
-                stay.vector(vector, vectors, r)[axis]
-            }),
-            Quantity::TrackSpeed { .. } | Quantity::Limit { .. } => 0.0,
-        };
-        self.residuals[at] = factor * value;
+        self.rows.evaluate(&Evaluated {
+            grid: self.grid,
+            ..evaluated(&self.problem, &self.trajectory, acting, &self.end)
+        });
     }
 }
 
-/// The form of `factor` times one axis of a rotation vector `ψ = log(R*ᵀ R)`: `δψ = Sᵀ ζ`.
-fn write_turn(form: &mut StateForm, factor: f64, psi: Vector3<f64>, axis: usize) {
-    let slope = log_tangent(&psi);
-    for (i, term) in form.terms.iter_mut().enumerate() {
-        term.coefficient = factor * slope[(i, axis)];
+/// A motion that ends in `end`, with the times of a grid.
+fn evaluated<'a>(
+    problem: &'a OptimalControlProblem,
+    trajectory: &'a Trajectory,
+    grid: TimeGrid,
+    end: &'a State,
+) -> Evaluated<'a> {
+    Evaluated {
+        problem,
+        motion: residual::Motion {
+            view: RodView {
+                rod: &problem.rod,
+                radii: &problem.radii,
+                trajectory,
+                grid,
+            },
+            momenta: [&end.linear_momentum, &end.angular_momentum],
+        },
+        grid,
     }
 }
 
@@ -743,89 +576,4 @@ pub(super) fn add_effects(effects: &[Effect], amount: f64, wrenches: &mut [Wrenc
             Some(axis) => wrenches[node].moment[axis] += amount * effect,
         }
     }
-}
-
-/// All rows of the longest horizon, with their forms, in ascending order of time.
-fn rows(
-    problem: &OptimalControlProblem,
-    weight: f64,
-    limits: &Limits,
-) -> (Vec<Row>, Vec<StateForm>) {
-    let rod = &problem.rod;
-    let one = |node: usize, component: usize, coefficient: f64| FormTerm {
-        node,
-        component,
-        coefficient,
-    };
-    let mut out: Vec<(Row, StateForm)> = Vec::new();
-    let mut push = |time_node: usize, quantity: Quantity, factor: f64, terms: Vec<FormTerm>| {
-        out.push((Row { quantity, factor }, StateForm { time_node, terms }));
-    };
-    for (time_node, duration) in crate::control::sample_times(problem) {
-        for (index, track) in problem.objective.tracking.iter().enumerate() {
-            let factor = (track.weight * duration).sqrt() / rod.scales.length;
-            for axis in (0..3).filter(|_| !track.path.is_empty()) {
-                let terms = vec![one(track.node, axis, factor)];
-                push(time_node, Quantity::Track { index, axis }, factor, terms);
-            }
-            let factor = track.speed_weight.sqrt() * rod.scales.time / rod.scales.length;
-            for axis in (0..3).filter(|_| factor > 0.0) {
-                let terms = vec![one(track.node, axis, 1.0)];
-                push(
-                    time_node,
-                    Quantity::TrackSpeed { index, axis },
-                    factor,
-                    terms,
-                );
-            }
-            let factor = (track.rotation_weight * duration).sqrt();
-            for axis in (0..3).filter(|_| !track.rotations.is_empty()) {
-                let terms = (0..3).map(|i| one(track.node, 3 + i, 0.0)).collect();
-                let quantity = Quantity::TrackRotation { index, axis };
-                push(time_node, quantity, factor, terms);
-            }
-        }
-    }
-    for (goal, target) in problem.goals.iter().enumerate() {
-        let (k, node) = (target.time_node, target.node);
-        let (length, time) = (rod.scales.length, rod.scales.time);
-        let root = weight.sqrt();
-        let inertia = &rod.nodes[node];
-        for axis in 0..3 {
-            if target.position.is_some() {
-                let factor = root / length;
-                let terms = vec![one(node, axis, factor)];
-                push(k, Quantity::Position { goal, axis }, factor, terms);
-            }
-            if target.rotation.is_some() {
-                let terms = (0..3).map(|i| one(node, 3 + i, 0.0)).collect();
-                push(k, Quantity::Rotation { goal, axis }, root, terms);
-            }
-            if target.at_rest {
-                let factor = root * time / length;
-                let terms = vec![one(node, 6 + axis, 0.0)];
-                push(k, Quantity::Velocity { goal, axis }, factor, terms);
-                let factor = root * time;
-                let terms = vec![one(node, 9 + axis, factor / inertia.rotary[axis])];
-                push(k, Quantity::Spin { goal, axis }, factor, terms);
-            }
-        }
-    }
-    if let Some(stay) = &problem.stay {
-        let k = problem.goals[stay.goal].time_node;
-        // A deviation of energy ½ |r|² moves the tip by |r| times the root of its compliance.
-        let factor = (weight * stay.compliance).sqrt() / rod.scales.length;
-        for vector in 0..stay.n_vectors() {
-            for axis in 0..3 {
-                let r = &stay.shape.rotations;
-                let terms = stay.gradient(vector, axis, r).collect();
-                push(k, Quantity::Stay { vector, axis }, factor, terms);
-            }
-        }
-    }
-    for (index, time_node) in limits.time_nodes().enumerate() {
-        push(time_node, Quantity::Limit { index }, 1.0, Vec::new());
-    }
-    out.sort_by_key(|(_, form)| form.time_node);
-    out.into_iter().unzip()
 }

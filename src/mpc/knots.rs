@@ -1,29 +1,29 @@
-//! The course of the controls over a moving horizon.
+//! The controls over a receding horizon as functions of time.
 
 use crate::mechanics::TimeGrid;
 
 use super::error::MpcError;
 use crate::control::Hold;
 
-/// Part of a block below which two knots are one.
+/// Two knots are one if they are closer than this fraction of a block.
 const SAME: f64 = 1e-6;
 
-/// Coefficients of a control over `[start, end]`, on a lattice of block lengths that stays where it is while the horizon moves: a plan
-/// that is carried over from one sample to the next is the same function of time.
+/// Coefficients of a control over `[start, end]`, on a lattice of block lengths that is fixed in time while the horizon moves: a plan that
+/// is carried over from one sample to the next is the same function of time.
 ///
 /// The first and the last knot are the ends of the horizon, those between them lie on the lattice. Blocks may double in length with their
-/// distance from the start: a block of `2^m` lattice lengths then begins at a multiple of itself, so that one that comes nearer is divided
-/// and no other knot is lost.
+/// distance from the start: a block of `2^m` lattice lengths then begins at a multiple of itself, so that it is divided when it comes
+/// nearer, and no other knot is lost.
 #[derive(Debug)]
 pub(super) struct Knots {
     hold: Hold,
     block: f64,
-    /// So many whole blocks there are of each length, after the one that has begun; `None`: all are equal.
+    /// Number of whole blocks of each length after the block that has begun; `None` if all are equal.
     doubling: Option<usize>,
     times: Vec<f64>,
 }
 
-/// Coefficients that act together, with their weights; unused places have weight 0.
+/// The coefficients that act at one time, with their weights; unused entries have weight 0.
 pub(super) type Pair = [(usize, f64); 2];
 
 impl Clone for Knots {
@@ -34,7 +34,7 @@ impl Clone for Knots {
         }
     }
 
-    /// Into the memory that is there.
+    /// Copies into existing memory.
     fn clone_from(&mut self, other: &Self) {
         self.hold = other.hold;
         self.block = other.block;
@@ -44,8 +44,10 @@ impl Clone for Knots {
 }
 
 impl Knots {
+    /// Creates the knots.
+    ///
     /// # Errors
-    /// [`MpcError::Hold`] for a course that is neither constant nor linear.
+    /// Returns [`MpcError::Hold`] for a hold that is neither constant nor linear.
     pub fn new(
         hold: Hold,
         block: f64,
@@ -64,7 +66,7 @@ impl Knots {
         })
     }
 
-    /// Most blocks in a horizon of this length.
+    /// Returns the largest number of blocks in a horizon of this length.
     pub fn blocks(&self, longest: f64) -> usize {
         match self.doubling {
             None => (longest / self.block).round().max(1.0) as usize,
@@ -72,12 +74,12 @@ impl Knots {
         }
     }
 
-    /// The most coefficients that a horizon of this length may have.
+    /// Returns the largest number of coefficients in a horizon of this length.
     pub fn most(&self, longest: f64) -> usize {
         let inside = if self.doubling.is_none() {
             (longest / self.block - SAME).ceil() as usize
         } else {
-            // What repeats itself does so with the longest block, which no horizon exceeds.
+            // The pattern of blocks repeats with the longest block, which is not longer than the horizon.
             let phases = ((longest / self.block).ceil() as usize).next_power_of_two();
             let mut tried = self.clone();
             let inside = (0..phases).map(|phase| {
@@ -93,7 +95,7 @@ impl Knots {
         }
     }
 
-    /// Puts the knots where they are for a horizon from `start` to `end`.
+    /// Places the knots for a horizon from `start` to `end`.
     pub fn place(&mut self, start: f64, end: f64) {
         let least = SAME * self.block;
         self.times.clear();
@@ -109,12 +111,13 @@ impl Knots {
         self.times.push(end);
     }
 
-    /// Length of the block that begins at a place of the lattice, so far from the first one ahead, in lattice lengths.
+    /// Returns the length, in lattice lengths, of the block that begins at a place of the lattice, at the given distance from the first one
+    /// ahead.
     fn stride(&self, index: f64, distance: f64) -> f64 {
         let Some(equal) = self.doubling else {
             return 1.0;
         };
-        // As many blocks of each length: those of `m` lattice lengths begin `m - 1` times as many of these away.
+        // There are equally many blocks of each length: those of `m` lattice lengths begin `m - 1` times as many of these away.
         let longest = 1.0 + distance / equal as f64;
         let mut stride = 1.0;
         while 2.0 * stride <= longest && index % (2.0 * stride) == 0.0 {
@@ -123,12 +126,12 @@ impl Knots {
         stride
     }
 
-    /// Its course within a block.
+    /// Returns the course of the control within a block.
     pub fn hold(&self) -> Hold {
         self.hold
     }
 
-    /// Number of coefficients.
+    /// Returns the number of coefficients.
     pub fn len(&self) -> usize {
         match self.hold {
             Hold::Constant => self.times.len() - 1,
@@ -136,7 +139,7 @@ impl Knots {
         }
     }
 
-    /// The time that a coefficient stands for, s: its knot, or the middle of its block.
+    /// Returns the time of a coefficient, s: its knot, or the middle of its block.
     pub fn time(&self, index: usize) -> f64 {
         match self.hold {
             Hold::Constant => 0.5 * (self.times[index] + self.times[index + 1]),
@@ -144,12 +147,12 @@ impl Knots {
         }
     }
 
-    /// Time between a coefficient and the next, s.
+    /// Returns the time between a coefficient and the next one, s.
     pub fn gap(&self, index: usize) -> f64 {
         self.time(index + 1) - self.time(index)
     }
 
-    /// What the control is made of at time `t`, constant outside the horizon.
+    /// Returns the coefficients of the control at time `t`, which is constant outside the horizon.
     pub fn at(&self, t: f64) -> Pair {
         let last = self.times.len() - 1;
         let piece = (self.times.partition_point(|knot| *knot <= t)).clamp(1, last) - 1;
@@ -163,8 +166,8 @@ impl Knots {
         }
     }
 
-    /// What the intervals beside time node `k` apply there on average: of a linear course its value, of a constant one the mean over
-    /// half an interval on either side.
+    /// Returns the coefficients of the control at time node `k`: its value if the course is linear, its mean over half an interval on
+    /// either side if the course is constant.
     pub fn at_node(&self, grid: &TimeGrid, k: usize) -> Pair {
         let t = grid.time(k);
         if self.hold == Hold::Linear {
@@ -181,7 +184,8 @@ impl Knots {
         [(a, s), (b, 1.0 - s)]
     }
 
-    /// Integral of the square over the horizon as a tridiagonal form: of coefficient `index` with itself, and with the next.
+    /// Returns the integral of the square over the horizon as a tridiagonal form: the entries of coefficient `index` with itself and with
+    /// the next one.
     pub fn square(&self, index: usize) -> [f64; 2] {
         match self.hold {
             Hold::Constant => [self.times[index + 1] - self.times[index], 0.0],
@@ -200,8 +204,8 @@ impl Knots {
 mod tests {
     use super::*;
 
-    /// Weights sum to one at every time node; the plan carried over to a horizon that moved on is the same function of time on what
-    /// both cover, between the knots as well.
+    /// Weights sum to one at every time node; a plan that is carried over to a moved horizon is the same function of time where both
+    /// overlap, between the knots as well.
     #[test]
     fn plans_are_carried_over() {
         let value = |knots: &Knots, u: &[f64], t: f64| -> f64 {
@@ -210,7 +214,7 @@ mod tests {
         for hold in [Hold::Constant, Hold::Linear] {
             let mut before = Knots::new(hold, 0.05, None, 0.5).unwrap();
             let mut after = before.clone();
-            // Moves of whole blocks, which a constant course needs, and for a linear one the knot at the start moves as well.
+            // The horizon moves by whole blocks, which a constant course needs; for a linear one the knot at the start moves as well.
             for start in [0.0, 0.35, 1.05] {
                 before.place(start, start + 0.5);
                 let u: Vec<f64> = (0..before.len()).map(|i| ((7 * i) as f64).sin()).collect();
@@ -244,8 +248,8 @@ mod tests {
         }
     }
 
-    /// Blocks that double cover the horizon with few knots, the shortest first; whatever the start, one that moves on by a block loses none of the
-    /// knots ahead, so that a linear plan is carried over exactly.
+    /// Blocks that double cover the horizon with few knots, the shortest first; whatever the start, moving the horizon by a block loses
+    /// none of the knots ahead, so that a linear plan is carried over exactly.
     #[test]
     fn doubling_blocks_are_carried_over() {
         for (equal, blocks) in [(1, 40), (2, 40), (3, 57), (4, 100)] {
@@ -263,7 +267,7 @@ mod tests {
                 for block in &lengths[1..=equal] {
                     assert!((block - 0.05).abs() < 1e-9, "{equal} {phase}: {block}");
                 }
-                // The last is what is left.
+                // The last block is cut off by the end of the horizon.
                 let whole = &lengths[1..lengths.len() - 1];
                 let growth = whole.windows(2).map(|w| w[1] / w[0]);
                 assert!(growth.clone().all(|factor| factor < 2.0 + 1e-9));

@@ -1,19 +1,19 @@
 //! Closed-loop model-predictive control on the full rod.
 //!
-//! A [`Controller`] is made of an arm, a task and a discretization, as a solve is. Once a sample period it takes the measured state,
+//! A [`Controller`] is made from an arm, a task and a discretization, as a solve is. Once per sample period it takes the measured state,
 //! positions, rotations and momenta of all nodes, and returns the wrenches to apply until the next sample. The measured state is a
-//! parameter of its linearized model, so that the answer to a measurement is one small quadratic program; all that costs time is
-//! prepared before the measurement arrives (the real-time iteration of Diehl, Bock and Schlöder 2005). No sample after the first
-//! allocates memory, but for the slopes of obstacles and limits.
+//! parameter of its linearized model, so that the response to a measurement is one small quadratic program; all slow work is done before
+//! the measurement arrives (the real-time iteration of Diehl, Bock and Schlöder 2005). No sample after the first allocates memory, except
+//! for the slopes of obstacles and limits.
 //!
-//! A [`Plant`] obeys commands and is measured: [`RodPlant`] is an arm with a grid and a material of its own, whose state a [`Transfer`]
+//! A [`Plant`] executes commands and is measured: [`RodPlant`] is an arm with a grid and a material of its own, whose state a [`Transfer`]
 //! carries to the model's nodes; hardware and other simulators implement the trait.
 //!
-//! Where the state cannot be measured, a [`Sensor`] gives [`Measurement`]s, late and with noise, and an [`Estimator`] makes of them an
-//! [`Estimate`] of the state and of what disturbs the arm: a [`BoundaryObserver`], or a [`KalmanFilter`] with its covariance.
+//! If the state cannot be measured, a [`Sensor`] gives [`Measurement`]s, late and with noise, and an [`Estimator`] computes from them an
+//! [`Estimate`] of the state and of the disturbances of the arm: a [`BoundaryObserver`], or a [`KalmanFilter`] with its covariance.
 //!
-//! A [`ClosedLoop`] puts all of it together in simulation. A [`Driver`] is its half that computes: with estimator and fall-backs, for a plant of
-//! one's own. [`serve`] drives a plant in another process by lines of JSON.
+//! A [`ClosedLoop`] combines all of these in simulation. A [`Driver`] is its computing side, with estimator and fallbacks, for a user's own
+//! plant. [`serve`] drives a plant in another process by lines of JSON.
 //!
 //! ```
 //! use nalgebra::Vector3;
@@ -44,8 +44,8 @@
 //! let mut plant = RodPlant::new(&rod, start, settings.period, stable_step(&rod), controller.rod());
 //! for _ in 0..3 {
 //!     let command = controller.feedback(&plant.measure())?;
-//!     plant.apply(command)?;
-//!     controller.prepare()?;
+//!     plant.apply(&command)?;
+//!     command.prepare()?;
 //! }
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -58,23 +58,27 @@ mod holding;
 mod horizon;
 mod knots;
 mod limits;
+mod motions;
 mod plant;
+mod rows;
 mod sensor;
 mod serving;
 mod signal;
 mod simulated_arm;
 mod soft_rows;
-mod speeds;
 mod subproblem;
 mod transfer;
 
 pub use closed_loop::{
     Action, Cause, ClosedLoop, Computing, Contender, Driver, EstimatorChoice, Experiment,
     FallbackSettings, Innovations, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles,
-    Sample, SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
+    Responded, Sample, SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains,
+    Unknowns,
 };
 pub(crate) use controller::with_long_steps;
-pub use controller::{Command, Controller, EffortFrom, MpcSettings, ReferenceNeed, SampleRecord};
+pub use controller::{
+    Command, Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord,
+};
 pub use error::MpcError;
 pub use estimator::{
     BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,

@@ -1,25 +1,25 @@
-//! What a controller acts on.
+//! The plant: the system that a controller acts on.
 
 use super::controller::Command;
 use super::transfer::Transfer;
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
 
-/// A system that obeys commands and whose state can be asked for: a simulated arm, another simulator, or hardware.
+/// A system that executes commands and reports its state: a simulated arm, another simulator, or hardware.
 pub trait Plant {
-    /// Why a command could not be applied.
+    /// Error of a command that could not be applied.
     type Error;
 
     /// Applies a command from its start to its end.
     ///
     /// # Errors
-    /// Where that is impossible.
+    /// Returns an error if the command cannot be applied.
     fn apply(&mut self, command: &Command) -> Result<(), Self::Error>;
 
-    /// The present state on the nodes of the controller's model.
+    /// Returns the present state on the nodes of the controller's model.
     fn measure(&mut self) -> State;
 }
 
-/// A simulated arm: a rod of its own, with its own grid, step, stiffness, mass and damping, that a controller knows by a model of other
+/// A simulated arm: a rod with its own grid, step, stiffness, mass and damping, which the controller knows only by a model with other
 /// elements.
 #[derive(Clone, Debug)]
 pub struct RodPlant<'a> {
@@ -27,15 +27,15 @@ pub struct RodPlant<'a> {
     stepper: Stepper<'a>,
     step: f64,
     transfer: Transfer,
-    /// Of every node of the model, the nearest own one.
+    /// Nearest own node of every node of the model.
     nearest: Vec<usize>,
     nodes: Vec<usize>,
     wrenches: [Vec<Wrench>; 2],
 }
 
 impl<'a> RodPlant<'a> {
-    /// An arm that starts at time 0 from `initial`, a state on its own nodes, with steps of at most `longest_step` (s) that divide the
-    /// sample period; `model` is the rod of the controller.
+    /// Creates an arm that starts at time 0 from `initial`, a state on its own nodes, with steps of at most `longest_step` (s) that divide
+    /// the sample period; `model` is the rod of the controller.
     #[must_use]
     pub fn new(rod: &'a Rod, initial: State, period: f64, longest_step: f64, model: &Rod) -> Self {
         let steps = (period / longest_step * (1.0 - 1e-9)).ceil().max(1.0);
@@ -52,19 +52,19 @@ impl<'a> RodPlant<'a> {
         }
     }
 
-    /// The arm's rod.
+    /// Returns the arm's rod.
     #[must_use]
     pub fn rod(&self) -> &'a Rod {
         self.rod
     }
 
-    /// Its state on its own nodes.
+    /// Returns the state on the arm's own nodes.
     #[must_use]
     pub fn state(&self) -> State {
         self.stepper.state()
     }
 
-    /// How far the model's nodes are from describing the present shape, m: see [`Transfer::error`].
+    /// Returns the error of the present shape on the model's nodes, m: see [`Transfer::error`].
     #[must_use]
     pub fn transfer_error(&self) -> f64 {
         self.transfer.error(&self.stepper.state().configuration)

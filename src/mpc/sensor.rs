@@ -1,4 +1,4 @@
-//! Simulated sensors: what is measured of a plant, how often, how late and with what noise.
+//! Simulated sensors: the measured quantities of a plant, with their rate, age and noise.
 
 use nalgebra::Vector3;
 
@@ -9,12 +9,13 @@ use crate::mechanics::place::node_places;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{Rod, State};
 
-/// Kinds of sensors, with noise, rate and age as they are usual.
+/// Usual sensors, with their noise, rate and age.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum SensorPreset {
-    /// The whole state on the nodes of the model, exact and at once, 1000 Hz.
+    /// The whole state on the nodes of the model, exact and at once, 1000 Hz. A filter assumes that velocities are off
+    /// by a hundredth of the length over the time scale, because no model has the fast waves of an arm right.
     State,
     /// Motion capture: poses at a third, two thirds and all of the length; 0.2 mm, 0.2 degrees, 200 Hz, 5 ms.
     Mocap,
@@ -31,16 +32,17 @@ pub enum SensorPreset {
     Imu,
 }
 
-/// Stations of a fiber.
+/// Number of stations of a fiber.
 const STATIONS: usize = 12;
-/// Error of the tip's position after the integration of a fiber's curvatures, over the length.
+/// Error of the tip's position after the integration of a fiber's curvatures, divided by the length.
 const FIBER_ERROR: f64 = 0.02;
 
 impl SensorPreset {
-    /// Its settings for an arm; `model` is the rod whose nodes [`Self::State`] gives, and whose length counts for [`Self::Fbg`].
+    /// Returns the settings of this kind for an arm; `model` is the rod whose nodes [`Self::State`] measures, and whose length enters
+    /// [`Self::Fbg`].
     ///
-    /// Independent curvatures of standard deviation `σ` at `n` stations `L/n` apart put the tip off by `σ L²/sqrt(3 n)` across, to first
-    /// order for a straight arm: that is 2 % of `L`.
+    /// Independent curvatures of standard deviation `σ` at `n` stations `L/n` apart displace the tip laterally by `σ L²/sqrt(3 n)`, to
+    /// first order for a straight arm; that is set to 2 % of `L`.
     #[must_use]
     pub fn settings(self, model: &Rod) -> SensorSettings {
         let degrees = f64::to_radians;
@@ -108,10 +110,10 @@ impl SensorPreset {
     }
 }
 
-/// What a [`Sensor`] measures. Every standard deviation is that of each of three numbers; `None`: not measured, 0: exact.
+/// Settings of a [`Sensor`]. Every standard deviation is that of each of three values; `None` means not measured, 0 means exact.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorSettings {
-    /// Where: arc length over the arm's length, 0 to 1.
+    /// Places of the measurements: arc length divided by the arm's length, 0 to 1.
     pub places: Vec<f64>,
     /// Positions at the places, m.
     pub position: Option<f64>,
@@ -127,16 +129,16 @@ pub struct SensorSettings {
     pub base_force: Option<f64>,
     /// Moment on the clamp, N m.
     pub base_moment: Option<f64>,
-    /// Measurements a second, Hz.
+    /// Measurements per second, Hz.
     pub rate_hz: f64,
     /// Time from the instant of a measurement until it is known, s.
     pub age_s: f64,
-    /// Seed of the noise: the same seed gives the same noise. Several sensors need a seed each.
+    /// Seed of the noise: equal seeds give equal noise. Several sensors need different seeds.
     pub seed: u64,
 }
 
 impl SensorSettings {
-    /// Nothing, 100 times a second and at once; say what with `..`.
+    /// Returns a sensor without measured quantities, at 100 Hz and without delay, to be completed with `..`.
     #[must_use]
     pub fn nothing() -> Self {
         Self {
@@ -154,7 +156,7 @@ impl SensorSettings {
         }
     }
 
-    /// What is measured at every place, and at the clamp, with the standard deviations.
+    /// Returns the measured kinds at every place and at the clamp, with their standard deviations.
     fn kinds(&self) -> [[Option<(Kind, f64)>; 5]; 2] {
         let with = |kind: Kind, sigma: Option<f64>| sigma.map(|sigma| (kind, sigma));
         [
@@ -224,7 +226,7 @@ impl SensorSettings {
     }
 }
 
-/// Part of a period by which a measurement may be early, for rounding.
+/// Fraction of a period by which a measurement may be early, for rounding.
 const EARLY: f64 = 1e-6;
 
 /// A simulated sensor on a plant.
@@ -234,16 +236,16 @@ pub struct Sensor {
     rod: Rod,
     reader: Reader,
     dice: fastrand::Rng,
-    /// Number of the next measurement.
+    /// Index of the next measurement.
     next: f64,
 }
 
 impl Sensor {
-    /// A sensor on an arm with this rod; its first measurement is due at time 0.
+    /// Creates a sensor for an arm with this rod; its first measurement is due at time 0.
     ///
     /// # Errors
-    /// [`MpcError::Setting`] for a place, a standard deviation, a rate or an age out of range, and [`MpcError::Unsupported`] where nothing is
-    /// measured.
+    /// Returns [`MpcError::Setting`] for a place, a standard deviation, a rate or an age out of range, and [`MpcError::Unsupported`] if
+    /// nothing is measured.
     pub fn new(settings: &SensorSettings, plant: &Rod) -> Result<Self, MpcError> {
         settings.check()?;
         Ok(Self {
@@ -255,29 +257,29 @@ impl Sensor {
         })
     }
 
-    /// What it was made of.
+    /// Returns the settings.
     #[must_use]
     pub fn settings(&self) -> &SensorSettings {
         &self.settings
     }
 
-    /// When the next measurement is due, s.
+    /// Returns the time at which the next measurement is due, s.
     #[must_use]
     pub fn next_due(&self) -> f64 {
         self.next / self.settings.rate_hz
     }
 
-    /// Whether a measurement is due at time `t`, s.
+    /// Tells whether a measurement is due at time `t`, s.
     #[must_use]
     pub fn is_due(&self, t: f64) -> bool {
         t * self.settings.rate_hz >= self.next - EARLY
     }
 
-    /// Measures a plant that is at time `t` (s) in `state`, on its own nodes; the next measurement is due at the next of the multiples of the
-    /// sensor's period. What is measured is known from `t` plus the [age](SensorSettings::age_s) on.
+    /// Measures a plant at time `t` (s) in `state`, on its own nodes; the next measurement is due at the next multiple of the sensor's
+    /// period. The measurement is known from `t` plus the [age](SensorSettings::age_s) on.
     ///
     /// # Errors
-    /// [`MpcError::Measurement`] for a state of another size.
+    /// Returns [`MpcError::Measurement`] for a state of another size.
     pub fn measure(
         &mut self,
         t: f64,
@@ -323,7 +325,8 @@ impl Sensor {
     }
 }
 
-/// A seed far from those of near seeds, whose first numbers would resemble each other: the finalizer of SplitMix64 (Steele, Lea and Flood 2014).
+/// Returns a seed far from those of neighboring seeds, whose first numbers would resemble each other: the finalizer of SplitMix64 (Steele,
+/// Lea and Flood 2014).
 fn scattered(seed: u64) -> u64 {
     let mut z = seed.wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -331,13 +334,13 @@ fn scattered(seed: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A number from the standard normal distribution, by Box and Muller's formula.
+/// Returns a number from the standard normal distribution, by Box and Muller's formula.
 fn normal(dice: &mut fastrand::Rng) -> f64 {
     let radius = (-2.0 * (1.0 - dice.f64()).ln()).sqrt();
     radius * (std::f64::consts::TAU * dice.f64()).cos()
 }
 
-/// Whether a state has one of everything for every node of a rod.
+/// Checks that a state has positions, rotations and momenta of every node of a rod.
 pub(super) fn state_fits(state: &State, rod: &Rod) -> Result<(), MpcError> {
     let n = rod.n_nodes();
     let sizes = [

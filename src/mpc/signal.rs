@@ -1,4 +1,4 @@
-//! What sensors say, and what a sample of it is worth.
+//! The signals of sensors, with their accuracy.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -13,17 +13,18 @@ pub enum Reading {
     Velocity(Vector3<f64>),
     /// Angular velocity of a section, body frame, rad/s.
     AngularVelocity(Vector3<f64>),
-    /// Curvature and twist `ψ/l`, `ψ = log(R_aᵀ R_b)` of the ends of an element, with the stress-free shape included, body frame, 1/m: the
-    /// mean over an element belongs to its middle, between middles it is linear, and so it is outside of the first and the last one.
+    /// Curvature and twist `ψ/l`, `ψ = log(R_aᵀ R_b)` of the ends of an element, including that of the stress-free shape, body frame, 1/m.
+    /// The mean over an element is its value at the element's middle; between middles it is linear, and it is extrapolated linearly beyond
+    /// the first and the last one.
     Curvature(Vector3<f64>),
-    /// Force of the arm on its clamp, spatial, N: what the first element pulls node 0 with, and the weight of node 0.
+    /// Force of the arm on its clamp, spatial frame, N: the pull of the first element on node 0, plus the weight of node 0.
     BaseForce(Vector3<f64>),
     /// Moment of the arm on its clamp about node 0, in the body frame of node 0, N m.
     BaseMoment(Vector3<f64>),
 }
 
 impl Reading {
-    /// Whether all its numbers are finite.
+    /// Tells whether all values are finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         match self {
@@ -38,22 +39,22 @@ impl Reading {
     }
 }
 
-/// One reading at one place: three numbers with independent noise of one standard deviation.
+/// One reading at one place: three values with independent noise of the same standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Signal {
-    /// Arc length from the base over the arm's length, 0 to 1: a place is the same on every grid. Between two nodes poses lie on the helix
-    /// of a [`Transfer`](super::Transfer), and velocities are linear. Of no meaning for what the clamp feels.
+    /// Arc length from the base divided by the arm's length, 0 to 1, so that a place is the same on every grid. Between two nodes poses lie
+    /// on the helix of a [`Transfer`](super::Transfer), and velocities are linear. Without meaning for forces and moments on the clamp.
     pub place: f64,
-    /// The value.
+    /// Value of the reading.
     pub reading: Reading,
-    /// Standard deviation of each of its three numbers, in the unit of the reading (rad for a rotation); 0: exact.
+    /// Standard deviation of each of its three values, in the unit of the reading (rad for a rotation); 0 for an exact one.
     pub sigma: f64,
 }
 
-/// What a sensor saw at one instant.
+/// The measurement of a sensor at one time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measurement {
-    /// When it was true, s; it may be known later.
+    /// Time of the measurement, s; it may become known later.
     pub time: f64,
     /// The signals, all of that instant.
     pub signals: Vec<Signal>,

@@ -1,4 +1,4 @@
-//! A simulated arm as a plant: its own grid and step, and actuators that are late, slow and limited.
+//! A simulated arm as a plant: its own grid and step, and actuators with delay, lag and limits.
 
 use std::collections::VecDeque;
 
@@ -11,10 +11,10 @@ use crate::mechanics::stability::automatic_step;
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
 use crate::task::{Arm, Discretization};
 
-/// What lies between a command and the wrench that acts. The default is an actuator that obeys at once and exactly.
+/// The dynamics between a command and the wrench that acts. The default is an actuator without delay, lag and limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActuatorDynamics {
-    /// Time until a command has any effect, s.
+    /// Time until a command has an effect, s.
     pub delay: f64,
     /// Time constant of a first-order lag, s.
     pub lag: f64,
@@ -68,7 +68,7 @@ impl ActuatorDynamics {
         Ok(())
     }
 
-    /// The wrench one step of length `h` after `from`, on the way to `to`.
+    /// Returns the wrench one step of length `h` after `from`, toward `to`.
     fn follow(&self, from: &Wrench, to: &Wrench, h: f64) -> Wrench {
         let part = if self.lag > 0.0 {
             1.0 - (-h / self.lag).exp()
@@ -78,7 +78,7 @@ impl ActuatorDynamics {
         let one = |from: Vector3<f64>, to: Vector3<f64>, most: f64, rate: f64| {
             let change = (to - from) * part;
             let change = change * (rate * h / change.norm()).min(1.0);
-            // No change at all has no direction.
+            // A zero change has no direction.
             let next = if change.iter().all(|c| c.is_finite()) {
                 from + change
             } else {
@@ -103,7 +103,7 @@ impl ActuatorDynamics {
     }
 }
 
-/// A simulated arm with its own elements and step, that is told commands on the nodes of a controller's model.
+/// A simulated arm with its own elements and step, which receives commands on the nodes of a controller's model.
 ///
 /// Loads of its [`Arm`] that the model does not have are disturbances: pushes with a profile, a payload, a weight along the arm.
 #[derive(Debug)]
@@ -113,12 +113,12 @@ pub struct SimulatedArm<'a> {
     step: f64,
     n_steps: usize,
     transfer: Transfer,
-    /// Of every node of the model, the nearest own one.
+    /// Nearest own node of every node of the model.
     nearest: Vec<usize>,
     actuators: ActuatorDynamics,
     /// Commands that act or will act, the earliest first.
     sent: VecDeque<Command>,
-    /// Own nodes on which commands act, and what acts there now.
+    /// Own nodes on which commands act, and the present wrenches there.
     nodes: Vec<usize>,
     acting: Vec<Wrench>,
     next: Vec<Wrench>,
@@ -126,11 +126,11 @@ pub struct SimulatedArm<'a> {
 }
 
 impl<'a> SimulatedArm<'a> {
-    /// An arm at time 0 in `initial`, a state on its own nodes. Its step is the automatic one, shortened so that it divides `period` (s);
-    /// `nodes` of `model` are those that commands act on.
+    /// Creates an arm at time 0 in `initial`, a state on its own nodes. Its step is the automatic one, shortened so that it divides
+    /// `period` (s); `nodes` of `model` are those on which commands act.
     ///
     /// # Errors
-    /// [`MpcError::Setting`] for actuators out of range.
+    /// Returns [`MpcError::Setting`] for actuators out of range.
     pub fn new(
         rod: &'a Rod,
         initial: State,
@@ -164,71 +164,71 @@ impl<'a> SimulatedArm<'a> {
         })
     }
 
-    /// The rod of an arm for [`new`](Self::new), and its state at rest where the task begins.
+    /// Returns the rod of an arm for [`new`](Self::new).
     ///
     /// # Errors
-    /// [`MpcError::Discretize`].
+    /// Returns [`MpcError::Discretize`].
     pub fn rod_of(arm: &Arm, discretization: &Discretization) -> Result<Rod, MpcError> {
         arm.rod(discretization)
             .map_err(|error| MpcError::Discretize(error.into()))
     }
 
-    /// Its rod.
+    /// Returns the rod.
     #[must_use]
     pub fn rod(&self) -> &'a Rod {
         self.rod
     }
 
-    /// The present time, s.
+    /// Returns the present time, s.
     #[must_use]
     pub fn time(&self) -> f64 {
         self.n_steps as f64 * self.step
     }
 
-    /// Its step, s: events happen at the next of its multiples.
+    /// Returns the step, s; events happen at the next multiple of it.
     #[must_use]
     pub fn step(&self) -> f64 {
         self.step
     }
 
-    /// The state on its own nodes.
+    /// Returns the state on the arm's own nodes.
     #[must_use]
     pub fn state(&self) -> State {
         self.stepper.state()
     }
 
-    /// The same on the nodes of the model.
+    /// Returns the state on the nodes of the model.
     #[must_use]
     pub fn state_on_model(&self) -> State {
         self.transfer.state(&self.stepper.state())
     }
 
-    /// Position of the tip, m.
+    /// Returns the position of the tip, m.
     #[must_use]
     pub fn tip(&self) -> Vector3<f64> {
         self.stepper.position(self.rod.tip())
     }
 
-    /// Orientation of the tip, body to space.
+    /// Returns the orientation of the tip, body to space.
     #[must_use]
     pub fn tip_rotation(&self) -> Matrix3<f64> {
         self.stepper.state().configuration.rotations[self.rod.tip()]
     }
 
-    /// What acts on the nodes of the commands now.
+    /// Returns the present wrenches on the nodes of the commands.
     #[must_use]
     pub fn acting(&self) -> &[Wrench] {
         &self.acting
     }
 
-    /// How far the model's nodes are from describing the present shape, m.
+    /// Returns the error of the present shape on the model's nodes, m.
     #[must_use]
     pub fn transfer_error(&self) -> f64 {
         self.transfer.error(&self.stepper.state().configuration)
     }
 
-    /// Takes a command that acts from its start on, later by the actuators' delay, in the place of any other that it overlaps; on nodes of
-    /// the model that the arm was made for.
+    /// Takes a command that acts from its start on, later by the actuators' delay, in the place of any other that it overlaps; its nodes
+    /// must be those for which the arm was created.
     pub fn send(&mut self, command: &Command) {
         let start = command.start;
         self.sent.retain(|other| other.start < start);
@@ -238,7 +238,7 @@ impl<'a> SimulatedArm<'a> {
     /// Simulates until the time `until`, s.
     ///
     /// # Errors
-    /// [`StepError`] where the motion breaks down.
+    /// Returns [`StepError`] if the motion breaks down.
     pub fn advance(&mut self, until: f64) -> Result<(), StepError> {
         let last = (until / self.step - 1e-6).ceil().max(0.0) as usize;
         while self.n_steps < last {
@@ -256,7 +256,7 @@ impl<'a> SimulatedArm<'a> {
         Ok(())
     }
 
-    /// What the commands ask for at time `t`.
+    /// Computes the wrenches that commands request at time `t`.
     fn want(&mut self, t: f64) {
         let told = t - self.actuators.delay;
         let rounding = 1e-9 * self.step;

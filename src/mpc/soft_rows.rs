@@ -1,4 +1,4 @@
-//! Rows of a sample's quadratic program that may be violated at a price.
+//! Soft rows of a sample's quadratic program, which may be violated with a penalty.
 //!
 //! A row `r = r₀ + j·x` costs `w₁ σ + ½ w₂ σ²` with `σ = max(r, 0)`. In the interior-point method `σ` is a variable of its own, with
 //!
@@ -6,23 +6,23 @@
 //! s₁ = σ - r ≥ 0,  s₂ = σ ≥ 0,      w₁ + w₂ σ = y₁ + y₂,      y₁ s₁ = y₂ s₂ = τ
 //! ```
 //!
-//! which Newton's step eliminates: with `a = y₁/s₁`, `b = y₂/s₂`, `D = w₂ + a + b` and `c = w₁ + w₂ σ - τ/s₁ - τ/s₂`, the row adds
-//! `a (w₂ + b)/D j jᵀ` to the matrix and `j (τ/s₁ + a c/D)` to the gradient, and its own step is `Δσ = (a j·Δx - c)/D`. A price above the
-//! multiplier that the row would have as a constraint keeps it (an exact penalty; Nocedal and Wright 2006, section 17.2).
+//! which Newton's step eliminates: with `a = y₁/s₁`, `b = y₂/s₂`, `D = w₂ + a + b` and `c = w₁ + w₂ σ - τ/s₁ - τ/s₂`, the row adds `a (w₂ +
+//! b)/D j jᵀ` to the matrix and `j (τ/s₁ + a c/D)` to the gradient, and its own step is `Δσ = (a j·Δx - c)/D`. With a price above the
+//! multiplier that the row would have as a constraint, the row holds (an exact penalty; Nocedal and Wright 2006, section 17.2).
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 
 use super::subproblem::INSIDE;
 
-/// Rows with prices, and the memory of their steps.
+/// Rows with penalties, and the memory of their steps.
 #[derive(Debug)]
 pub(super) struct SoftRows {
-    /// `r` at `x = 0`, one a row.
+    /// `r` at `x = 0`, one per row.
     pub values: Vec<f64>,
     /// `w₁` and `w₂`.
     pub prices: Vec<[f64; 2]>,
-    /// `j`: a column of each row.
+    /// `j`: one column per row.
     pub slopes: Mat<f64>,
     weighted: Mat<f64>,
     r: Vec<f64>,
@@ -33,7 +33,7 @@ pub(super) struct SoftRows {
 }
 
 impl SoftRows {
-    /// For so many variables, and at most so many rows.
+    /// Creates memory for `n` variables and at most `most` rows.
     pub fn new(n: usize, most: usize) -> Self {
         Self {
             values: Vec::with_capacity(most),
@@ -51,7 +51,7 @@ impl SoftRows {
         self.values.len()
     }
 
-    /// What the rows cost at `x = 0`.
+    /// Returns the penalty of the rows at `x = 0`.
     pub fn cost(&self) -> f64 {
         (self.values.iter().zip(&self.prices))
             .map(|(r, [w1, w2])| {
@@ -61,7 +61,7 @@ impl SoftRows {
             .sum()
     }
 
-    /// The largest value at `x`; negative infinity without rows.
+    /// Returns the largest value of a row at `x`; negative infinity without rows.
     pub fn largest(&self, x: &[f64]) -> f64 {
         (0..self.len())
             .map(|i| self.values[i] + self.times(i, x))
@@ -73,7 +73,7 @@ impl SoftRows {
         slopes.iter().zip(x).map(|(j, x)| j * x).sum()
     }
 
-    /// Slacks and multipliers at `x` whose products are `product`, as far as the prices allow.
+    /// Sets slacks and multipliers at `x` to the products `product`, as far as the prices allow.
     pub fn start(&mut self, x: &[f64], product: f64) {
         for i in 0..self.len() {
             let r = self.values[i] + self.times(i, x);
@@ -88,7 +88,7 @@ impl SoftRows {
         }
     }
 
-    /// Sum of the products of slacks and multipliers.
+    /// Returns the sum of the products of slacks and multipliers.
     pub fn gap(&self) -> f64 {
         (0..self.len())
             .map(|i| {
@@ -98,7 +98,7 @@ impl SoftRows {
             .sum()
     }
 
-    /// Adds to the lower half of the matrix, and to minus the gradient, what the rows do where products are aimed at `target`.
+    /// Adds the terms of the rows to the lower half of the matrix and to minus the gradient, for the products `target`.
     pub fn assemble(&mut self, target: f64, matrix: &mut Mat<f64>, direction: &mut Mat<f64>) {
         let m = self.len();
         if m == 0 {
@@ -122,7 +122,8 @@ impl SoftRows {
         matmul(matrix, Accum::Add, weighted, transposed, 1.0, Par::Seq);
     }
 
-    /// Steps of the rows where `x` moves along `direction`, and the longest part of them that leaves slacks and multipliers positive.
+    /// Computes the steps of the rows when `x` moves along `direction`; returns the longest fraction of them that leaves slacks and
+    /// multipliers positive.
     pub fn step(&mut self, direction: &[f64], target: f64) -> f64 {
         let mut longest = f64::INFINITY;
         for i in 0..self.len() {
@@ -147,7 +148,7 @@ impl SoftRows {
         longest
     }
 
-    /// Goes a part of the last [step](Self::step).
+    /// Moves by a fraction of the last [step](Self::step).
     pub fn advance(&mut self, part: f64) {
         for i in 0..self.len() {
             let [along, sigma, first, second] = self.along[i];
@@ -174,7 +175,7 @@ impl SoftRows {
     }
 }
 
-/// The numbers of the head of this file; `pull` is `τ/s₁`.
+/// The quantities named at the head of this file; `pull` is `τ/s₁`.
 struct Terms {
     a: f64,
     b: f64,

@@ -1,10 +1,11 @@
-//! The quadratic program of one sample, with memory of its own: `min ½ xᵀHx + gᵀx` with `a_i + A_i x` in balls and intervals about zero, with
-//! variables that are fixed, and with [rows](super::soft_rows) that may be violated at a price.
+//! The quadratic program of one sample, with memory of its own: `min ½ xᵀHx + gᵀx` with `a_i + A_i x` in balls and intervals about zero,
+//! with fixed variables, and with [rows](super::soft_rows) that may be violated with a penalty.
 //!
-//! Where the minimum without sets is feasible it is the answer. Elsewhere a primal-dual interior-point method finds the minimum (Boyd and
-//! Vandenberghe 2004, section 11.7): one factorization of `n × n` an iteration. The caller knows a point strictly within all sets, from which
-//! the first iterate is drawn; all iterates stay strictly within their sets, so that a control within its bounds is what comes out whenever
-//! the method is stopped. Fixed variables are left out of every system: a penalty that holds them would spoil its condition.
+//! If the minimum without sets is feasible, it is the solution. Otherwise a primal-dual interior-point method finds the minimum (Boyd and
+//! Vandenberghe 2004, section 11.7), with one factorization of an `n × n` matrix per iteration. The caller knows a point strictly within
+//! all sets, from which the first iterate is derived; all iterates stay strictly within their sets, so that the control is within its
+//! bounds whenever the method is stopped. Fixed variables are left out of every system: a penalty that holds them would make it
+//! ill-conditioned.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt;
@@ -16,19 +17,19 @@ use faer::{Mat, Par, Spec};
 use super::error::MpcError;
 use super::soft_rows::SoftRows;
 
-/// Part of the way to zero that a multiplier may go, and of the product of multiplier and slack that the next is aimed at: Boyd and
-/// Vandenberghe 2004, pages 612 and 613.
+/// Fraction of the way to zero that a multiplier may go, and factor on the product of multiplier and slack from one iteration to the next:
+/// Boyd and Vandenberghe 2004, pages 612 and 613.
 pub(super) const INSIDE: f64 = 0.99;
 const CENTERING: f64 = 0.1;
-/// Part of the room that a set leaves at the caller's inner point which the first iterate uses at the most.
+/// Largest fraction of a set's room at the caller's inner point that the first iterate uses.
 const BEGIN: f64 = 0.9;
-/// Shortest step within the sets before a solve gives up.
+/// Length of a step within the sets below which a solve ends.
 const SHORTEST: f64 = 1e-10;
 
-/// A row of `A`: few entries.
+/// A row of `A` with its few entries.
 pub(super) type Row = [(usize, f64); 2];
 
-/// Where consecutive rows must be.
+/// The set of consecutive rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Set {
     /// One row, `|z| ≤ limit`.
@@ -45,7 +46,7 @@ impl Set {
         }
     }
 
-    /// `½ (|z|² - radius²)/radius`, which is at most zero within the set.
+    /// Returns `½ (|z|² - radius²)/radius`, which is at most zero within the set.
     fn excess(self, z: &[f64]) -> f64 {
         let square = z.iter().map(|z| z * z).sum::<f64>();
         let limit = self.limit();
@@ -58,28 +59,28 @@ impl Set {
         }
     }
 
-    /// Whether it limits anything.
+    /// Tells whether the set has a finite limit.
     fn bounds(self) -> bool {
         self.limit().is_finite()
     }
 }
 
-/// How an answer was found.
+/// The end of a solve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SubproblemEnd {
-    /// Iterations of the interior-point method; 0 where no bound is active.
+    /// Iterations of the interior-point method; 0 if no bound is active.
     pub iterations: usize,
-    /// Whether it came to its tolerance.
+    /// Tells whether the tolerance was reached.
     pub converged: bool,
 }
 
-/// The program, and its memory.
+/// The program and its memory.
 pub(super) struct Subproblem {
     pub hessian: Mat<f64>,
     pub rows: Vec<Row>,
     pub sets: Vec<Set>,
     pub soft: SoftRows,
-    /// Variables that have the values of the inner point.
+    /// Variables that are fixed to the values of the inner point.
     pub fixed: Vec<bool>,
     /// Cholesky factor of `H`, and of the matrix of an iteration.
     free: Mat<f64>,
@@ -88,7 +89,7 @@ pub(super) struct Subproblem {
     direction: Mat<f64>,
     /// `Hx + g`.
     slope: Vec<f64>,
-    /// Values of the rows, and at a trial.
+    /// Values of the rows at `x`, and at a trial point.
     z: Vec<f64>,
     trial: Vec<f64>,
     moved: Vec<f64>,
@@ -106,13 +107,13 @@ impl std::fmt::Debug for Subproblem {
 
 #[cfg(test)]
 thread_local! {
-    /// Which factorizations of this thread fail, for tests of what a loop does then.
+    /// Decides which factorizations of this thread fail, for tests of a loop.
     pub(in crate::mpc) static FAILS: std::cell::RefCell<Box<dyn FnMut() -> bool>> =
         std::cell::RefCell::new(Box::new(|| false));
 }
 
 impl Subproblem {
-    /// For at most so many variables, rows and soft rows.
+    /// Creates memory for at most `n` variables and the given numbers of rows and soft rows.
     pub fn new(n: usize, most_rows: usize, most_soft: usize) -> Self {
         let need = llt::factor::cholesky_in_place_scratch::<f64>(n, Par::Seq, Spec::default());
         Self {
@@ -133,10 +134,10 @@ impl Subproblem {
         }
     }
 
-    /// Factors the Hessian of the variables that are not fixed.
+    /// Factors the Hessian of the free variables.
     ///
     /// # Errors
-    /// [`MpcError::Subproblem`] where it has no factor.
+    /// Returns [`MpcError::Subproblem`] if it has no factor.
     pub fn factor(&mut self) -> Result<(), MpcError> {
         #[cfg(test)]
         if FAILS.with_borrow_mut(|fails| fails()) {
@@ -147,10 +148,10 @@ impl Subproblem {
         factor(&mut self.free, &mut self.scratch)
     }
 
-    /// The minimum for the gradient `g`, where the rows have the values `a` at `x = 0`: written to `x`. `inside` is a point strictly within all
-    /// sets, with the values of the fixed variables. Ends when the duality gap is below `tolerance` times the decrease that the minimum without
-    /// sets promises, after `limit` iterations, or where rounding leaves the matrix of an iteration without a factor; `x` is within all sets
-    /// whichever it is.
+    /// Computes the minimum for the gradient `g`, where the rows have the values `a` at `x = 0`, and writes it to `x`. `inside` is a point
+    /// strictly within all sets, with the values of the fixed variables. The method ends when the duality gap is below `tolerance` times
+    /// the decrease that the minimum without sets would bring, after `limit` iterations, or if rounding leaves the matrix of an iteration
+    /// without a factor; in each case `x` is within all sets.
     pub fn solve(
         &mut self,
         g: &[f64],
@@ -219,15 +220,16 @@ impl Subproblem {
         }
     }
 
-    /// Zero, with the values of the fixed variables.
+    /// Writes zero, with the values of the fixed variables.
     fn begin(&self, inside: &[f64], x: &mut [f64]) {
         for ((x, inside), fixed) in x.iter_mut().zip(inside).zip(&self.fixed) {
             *x = if *fixed { *inside } else { 0.0 };
         }
     }
 
-    /// The first iterate: `x = 0`, drawn towards the inner point as far as it takes to leave a part of every set's room there; and multipliers
-    /// whose products with the slacks are `product`. False where the inner point is none, to rounding: it is then the iterate.
+    /// Computes the first iterate: `x = 0`, moved toward the inner point as far as needed to leave a fraction of every set's room there;
+    /// and multipliers whose products with the slacks are `product`. Returns `false` if the inner point is not strictly inside up to
+    /// rounding; it is then the iterate.
     fn start(&mut self, a: &[f64], inside: &[f64], product: f64, x: &mut [f64]) -> bool {
         let norm = |z: &[f64]| z.iter().map(|z| z * z).sum::<f64>().sqrt();
         self.begin(inside, x);
@@ -281,7 +283,7 @@ impl Subproblem {
         })
     }
 
-    /// `H + Σ y f'' + Σ (y/-f) f' f'ᵀ`, and minus the gradient with multipliers that are aimed at `target`.
+    /// Assembles `H + Σ y f'' + Σ (y/-f) f' f'ᵀ`, and minus the gradient with multipliers for the products `target`.
     fn assemble(&mut self, g: &[f64], x: &[f64], target: f64) {
         let n = g.len();
         slope(&self.hessian, g, x, &mut self.slope);
@@ -321,10 +323,10 @@ impl Subproblem {
         }
     }
 
-    /// Goes along the direction, with the multipliers, as far as the sets and the decrease of the residual allow.
+    /// Moves along the direction, with the multipliers, as far as the sets and the decrease of the residual allow.
     fn step(&mut self, a: &[f64], x: &mut [f64], target: f64) -> f64 {
         let n = x.len();
-        // Change of the multipliers, in the place of the trial values, and the longest step that leaves them positive.
+        // Changes of the multipliers, in the memory of the trial values, and the longest step that leaves them positive.
         let mut longest = 1.0f64;
         let mut first = 0;
         for (index, set) in self.sets.iter().enumerate() {
@@ -393,14 +395,14 @@ impl Subproblem {
     }
 }
 
-/// `a + A x`
+/// Writes `a + A x`.
 fn values(rows: &[Row], a: &[f64], x: &[f64], out: &mut [f64]) {
     for ((out, a), row) in out.iter_mut().zip(a).zip(rows) {
         *out = a + row.iter().map(|(j, c)| c * x[*j]).sum::<f64>();
     }
 }
 
-/// `Hx + g`
+/// Writes `Hx + g`.
 fn slope(hessian: &Mat<f64>, g: &[f64], x: &[f64], out: &mut [f64]) {
     out.copy_from_slice(g);
     for (j, x) in x.iter().enumerate() {
@@ -444,8 +446,8 @@ mod tests {
 
     use super::*;
 
-    /// Minima with balls and intervals, active or not, from values within and on the boundary: no higher than what many steps of the
-    /// projected-gradient method find, to the gap that was asked for, and within their sets to the bit.
+    /// Minima with balls and intervals, active or not, from values within and on the boundary: no higher than those of many steps of the
+    /// projected-gradient method, up to the requested gap, and exactly within their sets.
     #[test]
     fn minima_are_those_of_projected_gradients() {
         let n = 12;
@@ -479,7 +481,7 @@ mod tests {
             let inside: Vec<f64> = a.iter().map(|a| -a).collect();
             let end = program.solve(&g, &a, &inside, 1e-10, 60, &mut x);
             assert!(end.converged, "{case}: {end:?}");
-            // Projected gradient.
+            // The same minimum by projected gradients.
             let step = 1.0 / (0..n).map(|i| program.hessian[(i, i)]).sum::<f64>();
             let mut other = vec![0.0; n];
             for _ in 0..100_000 {
@@ -513,7 +515,7 @@ mod tests {
                 super::solve(&program.free, &mut free);
                 (0..n).map(|i| free[(i, 0)]).collect()
             };
-            // The gap is measured by what the minimum without bounds promises.
+            // The requested gap is relative to the decrease that the minimum without bounds would bring.
             let (here, there, promised) = (cost(&x), cost(&other), cost(&free).abs());
             assert!(
                 here <= there + 2e-10 * promised,
@@ -525,8 +527,8 @@ mod tests {
         }
     }
 
-    /// Four vectors of three, of which the first is fixed, also on the boundary of what the others may be, and of which neighbors differ by little, from
-    /// a plan that is feasible or far from it: at the minimum, no way to another feasible point goes down.
+    /// Four vectors of three components, the first of which is fixed, also on the boundary of its ball, and neighbors of which differ by
+    /// little, from a plan that is feasible or far from it: at the minimum, no direction to another feasible point descends.
     #[test]
     fn minima_keep_rates() {
         let n = 12;
@@ -600,14 +602,14 @@ mod tests {
                     (slopes.iter().zip(other.iter().zip(&x))).map(|(s, (to, x))| s * (to - x));
                 steepest = steepest.min(along.sum());
             }
-            // The gap is measured by what the minimum without sets promises, which curvatures above 0.02 bound by 25 |g|².
+            // The gap is relative to the decrease that the minimum without sets would bring, which curvatures above 0.02 bound by 25 |g|².
             let promised = 25.0 * slopes.iter().chain(&g).map(|s| s * s).sum::<f64>() + 1.0;
             assert!(steepest > -1e-8 * promised, "{case}: {steepest:e}");
         }
     }
 
-    /// With rows that may be violated at a price, nothing near the minimum or far from it is cheaper: rows that are kept, that are given way and that
-    /// do not matter, with bounds and without, over ten orders of the prices.
+    /// With soft rows, no point near the minimum or far from it is cheaper: for rows that hold, that are violated and that do not matter,
+    /// with and without bounds, over ten orders of magnitude of the prices.
     #[test]
     fn minima_with_prices_are_minima() {
         let (n, m) = (10, 7);

@@ -1,4 +1,4 @@
-//! States of an arm on the nodes of another rod of the same arm.
+//! The transfer of states between rods of the same arm with different nodes.
 
 use nalgebra::Vector3;
 
@@ -7,21 +7,21 @@ use crate::mechanics::{Configuration, Rod, State};
 
 /// Carries states from the nodes of one rod to those of another, finer or coarser, of the same arm.
 ///
-/// Between two nodes the strain is taken as constant, so that poses lie on a helix,
-/// `R(s) = R_a exp(s ψ)`, `x(s) = x_a + R_a ∫₀ˢ exp(t ψ) dt ε` with `ψ = log(R_aᵀ R_b)`; linear (spatial) and angular (body frame) velocities are
-/// linear. Momenta follow from the velocities and the inertia of the other rod's nodes. Nodes at the same place keep their pose to rounding.
+/// Between two nodes the strain is taken as constant, so that poses lie on a helix, `R(s) = R_a exp(s ψ)`, `x(s) = x_a + R_a ∫₀ˢ exp(t ψ)
+/// dt ε` with `ψ = log(R_aᵀ R_b)`; linear (spatial frame) and angular (body frame) velocities are linear. Momenta follow from the
+/// velocities and the inertia of the other rod's nodes. Nodes at the same place keep their pose up to rounding.
 #[derive(Clone, Debug)]
 pub struct Transfer {
     /// Element and fraction of it of every node of the other rod.
     places: Vec<(usize, f64)>,
-    /// The same for the way back.
+    /// Element and fraction of every node of this rod on the other, for the way back.
     back: Vec<(usize, f64)>,
-    /// Mass and rotary inertia of the nodes, there and here.
+    /// Mass and rotary inertia of the nodes of this rod and of the other.
     inertia: [Vec<(f64, Vector3<f64>)>; 2],
 }
 
 impl Transfer {
-    /// Between rods of the same length; a place on one is the same part of the length on the other.
+    /// Creates the transfer between rods of the same length; a place on one is at the same fraction of the length on the other.
     #[must_use]
     pub fn new(from: &Rod, to: &Rod) -> Self {
         let inertia = |rod: &Rod| {
@@ -35,7 +35,7 @@ impl Transfer {
         }
     }
 
-    /// The state on the other rod's nodes.
+    /// Returns the state on the other rod's nodes.
     #[must_use]
     pub fn state(&self, state: &State) -> State {
         let mut out = State::at_rest(Configuration {
@@ -46,7 +46,7 @@ impl Transfer {
         out
     }
 
-    /// The same in memory that is there.
+    /// Writes the state on the other rod's nodes into existing memory.
     pub fn state_into(&self, state: &State, out: &mut State) {
         let [from, to] = &self.inertia;
         carry(&self.places, &state.configuration, &mut out.configuration);
@@ -65,22 +65,23 @@ impl Transfer {
         );
     }
 
-    /// The nodes here beside a node of the other rod, and the parts that linear functions take of them; `None` for a node that is none.
+    /// Returns the nodes of this rod beside a node of the other, and the weights of linear interpolation; `None` for a node that does not
+    /// exist.
     #[must_use]
     pub fn shares(&self, node: usize) -> Option<[(usize, f64); 2]> {
         let &(q, s) = self.places.get(node)?;
         Some([(q, 1.0 - s), (q + 1, s)])
     }
 
-    /// Of every node of the other rod, the nearest node here.
+    /// Returns the nearest node of this rod for every node of the other.
     #[must_use]
     pub fn nearest(&self) -> Vec<usize> {
         let nearest = |&(q, s): &(usize, f64)| if s > 0.5 { q + 1 } else { q };
         self.places.iter().map(nearest).collect()
     }
 
-    /// How far a node's position is from where it was after a transfer and back, m, at most: what the other rod's nodes do not know of
-    /// the shape.
+    /// Returns the largest distance of a node from its position after a transfer and back, m: the error of the shape on the other rod's
+    /// nodes.
     #[must_use]
     pub fn error(&self, configuration: &Configuration) -> f64 {
         let there = carried(&self.places, configuration);
@@ -109,7 +110,7 @@ fn carry(places: &[(usize, f64)], from: &Configuration, out: &mut Configuration)
     }
 }
 
-/// Of every node of `to`, the element of `from` that it is on and the fraction of it.
+/// Returns, for every node of `to`, the element of `from` on which it lies and the fraction of it.
 fn places(from: &Rod, to: &Rod) -> Vec<(usize, f64)> {
     let own = node_places(from);
     (node_places(to).into_iter())
@@ -157,7 +158,7 @@ mod tests {
         }
     }
 
-    /// Nodes at the same place keep their pose to the bit, whatever the shape; what a coarse grid does not know of it is reported.
+    /// Nodes at the same place keep their pose exactly, whatever the shape is; the error of a coarse grid is reported.
     #[test]
     fn shared_nodes_are_kept() {
         let (fine, coarse) = (rod(8), rod(4));

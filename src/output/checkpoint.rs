@@ -14,45 +14,45 @@ pub(super) const CHECKPOINT_FILE: &str = "checkpoint.json";
 pub(super) const FRESH_CHECKPOINT_FILE: &str = "checkpoint.json.new";
 /// Version of the layout of a checkpoint.
 const CHECKPOINT_VERSION: u32 = 2;
-/// Bytes of a checkpoint beside its scene and its numbers, and more.
+/// Upper limit of the bytes of a checkpoint besides its scene and its numbers.
 const FRAME_BYTES: u64 = 1 << 16;
-/// Numbers of a node: position, rotation, linear and angular momentum.
+/// Number of values per node: position, rotation, linear and angular momentum.
 const NUMBERS_OF_A_NODE: u64 = 18;
-/// A number in text takes at most 24 characters; separators are added to them.
+/// Upper limit of the bytes of a number in text, which takes at most 24 characters, with separators.
 const BYTES_OF_A_NUMBER: u64 = 32;
-/// Largest entry of `RᵀR - 1` of a rotation. The integrator's rotations stray by rounding, which adds up to 1e-8 in 10⁸ steps at worst.
+/// Largest entry of `RᵀR - 1` of a rotation. The integrator's rotations deviate by rounding, which adds up to 1e-8 in 10⁸ steps at worst.
 const ORTHONORMAL: f64 = 1e-6;
 
-/// All that a simulation needs to go on as if it had never stopped. Its numbers are exact: they are written with as many
-/// digits as it takes to read back the same bits. Checksums tell whether it, and the rows that belong to it, are as they were written.
+/// The data from which a simulation continues as if it had never stopped. Its numbers are exact: they are written with enough digits to
+/// read back the same bits. Checksums tell whether the checkpoint and its rows are unchanged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Checkpoint {
     schema_version: u32,
     /// Version of the program; another one may compute other digits.
     softarm: String,
-    /// CRC-32 of the text of this object with 0 in this place.
+    /// CRC-32 of the text of this object with 0 in the place of the checksum.
     checksum: u32,
-    /// Steps taken.
+    /// Number of steps taken.
     pub step: usize,
     /// Time step, s.
     pub step_s: f64,
-    /// The rows of the trajectory up to this step.
+    /// Rows of the trajectory up to this step.
     pub trajectory: RowPrefix,
-    /// The rows of the diagnostics, where there are any.
+    /// Rows of the diagnostics, if there are any.
     pub diagnostics: Option<RowPrefix>,
-    /// Over every step up to this one.
+    /// Extremes over every step up to this one.
     pub extremes: Extremes,
     /// The resolved scene, as TOML.
     pub scene: String,
     x: Vec<[f64; 3]>,
-    /// Rows of the rotation matrices.
+    /// Rotation matrices, row by row.
     #[serde(rename = "R")]
     rotation: Vec<[[f64; 3]; 3]>,
     linear_momentum: Vec<[f64; 3]>,
     angular_momentum: Vec<[f64; 3]>,
 }
 
-/// What must be known before the rest of a checkpoint can be read.
+/// The fields that must be known before the rest of a checkpoint can be read.
 #[derive(Deserialize)]
 struct Head {
     schema_version: u32,
@@ -60,7 +60,7 @@ struct Head {
 }
 
 impl Checkpoint {
-    /// After `step` steps of `step_s` seconds in `scene`, with so many rows written and such extremes on the way.
+    /// Creates a checkpoint after `step` steps of `step_s` seconds in `scene`, with the written rows and the extremes so far.
     pub fn new(
         step: usize,
         step_s: f64,
@@ -94,7 +94,7 @@ impl Checkpoint {
         .sealed()
     }
 
-    /// The same with the checksum of its content.
+    /// Returns the checkpoint with the checksum of its content.
     fn sealed(mut self) -> Self {
         self.checksum = 0;
         let text = serde_json::to_string(&self).unwrap_or_default();
@@ -102,13 +102,13 @@ impl Checkpoint {
         self
     }
 
-    /// Nodes of the arm.
+    /// Returns the number of nodes of the arm.
     #[must_use]
     pub fn n_nodes(&self) -> usize {
         self.x.len()
     }
 
-    /// The state, to the bit.
+    /// Returns the exact state.
     pub fn state(&self) -> State {
         let vectors = |arrays: &[[f64; 3]]| arrays.iter().map(|&v| v.into()).collect();
         State {
@@ -125,13 +125,13 @@ impl Checkpoint {
         }
     }
 
-    /// Whether `folder` holds a checkpoint.
+    /// Tells whether `folder` has a checkpoint.
     #[must_use]
     pub fn is_in(folder: &Path) -> bool {
         folder.join(CHECKPOINT_FILE).exists()
     }
 
-    /// Bytes that the checkpoint of an arm of `n_nodes` nodes, in a scene whose text has `scene_bytes`, takes at most.
+    /// Returns the largest size in bytes of the checkpoint of an arm of `n_nodes` nodes, in a scene whose text has `scene_bytes`.
     #[must_use]
     pub fn most_bytes(n_nodes: usize, scene_bytes: usize) -> u64 {
         // A scene grows when it is resolved, and its lines and quotes take two characters.
@@ -143,8 +143,8 @@ impl Checkpoint {
     /// Reads the checkpoint in `folder`, of at most `most_bytes` bytes; `None` if there is none.
     ///
     /// # Errors
-    /// [`OutputError::Malformed`] for what is no file, is longer, was made by another version, or is not as it was written; also for
-    /// numbers that no simulation writes.
+    /// Returns [`OutputError::Malformed`] for a path that is not a file, a longer file, a checkpoint of another version or one that was
+    /// changed, and for numbers that no simulation writes.
     pub fn read(folder: &Path, most_bytes: u64) -> Result<Option<Self>, OutputError> {
         let path = folder.join(CHECKPOINT_FILE);
         let malformed = |reason: String| OutputError::malformed(&path, reason);
@@ -169,7 +169,7 @@ impl Checkpoint {
         Self::parse(&text).map(Some).map_err(malformed)
     }
 
-    /// The checkpoint in `text`, or the fault of the text.
+    /// Parses the checkpoint in `text`, or returns the fault of the text.
     fn parse(text: &str) -> Result<Self, String> {
         let not_one = |error| format!("not a checkpoint: {error}; start over without --resume");
         let head: Head = serde_json::from_str(text).map_err(not_one)?;
@@ -197,7 +197,7 @@ impl Checkpoint {
         Ok(checkpoint)
     }
 
-    /// Arrays are of one length, numbers are finite, rotations are rotations.
+    /// Checks that arrays have equal lengths, numbers are finite, and rotations are orthogonal.
     fn validate(&self) -> Result<(), String> {
         let n = self.n_nodes();
         let lengths = [
@@ -241,7 +241,7 @@ impl Checkpoint {
         Ok(())
     }
 
-    /// Replaces the checkpoint in `folder` in one go: whoever reads it finds the old one or this one, whole.
+    /// Replaces the checkpoint in `folder` atomically: a reader finds the old one or this one, complete.
     pub fn write(&self, folder: &Path) -> Result<(), OutputError> {
         let path = folder.join(CHECKPOINT_FILE);
         let fresh = folder.join(FRESH_CHECKPOINT_FILE);
@@ -261,7 +261,7 @@ mod tests {
 
     const ANY_SIZE: u64 = 1 << 30;
 
-    /// A state of `n` nodes whose numbers are zeros of both signs, subnormals, and numbers with a long tail; rotations are rotations.
+    /// A state of `n` nodes whose numbers are zeros of both signs, subnormals, and numbers with a long tail; rotations are orthogonal.
     fn state(n: usize) -> State {
         let mut bits = 1_u64;
         let mut number = || {
@@ -311,7 +311,7 @@ mod tests {
         )
     }
 
-    /// Any finite numbers come back with the same bits.
+    /// Any finite numbers are read back with the same bits.
     #[test]
     fn checkpoint_round_trip_is_exact() {
         let folder = tempfile::tempdir().unwrap();
@@ -319,13 +319,13 @@ mod tests {
         let written = checkpoint(200);
         written.write(folder.path()).unwrap();
         let read = Checkpoint::read(folder.path(), ANY_SIZE).unwrap().unwrap();
-        // Unlike `==`, this tells the two zeros apart.
+        // Unlike `==`, this distinguishes the two zeros.
         assert_eq!(format!("{read:?}"), format!("{written:?}"));
         assert_eq!(format!("{:?}", read.state()), format!("{:?}", state(200)));
     }
 
-    /// A checkpoint of another version of the program or of the layout, one that breaks off, one of uneven arrays, and one that was
-    /// changed in any field are refused, with the file and the reason.
+    /// Checkpoints of another version of the program or of the layout, incomplete ones, those with uneven arrays, and those changed in any
+    /// field are refused, with the file and the reason.
     #[test]
     fn foreign_checkpoints_are_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -357,8 +357,8 @@ mod tests {
     /// Changes a checkpoint.
     type Change = fn(&mut Checkpoint);
 
-    /// With a checksum that fits, numbers that no simulation writes are refused all the same: uneven arrays, no rotation, a reflection,
-    /// a step of nothing, rows that do not belong together.
+    /// Even with a fitting checksum, numbers that no simulation writes are refused: uneven arrays, a matrix that is not orthogonal, a
+    /// reflection, a zero step, rows that do not belong together.
     #[test]
     fn impossible_checkpoints_are_refused() {
         let cases: [(Change, &str); 7] = [
@@ -382,7 +382,7 @@ mod tests {
         }
     }
 
-    /// A directory, and a file that is longer than the scene allows, are not read.
+    /// A directory, and a file longer than the scene allows, are not read.
     #[test]
     fn the_size_of_a_checkpoint_is_limited() {
         let folder = tempfile::tempdir().unwrap();
@@ -405,7 +405,7 @@ mod tests {
         }
     }
 
-    /// Every place in an object where a value stands, as a path.
+    /// Collects the paths of all values in an object.
     fn places(value: &Value, path: &str, found: &mut Vec<String>) {
         found.push(path.into());
         match value {
@@ -424,7 +424,7 @@ mod tests {
     }
 
     fn any_value() -> impl Strategy<Value = Value> {
-        let number = any::<f64>().prop_map(Value::from); // null, where it is not finite
+        let number = any::<f64>().prop_map(Value::from); // null, if it is not finite
         prop_oneof![
             Just(Value::Null),
             any::<bool>().prop_map(Value::from),
@@ -438,7 +438,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever happens to its bytes, a checkpoint reads back as it was written, or not at all.
+        /// Whatever happens to its bytes, a checkpoint is read back as it was written, or not at all.
         #[test]
         fn damaged_checkpoints_are_refused(
             edits in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4_u8), 1..6),
@@ -459,8 +459,8 @@ mod tests {
             }
         }
 
-        /// Whatever a field is replaced by, a checkpoint reads back as it was written, or not at all; and if its checksum is forged as
-        /// well, as one whose numbers a simulation can go on from.
+        /// Whatever replaces a field, a checkpoint is read back as it was written, or not at all; with a forged checksum, as one whose
+        /// numbers a simulation can continue from.
         #[test]
         fn tampered_checkpoints_are_refused(place in any::<prop::sample::Index>(), value in any_value()) {
             let written = checkpoint(3);

@@ -26,7 +26,7 @@ pub struct ControlRow {
     pub my: f64,
     /// Moment about the third director, body frame, in newton meters.
     pub mz: f64,
-    /// The node.
+    /// Index of the node.
     pub node: usize,
 }
 
@@ -48,7 +48,7 @@ impl ControlRow {
         ]
     }
 
-    /// Every number is finite and the interval does not end before it starts.
+    /// Checks that every number is finite and the interval does not end before it starts.
     fn validate(&self) -> Result<(), String> {
         for (name, value) in COLUMNS.iter().zip(self.values()) {
             if !value.is_finite() {
@@ -90,13 +90,13 @@ pub fn write_controls(path: &Path, rows: &[ControlRow]) -> Result<(), OutputErro
         .map_err(OutputError::unwritten(path, "cannot write"))
 }
 
-/// Bytes of a row, at most, with what others may have written beside.
+/// Upper limit of the bytes of a row, including columns that others may have added.
 const LARGEST_ROW: u64 = 1 << 10;
 
-/// Reads `n_rows` rows of what [`write_controls`] writes; columns may stand in any order, and others beside them.
+/// Reads `n_rows` rows of a file of [`write_controls`]; columns may be in any order, with others between them.
 ///
 /// # Errors
-/// [`OutputError`] for another number of rows, or one that is not as [`ControlRow`] describes.
+/// Returns [`OutputError`] for another number of rows, or a row that is not as [`ControlRow`] describes.
 pub fn read_controls(path: &Path, n_rows: usize) -> Result<Vec<ControlRow>, OutputError> {
     let largest = LARGEST_ROW.saturating_mul(n_rows as u64 + 4);
     let text = read_text(path, largest)?;
@@ -191,7 +191,7 @@ mod tests {
         }
     }
 
-    /// Thirds, subnormals, the largest number and negative zero come back with the same bits.
+    /// Thirds, subnormals, the largest number and negative zero are read back with the same bits.
     #[test]
     fn csv_round_trip_is_exact() {
         let folder = tempfile::tempdir().unwrap();
@@ -211,7 +211,7 @@ mod tests {
         }
     }
 
-    /// A bad file is refused with the line and what is wrong with it.
+    /// A faulty file is refused with the line and the fault.
     #[test]
     fn errors_name_the_line() {
         let folder = tempfile::tempdir().unwrap();
@@ -244,7 +244,7 @@ mod tests {
         assert!(error.to_string().contains(":3: my: NaN"), "{error}");
     }
 
-    /// Another number of rows, and a file longer than so many can be, are refused.
+    /// Another number of rows, and a file longer than that many rows can be, are refused.
     #[test]
     fn the_number_of_rows_is_known() {
         let folder = tempfile::tempdir().unwrap();
@@ -277,7 +277,7 @@ mod tests {
             }
         }
 
-        /// Any numbers in any field, as text: rows of finite numbers, or an error with the line.
+        /// Any text in any field: rows of finite numbers, or an error with the line.
         #[test]
         fn any_fields_are_read_or_refused(fields in prop::collection::vec(
             prop_oneof![any::<f64>().prop_map(|v| v.to_string()), "[ -~]{0,6}", Just("1e999".to_string()), Just("-5".to_string())], 9)) {

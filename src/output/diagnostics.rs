@@ -5,12 +5,12 @@ use nalgebra::Vector3;
 use super::{ArrayView, OutputError, npz};
 use crate::mechanics::{Diagnostics, PowerBalance};
 
-/// Diagnostics at `n` times: the content of `diagnostics.npz`, whose rows are those of `trajectory.npz`.
+/// Diagnostics at `n` times: the content of `diagnostics.npz`, whose rows correspond to those of `trajectory.npz`.
 ///
-/// All arrays are flat in C order, `K` elements. Energies and dilatation are in `trajectory.npz`.
+/// All arrays are flat in C order, with `K` elements. Energies and dilatation are in `trajectory.npz`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DiagnosticsRecord {
-    /// Elements of the arm.
+    /// Number of elements of the arm.
     pub n_elements: usize,
     /// `[n]` times, s.
     pub t: Vec<f64>,
@@ -24,7 +24,7 @@ pub struct DiagnosticsRecord {
     pub angular_strain: Vec<f64>,
     /// `[n, K, 3]` internal force, elastic and of internal damping, body frame, N.
     pub internal_force: Vec<f64>,
-    /// `[n, K, 3]` internal moment, likewise, body frame, N m.
+    /// `[n, K, 3]` internal moment, elastic and of internal damping, body frame, N m.
     pub internal_moment: Vec<f64>,
     /// `[n, 3]` reaction force at a clamped or driven base, spatial, N; zero for a free one.
     pub base_force: Vec<f64>,
@@ -32,16 +32,16 @@ pub struct DiagnosticsRecord {
     pub base_moment: Vec<f64>,
     /// `[n, 3]` gravity, loads and reaction together, spatial, N.
     pub external_force: Vec<f64>,
-    /// `[n, 3]` their moment about the origin, spatial, N m.
+    /// `[n, 3]` moment of the external forces about the origin, spatial frame, N m.
     pub external_moment: Vec<f64>,
     /// `[n, 3]` mean force of viscous damping over the step that begins at the row, spatial, N.
     pub damping_force: Vec<f64>,
-    /// `[n, 3]` its moment about the origin, spatial, N m.
+    /// `[n, 3]` moment of this damping about the origin, spatial frame, N m.
     pub damping_moment: Vec<f64>,
     /// `[n]` largest relative change of volume of any element.
     pub volume_error: Vec<f64>,
-    /// `[n, 4]` power of the loads and of what drives the base, dissipated power, rate of change of the energy, and what does not add up, W, over
-    /// the step that ends at the row; zero in the first row.
+    /// `[n, 4]` power of the loads and of the base's drive, dissipated power, rate of change of the energy, and residual of the balance, W,
+    /// over the step that ends at the row; zero in the first row.
     pub power: Vec<f64>,
 }
 
@@ -57,13 +57,13 @@ pub struct BaseReaction {
 }
 
 impl BaseReaction {
-    /// Rows of a curve, at most.
+    /// Cap on the rows of a curve.
     const MOST_ROWS: usize = 600;
 
-    /// At most 600 rows, evenly spread, of a file of `n_rows` rows.
+    /// Reads at most 600 rows, evenly spread, of a file of `n_rows` rows.
     ///
     /// # Errors
-    /// [`OutputError`] for a missing array, and for one of another shape.
+    /// Returns [`OutputError`] for a missing array, and for one of another shape.
     pub fn read(path: &Path, n_rows: usize) -> Result<Self, OutputError> {
         let mut archive = npz::open(path)?;
         let malformed = |name: &str| {
@@ -94,7 +94,7 @@ impl BaseReaction {
 }
 
 impl DiagnosticsRecord {
-    /// A record without rows.
+    /// Creates a record without rows.
     pub fn empty(n_elements: usize) -> Self {
         Self {
             n_elements,
@@ -102,7 +102,7 @@ impl DiagnosticsRecord {
         }
     }
 
-    /// A record of one row.
+    /// Creates a record of one row.
     pub fn row(t: f64, diagnostics: &Diagnostics, power: &PowerBalance) -> Self {
         let d = diagnostics;
         let vector = |v: &Vector3<f64>| v.as_slice().to_vec();
@@ -162,7 +162,7 @@ impl DiagnosticsRecord {
     /// Writes the archive.
     ///
     /// # Errors
-    /// [`OutputError`] with the path.
+    /// Returns [`OutputError`] with the path.
     pub fn write_npz(&self, path: &Path) -> Result<(), OutputError> {
         npz::write(path, |archive| {
             for (name, shape, values) in self.arrays() {
@@ -172,7 +172,7 @@ impl DiagnosticsRecord {
         })
     }
 
-    /// Name, shape and values of every array of the file, in the order of the file.
+    /// Returns name, shape and values of every array of the file, in the order of the file.
     pub fn arrays(&self) -> [ArrayView<'_>; 15] {
         let n = self.t.len();
         let vectors = || vec![n, 3];

@@ -10,11 +10,11 @@ use super::OutputError;
 use super::reading::read_text;
 use super::summary::TOOL;
 
-/// The summary of a result: the last file to be put in place.
+/// Name of the summary of a result, which is the last file to be put in place.
 pub(super) const SUMMARY: &str = "summary.json";
 /// Status of a result whose files are being replaced.
 pub(super) const UNFINISHED: &str = "unfinished";
-/// Bytes of the largest summary that is looked at.
+/// Cap on the bytes of a summary that is read.
 const LARGEST_SUMMARY: u64 = 1 << 24;
 
 /// The command that made a result.
@@ -42,7 +42,7 @@ impl ResultKind {
         Self::Equilibrium,
     ];
 
-    /// The word of the command line.
+    /// Returns the word of the command line.
     #[must_use]
     pub fn command(self) -> &'static str {
         match self {
@@ -54,7 +54,7 @@ impl ResultKind {
         }
     }
 
-    /// The names that softarm writes into such a result directory, the summary last. All else there is the user's.
+    /// Returns the names of the files that softarm writes into such a result directory, the summary last. All others belong to the user.
     #[must_use]
     pub fn files(self) -> &'static [&'static str] {
         match self {
@@ -106,17 +106,17 @@ impl ResultKind {
         }
     }
 
-    /// Keys that a summary without `tool` must have, all of them, to be taken for softarm's: layouts before that field.
+    /// Returns the keys that a summary without `tool` must have to count as one of softarm: those of layouts before that field.
     fn signature(self) -> &'static [&'static str] {
         match self {
             Self::Simulate => &["node_steps_per_s", "strain", "directory"],
             Self::Solve => &["qp_backend", "hessian", "control_blocks", "directory"],
-            // All of them name their tool.
+            // Summaries of these kinds always name their tool.
             Self::Mpc | Self::Tradeoff | Self::Equilibrium => &["tool"],
         }
     }
 
-    /// The kind of result that a summary describes; `None` if it is not softarm's.
+    /// Returns the kind of result that a summary describes; `None` if it is not one of softarm.
     fn of_summary(summary: &Value) -> Option<Self> {
         let summary = summary.as_object()?;
         summary.get("schema_version")?.as_u64()?;
@@ -129,10 +129,10 @@ impl ResultKind {
         is_ours.then_some(kind)
     }
 
-    /// The kind of result in `directory`, and its summary.
+    /// Returns the kind of result in `directory`, and its summary.
     ///
     /// # Errors
-    /// [`OutputError`] for what is no result directory of softarm, and for one whose files are being replaced.
+    /// Returns [`OutputError`] for a directory that is not a result of softarm, and for one whose files are being replaced.
     pub fn read(directory: &Path) -> Result<(Self, Value), OutputError> {
         if !directory.is_dir() {
             return Err(OutputError::refused(
@@ -144,7 +144,7 @@ impl ResultKind {
         if !path.is_file() {
             return Err(OutputError::refused(
                 directory,
-                "no result of softarm: there is no summary.json in it; `softarm solve SCENE --out DIR` makes one",
+                "no result of softarm, because it has no summary.json; `softarm solve SCENE --out DIR` writes one",
             ));
         }
         let text = read_text(&path, LARGEST_SUMMARY)?;
@@ -169,7 +169,7 @@ impl ResultKind {
         Ok((kind, summary))
     }
 
-    /// The kind of result in `directory`; `None` if it holds none.
+    /// Returns the kind of result in `directory`; `None` if it has none.
     pub(super) fn of_directory(directory: &Path) -> Option<Self> {
         let path = directory.join(SUMMARY);
         let metadata = fs::symlink_metadata(&path).ok()?;
@@ -183,7 +183,7 @@ impl ResultKind {
     }
 }
 
-/// A folder in which the files of one result are being written; a [`RunDirectory`](super::RunDirectory) puts them in their place.
+/// A folder in which the files of one result are written; a [`RunDirectory`](super::RunDirectory) moves them to their place.
 #[derive(Debug)]
 pub struct ResultDirectory {
     path: PathBuf,
@@ -191,7 +191,7 @@ pub struct ResultDirectory {
 }
 
 impl ResultDirectory {
-    /// The files are written to `path`, and will be found in `place`.
+    /// Creates a folder whose files are written to `path` and moved to `place`.
     pub(super) fn new(path: &Path, place: &Path) -> Self {
         Self {
             path: path.into(),
@@ -199,13 +199,13 @@ impl ResultDirectory {
         }
     }
 
-    /// The directory to write to while the run lives.
+    /// Returns the directory to which files are written during the run.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The directory of the result.
+    /// Returns the directory of the result.
     #[must_use]
     pub fn place(&self) -> &Path {
         &self.place
@@ -224,8 +224,8 @@ impl ResultDirectory {
         self.write_text(name, &(text + "\n"))
     }
 
-    /// Writes a result that its own place did not take to the first place that takes it: a new directory `softarm-NAME-…` among the
-    /// temporary files, in the user's home, or in the current directory. Returns where the result is.
+    /// Writes a result that its own place did not accept to the first place that does: a new directory `softarm-NAME-…` among the temporary
+    /// files, in the user's home, or in the current directory. Returns its path.
     pub(super) fn rescue(
         name: &OsStr,
         fill: impl Fn(&Self) -> Result<(), OutputError>,
@@ -255,7 +255,7 @@ impl ResultDirectory {
     }
 }
 
-/// The absolute path of a result directory, by its parent and its name: no symbolic link in its last part is followed.
+/// Returns the absolute path of a result directory, by its parent and its name: a symbolic link in its last part is not followed.
 pub(super) fn locate(target: &Path) -> Result<PathBuf, OutputError> {
     let cannot_open = || OutputError::io(target, "cannot open");
     let absolute = std::path::absolute(target).map_err(cannot_open())?;
@@ -263,15 +263,14 @@ pub(super) fn locate(target: &Path) -> Result<PathBuf, OutputError> {
         Some(_) => absolute,
         None => fs::canonicalize(&absolute).map_err(cannot_open())?, // it ends in `..`
     };
-    // Joined anew, because a slash at the end would follow a link.
+    // The path is joined again, because a slash at the end would follow a link.
     match (absolute.parent(), absolute.file_name()) {
         (Some(parent), Some(name)) => Ok(parent.join(name)),
         _ => Err(OutputError::refused(target, "not a name for a directory")),
     }
 }
 
-/// `Ok` if a result of this kind may be written to `target`: it is absent, empty, or holds a result of this kind, whose files are
-/// files.
+/// Checks that a result of this kind may be written to `target`: it is absent, empty, or has a result of this kind, whose names are files.
 pub(super) fn permit(target: &Path, kind: ResultKind) -> Result<(), OutputError> {
     let cannot_read = || OutputError::io(target, "cannot read");
     let refuse = |reason: String| Err(OutputError::refused(target, reason));
@@ -317,10 +316,10 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    /// A summary is softarm's if it has a version of its layout, one of the commands, and the tool's name; or, where it names no
-    /// tool, what only softarm wrote before it named itself.
+    /// A summary is one of softarm if it has a version of its layout, one of the commands, and the tool's name; or, without a tool, the
+    /// keys that only softarm wrote before it named itself.
     #[test]
-    fn summaries_of_others_are_told_apart() {
+    fn foreign_summaries_are_recognized() {
         let kind = |summary: Value| ResultKind::of_summary(&summary);
         let named = |tool: &str, command: &str| json!({"schema_version": 1, "tool": tool, "command": command});
         assert_eq!(kind(named("softarm", "solve")), Some(ResultKind::Solve));
@@ -347,7 +346,7 @@ mod tests {
         }
     }
 
-    /// Dots, slashes at the end and a way up lead to the same directory; a root is none.
+    /// Dots, slashes at the end and a parent folder lead to the same directory; a root is refused.
     #[test]
     fn targets_are_located() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a file could not be written, read or replaced; every variant names the path.
+/// The reason why a file could not be written, read or replaced; every variant names the path.
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
     /// The operating system did not let a file be read.
@@ -11,7 +11,7 @@ pub enum OutputError {
         path: PathBuf,
         /// The operation that failed, as in "cannot read".
         action: &'static str,
-        /// The operating system's answer.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// The operating system did not let a file be written, moved or removed: a full disk, a missing permission.
@@ -21,10 +21,10 @@ pub enum OutputError {
         path: PathBuf,
         /// The operation that failed, as in "cannot write".
         action: &'static str,
-        /// The operating system's answer.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// The content is not what the file promises.
+    /// The content of a file is invalid.
     #[error("{}{}: {reason}", path.display(), line.map(|line| format!(":{line}")).unwrap_or_default())]
     Malformed {
         /// The file.
@@ -34,7 +34,7 @@ pub enum OutputError {
         /// The fault, and what was expected.
         reason: String,
     },
-    /// Writing there would touch something that is not softarm's, or that another run is at work on.
+    /// Writing there would touch a file that is not softarm's, or that another run uses.
     #[error("{}: {reason}", path.display())]
     Refused {
         /// The path that was to be written.
@@ -42,25 +42,25 @@ pub enum OutputError {
         /// The contents of the directory, and what to do.
         reason: String,
     },
-    /// A result is not where it was asked for, but safe.
+    /// A result is not at the requested place, but saved elsewhere.
     #[error("{source}; the result is in {}", place.display())]
     Elsewhere {
-        /// The directory that holds the result.
+        /// Directory of the result.
         place: PathBuf,
-        /// Why the result is not in its own place.
+        /// The reason why the result is not in its own place.
         source: Box<OutputError>,
     },
     /// A result could not be written anywhere.
     #[error("{source}; nor could the result be written elsewhere: {last}")]
     Nowhere {
-        /// Why the result is not in its own place.
+        /// The reason why the result is not in its own place.
         source: Box<OutputError>,
-        /// Why the result is not in the last of the other places.
+        /// The reason why the last of the other places does not have it.
         last: Box<OutputError>,
     },
-    /// A simulation could not write its result, and can go on.
+    /// A simulation could not write its result, and can be resumed.
     #[error(
-        "{source}; what was computed is kept in {}: the same command with --resume goes on from there",
+        "{source}; the computed rows are kept in {}; the same command with --resume continues from there",
         folder.display()
     )]
     Kept {
@@ -72,7 +72,7 @@ pub enum OutputError {
 }
 
 impl OutputError {
-    /// Turns an I/O error while reading into one that names the path; made for `map_err`.
+    /// Turns an I/O error while reading into one that names the path, for `map_err`.
     pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io {
             path: path.to_path_buf(),
@@ -81,7 +81,7 @@ impl OutputError {
         }
     }
 
-    /// Turns an I/O error while writing into one that names the path; made for `map_err`.
+    /// Turns an I/O error while writing into one that names the path, for `map_err`.
     pub(crate) fn unwritten(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Unwritten {
             path: path.to_path_buf(),
@@ -90,7 +90,7 @@ impl OutputError {
         }
     }
 
-    /// Content error without a line number.
+    /// Returns an error about the content, without a line number.
     pub(crate) fn malformed(path: &Path, reason: impl Into<String>) -> Self {
         Self::Malformed {
             path: path.to_path_buf(),
@@ -99,7 +99,7 @@ impl OutputError {
         }
     }
 
-    /// Refusal to write to `path`.
+    /// Returns the refusal to write to `path`.
     pub(super) fn refused(path: &Path, reason: impl Into<String>) -> Self {
         Self::Refused {
             path: path.to_path_buf(),
@@ -107,7 +107,7 @@ impl OutputError {
         }
     }
 
-    /// Whether something was computed, or asked for, that is not written where it should be.
+    /// Tells whether a computed or requested result is not at its place.
     #[must_use]
     pub fn is_unwritten(&self) -> bool {
         match self {

@@ -1,4 +1,4 @@
-//! Motions for other programs: VTK for ParaView, CSV for everything, SVG for papers and pages.
+//! Motions for other programs: VTK for ParaView, CSV for spreadsheets and scripts, SVG for papers and pages.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -9,19 +9,19 @@ use super::replace::{EXPORT_MARK, Own, TABLE_HEAD, Writer};
 use super::{MotionRecord, OutputError};
 use crate::mechanics::rotation::quaternion;
 
-/// Where an export goes.
+/// Destination of an export.
 #[derive(Clone, Copy, Debug)]
 pub struct Destination<'a> {
-    /// The folder, which is there.
+    /// Existing folder.
     pub folder: &'a Path,
     /// First part of the names of all files.
     pub name: &'a str,
-    /// Who writes them.
+    /// Writer of the files.
     pub writer: &'a Writer,
 }
 
 impl Destination<'_> {
-    /// Writes files of which each is made when it is written, if all of them may be.
+    /// Writes files, each of which is computed when it is written, if all of them may be written.
     fn write(&self, files: &[String], text: impl Fn(usize) -> String) -> Result<(), OutputError> {
         let path = |file: &String| self.folder.join(file);
         for file in files {
@@ -33,7 +33,7 @@ impl Destination<'_> {
         Ok(())
     }
 
-    /// `NAME-0000.ENDING` and so on for so many times.
+    /// Returns `count` names `NAME-0000.ENDING` and so on.
     fn numbered(&self, count: usize, ending: &str) -> Vec<String> {
         (0..count)
             .map(|number| format!("{}-{number:04}.{ending}", self.name))
@@ -41,13 +41,14 @@ impl Destination<'_> {
     }
 }
 
-/// A motion as VTK PolyData: one file `NAME-0000.vtp` for every row in `rows`, and `NAME.pvd`, which ParaView opens, with their times.
+/// Writes a motion as VTK PolyData: one file `NAME-0000.vtp` for every row in `rows`, and `NAME.pvd`, which ParaView opens, with their
+/// times.
 ///
-/// Every file has the nodes as points (m) joined by a line, and of every node the radius (m, of an arm that has one) and the three directors,
+/// Every file has the nodes as points (m) joined by a line, and for every node the radius (m, if the arm has one) and the three directors,
 /// the columns of its rotation. The format is that of the VTK file formats, XML, serial, ASCII.
 ///
 /// # Errors
-/// [`OutputError`] where a file cannot be written.
+/// Returns [`OutputError`] if a file cannot be written.
 pub fn write_vtk(
     to: &Destination,
     motion: &MotionRecord,
@@ -119,11 +120,11 @@ fn poly_data(motion: &MotionRecord, radii: &[f64], row: usize) -> String {
     )
 }
 
-/// A motion as one table: a row for every node at every time of `rows`, with time (s), place along the arm (0 to 1), position (m) and
-/// quaternion, scalar first.
+/// Writes a motion as one table: a row for every node at every time of `rows`, with time (s), place along the arm (0 to 1), position (m)
+/// and quaternion, scalar first.
 ///
 /// # Errors
-/// [`OutputError`] where the file cannot be written.
+/// Returns [`OutputError`] if the file cannot be written.
 pub fn write_csv(
     to: &Destination,
     motion: &MotionRecord,
@@ -158,7 +159,7 @@ fn table(motion: &MotionRecord, rows: &[usize]) -> String {
     text
 }
 
-/// At most `most` rows of `n`, the first and the last among them, as evenly as whole numbers allow.
+/// Returns at most `most` row numbers below `n`, including the first and the last, as evenly spread as whole numbers allow.
 #[must_use]
 pub fn spread(n: usize, most: usize) -> Vec<usize> {
     let count = n.min(most.max(2));
@@ -173,15 +174,15 @@ pub fn spread(n: usize, most: usize) -> Vec<usize> {
 /// The direction from which a motion is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// Angle of the eye about the vertical (z), degrees; 0 looks from +x, -90 from -y, so that x points to the right.
+    /// Angle of the viewpoint about the vertical (z), degrees; 0 looks from +x, -90 from -y, so that x points to the right.
     pub azimuth: f64,
-    /// Angle of the eye above the horizontal plane, degrees.
+    /// Angle of the viewpoint above the horizontal plane, degrees.
     pub elevation: f64,
-    /// By how much the eye turns about the vertical on the way from the first to the last time, degrees.
+    /// Rotation of the viewpoint about the vertical from the first to the last time, degrees.
     pub turn: f64,
 }
 
-/// What stands still in a drawing.
+/// The objects in a drawing that do not move.
 #[derive(Clone, Debug, Default)]
 pub struct Backdrop {
     /// A target of the tip, m.
@@ -192,17 +193,17 @@ pub struct Backdrop {
 
 /// Width of a drawing, in its own units.
 const WIDTH: f64 = 720.0;
-/// Margin around what is drawn, over its size.
+/// Margin around the drawn objects, divided by their size.
 const MARGIN: f64 = 0.06;
-/// Half of the thickness of an arm without radius, over its length.
+/// Half of the thickness of an arm without radius, divided by its length.
 const THIN: f64 = 0.008;
 
-/// A motion as pictures: `NAME-0000.svg` for every row in `rows`, and `NAME.svg`, which plays them, over and over, in `seconds`.
+/// Writes a motion as pictures: `NAME-0000.svg` for every row in `rows`, and `NAME.svg`, which plays them repeatedly, in `seconds`.
 ///
-/// The projection is parallel. The arm has its radius; the way of the tip, the target and the balls are drawn behind it.
+/// The projection is parallel. The arm has its radius; the path of the tip, the target and the balls are drawn behind it.
 ///
 /// # Errors
-/// [`OutputError`] where a file cannot be written.
+/// Returns [`OutputError`] if a file cannot be written.
 pub fn write_svg(
     to: &Destination,
     motion: &MotionRecord,
@@ -386,7 +387,7 @@ impl Drawing {
     }
 }
 
-/// Both sides of a line with thickness, one after the other.
+/// Returns both sides of a line with thickness, one after the other.
 fn outline(nodes: &[[f64; 2]], radius: impl Fn(usize) -> f64) -> Vec<[f64; 2]> {
     let n = nodes.len();
     let side = |q: usize, sign: f64| {

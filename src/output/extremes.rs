@@ -15,14 +15,14 @@ pub struct Extremes {
 }
 
 impl Extremes {
-    /// Of no step at all.
+    /// The extremes of no step at all.
     pub const EMPTY: Self = Self {
         energy: Range::EMPTY,
         dilatation: Range::EMPTY,
         length: Range::EMPTY,
     };
 
-    /// Counts the dilatation of every element of a step, with its length at rest.
+    /// Includes the dilatation of every element of a step, with its length at rest.
     pub fn include_lengths(&mut self, elements: impl Iterator<Item = (f64, f64)>) {
         let mut length = 0.0;
         for (dilatation, rest) in elements {
@@ -32,7 +32,7 @@ impl Extremes {
         self.length.include(length);
     }
 
-    /// Counts the steps of an earlier part of the motion.
+    /// Includes the steps of an earlier part of the motion.
     pub fn widen(&mut self, earlier: &Self) {
         let own = [&mut self.energy, &mut self.dilatation, &mut self.length];
         let others = [earlier.energy, earlier.dilatation, earlier.length];

@@ -13,9 +13,9 @@ use crate::mechanics::State;
 /// Name, shape and numbers of an array.
 pub type NamedArray = (&'static str, Vec<usize>, Vec<f64>);
 
-/// Gains and what they act on, as arrays. With `B` blocks, `m` inputs, `F` free nodes and `n = 12 F`:
+/// Gains with their rows and reference, as arrays. With `B` blocks, `m` inputs, `F` free nodes and `n = 12 F`:
 ///
-/// | array | shape | what |
+/// | array | shape | content |
 /// |---|---|---|
 /// | `t` | B | starts of the blocks, s |
 /// | `gain` | B, m, n | `K`: over a block, `u = u* - K dx` with `dx` at its start, node by node `(x - x*, log(R*ᵀR), p - p*, π - π*)` |
@@ -87,7 +87,7 @@ pub fn feedback_arrays(feedback: &Feedback, end: f64) -> [NamedArray; 12] {
 /// Writes the [arrays](feedback_arrays) of gains.
 ///
 /// # Errors
-/// [`OutputError`] when the file cannot be written.
+/// Returns [`OutputError`] if the file cannot be written.
 pub fn write_feedback(path: &Path, feedback: &Feedback, end: f64) -> Result<(), OutputError> {
     let arrays = feedback_arrays(feedback, end);
     npz::write(path, |archive| {
@@ -97,10 +97,10 @@ pub fn write_feedback(path: &Path, feedback: &Feedback, end: f64) -> Result<(), 
     })
 }
 
-/// Reads arrays with the names and shapes of `expected`; no more is read than these take.
+/// Reads arrays with the names and shapes of `expected`, and no more data than these.
 ///
 /// # Errors
-/// [`OutputError`] for a missing array, another shape, and numbers that are not finite.
+/// Returns [`OutputError`] for a missing array, another shape, and numbers that are not finite.
 pub fn read_feedback(path: &Path, expected: &[NamedArray]) -> Result<Vec<NamedArray>, OutputError> {
     let sizes: Vec<usize> = expected.iter().map(|(_, _, values)| values.len()).collect();
     let mut archive = npz::open_within(path, npz::largest_archive(&sizes))?;
@@ -124,10 +124,10 @@ pub fn read_feedback(path: &Path, expected: &[NamedArray]) -> Result<Vec<NamedAr
         .collect()
 }
 
-/// The growth of a perturbation up to every edge of the blocks, without and with the regulator, of gains over `n_edges - 1` blocks.
+/// Reads the growth of a perturbation up to every edge of the blocks, without and with the regulator, for gains over `n_edges - 1` blocks.
 ///
 /// # Errors
-/// [`OutputError`] for a missing array, and for another number of edges.
+/// Returns [`OutputError`] for a missing array, and for another number of edges.
 pub fn read_sensitivity(path: &Path, n_edges: usize) -> Result<[Vec<f64>; 2], OutputError> {
     let mut archive = npz::open(path)?;
     let mut read = |name: &str| {

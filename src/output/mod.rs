@@ -6,9 +6,6 @@ pub mod closed_loop;
 mod controls;
 mod diagnostics;
 mod directory;
-#[cfg(feature = "cli")]
-#[doc(hidden)]
-pub mod equilibrium;
 mod error;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
@@ -18,6 +15,8 @@ mod feedback;
 mod motion;
 mod multipliers;
 mod npz;
+#[cfg(feature = "cli")]
+pub(crate) mod quantity;
 mod reading;
 #[cfg(feature = "cli")]
 pub(crate) mod replace;
@@ -41,13 +40,14 @@ pub use multipliers::{MultiplierRecord, read_multipliers};
 #[doc(hidden)]
 pub use reading::read_text;
 pub(crate) use reading::{Unreadable, open_regular, read_regular};
+pub(crate) use report::Columns;
 #[doc(hidden)]
 pub use report::{
-    ArrowKind, Bound, Hold, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportChart,
+    ArrowKind, Bound, Facts, Hold, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportChart,
     ReportCheck, ReportClock, ReportCommand, ReportControls, ReportCurve, ReportData, ReportEnergy,
     ReportField, ReportFields, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles,
     ReportPath, ReportSensitivity, ReportShape, ReportTable, ReportTarget, ReportVerdict,
-    ReportVia, figure, render_report,
+    ReportVia, Words, figure, render_report,
 };
 #[cfg(feature = "cli")]
 #[doc(hidden)]
@@ -56,7 +56,7 @@ pub use report::{
     TradeoffPoint, compare, render_comparison,
 };
 #[cfg(feature = "cli")]
-pub(crate) use report::{PAGE_STYLE, scene_differences};
+pub(crate) use report::{PAGE_STYLE, fill, scene_differences};
 #[doc(hidden)]
 pub use rows::{ArrayView, RowFiles, RowPrefix, row_bytes};
 #[cfg(feature = "cli")]

@@ -11,7 +11,7 @@ use crate::mechanics::{Energy, State, Wrench};
 /// All arrays are flat in C order, with `K + 1 = n_nodes` nodes and `K` elements.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionRecord {
-    /// Nodes of the arm, base to tip, at least two.
+    /// Number of nodes of the arm, base to tip, at least two.
     pub n_nodes: usize,
     /// `[n]` times in seconds, in order.
     pub t: Vec<f64>,
@@ -25,12 +25,12 @@ pub struct MotionRecord {
     pub tip_moment: Vec<f64>,
     /// `[n, 3]` kinetic, elastic and potential energy in joules.
     pub energy: Vec<f64>,
-    /// `[n, K]` current over rest length of each element.
+    /// `[n, K]` current length of each element divided by its rest length.
     pub dilatation: Vec<f64>,
 }
 
 impl MotionRecord {
-    /// Appends one time: a state, the wrench on the tip, energies in J, and the length of every element over that at rest.
+    /// Appends one time: a state, the wrench on the tip, energies in J, and the length of every element divided by that at rest.
     pub fn push_state(
         &mut self,
         t: f64,
@@ -44,7 +44,7 @@ impl MotionRecord {
             self.x.extend(x.iter());
         }
         for r in &state.configuration.rotations {
-            // nalgebra stores columns; the file holds rows.
+            // nalgebra stores columns; the file has rows.
             self.rotation.extend(r.transpose().iter());
         }
         self.tip_force.extend(wrench.force.iter());
@@ -54,7 +54,7 @@ impl MotionRecord {
         self.dilatation.extend(dilatation);
     }
 
-    /// A record without rows.
+    /// Creates a record without rows.
     pub fn empty(n_nodes: usize) -> Self {
         Self {
             n_nodes,
@@ -68,13 +68,13 @@ impl MotionRecord {
         }
     }
 
-    /// Position of a node in a row, m.
+    /// Returns the position of a node in a row, m.
     pub(crate) fn position(&self, row: usize, node: usize) -> Vector3<f64> {
         let at = 3 * (row * self.n_nodes + node);
         Vector3::from_column_slice(&self.x[at..at + 3])
     }
 
-    /// Number of sampled times.
+    /// Returns the number of sampled times.
     pub fn n_rows(&self) -> usize {
         self.t.len()
     }
@@ -89,35 +89,35 @@ impl MotionRecord {
         })
     }
 
-    /// Reads what [`write_npz`](Self::write_npz) writes; refuses wrong shapes, missing arrays and non-finite numbers.
+    /// Reads a file of [`write_npz`](Self::write_npz); refuses wrong shapes, missing arrays and non-finite numbers.
     pub fn read_npz(path: &Path) -> Result<Self, OutputError> {
         Self::read(path, npz::open(path)?, None, None)
     }
 
-    /// The same of `n_rows` rows of `n_nodes` nodes; no more is read than they take.
+    /// Reads such a file with `n_rows` rows of `n_nodes` nodes, and no more data than these.
     pub fn read_npz_of(path: &Path, n_rows: usize, n_nodes: usize) -> Result<Self, OutputError> {
         let archive = Self::open_within(path, n_rows, n_nodes)?;
         Self::read(path, archive, Some(n_rows), Some(n_nodes))
     }
 
-    /// Opens an archive that is no larger than one of so many rows and nodes.
+    /// Opens an archive that is no larger than one with the given numbers of rows and nodes.
     fn open_within(
         path: &Path,
         n_rows: usize,
         n_nodes: usize,
     ) -> Result<npz::Archive, OutputError> {
-        // Numbers per row: time, two vectors, three energies; twelve a node, one an element.
+        // Numbers per row: time, two vectors, three energies; twelve per node, one per element.
         let per_row = n_nodes.saturating_mul(13).saturating_add(9);
         let mut sizes = [0; 7];
         sizes[0] = n_rows.saturating_mul(per_row);
         npz::open_within(path, npz::largest_archive(&sizes))
     }
 
-    /// The rows `keep(n)`, in increasing order, of the `n ≤ most_rows` rows of `n_nodes` nodes of what [`write_npz`](Self::write_npz)
-    /// writes; only these are held in memory.
+    /// Reads the rows `keep(n)`, in increasing order, of the `n ≤ most_rows` rows of `n_nodes` nodes of a file of
+    /// [`write_npz`](Self::write_npz); only these are kept in memory.
     ///
     /// # Errors
-    /// [`OutputError`] as [`read_npz_of`](Self::read_npz_of), and for more rows.
+    /// Returns [`OutputError`] as [`read_npz_of`](Self::read_npz_of) does, and for more rows.
     pub fn read_npz_rows(
         path: &Path,
         most_rows: usize,
@@ -200,7 +200,7 @@ impl MotionRecord {
         Ok(record)
     }
 
-    /// Row numbers of at most `max_rows` rows, evenly spread, the first and the last among them.
+    /// Returns the numbers of at most `max_rows` rows, evenly spread, including the first and the last.
     ///
     /// A record of two rows or more keeps at least these two.
     pub(crate) fn thinned_rows(&self, max_rows: usize) -> Vec<usize> {
@@ -232,7 +232,7 @@ impl MotionRecord {
         }
     }
 
-    /// The arrays in the order of the file.
+    /// Returns the arrays in the order of the file.
     pub fn arrays_mut(&mut self) -> [&mut Vec<f64>; 7] {
         [
             &mut self.t,
@@ -245,7 +245,7 @@ impl MotionRecord {
         ]
     }
 
-    /// Name, shape and values of every array of the file, in the order of the file.
+    /// Returns name, shape and values of every array of the file, in the order of the file.
     pub fn arrays(&self) -> [ArrayView<'_>; 7] {
         let n = self.n_rows();
         let nodes = self.n_nodes;
@@ -264,7 +264,7 @@ impl MotionRecord {
         ]
     }
 
-    /// Sizes agree, every number is finite, time does not run backward.
+    /// Checks that sizes agree, every number is finite, and time does not run backward.
     fn validate(&self, path: &Path) -> Result<(), OutputError> {
         let malformed = |reason: String| Err(OutputError::malformed(path, reason));
         if self.n_nodes < 2 {
@@ -300,9 +300,9 @@ impl MotionRecord {
     }
 }
 
-/// At most [`MOST_ROWS`](Self::MOST_ROWS) rows, and the last one, of a motion of any length, evenly spread, for pictures.
+/// A thinned motion for pictures: at most [`MOST_ROWS`](Self::MOST_ROWS) rows, and the last one, of a motion of any length, evenly spread.
 ///
-/// Keeps every `stride`-th row; when full, every second of those, and doubles `stride`.
+/// Every `stride`-th row is kept; when full, every second of those, and `stride` is doubled.
 #[derive(Debug, Clone)]
 pub struct ThinnedMotion {
     record: MotionRecord,
@@ -311,10 +311,10 @@ pub struct ThinnedMotion {
 }
 
 impl ThinnedMotion {
-    /// Enough for a picture and a curve.
+    /// Number of rows that suffice for a picture and a curve.
     pub const MOST_ROWS: usize = 480;
 
-    /// Of an arm of `n_nodes` nodes.
+    /// Creates the thinned motion of an arm of `n_nodes` nodes.
     pub fn new(n_nodes: usize) -> Self {
         Self {
             record: MotionRecord::empty(n_nodes),
@@ -323,7 +323,7 @@ impl ThinnedMotion {
         }
     }
 
-    /// The numbers of the rows that are kept of `n`, and of the last one.
+    /// Returns the numbers of the kept rows among `n`, and of the last one.
     pub fn rows_of(n: usize) -> Vec<usize> {
         let (mut rows, mut stride) = (Vec::new(), 1);
         for row in 0..n {
@@ -343,7 +343,7 @@ impl ThinnedMotion {
         rows
     }
 
-    /// Takes note of the next row: a record of one.
+    /// Includes the next row: a record of one row.
     pub fn push(&mut self, row: &MotionRecord) {
         if self.n_seen.is_multiple_of(self.stride) {
             if self.record.n_rows() == Self::MOST_ROWS {
@@ -357,7 +357,7 @@ impl ThinnedMotion {
         self.n_seen += 1;
     }
 
-    /// The rows that were kept, and the last one, which is `last`.
+    /// Returns the kept rows and the last one, which is `last`.
     pub fn finish(mut self, last: &MotionRecord) -> MotionRecord {
         if self.record.t.last() != last.t.last() {
             self.record.append(last);
@@ -402,7 +402,7 @@ pub(super) mod tests {
         values.iter().map(|value| value.to_bits()).collect()
     }
 
-    /// Any finite numbers come back with the same bits, and the same record gives the same bytes.
+    /// Any finite numbers are read back with the same bits, and the same record gives the same bytes.
     #[test]
     fn npz_round_trip_is_exact() {
         let folder = tempfile::tempdir().unwrap();
@@ -423,7 +423,7 @@ pub(super) mod tests {
         assert_eq!(std::fs::read(&first).unwrap()[10..14], [0, 0, 0x21, 0]);
     }
 
-    /// What cannot be read back is not written: sizes that disagree, non-finite numbers, time running backward.
+    /// Records that could not be read back are not written: sizes that disagree, non-finite numbers, time running backward.
     #[test]
     fn inconsistent_records_are_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -455,8 +455,7 @@ pub(super) mod tests {
     /// Changes an array of the archive, or leaves it out.
     type Change = fn(&str, &mut Vec<usize>, &mut Vec<f64>) -> bool;
 
-    /// Archives by others: a missing array, a wrong shape and a NaN are named; a file that breaks off,
-    /// a text file and no file are refused.
+    /// Faulty archives: a missing array, a wrong shape and a NaN are named; an incomplete file, a text file and a missing file are refused.
     #[test]
     fn foreign_archives_are_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -510,7 +509,7 @@ pub(super) mod tests {
         assert!(matches!(error, OutputError::Io { .. }), "{error}");
     }
 
-    /// Thinning keeps the first and the last row, at most as many as asked, in order and without repetition.
+    /// Thinning keeps the first and the last row, at most the requested number, in order and without repetition.
     #[test]
     fn thinning_keeps_both_ends() {
         for (n, max_rows) in [(1, 5), (2, 1), (5, 5), (1000, 240), (241, 240), (7, 0)] {
@@ -521,8 +520,8 @@ pub(super) mod tests {
         }
     }
 
-    /// However long the motion, the thinned one is bounded, evenly spread but for the last step, and holds the first
-    /// and the last row; a short one is whole.
+    /// However long the motion is, the thinned one is bounded, evenly spread except for the last step, and has the first and the last row;
+    /// a short motion is kept whole.
     #[test]
     fn thinned_motion_is_bounded() {
         for n in [
@@ -560,10 +559,10 @@ pub(super) mod tests {
         }
     }
 
-    /// Archives whose headers lie: an array of gigabytes of zeros in some kilobytes, a header of four gigabytes, one nested a thousand deep, more
-    /// arrays than there are, numbers of four bytes, and columns first. All are refused by name, none is unpacked.
+    /// Archives with false headers: an array of gigabytes of zeros in some kilobytes, a header of four gigabytes, one nested a thousand
+    /// levels deep, too many arrays, numbers of four bytes, and column order. All are refused by name, and none is unpacked.
     #[test]
-    fn archives_that_lie_are_refused() {
+    fn archives_with_false_headers_are_refused() {
         use std::io::Write as _;
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trajectory.npz");
@@ -628,7 +627,7 @@ pub(super) mod tests {
         assert!(error.contains("100000 bytes or more"), "{error}");
     }
 
-    /// Rows that are read from a file are those that a run keeps while it writes them: the same numbers, whatever their count.
+    /// Rows read from a file are those that a run keeps while it writes them: the same numbers, whatever their count is.
     #[test]
     fn rows_of_a_file_are_those_that_were_kept() {
         let folder = tempfile::tempdir().unwrap();
@@ -654,7 +653,7 @@ pub(super) mod tests {
     }
 
     proptest! {
-        /// Whatever happens to the bytes, reading ends, with a record of the size that was asked for or with an error that names the file.
+        /// Whatever happens to the bytes, reading ends with a record of the requested size or with an error that names the file.
         #[test]
         fn damaged_archives_are_read_or_refused(accidents in accidents()) {
             let folder = tempfile::tempdir().unwrap();

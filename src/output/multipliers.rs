@@ -13,16 +13,16 @@ use crate::verify::SolutionMultipliers;
 /// Multipliers of a solution, as in [`SolutionMultipliers`](crate::verify::SolutionMultipliers).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MultiplierRecord {
-    /// Of the goals' scaled residuals.
+    /// Multipliers of the goals' scaled residuals.
     pub goals: Vec<f64>,
-    /// Of the active rows of path constraints.
+    /// Multipliers of the active rows of path constraints.
     pub path: Vec<PathMultiplier>,
     /// Normals of the bounds on rates.
     pub rates: Vec<[f64; 6]>,
 }
 
 impl MultiplierRecord {
-    /// Those of an outcome, in terms of the problem.
+    /// Returns the multipliers of an outcome, in terms of the problem.
     #[must_use]
     pub fn of(program: &Transcription, outcome: &SqpOutcome<LiftedPoint>) -> Self {
         let multipliers = &outcome.multipliers;
@@ -33,7 +33,7 @@ impl MultiplierRecord {
         }
     }
 
-    /// As the check takes them.
+    /// Returns the multipliers in the form of the check.
     #[must_use]
     pub fn borrowed(&self) -> SolutionMultipliers<'_> {
         SolutionMultipliers {
@@ -44,14 +44,14 @@ impl MultiplierRecord {
     }
 }
 
-/// Bytes of a number, or of a row's name and indentation, at most.
+/// Upper limit of the bytes of a number, or of a row's name and indentation.
 const LARGEST_ENTRY: u64 = 1 << 6;
 
-/// Reads the `multipliers.json` of a problem; no more is read than its rows take.
+/// Reads the `multipliers.json` of a problem, and no more data than its rows take.
 ///
 /// # Errors
-/// [`OutputError`] when the file cannot be read or does not hold multipliers. Whether these are the problem's is for
-/// [`Solution::validate`](crate::verify::Solution::validate) to say.
+/// Returns [`OutputError`] if the file cannot be read or is not a file of multipliers.
+/// [`Solution::validate`](crate::verify::Solution::validate) checks whether these belong to the problem.
 pub fn read_multipliers(
     path: &Path,
     problem: &OptimalControlProblem,
@@ -62,7 +62,7 @@ pub fn read_multipliers(
         sum.saturating_add(rows.saturating_mul(constraint.time_nodes.len() as u64))
     });
     let rates = (problem.control.n_coefficients() * problem.actuators.len()) as u64;
-    // A row of a path takes six lines, one of rates eight.
+    // A row of a path takes six lines, a row of rates eight.
     let entries = (path_rows.saturating_add(rates))
         .saturating_mul(8)
         .saturating_add(goals + 64);

@@ -37,8 +37,8 @@ pub(super) fn open_within(path: &Path, largest: u64) -> Result<Archive, OutputEr
     Ok(archive)
 }
 
-/// Bytes that an archive of arrays with so many numbers takes at most, whoever packed it: deflate makes nothing longer by more than a
-/// thousandth, and headers of the arrays and of the archive are short.
+/// Returns the largest size in bytes of an archive of arrays with these counts, whoever packed it: deflate lengthens data by at most a
+/// thousandth, and the headers of the arrays and of the archive are short.
 pub(super) fn largest_archive(arrays: &[usize]) -> u64 {
     let numbers = arrays
         .iter()
@@ -48,7 +48,7 @@ pub(super) fn largest_archive(arrays: &[usize]) -> u64 {
         .saturating_add(4 * HEADER_ALLOWANCE * (arrays.len() as u64 + 4))
 }
 
-/// Arrays of an archive, at most.
+/// Cap on the arrays of an archive.
 const MOST_ENTRIES: usize = 64;
 
 /// Creates an archive and lets `fill` write its arrays.
@@ -64,12 +64,12 @@ pub(super) fn write(
     attempt().map_err(OutputError::unwritten(path, "cannot write"))
 }
 
-/// Fastest deflate: mantissas do not compress, but zeros of planar motions and held controls do.
+/// Fastest deflate: mantissas do not compress, but zeros of planar motions and constant controls do.
 const DEFLATE_LEVEL: i64 = 1;
-/// Bytes that the compressor gets at once. It is slow with eight, and what it makes of an array depends on how the array
-/// is cut; here is the only place that cuts, so the same numbers give the same bytes.
+/// Bytes that the compressor gets at once. It is slow with eight, and its output depends on how an array is cut. Arrays are cut here only,
+/// so that the same numbers give the same bytes.
 const CHUNK: usize = 1 << 16;
-/// More than the header of an array takes.
+/// Upper limit of the bytes of an array's header.
 const HEADER_ALLOWANCE: u64 = 1 << 10;
 
 /// Appends an array; `values` are in C order and fill `shape`.
@@ -84,7 +84,7 @@ pub(super) fn write_array(
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Deflated)
         .compression_level(Some(DEFLATE_LEVEL))
-        .last_modified_time(DateTime::default()) // 1980, instead of the clock
+        .last_modified_time(DateTime::default()) // a fixed date, 1980
         .large_file(size > u64::from(u32::MAX) / 2);
     archive.start_file(file_name_from_array_name(name), options)?;
     let mut array = WriteOptions::<f64>::new()
@@ -98,13 +98,13 @@ pub(super) fn write_array(
     array.finish()
 }
 
-/// Shape and values of an array; `None` in `expected` admits any size in that dimension.
+/// Reads shape and values of an array; `None` in `expected` admits any size in that dimension.
 pub(super) fn read_array(
     archive: &mut Archive,
     name: &str,
     expected: &[Option<usize>],
 ) -> Result<(Vec<usize>, Vec<f64>), String> {
-    // Not as long as the header claims: it may claim anything.
+    // The memory does not grow by the length in the header, which may be false.
     let mut values = Vec::new();
     let shape = visit_array(archive, name, expected, |value| {
         values.push(value);
@@ -150,7 +150,7 @@ pub(super) fn visit_array(
             .and_then(&mut visit)
             .map_err(|error| error.to_string())?;
     }
-    // The archive compares its checksum only where the array ends.
+    // The archive compares its checksum only at the end of the array.
     match bytes.read(&mut [0]) {
         Ok(0) => Ok(shape),
         Ok(_) => Err("longer than its shape".into()),
@@ -158,7 +158,7 @@ pub(super) fn visit_array(
     }
 }
 
-/// The header of an array as it stands: as short as that of numbers is, and not nested, before anything interprets it.
+/// Reads the header of an array and checks, before it is parsed, that it is short and not nested, as for plain numbers.
 fn header_of(entry: &mut impl Read) -> Result<Vec<u8>, String> {
     let broken = |error: io::Error| match error.kind() {
         io::ErrorKind::UnexpectedEof => "breaks off within its header".to_string(),
@@ -185,7 +185,7 @@ fn header_of(entry: &mut impl Read) -> Result<Vec<u8>, String> {
     let before = header.len();
     header.resize(before + length as usize, 0);
     entry.read_exact(&mut header[before..]).map_err(broken)?;
-    // One dictionary and one tuple; deeper nests take the parser time that doubles with every level.
+    // One dictionary and one tuple are expected; the parser's time doubles with every further level of nesting.
     let opened = (header[before..].iter())
         .filter(|byte| b"([{".contains(byte))
         .count();

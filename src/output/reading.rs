@@ -1,4 +1,5 @@
-//! Reading of files that a user wrote, or of results that may have been changed: only regular files are opened, and no more is read than the result can hold.
+//! Reading of files that a user wrote, or of results that may have been changed: only regular files are opened, and no more data is read
+//! than the result can have.
 
 use std::fmt;
 use std::fs::{self, File};
@@ -7,14 +8,14 @@ use std::path::Path;
 
 use super::OutputError;
 
-/// Why a file of a user or of a result is not read.
+/// The reason why a file of a user or of a result is not read.
 #[derive(Debug)]
 pub(crate) enum Unreadable {
-    /// The system does not let it be read.
+    /// The system refuses to read the file.
     Io(io::Error),
-    /// It is no regular file but what this names.
+    /// The file is not a regular one; the name of its kind is given.
     Kind(&'static str),
-    /// It has this many bytes or more, and may have as many as the second number says.
+    /// The file has at least the first number of bytes, and may have at most the second.
     Large(u64, u64),
 }
 
@@ -40,7 +41,8 @@ impl fmt::Display for Unreadable {
     }
 }
 
-/// Opens a regular file of at most `largest` bytes; anything else (a pipe would wait for ever, a device never ends) is refused unopened.
+/// Opens a regular file of at most `largest` bytes; other kinds are refused unopened (reading a pipe could wait for ever, a device never
+/// ends).
 pub(crate) fn open_regular(path: &Path, largest: u64) -> Result<File, Unreadable> {
     let found = fs::metadata(path).map_err(Unreadable::Io)?;
     if !found.is_file() {
@@ -67,7 +69,7 @@ pub(super) fn open(path: &Path, largest: u64) -> Result<File, OutputError> {
 /// Reads a regular file of at most `largest` bytes.
 pub(crate) fn read_regular(path: &Path, largest: u64) -> Result<Vec<u8>, Unreadable> {
     let mut bytes = Vec::new();
-    // Some files say that they are empty and are not.
+    // Some files report a size of zero although they are not empty.
     open_regular(path, largest)?
         .take(largest.saturating_add(1))
         .read_to_end(&mut bytes)
@@ -81,7 +83,7 @@ pub(crate) fn read_regular(path: &Path, largest: u64) -> Result<Vec<u8>, Unreada
 /// Reads a text of at most `largest` bytes.
 ///
 /// # Errors
-/// [`OutputError`] for what is no file, larger, or not UTF-8.
+/// Returns [`OutputError`] for a path that is not a file, a larger file, or one that is not UTF-8.
 pub fn read_text(path: &Path, largest: u64) -> Result<String, OutputError> {
     let bytes = read_regular(path, largest).map_err(|error| error.of(path))?;
     String::from_utf8(bytes).map_err(|error| {
@@ -98,7 +100,7 @@ pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// What may have happened to the bytes of a file.
+    /// Damage to the bytes of a file.
     #[derive(Clone, Debug)]
     pub(in crate::output) enum Accident {
         Flip(prop::sample::Index, u8),
@@ -148,9 +150,9 @@ pub(super) mod tests {
         bytes
     }
 
-    /// A directory, a device, a text that is too long and one that is none are refused by what they are.
+    /// A directory, a device, a text that is too long and one that is not UTF-8 are refused by their kind.
     #[test]
-    fn what_is_no_text_is_refused() {
+    fn only_text_files_are_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("text");
         let refused = |path: &Path, word: &str| {

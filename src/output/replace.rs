@@ -1,8 +1,8 @@
-//! The one rule by which single files are written: what softarm did not write is replaced only where the user names it.
+//! The rule by which single files are written: a file that softarm did not write is replaced only if the user names it.
 //!
-//! Links are followed to what they lead to, and stay links. A file that is replaced is there as a whole, old or new, at every moment, and keeps its
-//! mode and its owner. A device or a pipe is written to and stays one; a disk, a socket and a directory are refused. A file that nobody may write
-//! is refused too, although its folder would let it be replaced.
+//! Links are followed to their target, and stay links. A file is replaced atomically, so that it is complete, old or new, at every moment,
+//! and keeps its mode and its owner. A device or a pipe is written to and stays one; a disk, a socket and a directory are refused. A
+//! read-only file is refused too, although its folder would allow to replace it.
 
 use std::fs::{self, File, FileType, Metadata, OpenOptions};
 use std::io::{self, Read as _, Write as _};
@@ -10,32 +10,32 @@ use std::path::{Path, PathBuf};
 
 use super::{OutputError, PAGE_MARK};
 
-/// Bytes of a file at its beginning in which the mark of softarm is looked for, where it has one.
+/// Bytes at the beginning of a file in which softarm's mark is expected.
 const HEAD: u64 = 1 << 16;
-/// Bytes of a page that is looked at before it is replaced.
+/// Cap on the bytes of a page that is read before it is replaced.
 const LARGEST_PAGE: u64 = 1 << 30;
-/// Links that follow one another, at most, as in Linux.
+/// Cap on successive links, as in Linux.
 const MOST_LINKS: usize = 40;
-/// First words of an exported table.
+/// First line of an exported table.
 pub(super) const TABLE_HEAD: &str = "t_s,node,s,x_m,y_m,z_m,qw,qx,qy,qz\n";
 /// A comment in the head of exported XML.
 pub(super) const EXPORT_MARK: &str = "<!-- made by softarm export -->";
 
-/// How a file that is there already is known to be one of softarm's.
+/// Evidence that an existing file was written by softarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Own {
-    /// By nothing: it is the user's.
+    /// No evidence: the file belongs to the user.
     Nothing,
     /// A page of softarm.
     Page,
     /// A picture or a data file of `softarm export`.
     Export,
-    /// Every file: the user named this one to be changed.
+    /// No evidence is needed: the user named this file to be changed.
     Everything,
 }
 
 impl Own {
-    /// Tells whether the beginning of a file is that of one of softarm's.
+    /// Tells whether the beginning of a file is that of one of softarm's files.
     fn has_head(self, head: &str) -> bool {
         match self {
             Self::Nothing => false,
@@ -46,7 +46,7 @@ impl Own {
         }
     }
 
-    /// What such a file is called.
+    /// Returns the name of such a file in messages.
     fn name(self) -> &'static str {
         match self {
             Self::Page => "page of softarm",
@@ -59,22 +59,22 @@ impl Own {
 /// Writes single files by the rule of this module.
 #[derive(Clone, Debug, Default)]
 pub struct Writer {
-    /// Files and folders of files that the user lets be replaced although softarm did not write them.
+    /// Files, and folders of files, that may be replaced although softarm did not write them.
     forced: Vec<PathBuf>,
 }
 
-/// What stands at a path, links followed.
+/// The object at a path, with links followed.
 enum Found {
-    /// Nothing; a file is to be made here.
+    /// No object; a file is to be created at this path.
     Nothing(PathBuf),
-    /// A regular file, here.
+    /// A regular file at this path.
     File(PathBuf, Metadata),
     /// A device or a pipe.
     Stream,
 }
 
 impl Writer {
-    /// Lets the named files, and those in named folders, be replaced, whoever wrote them.
+    /// Creates a writer that may replace the named files, and those in named folders, whoever wrote them.
     #[must_use]
     pub fn forcing(files: &[PathBuf]) -> Self {
         Self {
@@ -85,7 +85,7 @@ impl Writer {
     /// Tells, before anything is computed, whether a file may be written.
     ///
     /// # Errors
-    /// [`OutputError`] for a path that [`write`](Self::write) would refuse.
+    /// Returns [`OutputError`] for a path that [`write`](Self::write) would refuse.
     pub fn permit(&self, path: &Path, own: Own) -> Result<(), OutputError> {
         self.found(path, own).map(|_| ())
     }
@@ -93,14 +93,14 @@ impl Writer {
     /// Writes a text to a file.
     ///
     /// # Errors
-    /// [`OutputError::Refused`] for a file that is not softarm's and not forced, for one that is read-only, and for what is neither a file nor a
-    /// stream of bytes; [`OutputError::Unwritten`] where the system does not take it.
+    /// Returns [`OutputError::Refused`] for a file that is not softarm's and not forced, for one that is read-only, and for a path that is
+    /// neither a file nor a stream of bytes; [`OutputError::Unwritten`] if the system fails to write.
     pub fn write(&self, path: &Path, own: Own, text: &str) -> Result<(), OutputError> {
         let unwritten = || OutputError::unwritten(path, "cannot write");
         match self.found(path, own)? {
             Found::Nothing(place) => put(&place, None, text),
             Found::File(place, old) if is_shared(&place, path, &old) => {
-                fs::write(&place, text) // in place, so that all of its names lead to it still
+                fs::write(&place, text) // in place, so that all of its names still refer to it
             }
             Found::File(place, old) => put(&place, Some(&old), text),
             Found::Stream => stream(path).and_then(|mut file| {
@@ -129,12 +129,12 @@ impl Writer {
                 false => refuse("a disk or a socket, which softarm does not write to".into()),
             };
         }
-        // What /proc and /dev call a file need not be at that path.
+        // The target of an entry in /proc and /dev need not exist at its path.
         let place = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
         if old.permissions().readonly() {
             return refuse("read-only; make it writable, or name another file".into());
         }
-        // Whoever may change the folder may not therefore change the file.
+        // Permission to change the folder is not permission to change the file.
         (OpenOptions::new().write(true).open(path))
             .map_err(OutputError::unwritten(path, "cannot write"))?;
         let is_own = own == Own::Everything
@@ -151,7 +151,7 @@ impl Writer {
         Ok(Found::File(place, old))
     }
 
-    /// Tells whether the user named this file, or the folder that it is in.
+    /// Tells whether the user named this file, or its folder.
     fn is_forced(&self, place: &Path) -> bool {
         let mut named = (self.forced.iter()).filter_map(|named| fs::canonicalize(named).ok());
         named.any(|named| named == place || place.parent() == Some(&named))
@@ -165,7 +165,7 @@ fn put(place: &Path, old: Option<&Metadata>, text: &str) -> io::Result<()> {
         _ => Path::new("."),
     };
     let mut builder = tempfile::Builder::new();
-    // Those of any new file: the mask of the process goes on top.
+    // The permissions of any new file; the mask of the process applies on top.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut file = builder.tempfile_in(folder)?;
@@ -174,7 +174,7 @@ fn put(place: &Path, old: Option<&Metadata>, text: &str) -> io::Result<()> {
         #[cfg(unix)]
         {
             use std::os::unix::fs::{MetadataExt as _, fchown};
-            // Of somebody else's file in a folder of one's own; who may not give a file away becomes its owner.
+            // Keeps the owner of another user's file if the system permits it; otherwise the process becomes its owner.
             let _ = fchown(file.as_file(), Some(old.uid()), Some(old.gid()));
         }
         file.as_file().set_permissions(old.permissions())?;
@@ -183,19 +183,19 @@ fn put(place: &Path, old: Option<&Metadata>, text: &str) -> io::Result<()> {
     Ok(())
 }
 
-/// Tells whether the beginning of a file shows that it is softarm's.
+/// Tells whether the beginning of a file shows that softarm wrote it.
 fn has_head(path: &Path, own: Own) -> io::Result<bool> {
     if own == Own::Nothing {
         return Ok(false);
     }
     let mut head = Vec::new();
-    // The data of an earlier page may stand behind its style sheet.
+    // The data of an earlier page may follow its style sheet.
     let most = if own == Own::Page { LARGEST_PAGE } else { HEAD };
     File::open(path)?.take(most).read_to_end(&mut head)?;
     Ok(own.has_head(&String::from_utf8_lossy(&head)))
 }
 
-/// Tells whether a file has several names, or is only known by an open descriptor: renaming would part them.
+/// Tells whether a file has several names, or is only known by an open descriptor: renaming would separate them.
 fn is_shared(place: &Path, path: &Path, old: &Metadata) -> bool {
     let by_descriptor = ["/dev", "/proc"].iter().any(|root| path.starts_with(root));
     #[cfg(unix)]
@@ -208,7 +208,7 @@ fn is_shared(place: &Path, path: &Path, old: &Metadata) -> bool {
     has_names || (by_descriptor && place != path)
 }
 
-/// Where a chain of links that leads to nothing would have its file.
+/// Returns the path at which a chain of links without a target would create its file.
 fn end_of_links(path: &Path) -> Result<PathBuf, OutputError> {
     let mut place = path.to_path_buf();
     for _ in 0..MOST_LINKS {
@@ -231,15 +231,16 @@ fn is_stream(_: FileType) -> bool {
     false
 }
 
-/// Opens a device or a pipe; a pipe that nobody reads is an error at once, where it would wait for ever.
+/// Opens a device or a pipe; a pipe without a reader is an error at once, instead of waiting for ever.
 fn stream(path: &Path) -> io::Result<File> {
     let mut options = OpenOptions::new();
     options.write(true);
     // Held while the file is opened once more: only opening is not to wait, writing to a full pipe is.
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    #[cfg(unix)]
     let _held = {
         use std::os::unix::fs::OpenOptionsExt as _;
-        options.clone().custom_flags(libc::O_NONBLOCK).open(path)?
+        let at_once = rustix::fs::OFlags::NONBLOCK.bits().cast_signed();
+        options.clone().custom_flags(at_once).open(path)?
     };
     options.open(path)
 }

@@ -4,6 +4,7 @@
 mod comparison;
 mod field;
 mod render;
+mod words;
 
 #[cfg(feature = "cli")]
 pub(crate) use self::comparison::scene_differences;
@@ -17,11 +18,15 @@ pub(crate) use self::render::PAGE_STYLE;
 #[cfg(feature = "cli")]
 pub use self::render::{PAGE_MARK, render_comparison};
 pub use self::render::{figure, render_report};
+pub(crate) use self::words::Columns;
+#[cfg(feature = "cli")]
+pub(crate) use self::words::fill;
+pub use self::words::{Facts, Words};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{ControlRow, MotionRecord};
+use super::MotionRecord;
 
 /// What `report.html` shows; sections without data are absent from the page.
 #[derive(Debug, Clone, Serialize)]
@@ -30,18 +35,9 @@ pub struct ReportData {
     pub title: String,
     /// What was run.
     pub command: ReportCommand,
-    /// The outcome, beside the title.
-    pub verdict: ReportVerdict,
-    /// What moved where, with which force, and what became of it: one sentence.
-    pub lead: String,
-    /// Why that can be trusted, or why not: one sentence.
-    pub trust: String,
-    /// The arm, in pairs of label and value.
-    pub arm_facts: Vec<(String, String)>,
-    /// What acts on it, likewise.
-    pub acting: Vec<(String, String)>,
-    /// The run, likewise.
-    pub facts: Vec<(String, String)>,
+    /// What the page says in words, and its charts.
+    #[serde(flatten)]
+    pub words: Words,
     /// The summary, shown as it is in a folded section.
     pub summary: Value,
     /// The arm that moves.
@@ -68,22 +64,45 @@ pub struct ReportData {
     pub energy: Option<ReportEnergy>,
     /// Growth of perturbations; absent where it was not computed.
     pub sensitivity: Option<ReportSensitivity>,
-    /// More charts.
-    pub charts: Vec<ReportChart>,
-    /// Sizes beside each other.
-    pub bars: Vec<ReportBars>,
-    /// More tables.
-    pub tables: Vec<ReportTable>,
-    /// Advice, in sentences.
-    pub advice: Vec<String>,
     /// The way to the solution; empty for a simulation.
     pub iterations: Vec<ReportIteration>,
-    /// The solves that the iterations belong to.
-    pub attempts: Vec<ReportAttempt>,
     /// The signs in the kinds of iterations, with their meanings.
-    pub kinds: Vec<(String, String)>,
-    /// What was checked afterwards, with the verdicts.
-    pub checks: Vec<ReportCheck>,
+    pub kinds: Facts,
+}
+
+impl ReportData {
+    /// The page of a result with this summary, without what is drawn beside arm and motion.
+    pub fn of(
+        command: ReportCommand,
+        summary: &Value,
+        words: Words,
+        arm: ReportArm,
+        motion: ReportMotion,
+    ) -> Self {
+        Self {
+            title: summary["scene"].as_str().unwrap_or_default().into(),
+            command,
+            words,
+            summary: summary.clone(),
+            arm,
+            motion,
+            clock: match command {
+                ReportCommand::Equilibrium => ReportClock::load_factor(),
+                _ => ReportClock::time(),
+            },
+            target: None,
+            via: Vec::new(),
+            paths: Vec::new(),
+            arrows: Vec::new(),
+            fields: None,
+            obstacles: None,
+            controls: None,
+            energy: None,
+            sensitivity: None,
+            iterations: Vec::new(),
+            kinds: Vec::new(),
+        }
+    }
 }
 
 /// The verb that made the result.
@@ -136,7 +155,7 @@ impl ReportClock {
 }
 
 /// The outcome in a few words.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct ReportVerdict {
     /// As in "certified".
     pub text: String,
@@ -384,24 +403,6 @@ pub struct ReportControls {
     pub moment_bound: Option<Bound>,
 }
 
-impl ReportControls {
-    /// Held controls from the rows of `controls.csv`, which follow each other without gaps; no bounds.
-    pub fn held(rows: &[ControlRow]) -> Self {
-        Self {
-            hold: Hold::Constant,
-            t: rows
-                .iter()
-                .map(|row| row.t_start)
-                .chain(rows.last().map(|row| row.t_end))
-                .collect(),
-            force: rows.iter().map(|row| [row.fx, row.fy, row.fz]).collect(),
-            moment: rows.iter().map(|row| [row.mx, row.my, row.mz]).collect(),
-            force_bound: None,
-            moment_bound: None,
-        }
-    }
-}
-
 /// Energies over time, in joules.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportEnergy {
@@ -456,7 +457,7 @@ pub struct ReportCurve {
     /// Its name in the legend.
     pub name: String,
     /// Its color, by a name of the page's style sheet.
-    pub color: &'static str,
+    pub color: String,
     /// Where its values are; with `hold` the edges of steps, one more than values.
     pub x: Vec<f64>,
     /// Its values; what is not finite is a gap.
@@ -517,8 +518,8 @@ pub struct ReportAttempt {
     pub is_result: bool,
 }
 
-/// One SQP iteration.
-#[derive(Debug, Clone, Serialize)]
+/// One SQP iteration: some columns of `iterations.csv`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ReportIteration {
     /// Number of the solve that it belongs to, from 1.
     pub attempt: usize,

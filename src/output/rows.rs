@@ -11,10 +11,10 @@ use super::npz::{self, visit_array, write_array};
 /// Name, shape (the number of rows first) and values of an array of an archive.
 pub type ArrayView<'a> = (&'static str, Vec<usize>, &'a [f64]);
 
-/// Bytes of an archive beside its numbers, and more.
+/// Upper limit of the bytes of an archive besides its numbers.
 const ARCHIVE_FRAME: u64 = 1 << 16;
 
-/// Bytes of a row of all arrays.
+/// Returns the bytes of a row of all arrays.
 pub fn row_bytes(layout: &[ArrayView]) -> u64 {
     let numbers: usize = layout
         .iter()
@@ -32,10 +32,10 @@ pub struct RowPrefix {
     pub checksum: u32,
 }
 
-/// Rows of several arrays on their way to an archive: a file of plain numbers (64 bits, little-endian) per array.
+/// Rows of several arrays on their way to an archive: a file of plain numbers (64 bits, little-endian) for each array.
 ///
-/// Memory does not grow with the rows. Files that hold more rows than are known to be good, as after the death of
-/// the process, are cut when they are opened again.
+/// Memory does not grow with the rows. Files with more rows than are known to be good, as after the death of the process, are truncated
+/// when they are opened again.
 #[derive(Debug)]
 pub struct RowFiles {
     arrays: Vec<RowFile>,
@@ -48,7 +48,7 @@ pub struct RowFiles {
 #[derive(Debug)]
 struct RowFile {
     name: &'static str,
-    /// Shape of one row; empty for a number per row.
+    /// Shape of one row; empty for one number per row.
     row_shape: Vec<usize>,
     path: PathBuf,
     writer: BufWriter<File>,
@@ -75,7 +75,7 @@ impl RowFile {
 }
 
 impl RowFiles {
-    /// Makes the files in `folder`, without rows, for arrays like those of `layout`, whose values do not matter.
+    /// Creates the files in `folder`, without rows, for arrays like those of `layout`, whose values are not used.
     pub fn create(folder: &Path, layout: &[ArrayView]) -> Result<Self, OutputError> {
         fs::create_dir_all(folder).map_err(OutputError::unwritten(folder, "cannot create"))?;
         let mut files = Self::open(folder, layout)?;
@@ -83,7 +83,7 @@ impl RowFiles {
         Ok(files)
     }
 
-    /// Opens the files, and makes those that are missing.
+    /// Opens the files, and creates missing ones.
     fn open(folder: &Path, layout: &[ArrayView]) -> Result<Self, OutputError> {
         let mut arrays = Vec::new();
         for (name, shape, _) in layout {
@@ -122,11 +122,11 @@ impl RowFiles {
         Ok(())
     }
 
-    /// Opens the files of a run that was stopped, whose first array is the time. Rows beyond those `written` are cut off; these must have
-    /// their checksum, finite numbers, and times that grow. The first `n_rows` of them are passed to `visit` and kept.
+    /// Opens the files of a stopped run, whose first array is the time. Rows beyond those `written` are cut off; these must have their
+    /// checksum, finite numbers, and increasing times. The first `n_rows` of them are passed to `visit` and kept.
     ///
     /// # Errors
-    /// [`OutputError::Malformed`] for rows that are not as they were written.
+    /// Returns [`OutputError::Malformed`] for rows that have changed.
     pub fn resume(
         folder: &Path,
         layout: &[ArrayView],
@@ -199,7 +199,7 @@ impl RowFiles {
     /// [`resume`](Self::resume).
     ///
     /// # Errors
-    /// [`OutputError::Malformed`] for another archive.
+    /// Returns [`OutputError::Malformed`] for any other archive.
     pub fn unpack(
         archive: &Path,
         folder: &Path,
@@ -211,7 +211,7 @@ impl RowFiles {
         if !metadata.is_file() {
             return Err(malformed("not a file".into()));
         }
-        // What does not compress grows a little.
+        // Incompressible data grow a little.
         let most_bytes = most_rows as u64 * row_bytes(layout) / 32 * 33 + ARCHIVE_FRAME;
         if metadata.len() > most_bytes {
             return Err(malformed(format!(
@@ -238,7 +238,7 @@ impl RowFiles {
         files.flush()
     }
 
-    /// Rows so far.
+    /// Returns the number of rows so far.
     pub fn n_rows(&self) -> usize {
         self.n_rows
     }
@@ -255,7 +255,7 @@ impl RowFiles {
         Ok(())
     }
 
-    /// The rows so far, and their checksum.
+    /// Returns the number of rows so far, and their checksum.
     #[must_use]
     pub fn prefix(&self) -> RowPrefix {
         RowPrefix {
@@ -264,7 +264,7 @@ impl RowFiles {
         }
     }
 
-    /// Hands everything to the operating system, where it outlives the process.
+    /// Passes all rows to the operating system, so that they survive the process.
     pub fn flush(&mut self) -> Result<(), OutputError> {
         for array in &mut self.arrays {
             array
@@ -275,13 +275,13 @@ impl RowFiles {
         Ok(())
     }
 
-    /// One reader an array, of everything pushed so far.
+    /// Returns one reader for each array, of all rows so far.
     fn readers(&mut self) -> Result<Vec<BufReader<File>>, OutputError> {
         self.flush()?;
         self.arrays.iter().map(RowFile::reader).collect()
     }
 
-    /// Writes the rows as a numpy archive: byte for byte what it would be had they all been in memory.
+    /// Writes the rows as a numpy archive, with the same bytes as if they had all been in memory.
     pub fn write_npz(&mut self, path: &Path) -> Result<(), OutputError> {
         let mut readers = self.readers()?;
         npz::write(path, |archive| {
@@ -311,7 +311,7 @@ mod tests {
     use crate::output::MotionRecord;
     use crate::output::motion::tests::record;
 
-    /// Row `row` of a record, as a record.
+    /// Returns row `row` of a record, as a record.
     fn row_of(record: &MotionRecord, row: usize) -> MotionRecord {
         let mut one = MotionRecord::empty(record.n_nodes);
         for (target, (_, shape, values)) in one.arrays_mut().into_iter().zip(record.arrays()) {
@@ -321,7 +321,7 @@ mod tests {
         one
     }
 
-    /// Pushes rows to files that hold those before.
+    /// Pushes rows to files that have the rows before.
     fn pushed(folder: &Path, record: &MotionRecord, rows: std::ops::Range<usize>) -> RowFiles {
         let mut files = if rows.start == 0 {
             RowFiles::create(folder, &record.arrays()).unwrap()
@@ -335,7 +335,7 @@ mod tests {
         files
     }
 
-    /// The first rows of a record, by another route than the files': their bytes at once.
+    /// The first rows of a record, by another route than that of the files: their bytes at once.
     fn prefix(record: &MotionRecord, rows: usize) -> RowPrefix {
         let mut bytes = Vec::new();
         for row in 0..rows {
@@ -349,7 +349,7 @@ mod tests {
         }
     }
 
-    /// What a run finds that resumes these files after so many rows, all of which it keeps.
+    /// The rows that a run finds when it resumes these files after the given number of rows, all of which it keeps.
     fn resumed(
         folder: &Path,
         record: &MotionRecord,
@@ -371,8 +371,8 @@ mod tests {
         (0..record.n_rows()).map(row).collect()
     }
 
-    /// Rows through files give the bytes of the archive that memory gives, for arrays beyond one chunk of the
-    /// compressor; so do rows that were written after a cut, and rows that were unpacked from the archive.
+    /// Rows through files give the bytes of the archive from memory, for arrays beyond one chunk of the compressor; so do rows that were
+    /// written after a cut, and rows that were unpacked from the archive.
     #[test]
     fn both_routes_write_the_same_bytes() {
         let folder = tempfile::tempdir().unwrap();
@@ -388,7 +388,7 @@ mod tests {
         files.write_npz(&streamed).unwrap();
         assert!(bytes(&direct) == bytes(&streamed));
 
-        // 300 rows too many, the last of them half written.
+        // 300 additional rows, the last of them half written.
         drop(files);
         let x = OpenOptions::new()
             .write(true)
@@ -409,7 +409,7 @@ mod tests {
         assert!(bytes(&direct) == bytes(&streamed));
     }
 
-    /// Of rows that were written, fewer can be kept: the rest are checked too, and gone.
+    /// Fewer rows than were written can be kept: the rest are checked too, and removed.
     #[test]
     fn fewer_rows_can_be_kept() {
         let folder = tempfile::tempdir().unwrap();
@@ -426,7 +426,7 @@ mod tests {
         );
     }
 
-    /// Fewer rows than a checkpoint promises are an error that names the file, the size and the rows.
+    /// Fewer rows than a checkpoint names are an error that names the file, the size and the rows.
     #[test]
     fn missing_rows_are_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -444,8 +444,7 @@ mod tests {
         }
     }
 
-    /// Rows with the checksum that they should have, but with a number that is none, or with a time that stands or runs backward, are
-    /// refused, with the row.
+    /// Rows with the right checksum but with a number that is not finite, or with a time that does not increase, are refused, with the row.
     #[test]
     fn impossible_rows_are_refused() {
         for (array, row, value, words) in [
@@ -470,7 +469,7 @@ mod tests {
         }
     }
 
-    /// An archive with more rows than a run can have written, a longer file, and what is no file, are not unpacked.
+    /// An archive with more rows than a run can have written, a longer file, and a path that is not a file, are not unpacked.
     #[test]
     fn archives_are_limited() {
         let folder = tempfile::tempdir().unwrap();
@@ -482,7 +481,7 @@ mod tests {
                 .unwrap_err()
                 .to_string()
         };
-        // Zeros: a thousandth of their size in the archive.
+        // Zeros take a thousandth of their size in the archive.
         (record.arrays_mut().into_iter()).for_each(|values| values.fill(0.0));
         record.write_npz(&path).unwrap();
         let message = error(&record, 499);

@@ -13,34 +13,34 @@ use super::summary::{SCHEMA_VERSION, TOOL};
 const LOCK_FILE: &str = "lock";
 /// Folder in which the files of a result are written.
 const DRAFT: &str = "draft";
-/// The same folder when they are all written: what is in it belongs into the result directory.
+/// Name of that folder after all files are written, when they belong into the result directory.
 const READY: &str = "ready";
-/// The names of the files that a [`READY`] folder began with, one a line.
+/// Names of the files with which a [`READY`] folder began, one a line.
 const MANIFEST: &str = "manifest";
-/// Stands for the summary of a directory whose files are being replaced.
+/// Placeholder for the summary of a directory whose files are being replaced.
 const PLACEHOLDER: &str = "unfinished.json";
 /// Folders of the rows of a simulation.
 const ROW_FOLDERS: [&str; 2] = ["trajectory", "diagnostics"];
-/// Points of a trade-off on its way.
+/// Points of a trade-off in progress.
 pub(crate) const JOURNAL_FILE: &str = "points.jsonl";
-/// The ending of files of rows.
+/// Extension of files of rows.
 const ROW_ENDING: &str = "f64";
-/// A directory that another run removes at the same moment is made anew at most so many times.
+/// Cap on the attempts to create a directory that other runs remove at the same moment.
 const ATTEMPTS: usize = 100;
 
-/// The directory of a run that has not ended: `.NAME.running`, beside the result directory `NAME`.
+/// The directory of a run in progress: `.NAME.running`, beside the result directory `NAME`.
 ///
-/// It is locked while its run lives; the operating system frees the lock of the dead, and the next run into `NAME` takes over what
-/// they left: a simulation can be resumed, a result that was complete is put in its place, the rest is removed. It holds only what
-/// softarm makes; anything else in it, and a symbolic link in its place, is refused and stays.
+/// It is locked while its run lives; the operating system releases the lock of a dead process, and the next run into `NAME` takes over its
+/// files: a simulation can be resumed, a complete result is moved to its place, the rest is removed. It contains only files of softarm;
+/// anything else in it, and a symbolic link in its place, is refused and kept.
 ///
 /// [`publish`](Self::publish) replaces, one by one, the files of the [kind](ResultKind) of result, and leaves every other file of the
-/// result directory alone. While it does, `summary.json` says `unfinished`.
+/// result directory alone. During the replacement, the status in `summary.json` is `unfinished`.
 ///
-/// What is written survives the process, not a loss of power: nothing is forced onto the disk.
+/// Written data survive the process, but not a loss of power, because nothing is forced onto the disk.
 #[derive(Debug)]
 pub struct RunDirectory {
-    /// As the user wrote it.
+    /// The path as the user wrote it.
     named: PathBuf,
     target: PathBuf,
     kind: ResultKind,
@@ -49,11 +49,11 @@ pub struct RunDirectory {
 }
 
 impl RunDirectory {
-    /// Takes hold of the directory for the result `target`; parents are made. It may hold what an earlier simulation left to resume.
+    /// Opens the directory for the result `target`, and creates its parents. It may have files of an earlier simulation to resume.
     ///
     /// # Errors
-    /// [`OutputError::Refused`] for a target that is neither absent, nor empty, nor a result of the same kind, and while another run
-    /// is at work on it.
+    /// Returns [`OutputError::Refused`] for a target that is neither absent, nor empty, nor a result of the same kind, and while another
+    /// run uses it.
     pub fn open(target: &Path, kind: ResultKind) -> Result<Self, OutputError> {
         let named = target.to_path_buf();
         let target = locate(target)?;
@@ -69,7 +69,7 @@ impl RunDirectory {
             kind,
             folder,
         };
-        // What a dead run has put there may be of the other kind.
+        // The files that a dead run moved there may belong to the other kind.
         directory.put_in_place()?;
         permit(&directory.target, kind)?;
         if !directory.folder.join(CHECKPOINT_FILE).exists() {
@@ -89,7 +89,7 @@ impl RunDirectory {
         Ok(directory)
     }
 
-    /// Where the run of the result `target` is, or would be.
+    /// Returns the folder of the run of the result `target`, whether it exists or not.
     pub fn folder_of(target: &Path) -> Result<PathBuf, OutputError> {
         let target = locate(target)?;
         let mut name = OsStr::new(".").to_os_string();
@@ -98,18 +98,18 @@ impl RunDirectory {
         Ok(target.with_file_name(name))
     }
 
-    /// The directory of the files.
+    /// Returns the directory of the files.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.folder
     }
 
-    /// Removes what softarm has put there, but the lock.
+    /// Removes the files of softarm, except the lock.
     pub fn clear(&self) -> Result<(), OutputError> {
         self.clear_where(|name| name != LOCK_FILE)
     }
 
-    /// Removes what is left of a result that a dead run was writing.
+    /// Removes the rest of a result that a dead run was writing.
     fn clear_result(&self) -> Result<(), OutputError> {
         self.clear_where(|name| {
             [DRAFT, READY, MANIFEST, PLACEHOLDER]
@@ -118,7 +118,7 @@ impl RunDirectory {
         })
     }
 
-    /// Removes what softarm has put there under names that are `doomed`.
+    /// Removes the files of softarm whose names are `doomed`.
     fn clear_where(&self, doomed: impl Fn(&OsStr) -> bool) -> Result<(), OutputError> {
         let remove_all = || {
             for entry in fs::read_dir(&self.folder)? {
@@ -146,14 +146,15 @@ impl RunDirectory {
 
     /// Removes the directory.
     pub fn remove(self) -> Result<(), OutputError> {
-        self.clear() // the rest when it is dropped
+        self.clear() // the rest is removed on drop
     }
 
-    /// Lets `fill` write the files of the result, puts them in the place of those of an earlier one, and removes this directory.
-    /// Returns the result directory, by the name that the user gave it.
+    /// Lets `fill` write the files of the result, moves them to the place of those of an earlier one, and removes this directory. Returns
+    /// the result directory, by the name that the user gave it.
     ///
     /// # Errors
-    /// What `fill` returns, and [`OutputError`] when the files cannot be put in place. A simulation that is here can still be resumed.
+    /// Returns the error of `fill`, and [`OutputError`] if the files cannot be moved to their place. A simulation in this directory can
+    /// still be resumed.
     pub fn publish(
         self,
         fill: impl FnOnce(&ResultDirectory) -> Result<(), OutputError>,
@@ -167,7 +168,7 @@ impl RunDirectory {
     /// [Publishes](Self::publish), or else writes the result to another place and returns [`OutputError::Elsewhere`].
     ///
     /// # Errors
-    /// [`OutputError::Elsewhere`], and [`OutputError::Nowhere`] when no place takes the result.
+    /// Returns [`OutputError::Elsewhere`], and [`OutputError::Nowhere`] if no place accepts the result.
     pub fn publish_or_rescue(
         self,
         fill: impl Fn(&ResultDirectory) -> Result<(), OutputError>,
@@ -180,7 +181,7 @@ impl RunDirectory {
         let name = self.target.file_name().unwrap_or_default();
         match ResultDirectory::rescue(name, &fill) {
             Ok(place) => {
-                let _ = self.clear(); // the next run would
+                let _ = self.clear(); // otherwise the next run would do it
                 Err(OutputError::Elsewhere { place, source })
             }
             Err(last) => Err(OutputError::Nowhere {
@@ -190,7 +191,7 @@ impl RunDirectory {
         }
     }
 
-    /// Writes the files of a result, up to the point from which the next run would put them in place.
+    /// Writes the files of a result, up to the point from which the next run would move them to their place.
     fn write(
         &self,
         fill: impl FnOnce(&ResultDirectory) -> Result<(), OutputError>,
@@ -210,7 +211,7 @@ impl RunDirectory {
         })
     }
 
-    /// The names of the files in the draft of a result; all must be names that the kind of result has.
+    /// Returns the names of the files in the draft of a result, all of which must belong to its kind.
     fn names_in(&self, draft: &Path) -> Result<Vec<&'static str>, OutputError> {
         let n_entries = fs::read_dir(draft).map_err(cannot_read(draft))?.count();
         let names: Vec<&str> = (self.kind.files().iter())
@@ -228,12 +229,12 @@ impl RunDirectory {
         }
     }
 
-    /// Puts the files that are ready into the result directory, the summary last; files of the same kind of result that are not among
-    /// them are removed. Goes on where a run that died had come to.
+    /// Moves the ready files into the result directory, the summary last, and removes other files of the same kind of result. Continues the
+    /// work of a run that died.
     fn put_in_place(&self) -> Result<(), OutputError> {
         let Self { folder, target, .. } = self;
         let ready = folder.join(READY);
-        // Without a summary nothing is ready: the summary goes last.
+        // Without a summary nothing is ready, because the summary is moved last.
         let Some(kind) = ResultKind::of_directory(&ready) else {
             return Ok(());
         };
@@ -272,7 +273,7 @@ impl RunDirectory {
 }
 
 impl Drop for RunDirectory {
-    /// Leaves nothing where nothing is left to resume.
+    /// Removes the directory if there is nothing to resume.
     fn drop(&mut self) {
         let holds_more =
             |entries: fs::ReadDir| (entries.flatten()).any(|entry| entry.file_name() != LOCK_FILE);
@@ -283,7 +284,7 @@ impl Drop for RunDirectory {
     }
 }
 
-/// Makes the folder where there is none, and locks it.
+/// Creates the folder if there is none, and locks it.
 fn lock(folder: &Path) -> Result<File, OutputError> {
     let path = folder.join(LOCK_FILE);
     let at_work = || {
@@ -315,7 +316,7 @@ fn lock(folder: &Path) -> Result<File, OutputError> {
                 return Err(OutputError::unwritten(&path, "cannot lock")(error));
             }
         }
-        // Whoever held it may have removed the directory since it was opened.
+        // The previous holder may have removed the directory since it was opened.
         if is_at(&file, &path) {
             return Ok(file);
         }
@@ -323,7 +324,7 @@ fn lock(folder: &Path) -> Result<File, OutputError> {
     Err(at_work())
 }
 
-/// Whether an open file is the one at `path`.
+/// Tells whether an open file is the one at `path`.
 fn is_at(file: &File, path: &Path) -> bool {
     let (Ok(open), Ok(named)) = (file.metadata(), fs::symlink_metadata(path)) else {
         return false;
@@ -335,7 +336,7 @@ fn is_at(file: &File, path: &Path) -> bool {
     }
     #[cfg(not(unix))]
     {
-        open.is_file() && named.is_file() // where an open file cannot be removed
+        open.is_file() && named.is_file() // an open file cannot be removed here
     }
 }
 
@@ -347,7 +348,7 @@ fn cannot_replace(path: &Path) -> impl FnOnce(io::Error) -> OutputError {
     OutputError::unwritten(path, "cannot put in place")
 }
 
-/// `Ok` if the folder is a directory, and all in it is what softarm puts there.
+/// Checks that the folder is a directory with files of softarm only.
 fn refuse_foreign(folder: &Path) -> Result<(), OutputError> {
     let refuse = |path: &Path| {
         Err(OutputError::refused(
@@ -387,7 +388,7 @@ fn refuse_foreign(folder: &Path) -> Result<(), OutputError> {
     Ok(())
 }
 
-/// Whether softarm puts such an entry into the directory of a run.
+/// Tells whether softarm creates such an entry in the directory of a run.
 fn is_own(entry: &DirEntry) -> io::Result<bool> {
     let (name, kind) = (entry.file_name(), entry.file_type()?);
     let is_one_of = |names: &[&str]| names.iter().any(|own| name == *own);
@@ -403,7 +404,7 @@ fn is_own(entry: &DirEntry) -> io::Result<bool> {
         || (kind.is_dir() && (is_one_of(&ROW_FOLDERS) || is_one_of(&[DRAFT, READY]))))
 }
 
-/// Whether softarm puts such an entry into one of the folders there.
+/// Tells whether softarm creates such an entry in one of its folders.
 fn is_own_within(folder: &OsStr, entry: &DirEntry) -> io::Result<bool> {
     let name = entry.file_name();
     let is_known = if ROW_FOLDERS.iter().any(|rows| folder == *rows) {
@@ -417,7 +418,7 @@ fn is_own_within(folder: &OsStr, entry: &DirEntry) -> io::Result<bool> {
     Ok(is_known && entry.file_type()?.is_file())
 }
 
-/// Moves a file over another, whose mode it takes, or over a link, in one go; in two onto another disk.
+/// Moves a file over another, whose mode it takes, or over a link, in one operation; in two onto another disk.
 fn move_file(from: &Path, to: &Path) -> io::Result<()> {
     if let Ok(old) = fs::symlink_metadata(to)
         && old.is_file()
@@ -467,7 +468,7 @@ mod tests {
         json!({"schema_version": SCHEMA_VERSION, "tool": TOOL, "command": kind.command()})
     }
 
-    /// Writes a solve with these files beside the summary, and their own names as content.
+    /// Writes a solve with these files besides the summary, with their own names as content.
     fn fill(files: &[&str]) -> impl Fn(&ResultDirectory) -> Result<(), OutputError> {
         move |result| {
             for name in files {
@@ -481,8 +482,8 @@ mod tests {
         RunDirectory::open(target, ResultKind::Solve)?.publish(fill(files))
     }
 
-    /// Until it is published the target does not exist; after it, it holds what was written, and no sibling remains. A run that is
-    /// given up leaves nothing.
+    /// The target does not exist before it is published; afterwards it has the written files, and no folder beside it remains. An abandoned
+    /// run leaves nothing.
     #[test]
     fn result_appears_whole() {
         let folder = tempfile::tempdir().unwrap();
@@ -503,8 +504,8 @@ mod tests {
         assert_eq!(names(target.parent().unwrap()), ["result"]);
     }
 
-    /// Files of an earlier result go, whether the new one has them or not; files and folders of the user stay, with their content, also
-    /// in a directory that was empty.
+    /// Files of an earlier result are removed, whether the new one has them or not; files and folders of the user are kept, with their
+    /// content, also in a directory that was empty.
     #[test]
     fn only_own_files_are_replaced() {
         let folder = tempfile::tempdir().unwrap();
@@ -537,8 +538,8 @@ mod tests {
         assert_eq!(names(folder.path()), ["result"]);
     }
 
-    /// A file, a directory of other files, one with somebody else's summary, one with the result of another command, and one where a
-    /// directory has the name of one of our files, are refused and stay as they are; so is one that becomes foreign on the way.
+    /// A file, a directory of other files, one with a foreign summary, one with the result of another command, and one in which a directory
+    /// has the name of one of softarm's files, are refused and kept unchanged; so is a directory that becomes foreign during the run.
     #[test]
     fn foreign_directories_are_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -576,8 +577,8 @@ mod tests {
         assert!(error.contains("not a directory"), "{error}");
     }
 
-    /// A symbolic link in the place of the result, of the run's directory, of its lock or of one of its folders is refused, and what it
-    /// leads to stays; one in the place of a file of the result is replaced, not followed.
+    /// A symbolic link in the place of the result, of the run's directory, of its lock or of one of its folders is refused, and its target
+    /// is kept; one in the place of a file of the result is replaced, not followed.
     #[cfg(unix)]
     #[test]
     fn links_are_not_followed() {
@@ -615,7 +616,7 @@ mod tests {
         assert_eq!(names(folder.path()), ["precious", "result"]);
     }
 
-    /// Anything else in the directory of a run is refused before anything is touched.
+    /// Any foreign file in the directory of a run is refused before anything is changed.
     #[test]
     fn foreign_files_in_a_run_are_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -639,9 +640,9 @@ mod tests {
         }
     }
 
-    /// A run that died while it wrote any file of a result, or a checkpoint there, is cleared by the next.
+    /// The remains of a run that died while it wrote any file of a result, or a checkpoint there, are removed by the next run.
     #[test]
-    fn what_a_dead_run_was_writing_is_cleared() {
+    fn remains_of_dead_runs_are_removed() {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("result");
         let draft = folder.path().join(".result.running").join(DRAFT);
@@ -654,7 +655,7 @@ mod tests {
         }
     }
 
-    /// Two runs cannot share a directory; what the first leaves is there for the next of its kind, and refused to the other.
+    /// Two runs cannot share a directory; the files of the first are available to the next run of its kind, and refused to the other kind.
     #[test]
     fn run_directory_is_locked_and_stays() {
         let folder = tempfile::tempdir().unwrap();
@@ -680,12 +681,12 @@ mod tests {
         assert!(names(folder.path()).is_empty());
     }
 
-    /// Wherever a run dies while its files replace those of an earlier result, the next one finds a directory that is not taken for a
-    /// finished result, completes it, and has lost nothing of the user's.
+    /// Wherever a run dies while its files replace those of an earlier result, the next run finds a directory that does not count as a
+    /// finished result, completes it, and loses no file of the user.
     #[test]
     fn a_dead_run_is_completed() {
         let new = ["scene.toml", "controls.csv", "report.html"];
-        // The files that had been moved when the run died; the summary goes last.
+        // Number of files that had been moved when the run died; the summary is moved last.
         for (n_moved, placeholder) in [(0, false), (0, true), (1, true), (3, true), (4, true)] {
             let folder = tempfile::tempdir().unwrap();
             let target = folder.path().join("result");
@@ -735,8 +736,8 @@ mod tests {
         }
     }
 
-    /// What `fill` could not write leaves the earlier result as it was, and nothing of its own; a result that its place does not take is
-    /// written to another one, which the error names.
+    /// A failed `fill` leaves the earlier result unchanged, and no files of its own; a result that its place does not accept is written to
+    /// another one, which the error names.
     #[test]
     fn a_result_without_a_place_is_rescued() {
         let folder = tempfile::tempdir().unwrap();

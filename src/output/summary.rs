@@ -3,16 +3,15 @@
 use super::closed_loop::LoopSummary;
 use crate::control::{Abandoned, ModelMismatch, TrackingError};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
-use crate::sqp::{Convergence, KktResidual, Progress};
+use crate::sqp::{Convergence, KktResidual, PhaseTimes, Progress};
 use crate::stop::Stop;
-use crate::verify::files::Mismatch;
-use crate::verify::kkt::KktPart;
 
 /// Version of the layout of every summary.
 pub const SCHEMA_VERSION: u32 = 1;
 /// The program that writes a result, as the summary in a result directory names it.
-pub const TOOL: &str = "softarm";
+pub const TOOL: &str = crate::TOOL;
 
 /// Summary of `check`.
 #[derive(Clone, Debug, Serialize)]
@@ -402,14 +401,9 @@ pub struct Level {
 /// Seconds per phase of a solve.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct PhaseSummary {
-    /// Linearization, sensitivities and condensing of the states.
-    pub linearize: f64,
-    /// Hessian of the subproblem.
-    pub condense: f64,
-    /// Subproblems.
-    pub qp: f64,
-    /// Trial points and corrections.
-    pub globalize: f64,
+    /// The solver's own phases.
+    #[serde(flatten)]
+    pub solver: PhaseTimes,
     /// The forward check.
     pub certify: f64,
     /// Feedback gains and sensitivity; with several threads beside the check.
@@ -441,7 +435,7 @@ impl SensitivitySummary {
 #[serde(untagged)]
 pub enum CheckRecord {
     /// It was made.
-    Made(Box<CheckOutcome>),
+    Made(Value),
     /// It was not made, or not to its end.
     NotChecked {
         /// `not checked`
@@ -464,6 +458,13 @@ impl CheckRecord {
 
 /// The verdict on what there was no time to check.
 pub const NOT_CHECKED: &str = "not checked";
+
+/// Tells of a summary whether the solve was checked: one that was stopped before says that it was not, and nothing about tips and energies.
+#[must_use]
+pub fn was_checked(summary: &Value) -> bool {
+    let check = &summary["check"];
+    !check.is_null() && check["verdict"] != NOT_CHECKED
+}
 
 /// Staying after the task, with the last wrench held.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -505,162 +506,6 @@ pub struct LargestDistance {
 pub struct LargestSpeed {
     /// m/s
     pub max: f64,
-}
-
-/// Outcome of the forward check, in the summary.
-#[derive(Clone, Debug, Serialize)]
-pub struct CheckOutcome {
-    /// Distance of the solution from its replay, m.
-    pub same_grid_m: f64,
-    /// Distance of its rotations from those of the replay, as the norm of the difference of two matrices.
-    pub same_grid_rad: f64,
-    /// Estimated error in time, m.
-    pub refined_time_m: f64,
-    /// Estimated error in space, m.
-    pub refined_space_m: f64,
-    /// Observed order in time.
-    pub order_time: Option<f64>,
-    /// Observed order in space; absent where only one refinement was made.
-    pub order_space: Option<f64>,
-    /// Value of the objective, recomputed.
-    pub objective: f64,
-    /// Hard path constraints between nodes and samples.
-    pub between: Vec<BetweenSummary>,
-    /// Extremes of the strains.
-    pub strains: StrainSummary,
-    /// Recomputed optimality conditions.
-    pub kkt: KktResidual,
-    /// The same by parts, with the worst row of each by name.
-    pub kkt_parts: Vec<KktPart>,
-    /// Energy account of the replay.
-    pub energy: EnergyAccount,
-    /// Momentum balance of the replay.
-    pub momentum: MomentumAccount,
-    /// Curvature of the Lagrangian; absent where it was not examined.
-    pub second_order: Option<SecondOrderSummary>,
-    /// Growth of small disturbances over the horizon; absent where it was not examined.
-    pub growth: Option<GrowthSummary>,
-    /// `certified`, or `rejected`.
-    pub verdict: &'static str,
-    /// Names of the criteria that failed.
-    pub failed: Vec<&'static str>,
-    /// Every criterion with its value and its limit, in the order of the terminal.
-    pub criteria: Vec<CriterionSummary>,
-}
-
-/// A criterion of the certificate.
-#[derive(Clone, Debug, Serialize)]
-pub struct CriterionSummary {
-    /// Its name.
-    pub name: &'static str,
-    /// The value that was found, in `unit`.
-    pub value: f64,
-    /// The largest value that is acceptable, in `unit`.
-    pub limit: f64,
-    /// Unit of both; empty for pure numbers.
-    pub unit: &'static str,
-    /// Whether it holds.
-    pub holds: bool,
-    /// Its meaning, in a sentence.
-    pub meaning: &'static str,
-}
-
-/// A path constraint at its worst on the finest replay.
-#[derive(Clone, Debug, Serialize)]
-pub struct BetweenSummary {
-    /// Name of the constraint.
-    pub name: String,
-    /// Excess over the limit; negative inside.
-    pub excess: f64,
-    /// Unit of the excess.
-    pub unit: &'static str,
-    /// The value that the certificate compares it with.
-    pub reference: f64,
-    /// Place, as a fraction of the arm's length.
-    pub along: f64,
-    /// Time, s.
-    pub time_s: f64,
-}
-
-/// Extremes of the strains over a motion.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct StrainSummary {
-    /// Least and largest length of an element over that at rest.
-    pub stretch: [f64; 2],
-    /// Largest bending curvature, 1/m.
-    pub curvature_1_m: f64,
-    /// Largest twist, 1/m.
-    pub twist_1_m: f64,
-}
-
-/// Energy account, J.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct EnergyAccount {
-    /// Work of control and loads.
-    #[serde(rename = "work_J")]
-    pub work: f64,
-    /// Change of the energy.
-    #[serde(rename = "change_J")]
-    pub change: f64,
-    /// Taken by damping.
-    #[serde(rename = "dissipation_J")]
-    pub dissipation: f64,
-    /// What does not add up, over what passed through.
-    pub relative_residual: f64,
-    /// The same with the step halved, over itself: about 1/4.
-    pub halving_ratio: f64,
-    /// Largest residual on the way with the step halved, over the largest one; 0 where there is next to none.
-    pub halving_ratio_largest: f64,
-}
-
-/// By how much a motion misses the balance of momentum over its worst step.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct MomentumAccount {
-    /// Linear, N s.
-    pub linear_n_s: f64,
-    /// Angular about the origin, N m s.
-    pub angular_n_m_s: f64,
-    /// The larger of both, each over what rounding explains.
-    pub over_rounding: f64,
-    /// Time, s.
-    pub time_s: f64,
-}
-
-/// Smallest curvature of the Lagrangian, in scaled controls, over the directions that active constraints leave free.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct SecondOrderSummary {
-    /// `minimum`, `degenerate`, or `not a minimum`.
-    pub verdict: &'static str,
-    /// Smallest eigenvalue.
-    pub eigenvalue: f64,
-    /// Its error.
-    pub error: f64,
-    /// Largest eigenvalue that was found.
-    pub largest: f64,
-    /// Dimension of the subspace.
-    pub dimension: usize,
-    /// Independent gradients that are held.
-    pub held: usize,
-    /// Products of the Hessian with a direction.
-    pub products: usize,
-    /// What is left to gain along the most negative curvature, at most, over the objective; 0 at a minimum.
-    pub gain: f64,
-}
-
-/// What small disturbances become at the end of the horizon without feedback.
-#[derive(Clone, Debug, Serialize)]
-pub struct GrowthSummary {
-    /// Largest factor, in the norm of the energy.
-    pub amplification: f64,
-    /// Energy of a disturbance of one percent of the initial state.
-    #[serde(rename = "disturbance_J")]
-    pub disturbance: f64,
-    /// Largest displacement of the tip that it causes, m.
-    pub tip_from_state_m: f64,
-    /// How far an error of one percent of the largest force and moment that are used moves the tip, at most.
-    pub tip_from_control_m: f64,
-    /// In words.
-    pub sentence: String,
 }
 
 /// A constraint by name, with how far it is from holding.
@@ -710,6 +555,68 @@ pub struct AttemptSummary {
     pub is_result: bool,
 }
 
+/// End of the tip in the forward simulation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TipEnd {
+    /// Distance of the tip from its target, m.
+    pub tip_error_m: f64,
+    /// Angle from the target orientation, rad.
+    pub tip_angle_rad: f64,
+    /// Speed of the tip at the end, m/s.
+    pub tip_speed_m_s: f64,
+}
+
+/// The part of a summary that follows from the motion and its check.
+#[derive(Clone, Debug, Serialize)]
+pub struct Reached {
+    /// End of the tip; NaN without a check.
+    #[serde(flatten)]
+    pub tip: TipEnd,
+    /// Staying after the task; absent where the arm need not stay.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stays: Option<StaysSummary>,
+    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tracking: Vec<TrackingError>,
+    /// What soft goals leave; absent where there is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub soft_goals: Vec<SoftGoalSummary>,
+    /// The forward check; absent when it could not be made.
+    pub check: Option<CheckRecord>,
+}
+
+/// The part of a summary that follows from the regulator.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Sensitivities {
+    /// How perturbations grow without feedback, in the norm of their energy; absent where no gains were computed.
+    pub open_loop_sensitivity: Option<SensitivitySummary>,
+    /// The same with feedback.
+    pub closed_loop_sensitivity: Option<SensitivitySummary>,
+}
+
+/// The part of a summary that follows from the discrete problem and the multipliers of its target.
+#[derive(Clone, Debug, Serialize)]
+pub struct ProblemFacts {
+    /// Rod model.
+    pub model: &'static str,
+    /// Strain rule.
+    pub strain: &'static str,
+    /// Number of elements.
+    pub elements: usize,
+    /// Time step, s.
+    pub step_s: f64,
+    /// Steps of the horizon.
+    pub steps: usize,
+    /// Duration of the horizon, s: where it is free, the one that was found.
+    pub duration_s: f64,
+    /// Blocks of the control.
+    pub control_blocks: usize,
+    /// Unknowns of the subproblem.
+    pub variables: usize,
+    /// Multipliers of the target's scaled residuals, in the order position, orientation, velocity, angular velocity.
+    pub multipliers: Vec<f64>,
+}
+
 /// Summary of `solve`.
 #[derive(Clone, Debug, Serialize)]
 pub struct SolveSummary {
@@ -741,23 +648,9 @@ pub struct SolveSummary {
     pub kkt: KktResidual,
     /// Ratio of the last two steps, and the observed order of convergence.
     pub convergence: Convergence,
-    /// Distance of the tip from its target in the forward simulation, m.
-    pub tip_error_m: f64,
-    /// Angle from the target orientation, rad.
-    pub tip_angle_rad: f64,
-    /// Speed of the tip at the end, m/s.
-    pub tip_speed_m_s: f64,
-    /// Staying after the task; absent where the arm need not stay.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub stays: Option<StaysSummary>,
-    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub tracking: Vec<TrackingError>,
-    /// What soft goals leave; absent where there is none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub soft_goals: Vec<SoftGoalSummary>,
-    /// The forward check; absent when it could not be made.
-    pub check: Option<CheckRecord>,
+    /// What the motion reaches, and the check of it.
+    #[serde(flatten)]
+    pub reached: Reached,
     /// How the grid was chosen; absent where the scene gives it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<AccuracySummary>,
@@ -767,10 +660,9 @@ pub struct SolveSummary {
     /// Every how many time nodes the motion of a solve that was stopped has a row, where that is not every one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps_per_row: Option<usize>,
-    /// How perturbations grow without feedback, in the norm of their energy; absent where no gains were computed.
-    pub open_loop_sensitivity: Option<SensitivitySummary>,
-    /// The same with feedback.
-    pub closed_loop_sensitivity: Option<SensitivitySummary>,
+    /// How perturbations grow.
+    #[serde(flatten)]
+    pub sensitivities: Sensitivities,
     /// Where the tip ends on arms that differ from the model, with and without the gains; absent where no gains were computed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub model_mismatch: Vec<ModelMismatch>,
@@ -788,56 +680,9 @@ pub struct SolveSummary {
     pub attempts: Vec<AttemptSummary>,
     /// The end of every start.
     pub starts: Vec<StartSummary>,
-    /// Rod model.
-    pub model: &'static str,
-    /// Strain rule.
-    pub strain: &'static str,
-    /// Number of elements.
-    pub elements: usize,
-    /// Time step, s.
-    pub step_s: f64,
-    /// Steps of the horizon.
-    pub steps: usize,
-    /// Duration of the horizon, s: where it is free, the one that was found.
-    pub duration_s: f64,
-    /// Blocks of the control.
-    pub control_blocks: usize,
-    /// Unknowns of the subproblem.
-    pub variables: usize,
-    /// Multipliers of the target's scaled residuals, in the order position, orientation, velocity, angular velocity.
-    pub multipliers: Vec<f64>,
+    /// The discrete problem.
+    #[serde(flatten)]
+    pub facts: ProblemFacts,
     /// The result directory.
     pub directory: String,
-}
-
-/// Summary of `verify`.
-#[derive(Clone, Debug, Serialize)]
-pub struct VerifySummary {
-    /// [`SCHEMA_VERSION`]
-    pub schema_version: u32,
-    /// `verify`
-    pub command: &'static str,
-    /// The directory.
-    pub directory: String,
-    /// The check.
-    pub check: CheckRecord,
-    /// Files that the certificate is about: each says what scene and controls lead to.
-    pub covers: Vec<String>,
-    /// Other files of the directory, which were not looked at.
-    pub not_covered: Vec<String>,
-    /// Fields of `summary.json` that cannot be recomputed, by their dotted paths.
-    pub summary_not_recomputed: Vec<String>,
-    /// Where files say something else than the solution, the worst place of each.
-    pub mismatches: Vec<Mismatch>,
-    /// Distance of the tip from its target in the forward simulation, m.
-    pub tip_error_m: f64,
-    /// Angle from the target orientation, rad.
-    pub tip_angle_rad: f64,
-    /// Speed of the tip at the end, m/s.
-    pub tip_speed_m_s: f64,
-    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub tracking: Vec<TrackingError>,
-    /// Wall time, s.
-    pub wall_s: f64,
 }

@@ -3,8 +3,8 @@
 use toml::{Table, Value};
 
 use super::model::{EstimatorKind, LoadNode, Scene, TimeStep};
+use super::model::{integrator, rotary_inertia};
 use super::overrides::Override;
-use super::translate::{integrator, rotary_inertia};
 use super::values::{Number, digits, known};
 use super::{SceneError, SceneSource};
 use crate::sqp::HessianChoice;

@@ -6,21 +6,19 @@ use std::sync::Arc;
 use super::error::SceneError;
 use super::model::{
     self, Computing as ComputingKey, EstimatorKind, Fallback, Mpc, Plant, Scene,
-    Sensor as SensorKeys, TimeStep, Unknown,
+    Sensor as SensorKeys, TimeStep,
 };
 use super::section::circular;
 use super::source::SceneSource;
-use super::translate::load_profile;
 use super::values::{Instant, Number, Positive, known};
 use crate::mechanics::vibration::SmallMotions;
-use crate::mechanics::{NodeInertia, Rod, SectionProfile, State, SweptSurface};
+use crate::mechanics::{Rod, SectionProfile, State, SweptSurface};
 use crate::mpc::{
-    ActuatorDynamics, Computing, EstimatorChoice, Experiment, FallbackSettings, LoopSettings,
-    MpcError, MpcSettings, Sensing, Sensor, SensorChoice, SensorSettings, Unknowns,
-    with_long_steps,
+    ActuatorDynamics, Computing, Experiment, MpcError, MpcSettings, Sensing, Sensor, SensorChoice,
+    SensorSettings, with_long_steps,
 };
 use crate::stop::StopSignal;
-use crate::task::{Arm, Discretization, PointLoad};
+use crate::task::{Arm, Discretization};
 
 /// A closed loop that a scene describes.
 #[derive(Clone, Debug)]
@@ -110,8 +108,8 @@ impl Scene {
     /// initial state.
     ///
     /// # Errors
-    /// [`SceneError`] where `[mpc]`, `[control]` or what there is to do is missing, for what a controller does not know (limits of speed,
-    /// points on the way, a free duration, energy, cubic blocks), and as [`Self::optimal_control`].
+    /// [`SceneError`] if `[mpc]`, `[control]`, or both `[task]` and `[[objective.track]]` are missing, for features that a controller does not
+    /// have (waypoints, a free final time, cubic blocks), and as [`Self::optimal_control`].
     pub fn closed_loop(
         &self,
         source: &SceneSource,
@@ -183,8 +181,10 @@ impl Scene {
 
         let seed = mpc.seed.unwrap_or(seed);
         let sensors = self.sensors(source, &model, &found.rod)?;
-        let actuators = self.actuators();
-        let mut loop_settings = loop_settings(mpc, actuators.delay);
+        let actuators = (self.plant.as_ref())
+            .and_then(|plant| plant.actuator.as_ref())
+            .map_or_else(ActuatorDynamics::default, model::PlantActuator::dynamics);
+        let mut loop_settings = mpc.loop_settings(actuators.delay);
         if self.estimator.is_some() {
             loop_settings.fallback = loop_settings.fallback.following(&sensors);
         }
@@ -233,7 +233,7 @@ impl Scene {
             curvature_1_m: Some(plant.rest_curvature.into()),
             ..self.plant.clone().unwrap_or_default()
         });
-        resolved.sensor = sensors.iter().map(written).collect();
+        resolved.sensor = sensors.iter().map(SensorKeys::describing).collect();
         if let Some(estimator) = &mut resolved.estimator {
             estimator.disturbances = Some(estimator.unknowns().to_vec());
         }
@@ -247,7 +247,9 @@ impl Scene {
         }
         task.cost.force_scale = tip.map(|tip| tip.force.scale);
         task.cost.moment_scale = tip.map(|tip| tip.moment.scale);
-        let sensing = self.sensing(&sensors, seed);
+        let sensing = (self.estimator.as_ref()).map_or(Sensing::Everything, |estimator| {
+            estimator.sensing(&sensors, seed)
+        });
         Ok(ClosedLoopSetup {
             experiment: Experiment {
                 plant,
@@ -297,16 +299,9 @@ impl Scene {
     /// What no controller knows.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
-        let energy = (self.objective.as_ref()).is_some_and(|o| o.energy.get() > 0.0);
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
         let refusals = [
-            (
-                "limit",
-                self.limit.iter().any(|limit| limit.speed_max_m_s.is_some()),
-                "a closed loop knows no limits of speed",
-                "leave them out; obstacles and limits of stretch, curvature and twist it knows",
-            ),
             (
                 "task.via",
                 task.is_some_and(|task| !task.via.is_empty()),
@@ -318,12 +313,6 @@ impl Scene {
                 task.is_some_and(|task| task.free_duration.is_some()),
                 "a moving horizon has no free duration",
                 "leave it out; mpc.due_s says when the task is due",
-            ),
-            (
-                "objective.energy",
-                energy,
-                "a closed loop does not weigh elastic energy",
-                "set it to 0",
             ),
             (
                 "control.hold",
@@ -397,21 +386,12 @@ impl Scene {
             plant.rest_curvature = curvature.into();
         }
         if let Some(payload) = &keys.payload {
-            plant.payload = Some(NodeInertia {
-                mass: payload.mass_kg.get(),
-                rotary: payload.inertia_kg_m2.map(Number::get).into(),
-            });
+            plant.payload = Some(payload.of_arm());
         }
         let elements = self.rod.elements;
         plant
             .loads
-            .extend(self.disturbance.iter().map(|load| PointLoad {
-                at: load.node.place(elements),
-                force: load.force_n.into(),
-                moment: load.moment_n_m.into(),
-                frame: load.frame,
-                profile: load_profile(&load.profile),
-            }));
+            .extend(self.disturbance.iter().map(|load| load.of_arm(elements)));
         let own = Discretization {
             elements: keys.elements.unwrap_or(elements),
             scheme: None,
@@ -420,26 +400,6 @@ impl Scene {
             ..*discretization
         };
         (plant, own)
-    }
-
-    fn actuators(&self) -> ActuatorDynamics {
-        let keys = self
-            .plant
-            .as_ref()
-            .and_then(|plant| plant.actuator.as_ref());
-        let Some(keys) = keys else {
-            return ActuatorDynamics::default();
-        };
-        ActuatorDynamics {
-            delay: keys.delay_s.get(),
-            lag: keys.lag_s.get(),
-            force_max: keys.force_max_n.map_or(f64::INFINITY, Number::get),
-            moment_max: keys.moment_max_n_m.map_or(f64::INFINITY, Number::get),
-            force_rate_max: keys.force_rate_max_n_s.map_or(f64::INFINITY, Number::get),
-            moment_rate_max: keys
-                .moment_rate_max_n_m_s
-                .map_or(f64::INFINITY, Number::get),
-        }
     }
 
     /// Settings of the sensors on this model, which can be made on this plant.
@@ -451,44 +411,13 @@ impl Scene {
     ) -> Result<Vec<SensorSettings>, SceneError> {
         let mut out = Vec::with_capacity(self.sensor.len());
         for (index, keys) in self.sensor.iter().enumerate() {
-            let settings = settings(keys, model);
+            let settings = keys.settings(model);
             Sensor::new(&settings, plant).map_err(|error| {
                 source.error_at(&format!("sensor.{index}"), error.to_string(), None)
             })?;
             out.push(settings);
         }
         Ok(out)
-    }
-
-    fn sensing(&self, sensors: &[SensorSettings], seed: u32) -> Sensing {
-        let Some(keys) = &self.estimator else {
-            return Sensing::Everything;
-        };
-        let has = |unknown| keys.unknowns().contains(&unknown);
-        let estimator = match keys.kind {
-            EstimatorKind::None => return Sensing::Everything,
-            EstimatorKind::Observer => EstimatorChoice::Observer {
-                estimates_wrench: has(Unknown::TipForce),
-            },
-            EstimatorKind::Kalman => EstimatorChoice::Kalman(Unknowns {
-                tip_force: has(Unknown::TipForce),
-                tip_moment: has(Unknown::TipMoment),
-                distributed: has(Unknown::Distributed),
-                stiffness: has(Unknown::Stiffness),
-                payload: has(Unknown::Payload),
-                viscous: has(Unknown::Viscous),
-                internal: has(Unknown::Internal),
-                delay: has(Unknown::Delay),
-                wrench_change: (keys.wrench_change_1_s)
-                    .map_or(Unknowns::NONE.wrench_change, Number::get),
-            }),
-        };
-        Sensing::Estimated {
-            sensors: sensors.iter().cloned().map(SensorChoice::Own).collect(),
-            estimator,
-            elements: keys.elements,
-            seed: seed.into(),
-        }
     }
 }
 
@@ -500,70 +429,4 @@ fn default_horizon(rod: &Rod, start: &State, period: f64, longest: f64) -> f64 {
         .round()
         .max(FEWEST_SAMPLES)
         * period
-}
-
-fn loop_settings(mpc: &Mpc, actuator_delay: f64) -> LoopSettings {
-    let fallback = mpc.fallback.clone().unwrap_or_default();
-    LoopSettings {
-        computing: match mpc.computing {
-            ComputingKey::None => Computing::Instant,
-            ComputingKey::Fixed => {
-                Computing::Fixed(mpc.computing_s.map_or(mpc.period_s.get(), Number::get))
-            }
-            ComputingKey::Measured => Computing::Measured,
-        },
-        predicts: mpc.predict,
-        compensates: mpc.compensate,
-        actuator_delay: mpc.actuator_delay_s.map_or(actuator_delay, Number::get),
-        fallback: FallbackSettings {
-            patience: fallback.patience_s.map(Number::get),
-            plan_samples: fallback.plan_samples,
-            damping_samples: fallback.damping_samples,
-            ramp: fallback.ramp_s.get(),
-            damping: fallback.damping.get(),
-        },
-        ..LoopSettings::default()
-    }
-}
-
-/// What a sensor measures of an arm with this model: its own numbers, and for the others those of its preset.
-fn settings(keys: &SensorKeys, model: &Rod) -> SensorSettings {
-    let mut out = keys
-        .preset
-        .map_or_else(SensorSettings::nothing, |preset| preset.settings(model));
-    let numbers = [
-        (&mut out.position, keys.position_sigma_m),
-        (&mut out.rotation, keys.rotation_sigma_rad),
-        (&mut out.velocity, keys.velocity_sigma_m_s),
-        (&mut out.angular_velocity, keys.angular_velocity_sigma_rad_s),
-        (&mut out.curvature, keys.curvature_sigma_1_m),
-        (&mut out.base_force, keys.base_force_sigma_n),
-        (&mut out.base_moment, keys.base_moment_sigma_n_m),
-    ];
-    for (own, key) in numbers {
-        *own = key.map(Number::get).or(*own);
-    }
-    if let Some(places) = &keys.places {
-        out.places.clone_from(places);
-    }
-    out.rate_hz = keys.rate_hz.map_or(out.rate_hz, Number::get);
-    out.age_s = keys.age_s.map_or(out.age_s, Number::get);
-    out
-}
-
-/// The keys of a sensor, all of them.
-fn written(settings: &SensorSettings) -> SensorKeys {
-    SensorKeys {
-        preset: None,
-        places: (!settings.places.is_empty()).then(|| settings.places.clone()),
-        position_sigma_m: settings.position.map(known),
-        rotation_sigma_rad: settings.rotation.map(known),
-        velocity_sigma_m_s: settings.velocity.map(known),
-        angular_velocity_sigma_rad_s: settings.angular_velocity.map(known),
-        curvature_sigma_1_m: settings.curvature.map(known),
-        base_force_sigma_n: settings.base_force.map(known),
-        base_moment_sigma_n_m: settings.base_moment.map(known),
-        rate_hz: Some(known(settings.rate_hz)),
-        age_s: Some(known(settings.age_s)),
-    }
 }

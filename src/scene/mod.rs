@@ -18,13 +18,11 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A section that is absent is a feature that the scene does not have; it is `None` here and costs no time. `docs/scenes.md` explains every key.
+//! A section that is absent is a feature that the scene does not have; it is `None` here and costs no time. `docs/scene-reference.md` lists every key.
 
 mod accuracy;
 pub mod builtin;
 mod check;
-mod check_closed_loop;
-mod check_control;
 mod closed_loop;
 mod csv_path;
 mod describe;
@@ -39,6 +37,8 @@ mod model;
 mod overrides;
 mod path;
 mod reader;
+#[cfg(feature = "schema")]
+mod reference;
 mod refusal;
 mod rows;
 mod section;
@@ -52,13 +52,7 @@ pub use closed_loop::ClosedLoopSetup;
 pub use describe::DescribeError;
 pub use error::SceneError;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
-pub use model::{
-    Actuator, Base, BaseKind, Bound, Capsule, Circle, Computing, Continuation, Control, Cuboid,
-    Damping, Estimator, EstimatorKind, Fallback, Feedback, FigureEight, Gravity, Guess, HalfSpace,
-    Inertia, Initial, Limit, Load, LoadNode, Material, Mpc, Objective, Obstacle, Output, Plant,
-    PlantActuator, Price, Reference, Rod, RotaryInertia, Scene, Section, Sensor, Solver, Sphere,
-    Stiffness, Task, Time, TimeScheme, TimeStep, Track, Unknown, Via,
-};
+pub use model::*;
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};
 pub use values::{Fraction, NonNegative, PoissonRatio, Positive};
@@ -156,6 +150,14 @@ impl Scene {
     pub fn schema() -> serde_json::Value {
         schemars::schema_for!(Scene).to_value()
     }
+
+    /// Returns the reference of the scene file in Markdown: every section and key with type, unit, default and description, in
+    /// the words of [`Self::schema`].
+    #[cfg(feature = "schema")]
+    #[must_use]
+    pub fn reference() -> String {
+        reference::page(&Self::schema())
+    }
 }
 
 /// The kind and the name of the obstacle or limit that a key is within, whose path is given from the innermost key outward.
@@ -168,7 +170,7 @@ fn item_name(scene: &toml::Value, path: &[String]) -> Option<(&'static str, Stri
         "obstacle" => Some(("obstacle", model::obstacle_name(name.as_deref(), index))),
         "limit" => {
             let is_given = |key: &str| item.get(key).is_some();
-            Some(("limit", model::limit_name(name.as_deref(), is_given)))
+            Some(("limit", model::Limit::name_by(name.as_deref(), is_given)))
         }
         _ => None,
     }

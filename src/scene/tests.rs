@@ -1,4 +1,4 @@
-//! What holds for every scene that can be read. What cannot be read is in `tests/scene_errors.rs`.
+//! What holds for every scene that can be read. What cannot be read is in `tests/scenes/scene_errors.rs`.
 
 use super::*;
 use crate::mechanics::StrainRule;

@@ -5,26 +5,18 @@ use std::time::{Duration, Instant};
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::SceneError;
-use super::model::{self, AtRest, LoadNode, Objective, Scene, TimeStep};
+use super::model::{
+    self, AtRest, Objective, Scene, TimeStep, base_motion, integrator, rotary_inertia,
+};
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, known};
-use crate::control::{
-    Bound, Continuation, Enforcement, FeedbackWeights, FreeDuration, Goal, Guess,
-    OptimalControlProblem, PathEnforcement, Search, Shape,
-};
-use crate::mechanics::rotation::{from_quaternion, unit};
-use crate::mechanics::{
-    BaseCondition, BaseMotion, CubicSpline, DistributedLoad, LoadFrame, MotionCurve, NodeInertia,
-    Oscillation, Rod, RodError, RotaryInertia, State, TimeGrid, TimeScheme,
-};
+use crate::control::{Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search};
+use crate::mechanics::rotation::from_quaternion;
+use crate::mechanics::{BaseCondition, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
-use crate::task::{
-    Arm, ChannelLimits, Cost, Discretization, DistributedCouple, Hardness, Limit, LimitKind,
-    OwnActuator, Place, PointLoad, Problem, Rest, Start, Staying, Target, Task, Tolerances, Track,
-    WrenchActuator,
-};
+use crate::task::{Arm, Discretization, Limit, Problem, Rest, Start, Staying, Task};
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution};
 
 /// A forward simulation.
@@ -353,19 +345,12 @@ impl Scene {
             viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s.get()),
             internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s.get()),
             loads: (self.load.iter())
-                .map(|load| PointLoad {
-                    at: load.node.place(elements),
-                    force: load.force_n.into(),
-                    moment: load.moment_n_m.into(),
-                    frame: load.frame,
-                    profile: load_profile(&load.profile),
-                })
+                .map(|load| load.of_arm(elements))
                 .collect(),
-            distributed_loads: self.distributed_load.iter().map(distributed_load).collect(),
-            payload: self.payload.as_ref().map(|payload| NodeInertia {
-                mass: payload.mass_kg.get(),
-                rotary: payload.inertia_kg_m2.map(Number::get).into(),
-            }),
+            distributed_loads: (self.distributed_load.iter())
+                .map(model::DistributedLoad::of_arm)
+                .collect(),
+            payload: self.payload.as_ref().map(model::Payload::of_arm),
             radii: (self.rod.section.as_ref())
                 .and_then(model::Section::radii)
                 .or(self.rod.display_radius_m.map(|radius| [radius.get(); 2])),
@@ -459,101 +444,29 @@ impl Scene {
             return Err(error.expecting("expected a positive duration"));
         }
         let elements = self.rod.elements;
-        type Part = (Option<model::Bound>, Option<[bool; 3]>);
-        let limits = |(limit, axes): Part, rate: Option<model::Bound>| ChannelLimits {
-            bound: limit.map_or(ChannelLimits::NONE.bound, bound),
-            rate_bound: rate.and_then(bound),
-            off: axes.unwrap_or([true; 3]).map(|acts| !acts),
-        };
-        let actuator = |at, force, moment| WrenchActuator {
-            at,
-            force: limits(force, control.force_rate_max_n_s),
-            moment: limits(moment, control.moment_rate_max_n_m_s),
-        };
-        let mut actuators = vec![actuator(
-            Place::Tip,
-            (control.force_max_n, control.force_axes),
-            (control.moment_max_n_m, control.moment_axes),
-        )];
-        actuators.extend((control.actuator.iter()).map(|definition| {
-            actuator(
-                Place::of_node(definition.node, elements),
-                (definition.force_max_n, definition.force_axes),
-                (definition.moment_max_n_m, definition.moment_axes),
-            )
-        }));
         Ok(Task {
             horizon,
             free_duration: task
                 .and_then(|task| task.free_duration)
-                .map(|free| FreeDuration {
-                    shortest: free.shortest_s.get(),
-                    longest: free.longest_s.get(),
-                    price: free.price.get(),
-                }),
+                .map(model::FreeDuration::of_task),
             start: self.start(),
-            targets: task.map_or_else(Vec::new, |task| targets(task, elements)),
+            targets: task.map_or_else(Vec::new, |task| task.targets(elements)),
             limits: self.limits(),
-            actuators,
-            own_actuators: (control.distributed.iter()).map(couples).collect(),
-            cost: Cost {
-                effort: objective.effort.get(),
-                rate: objective.rate.get(),
-                energy: objective.energy.get(),
-                tracks: (objective.track.iter())
-                    .map(|track| Track {
-                        at: track.node.place(elements),
-                        path: track.path(end),
-                        weight: track.weight.map(Number::get),
-                        rotations: track.rotations(),
-                        rotation_weight: track.orientation_weight.map(Number::get),
-                        speed_weight: track.speed_weight.map_or(0.0, Number::get),
-                        from: track.from_s.map_or(0.0, Number::get),
-                    })
-                    .collect(),
-                terms: Vec::new(),
-                force_scale: objective.force_scale_n.map(Number::get),
-                moment_scale: objective.moment_scale_n_m.map(Number::get),
-            },
+            actuators: control.of_task(elements),
+            own_actuators: (control.distributed.iter())
+                .map(model::Distributed::of_task)
+                .collect(),
+            cost: objective.of_task(elements, end),
         })
     }
 
     /// Obstacles, then limits.
     #[must_use]
     pub fn limits(&self) -> Vec<Limit> {
-        let price = |soft: Option<model::Price>| {
-            soft.map_or(PathEnforcement::Hard, |price| PathEnforcement::Soft {
-                linear: price.linear.get(),
-                quadratic: price.quadratic.get(),
-            })
-        };
-        let obstacles = (self.obstacle.iter().enumerate()).filter_map(|(index, obstacle)| {
-            Some(Limit {
-                name: obstacle.name(index),
-                kind: clearance(obstacle)?,
-                rate: obstacle.rate_hz.map(Number::get),
-                enforcement: price(obstacle.soft),
-            })
-        });
-        let limits = self.limit.iter().filter_map(|limit| {
-            let kind = if let Some([least, largest]) = limit.stretch {
-                LimitKind::Stretch { least, largest }
-            } else if let Some(largest) = limit.curvature_max_1_m.map(Number::get) {
-                LimitKind::Curvature { largest }
-            } else if let Some(largest) = limit.twist_max_1_m.map(Number::get) {
-                LimitKind::Twist { largest }
-            } else {
-                let at = limit.node.unwrap_or_default().place(self.rod.elements);
-                let largest = limit.speed_max_m_s?.get();
-                LimitKind::Speed { at, largest }
-            };
-            Some(Limit {
-                name: limit.name(),
-                kind,
-                rate: limit.rate_hz.map(Number::get),
-                enforcement: price(limit.soft),
-            })
-        });
+        let obstacles = self.obstacle.iter().enumerate();
+        let obstacles = obstacles.filter_map(|(index, obstacle)| obstacle.of_task(index));
+        let elements = self.rod.elements;
+        let limits = (self.limit.iter()).filter_map(|limit| limit.of_task(elements));
         obstacles.chain(limits).collect()
     }
 
@@ -581,45 +494,6 @@ impl Scene {
     }
 }
 
-impl LoadNode {
-    /// The place of the node in an arm that is written with so many elements.
-    pub(super) fn place(self, elements: usize) -> Place {
-        match self {
-            Self::Tip => Place::Tip,
-            Self::Base => Place::Base,
-            Self::Index(node) => Place::of_node(node, elements),
-            Self::Fraction(fraction) => Place::Fraction(fraction.get()),
-        }
-    }
-}
-
-impl model::Task {
-    /// Writes out the weights of soft goals, which a discretization chooses where they are not given.
-    fn take_weights(&mut self, goals: &[Goal]) {
-        let weight = |name: &str| {
-            (goals.iter().filter(|goal| goal.name == name)).find_map(|goal| {
-                match goal.enforcement {
-                    Enforcement::Soft { weight } => Some(known(weight)),
-                    Enforcement::Hard | Enforcement::Within { .. } => None,
-                }
-            })
-        };
-        self.weight = weight("task").or(self.weight);
-        for (index, via) in self.via.iter_mut().enumerate() {
-            via.weight = weight(&format!("task.via.{index}")).or(via.weight);
-        }
-    }
-
-    fn tolerances(&self) -> Tolerances {
-        Tolerances {
-            distance: self.tolerance_m.map(Number::get),
-            angle: self.tolerance_rad.map(Number::get),
-            speed: self.tolerance_m_s.map(Number::get),
-            spin: self.tolerance_rad_s.map(Number::get),
-        }
-    }
-}
-
 impl Scene {
     /// How long and how near the arm stays at its target; `None` where it need not.
     pub(crate) fn staying(&self) -> Option<Staying> {
@@ -630,195 +504,8 @@ impl Scene {
     }
 }
 
-impl model::Task {
-    fn rest(&self) -> Rest {
-        match self.at_rest {
-            AtRest::Passing => Rest::Passing,
-            AtRest::Tip => Rest::Instant,
-            AtRest::Staying => Rest::Staying(Staying {
-                seconds: self.stays_s.map(Number::get),
-                distance: self.stays_m.map(Number::get),
-            }),
-        }
-    }
-}
-
-/// The points on the way, then the task itself.
-fn targets(task: &model::Task, elements: usize) -> Vec<Target> {
-    let via = task.via.iter().enumerate().map(|(index, via)| Target {
-        name: format!("task.via.{index}"),
-        at: via.node.place(elements),
-        time: Some(via.at_s.get()),
-        position: via.position_m.map(Vector3::from),
-        rotation: via.orientation_wxyz.map(from_quaternion),
-        rest: Rest::Passing,
-        hardness: hardness(via.hard, via.weight.map(Number::get)),
-        tolerances: Tolerances {
-            distance: via.tolerance_m.map(Number::get),
-            angle: via.tolerance_rad.map(Number::get),
-            ..Tolerances::default()
-        },
-    });
-    let goal = Target {
-        name: "task".into(),
-        at: Place::Tip,
-        time: None,
-        position: task.position_m.map(Vector3::from),
-        rotation: task.orientation_wxyz.map(from_quaternion),
-        rest: task.rest(),
-        hardness: hardness(task.hard, task.weight.map(Number::get)),
-        tolerances: task.tolerances(),
-    };
-    via.chain([goal]).collect()
-}
-
-fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
-    if hard {
-        Hardness::Hard
-    } else {
-        Hardness::Soft { weight }
-    }
-}
-
-fn clearance(obstacle: &model::Obstacle) -> Option<LimitKind> {
-    Some(LimitKind::Clearance {
-        shape: shape(obstacle)?,
-        velocity: (obstacle.velocity_m_s).map_or_else(Vector3::zeros, Vector3::from),
-        margin: obstacle.margin_m.get(),
-    })
-}
-
-fn shape(obstacle: &model::Obstacle) -> Option<Shape> {
-    if let Some(sphere) = &obstacle.sphere {
-        return Some(Shape::Sphere {
-            center: sphere.center_m.into(),
-            radius: sphere.radius_m.get(),
-        });
-    }
-    if let Some(capsule) = &obstacle.capsule {
-        return Some(Shape::Capsule {
-            from: capsule.from_m.into(),
-            to: capsule.to_m.into(),
-            radius: capsule.radius_m.get(),
-        });
-    }
-    if let Some(half_space) = &obstacle.half_space {
-        return Some(Shape::HalfSpace {
-            point: half_space.point_m.into(),
-            normal: Vector3::from(unit(half_space.normal)),
-        });
-    }
-    obstacle.cuboid.as_ref().map(|cuboid| Shape::Cuboid {
-        center: cuboid.center_m.into(),
-        rotation: cuboid
-            .orientation_wxyz
-            .map_or_else(Matrix3::identity, from_quaternion),
-        half_size: Vector3::from(cuboid.size_m.map(Number::get)) * 0.5,
-    })
-}
-
-pub(super) fn load_profile(profile: &Option<Vec<[f64; 2]>>) -> Vec<(f64, f64)> {
-    let points = profile.iter().flatten();
-    points.map(|&[t, factor]| (t, factor)).collect()
-}
-
-fn distributed_load(load: &model::DistributedLoad) -> DistributedLoad {
-    DistributedLoad {
-        from: load.from.get(),
-        to: load.to.get(),
-        force: load.force_n_per_m.into(),
-        moment: load.moment_n_m_per_m.into(),
-        frame: load.frame,
-        profile: load_profile(&load.profile),
-    }
-}
-
-/// The motion of a base with this orientation: `exp(r) R_b = R_b exp(R_bᵀ r)` turns spatial rotation vectors into those of its frame.
-fn base_motion(
-    motion: &model::BaseMotion,
-    orientation: &Matrix3<f64>,
-) -> Result<BaseMotion, RodError> {
-    let curve = |rate: [f64; 3],
-                 table: &Option<Vec<[f64; 4]>>,
-                 amplitude: fn(&model::Oscillation) -> [f64; 3],
-                 own: Matrix3<f64>|
-     -> Result<MotionCurve, RodError> {
-        let point = |&[t, x, y, z]: &[f64; 4]| (t, own * Vector3::new(x, y, z));
-        let table = table
-            .as_ref()
-            .map(|rows| CubicSpline::through(&rows.iter().map(point).collect::<Vec<_>>()));
-        let oscillations = motion.oscillation.iter().map(|o| Oscillation {
-            amplitude: own * Vector3::from(amplitude(o)),
-            frequency: o.frequency_hz.get(),
-            phase: o.phase_rad,
-        });
-        Ok(MotionCurve {
-            rate: own * Vector3::from(rate),
-            table: table.transpose()?,
-            oscillations: oscillations.collect(),
-        })
-    };
-    let turned = match motion.rotation_frame {
-        LoadFrame::Spatial => orientation.transpose(),
-        LoadFrame::Body => Matrix3::identity(),
-    };
-    Ok(BaseMotion {
-        translation: curve(
-            motion.velocity_m_s,
-            &motion.translation_m,
-            |o| o.translation_m,
-            Matrix3::identity(),
-        )?,
-        rotation: curve(
-            motion.angular_velocity_rad_s,
-            &motion.rotation_rad,
-            |o| o.rotation_rad,
-            turned,
-        )?,
-    })
-}
-
-/// The rod's integrator, by its name in scenes.
-pub(super) fn integrator(scheme: TimeScheme) -> model::TimeScheme {
-    match scheme {
-        TimeScheme::Explicit => model::TimeScheme::Explicit,
-        TimeScheme::Implicit => model::TimeScheme::Implicit,
-    }
-}
-
-/// The rod's rotary inertia, by its name in scenes.
-pub(super) fn rotary_inertia(inertia: RotaryInertia) -> model::RotaryInertia {
-    match inertia {
-        RotaryInertia::Section => model::RotaryInertia::Section,
-        RotaryInertia::Segment => model::RotaryInertia::Segment,
-    }
-}
-
 fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {
     scene.time.step_s = TimeStep::Seconds(grid.step);
-}
-
-/// Couples along the arm as an actuator.
-fn couples(keys: &model::Distributed) -> OwnActuator {
-    let (bound, largest) = match keys.moment_max_n_m_per_m {
-        model::Bound::Norm(most) => (Bound::Norm(most), most),
-        model::Bound::PerAxis(most) => (
-            Bound::PerAxis(most.into()),
-            most.into_iter().fold(0.0, f64::max),
-        ),
-    };
-    let scale = keys.moment_scale_n_m_per_m.map_or(largest, Number::get);
-    DistributedCouple::bounded(keys.points, bound, scale)
-}
-
-/// A bound; `None` where all of it is infinite.
-fn bound(bound: model::Bound) -> Option<Bound> {
-    match bound {
-        model::Bound::Norm(limit) => limit.is_finite().then_some(Bound::Norm(limit)),
-        model::Bound::PerAxis(limits) => (limits.iter())
-            .any(|limit| limit.is_finite())
-            .then(|| Bound::PerAxis(limits.into())),
-    }
 }
 
 /// Columns of a rotation: the directors `d1`, `d2`, `d3`.

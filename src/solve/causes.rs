@@ -11,15 +11,17 @@ use crate::mechanics::{
 /// Growth of a small deviation over the time of a motion above which the motion is called unstable.
 const UNSTABLE_GROWTH: f64 = 10.0;
 
-/// Deviation from an equilibrium, over the length, up to which an arm starts beside it.
+/// Largest distance of a node from an equilibrium, as a fraction of the arm's length, at which an arm is said to start beside the
+/// equilibrium.
 #[cfg(feature = "cli")]
 const BESIDE: f64 = 0.05;
-/// Elements up to which an equilibrium and its growth take a fraction of a second.
+/// Largest number of elements at which an equilibrium and its growth rate take a fraction of a second.
 #[cfg(feature = "cli")]
 const MOST_ELEMENTS: usize = 1000;
 
-/// What may be behind a motion that could not be computed, or a problem that could not be solved, on a time grid from `initial` on: a step that
-/// is too long, an arm that topples, a model that breaks down. Sentences that can follow a message after a semicolon.
+/// Collects likely causes of a motion that could not be computed, or of a problem that could not be solved, on a time grid from `initial`
+/// on: a step that is too long, an arm that topples, a model that breaks down. Each cause is a sentence that can follow a message after a
+/// semicolon.
 pub(crate) fn causes(rod: &Rod, initial: &State, grid: &TimeGrid) -> Vec<String> {
     [
         long_step(rod, grid.step),
@@ -31,7 +33,8 @@ pub(crate) fn causes(rod: &Rod, initial: &State, grid: &TimeGrid) -> Vec<String>
     .collect()
 }
 
-/// Implicit steps are stable up to a length that falls with the load; the automatic one is safe for an arm that is bent into a circle.
+/// Tells that the step is longer than the automatic one. Implicit steps are stable up to a length that falls with the load; the automatic
+/// step is stable for an arm that is bent into a circle.
 fn long_step(rod: &Rod, step: f64) -> Option<String> {
     let automatic = automatic_step(rod);
     (rod.scheme == TimeScheme::Implicit && step > automatic * (1.0 + 1e-9)).then(|| {
@@ -42,8 +45,9 @@ fn long_step(rod: &Rod, step: f64) -> Option<String> {
     })
 }
 
-/// Says that an arm starts beside an equilibrium that is unstable under the loads at the start or at the end of a motion, by how fast deviations
-/// grow. What is computed may then stand by its symmetry alone.
+/// Tells that an arm starts beside an equilibrium that is unstable under the loads at the start or at the end of a motion, and how fast
+/// deviations from it grow. The computed motion may then stand by its symmetry alone. Returns `None` otherwise, and above
+/// [`MOST_ELEMENTS`].
 #[cfg(feature = "cli")]
 pub(crate) fn stands_by_symmetry(rod: &Rod, initial: &State, duration: f64) -> Option<String> {
     if rod.n_elements() > MOST_ELEMENTS {
@@ -65,10 +69,12 @@ pub(crate) fn stands_by_symmetry(rod: &Rod, initial: &State, duration: f64) -> O
     })
 }
 
-/// The equilibrium next to a configuration under the loads at time `t`, if deviations from it grow within `duration`, and their rate in 1/s.
+/// Returns the equilibrium next to a configuration under the loads at time `t` and the growth rate of deviations from it, 1/s, if they grow
+/// by more than [`UNSTABLE_GROWTH`] within `duration`.
 ///
-/// Loads that turn with the arm, or moments that do not, have no potential: the tangent stiffness, of which the symmetric part counts, says nothing
-/// about stability under them.
+/// Returns `None` for an arm without loads or with a free base, and under loads that turn with the arm and moments that do not, which have
+/// no potential: the symmetric part of the tangent stiffness, which the growth rate is computed from, says nothing about stability under
+/// them.
 fn unstable_equilibrium(
     rod: &Rod,
     near: &Configuration,
@@ -85,7 +91,7 @@ fn unstable_equilibrium(
     (rate * duration > UNSTABLE_GROWTH.ln()).then_some((shape, rate))
 }
 
-/// Says that the equilibrium next to the start is unstable, by how fast it is left.
+/// Tells that the equilibrium next to the start is unstable, and how fast deviations from it grow.
 fn toppling(rod: &Rod, initial: &State, duration: f64) -> Option<String> {
     let (_, rate) = unstable_equilibrium(rod, &initial.configuration, 0.0, duration)?;
     Some(format!(
@@ -97,7 +103,7 @@ fn toppling(rod: &Rod, initial: &State, duration: f64) -> Option<String> {
     ))
 }
 
-/// The paper's model is no variation of an action.
+/// Tells that the model may be the cause where it is the paper's, which derives from no variation of an action.
 fn breakdown(rod: &Rod) -> Option<String> {
     (rod.model == RodModel::Dilatation).then(|| {
         let finer = match rod.strain_rule {
@@ -105,7 +111,7 @@ fn breakdown(rod: &Rod) -> Option<String> {
             StrainRule::Trapezoidal => "",
         };
         format!(
-            "the model \"dilatation\" has no energy to keep and may be what broke down{finer}; set rod.model = \"consistent\", the same law of \
+            "the model \"dilatation\" conserves no energy and may be the cause of the breakdown{finer}; set rod.model = \"consistent\", the same law of \
              stretch derived from one action"
         )
     })

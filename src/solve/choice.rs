@@ -2,35 +2,35 @@
 
 use super::examined::{Examined, Spent, examine};
 use super::solution::Solution;
-use super::summary::status_words;
+use super::summary::{start_not_begun, start_summary, status_words};
 use crate::control::{Attempt, FeedbackWeights};
 use crate::output::summary::{NOT_CHECKED, StartSummary};
 use crate::sqp::{SqpSettings, SqpStatus};
 use crate::task::Problem;
 use crate::verify::ForwardCheck;
 
-/// What a search ends with.
+/// Result of a search.
 pub(crate) struct Chosen {
     pub solution: Solution,
     pub examined: Examined,
-    /// How all starts fared.
+    /// Status and verdict of every start.
     pub starts: Vec<StartSummary>,
-    /// The checks of all attempts, and the gains of the result.
+    /// Time spent on the checks of all attempts and on the gains of the result.
     pub spent: Spent,
 }
 
-/// What is examined, and how.
+/// Extent of the examination of solutions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Examination<'a> {
-    /// Weights of the regulator around a converged solution; none where there should be none.
+    /// Weights of the regulator around a converged solution; `None` for no regulator.
     pub feedback: Option<&'a FeedbackWeights>,
-    /// Whether the second-order condition and the growth of disturbances are examined in any case.
+    /// `true` to examine the second-order condition and the growth of disturbances in any case.
     pub deep: bool,
-    /// Threads.
+    /// Number of threads.
     pub n_threads: usize,
 }
 
-/// The best attempt that the check certifies, or else the best.
+/// Returns the best converged attempt that the check certifies, or else the best attempt.
 pub(crate) fn choose(
     problem: &Problem,
     settings: &SqpSettings,
@@ -48,14 +48,7 @@ pub(crate) fn choose(
     for attempt in attempts {
         let settled =
             (chosen.as_ref()).is_some_and(|(solution, examined, _)| certified(solution, examined));
-        let mut start = StartSummary {
-            start: attempt.start,
-            from: attempt.from,
-            status: status_words(&attempt.outcome.status, &[]).0,
-            objective: attempt.outcome.objective,
-            iterations: attempt.iterations(),
-            verdict: None,
-        };
+        let mut start = start_summary(&attempt);
         // Worse than a certified one, or not converged while another is: nothing to check.
         let worth =
             chosen.is_none() || (!settled && attempt.outcome.status == SqpStatus::Converged);
@@ -71,19 +64,13 @@ pub(crate) fn choose(
         }
         starts.push(start);
     }
-    // Those that nobody waited for.
+    // Starts whose attempts were never begun, as the work was stopped before.
     let missing = (0..n_starts).filter(|at| !starts.iter().any(|start| start.start == *at));
     let missing: Vec<usize> = missing.collect();
-    starts.extend(missing.into_iter().map(|start| StartSummary {
-        start,
-        from: "not begun",
-        status: (problem.discrete.stop.raised()).map_or("failed", |stop| {
-            status_words(&SqpStatus::Stopped(stop), &[]).0
-        }),
-        objective: f64::NAN,
-        iterations: 0,
-        verdict: None,
-    }));
+    let status = (problem.discrete.stop.raised()).map_or("failed", |stop| {
+        status_words(&SqpStatus::Stopped(stop), &[]).0
+    });
+    starts.extend((missing.into_iter()).map(|start| start_not_begun(start, status)));
     starts.sort_by_key(|start| start.start);
     let Some((solution, examined, feedback)) = chosen else {
         unreachable!("a search has at least one attempt")

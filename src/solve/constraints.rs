@@ -4,11 +4,11 @@ use crate::control::{LiftedPoint, PathEnforcement, PathRow, Transcription};
 use crate::output::summary::NamedConstraint;
 use crate::sqp::{Evaluation, SqpOutcome};
 
-/// Number of constraints that are named, at most.
+/// Largest number of constraints that are named.
 const NAMED: usize = 5;
 
-/// Constraints by name, the most violated (scaled) first; those of a path with their worst row only. Where nothing is hard, the soft
-/// goals.
+/// Returns the [`NAMED`] most violated constraints by name, ordered by their scaled violation; of a path constraint only the worst row
+/// counts. Without hard constraints, returns the soft goals.
 pub(super) fn worst_constraints<D>(
     program: &Transcription,
     outcome: &SqpOutcome<LiftedPoint>,

@@ -10,7 +10,8 @@ use crate::mechanics::{
 #[cfg(feature = "cli")]
 use crate::output::DiagnosticsRecord;
 
-/// Diagnostics at every time node of the motion that the controls make, as a simulation of the same motion writes them.
+/// Computes diagnostics at every time node of the motion under the controls, in the form in which a simulation of the same motion writes
+/// them.
 ///
 /// # Errors
 /// [`StepError`] of the integrator.
@@ -26,7 +27,7 @@ pub(crate) fn diagnostics(
     Ok(record)
 }
 
-/// Passes time, diagnostics and power of every `stride`-th time node and of the last one of that motion to `see`.
+/// Passes time, diagnostics and power at every `stride`-th time node and at the last one of the motion under the controls to `see`.
 ///
 /// # Errors
 /// [`StepError`] of the integrator.
@@ -54,7 +55,7 @@ pub(super) fn visit(
         }
         let state = stepper.state();
         loaded.loads.truncate(n_own);
-        // Over the step that ends here, each end with its own wrenches.
+        // The wrenches of the step's start act at its start only, those of its end at its end only, so that each end has its own.
         if let Some(earlier) = k.checked_sub(1) {
             let at = control.at(earlier);
             let (nodes, wrenches) =
@@ -84,7 +85,7 @@ pub(super) fn visit(
     Ok(())
 }
 
-/// All that the control does at a state: nodes and wrenches.
+/// Returns the nodes on which the control acts at a state, with its wrenches on them.
 fn acting(rod: &Rod, time: f64, control: NodeWrenches, state: &State) -> (Vec<usize>, Vec<Wrench>) {
     let at = StateView {
         rod,
@@ -97,7 +98,7 @@ fn acting(rod: &Rod, time: f64, control: NodeWrenches, state: &State) -> (Vec<us
         .unzip()
 }
 
-/// Adds wrenches (force in space, moment in the body) to the loads of a rod.
+/// Adds wrenches (force in the spatial frame, moment in the body frame) to the loads of a rod.
 fn act(rod: &mut Rod, nodes: &[usize], wrenches: &[Wrench], profile: &[(f64, f64)]) {
     for (&node, wrench) in nodes.iter().zip(wrenches) {
         let mut add = |force: Vector3<f64>, moment: Vector3<f64>, frame: LoadFrame| {

@@ -4,14 +4,14 @@ use crate::control::{ActuatedNode, OptimalControlProblem};
 use crate::mechanics::Wrench;
 use crate::scene::OptimalControl;
 
-/// An earlier solution.
+/// An earlier solution: its problem and the coefficients of its controls.
 pub(crate) struct Earlier {
     pub problem: OptimalControlProblem,
     pub coefficients: Vec<Wrench>,
 }
 
 impl Earlier {
-    /// A problem with a free duration begins with that of the earlier solution, as near as its limits allow.
+    /// Gives a problem with free final time the duration of the earlier solution, clamped to the problem's bounds.
     pub fn timed(&self, setup: OptimalControl) -> OptimalControl {
         let Some(free) = setup.problem.duration else {
             return setup;
@@ -24,7 +24,8 @@ impl Earlier {
         setup.with_time_scale(duration / setup.problem.grid.duration())
     }
 
-    /// The coefficients at the times of a problem's, of actuators at the same places of the arm.
+    /// Returns the coefficients of another problem: the earlier control at the times of its coefficients, from the actuator at the same
+    /// place of the arm, or zero where there was none.
     pub fn controls(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
         let earlier = &self.problem;
         let n = earlier.actuators.len();
@@ -33,7 +34,7 @@ impl Earlier {
         let [elements, before] = [problem, earlier].map(|p| p.rod.n_elements());
         let found = |(index, actuator): (usize, &ActuatedNode)| {
             if index >= n_wrenches {
-                // Controls of actuators of one's own follow those of the nodes.
+                // Controls of user-defined actuators follow those of the nodes.
                 return Some(index - n_wrenches + n_earlier).filter(|a| *a < n);
             }
             let same = |other: &ActuatedNode| other.node * elements == actuator.node * before;

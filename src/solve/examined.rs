@@ -1,4 +1,4 @@
-//! Check and regulator of a solution, computed beside each other.
+//! Check and regulator of a solution, computed in parallel.
 
 use std::panic::resume_unwind;
 use std::time::Instant;
@@ -14,28 +14,28 @@ use crate::verify::{CheckError, ForwardCheck};
 pub(crate) struct Examined {
     /// The check, if it could be made.
     pub check: Option<ForwardCheck>,
-    /// Why the check was not made to its end.
+    /// Reason why the check was not completed.
     pub unchecked: Option<Stop>,
     /// The regulator, if it was asked for and found.
     pub feedback: Option<Feedback>,
-    /// What the regulator does on arms that differ from the model.
+    /// Effect of the regulator on arms that differ from the model.
     pub mismatches: Vec<ModelMismatch>,
-    /// Why a regulator that was asked for was not found any more.
+    /// Reason why a regulator that was asked for was not computed.
     pub without_gains: Option<Stop>,
-    /// Other faults, in sentences.
+    /// Other failures, in sentences.
     pub warnings: Vec<String>,
 }
 
-/// Seconds that were spent on examining.
+/// Seconds spent on examining solutions.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Spent {
-    /// On checks.
+    /// Seconds spent on checks.
     pub certify: f64,
-    /// On gains.
+    /// Seconds spent on gains.
     pub feedback: f64,
 }
 
-/// The check and the regulator of a solution, beside each other if there is more than one thread.
+/// Computes the check and the regulator of a solution, in parallel if there is more than one thread.
 pub(crate) fn examine(
     solution: &Solution,
     feedback: Option<&FeedbackWeights>,
@@ -81,7 +81,7 @@ pub(crate) fn examine(
     (examined, spent)
 }
 
-/// A result, and the time that it took.
+/// A result and the time that its computation took.
 struct Timed<T> {
     found: T,
     seconds: f64,
@@ -98,7 +98,7 @@ impl<T> Timed<T> {
     }
 }
 
-/// Both results, the second from a thread of its own if there may be more than one.
+/// Returns the results of both functions; the second one runs on a thread of its own unless `n_threads` is 1.
 pub(super) fn beside<A, B: Send>(
     n_threads: usize,
     first: impl FnOnce() -> A,

@@ -7,22 +7,24 @@ use serde::Serialize;
 use super::examined::{Examined, Spent, beside};
 use super::page::{SolvePage, iteration, sensitivity, solve_page};
 use super::solution::Solution;
-use super::step_kind::step_kind;
 use super::summary::summarize;
 use crate::control::{Hold, OptimalControlProblem, SolveLog};
 use crate::mechanics::{Energy, State, Wrench};
+#[cfg(feature = "cli")]
+use crate::output::DiagnosticsRecord;
 use crate::output::summary::SolveSummary;
 use crate::output::{
     ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory,
     render_report, write_controls, write_feedback,
 };
+#[cfg(feature = "cli")]
+use crate::scene::OptimalControl;
 use crate::scene::{DescribeError, Scene};
-use crate::sqp::IterationRecord;
 
-/// Why a solution was not saved.
+/// Reason why a solution was not saved.
 #[derive(Debug, thiserror::Error)]
 pub enum SaveError {
-    /// The problem is none that a scene can describe.
+    /// A scene cannot describe the problem.
     #[error(transparent)]
     Describe(#[from] DescribeError),
     /// The files could not be written.
@@ -30,10 +32,10 @@ pub enum SaveError {
     Output(#[from] OutputError),
 }
 
-/// Name of the scene of a problem that was posed in a program.
+/// Scene name of a problem that was posed in a program.
 const PROGRAM: &str = "program";
 
-/// Writes a solution as the result directory `target`.
+/// Writes a solution as the result directory `target` and returns the directory.
 pub(super) fn save(
     solution: &Solution,
     examined: &Examined,
@@ -54,8 +56,37 @@ pub(super) fn save(
     Ok(directory.publish(|result| write(result, &scene, solution, examined, &summary, 1))?)
 }
 
+/// Publishes the result of a scene's solve by way of `directory`, or rescues it to another place; the summary names the place. Returns the directory.
+///
+/// # Errors
+/// [`OutputError::Elsewhere`] where the result went to another place, and [`OutputError`] where no place takes it.
+#[cfg(feature = "cli")]
+pub(crate) fn publish(
+    directory: RunDirectory,
+    (setup, diagnostics): (&OptimalControl, Option<&DiagnosticsRecord>),
+    (solution, examined): (&Solution, &Examined),
+    summary: &mut SolveSummary,
+    n_threads: usize,
+) -> Result<PathBuf, OutputError> {
+    let scene = setup.resolved.to_toml();
+    let written = directory.publish_or_rescue(|result| {
+        let summary = SolveSummary {
+            directory: result.place().display().to_string(),
+            ..summary.clone()
+        };
+        if let Some(diagnostics) = diagnostics {
+            diagnostics.write_npz(&result.path().join("diagnostics.npz"))?;
+        }
+        write(result, &scene, solution, examined, &summary, n_threads)
+    });
+    if let Err(OutputError::Elsewhere { place, .. }) = &written {
+        summary.directory = place.display().to_string();
+    }
+    written
+}
+
 /// Writes every file of a solution whose scene, resolved, is this text.
-pub(crate) fn write(
+fn write(
     directory: &ResultDirectory,
     scene: &str,
     solution: &Solution,
@@ -96,14 +127,14 @@ pub(crate) fn write(
             iterations: rows.collect(),
             sensitivity: (examined.feedback.as_ref())
                 .map(|found| sensitivity(problem, &found.open_loop, &found.closed_loop)),
-        });
+        })?;
         directory.write_text("report.html", &render_report(&page))
     };
     let (rest, motion) = beside(n_threads, write_rest, write_motion);
     motion.and(rest)
 }
 
-/// The solution's own configurations, with the energies of its replay.
+/// Returns the configurations of the solution with the energies of its replay.
 fn motion_record(solution: &Solution, examined: &Examined) -> MotionRecord {
     let problem = &solution.problem.discrete;
     let trajectory = solution.trajectory();
@@ -124,14 +155,14 @@ fn motion_record(solution: &Solution, examined: &Examined) -> MotionRecord {
     record
 }
 
-/// A row per coefficient and actuator: per block of a constant hold, per knot, with equal times, of a linear one, per control point
-/// of a spline; and where the arm stays, one per actuator for the time after the horizon.
+/// Returns one row per coefficient and actuator: per block of a constant hold; per knot of a linear hold or control point of a spline, with
+/// two equal times. Where the arm stays after the task, one row per actuator follows for the time after the horizon.
 fn control_rows(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Vec<ControlRow> {
     let edges = problem.control.edge_times();
     let times = problem.control.coefficient_times();
     let n = problem.actuators.len();
     let end = problem.grid.duration();
-    // Where the arm stays, its last wrenches are held for a time.
+    // The last wrenches are held for a time where the arm stays.
     let held = (problem.stay.iter())
         .flat_map(|stay| (stay.wrenches.iter()).map(|u| (u, (end, end + stay.seconds))));
     (coefficients.iter().enumerate())
@@ -159,71 +190,27 @@ fn control_rows(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Vec
         .collect()
 }
 
-/// A row of `iterations.csv`, and of the lines of JSON.
+/// The solve that an iteration is of, in a row of `iterations.csv`.
 #[derive(Serialize)]
-pub(crate) struct IterationRow<'a> {
-    iteration: usize,
-    objective: f64,
-    stationarity: f64,
-    feasibility: f64,
-    complementarity: f64,
-    infeasibility: f64,
-    step_norm: f64,
-    trust_radius: f64,
-    kind: String,
-    elastic_weight: f64,
-    slack: f64,
-    linearized_rows: usize,
-    working_rows: usize,
-    contraction: Option<f64>,
-    qp_iterations: u32,
-    elapsed_s: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    attempt: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    from: Option<&'a str>,
+struct OfAttempt<'a> {
+    attempt: usize,
+    from: &'a str,
 }
 
-/// What an iteration did.
-pub(crate) fn iteration_row<'a>(row: &IterationRecord) -> IterationRow<'a> {
-    IterationRow {
-        iteration: row.iteration,
-        objective: row.objective,
-        stationarity: row.residual.stationarity,
-        feasibility: row.residual.feasibility,
-        complementarity: row.residual.complementarity,
-        infeasibility: row.infeasibility,
-        step_norm: row.step_norm,
-        trust_radius: row.trust_radius,
-        kind: step_kind(row),
-        elastic_weight: row.elastic_weight,
-        slack: row.slack,
-        linearized_rows: row.linearized_rows,
-        working_rows: row.working_rows,
-        contraction: row.contraction,
-        qp_iterations: row.qp_iterations,
-        elapsed_s: row.elapsed,
-        attempt: None,
-        from: None,
-    }
-}
-
-/// The rows of all attempts, one after the other.
+/// Writes the iterations of all attempts, one attempt after the other.
 fn write_iterations(path: &Path, solves: &[SolveLog]) -> Result<(), OutputError> {
     let cannot_write = |error: csv::Error| {
         OutputError::unwritten(path, "cannot write")(std::io::Error::other(error))
     };
     let mut writer = csv::Writer::from_path(path).map_err(cannot_write)?;
-    let rows = (solves.iter().enumerate())
-        .flat_map(|(number, solve)| solve.rows.iter().map(move |row| (number, solve, row)));
-    for (number, solve, row) in rows {
-        writer
-            .serialize(IterationRow {
-                attempt: Some(number + 1),
-                from: Some(&solve.from),
-                ..iteration_row(row)
-            })
-            .map_err(cannot_write)?;
+    for (number, solve) in solves.iter().enumerate() {
+        for row in &solve.rows {
+            let attempt = OfAttempt {
+                attempt: number + 1,
+                from: &solve.from,
+            };
+            writer.serialize((row, attempt)).map_err(cannot_write)?;
+        }
     }
     writer
         .flush()

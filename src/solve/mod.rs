@@ -3,13 +3,23 @@
 mod causes;
 #[cfg(feature = "cli")]
 mod choice;
+#[cfg(feature = "cli")]
+mod closed_loop;
 mod constraints;
 mod diagnostics;
 #[cfg(feature = "cli")]
 mod earlier;
+#[cfg(feature = "cli")]
+mod equilibrium;
 mod examined;
 mod files;
 mod page;
+#[cfg(feature = "cli")]
+mod recheck;
+#[cfg(feature = "cli")]
+pub(crate) mod scene_check;
+#[cfg(feature = "cli")]
+mod simulation;
 mod soft_goals;
 mod solution;
 mod statics;
@@ -20,16 +30,17 @@ mod summary;
 pub(crate) use self::{
     causes::{causes, stands_by_symmetry},
     choice::{Chosen, Examination, choose},
+    closed_loop::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun},
     diagnostics::diagnostics,
     earlier::Earlier,
+    equilibrium::{EquilibriumSummary, sweep_record, write_tables},
     examined::Examined,
-    files::{IterationRow, iteration_row, write},
-    page::{
-        SavedError, SavedPage, closed_loop_page, equilibrium_page, findings, saved_page,
-        simulation_page,
-    },
-    step_kind::{help, legend, step_kind},
-    summary::{check_outcome, status_words, summarize},
+    files::publish,
+    page::{SavedError, SavedPage, equilibrium_page, findings, saved_page},
+    recheck::{RecheckError, SavedSolution, VerifySummary, read_coefficients},
+    simulation::{End, Simulated, SimulationError, SimulationEvent, SimulationRun},
+    step_kind::{help, legend},
+    summary::{start_not_begun, start_summary, status_words, summarize},
 };
 
 pub use files::SaveError;
@@ -42,32 +53,32 @@ use crate::control::{GuessError, Search, search};
 use crate::sqp::SqpSettings;
 use crate::task::{Arm, Discretization, DiscretizeError, Problem, Task};
 
-/// Why there is no solution to look at.
+/// Reason why there is no solution, not even one that has not converged.
 #[derive(Debug, thiserror::Error)]
 pub enum SolveError {
-    /// The problem cannot be discretized so.
+    /// The task cannot be discretized for this arm.
     #[error(transparent)]
     Discretize(#[from] DiscretizeError),
-    /// The solver has no point to start from.
+    /// The solver has no initial guess.
     #[error("no start for the solver: {0}")]
     Start(#[from] GuessError),
 }
 
-/// How a problem is solved: the defaults are those of a scene.
+/// Options of [`solve_with`]. The defaults are those of a scene.
 #[derive(Clone, Debug, Default)]
 pub struct SolveOptions {
     /// Settings of the solver.
     pub settings: SqpSettings,
-    /// Where it starts, how often, and on how many threads.
+    /// Number and kind of the initial guesses, and number of threads.
     pub search: Search,
 }
 
-/// Discretizes a task for an arm and solves it from one start on one thread.
+/// Discretizes a task for an arm and solves it from one initial guess on one thread.
 ///
-/// A solve that does not converge is a [`Solution`] too, which says how far it came.
+/// A solve that does not converge returns a [`Solution`] too, whose status and residuals tell how far it came.
 ///
 /// # Errors
-/// [`SolveError`] where the problem cannot be discretized, or there is no point to start from.
+/// [`SolveError`] where the problem cannot be discretized, or there is no initial guess.
 pub fn solve(
     arm: &Arm,
     task: &Task,
@@ -76,7 +87,7 @@ pub fn solve(
     solve_with(arm, task, discretization, &SolveOptions::default())
 }
 
-/// [`solve`] with other settings, starts or threads.
+/// Does the same as [`solve`] with other settings, initial guesses or threads.
 ///
 /// # Errors
 /// As [`solve`].
@@ -93,12 +104,12 @@ pub fn solve_with(
 /// Solves a problem that is discretized already. The signal with which it was [discretized](Task::discretize_until) ends the work early.
 ///
 /// # Errors
-/// [`SolveError::Start`]
+/// [`SolveError::Start`] where there is no initial guess.
 pub fn solve_problem(problem: &Problem, options: &SolveOptions) -> Result<Solution, SolveError> {
     let settings = &options.settings;
     let mut attempts = search(&problem.discrete, settings, &options.search, &|_, _| {
         ControlFlow::Continue(())
     })?;
-    // They come in their order, the best one first.
+    // The attempts are ordered, the best one first.
     Ok(Solution::of(problem, settings, attempts.swap_remove(0)))
 }

@@ -1,11 +1,11 @@
-//! What soft goals leave.
+//! Distances of a motion from soft goals.
 
 use crate::control::{Enforcement, OptimalControlProblem};
 use crate::mechanics::Trajectory;
 use crate::mechanics::rotation::log;
 use crate::output::summary::SoftGoalSummary;
 
-/// How far the nodes of soft goals are from them at their times.
+/// Computes the distance, m, and the angle, rad, of the node of every soft goal from the goal at its time.
 pub(super) fn soft_goals(
     problem: &OptimalControlProblem,
     motion: &Trajectory,

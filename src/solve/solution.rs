@@ -1,4 +1,4 @@
-//! A solution: the end of a solve in terms of the problem, with its motion, controls and multipliers.
+//! A solution: the end of a solve, with its problem, motion, controls and multipliers.
 
 use std::path::{Path, PathBuf};
 
@@ -17,25 +17,26 @@ use crate::sqp::{
 use crate::task::Problem;
 use crate::verify::{self, CheckError, CheckLimits, ForwardCheck};
 
-/// Where the best attempt of a solve ended. Its problem has the duration that was found.
+/// End of the best attempt of a solve. A free final time is the one that was found.
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// The problem, on the grid of the solution.
+    /// The problem, on the time grid of the solution.
     pub problem: Problem,
     /// The settings of the solver.
     pub settings: SqpSettings,
-    /// The attempt: status, objective, residuals, iterations.
+    /// The attempt, with its status, objective, residuals and iterations.
     pub attempt: Attempt,
-    /// Coefficients of the wrenches: coefficient by coefficient of the [control grid](crate::control::ControlGrid), all actuators of each.
+    /// Coefficients of the wrenches: all actuators of the first coefficient of the [control grid](crate::control::ControlGrid), then those
+    /// of the next.
     pub coefficients: Vec<Wrench>,
     /// Multipliers of goals, limits and bounds.
     pub multipliers: MultiplierRecord,
-    /// The constraints that are violated most, or nearest to it.
+    /// Constraints with the largest violation or, where none is violated, the smallest margin.
     pub worst: Vec<NamedConstraint>,
 }
 
 impl Solution {
-    /// Of an attempt at a problem.
+    /// Creates the solution from an attempt at a problem.
     #[must_use]
     pub fn of(problem: &Problem, settings: &SqpSettings, mut attempt: Attempt) -> Self {
         let problem = if attempt.time_scale == 1.0 {
@@ -47,7 +48,8 @@ impl Solution {
         let program = Transcription::new(&problem.discrete, 1);
         let is_start =
             outcome.history.is_empty() && matches!(outcome.status, SqpStatus::Stopped(_));
-        // Nobody waits for the values of a long motion that is not even the first iterate.
+        // Skip the evaluation for a long motion that is not even the first iterate: the solve was stopped, and the evaluation would take
+        // long.
         let values = (!(is_start && stopped_steps_per_row(&problem) > 1))
             .then(|| program.evaluate(&outcome.point).ok())
             .flatten();
@@ -72,31 +74,31 @@ impl Solution {
         }
     }
 
-    /// The status of the solver.
+    /// Returns the status of the solver.
     #[must_use]
     pub fn status(&self) -> &SqpStatus {
         &self.attempt.outcome.status
     }
 
-    /// Whether the solver met its own conditions of optimality; only [`Self::certify`] says what that is worth.
+    /// Tells whether the solver met its own conditions of optimality; [`Self::certify`] checks them independently.
     #[must_use]
     pub fn has_converged(&self) -> bool {
         *self.status() == SqpStatus::Converged
     }
 
-    /// The objective.
+    /// Returns the objective.
     #[must_use]
     pub fn objective(&self) -> f64 {
         self.attempt.outcome.objective
     }
 
-    /// The motion: configurations at every time node.
+    /// Returns the motion: configurations at every time node.
     #[must_use]
     pub fn trajectory(&self) -> &Trajectory {
         &self.attempt.outcome.point.trajectory
     }
 
-    /// The wrenches of all actuators at time node `k`.
+    /// Returns the wrenches of all actuators at time node `k`.
     #[must_use]
     pub fn wrenches_at(&self, k: usize) -> Vec<Wrench> {
         let discrete = &self.problem.discrete;
@@ -109,7 +111,7 @@ impl Solution {
             .collect()
     }
 
-    /// The solution in the form that the check reads.
+    /// Returns the solution in the form that the check reads.
     #[must_use]
     pub fn claim(&self) -> verify::Solution<'_> {
         verify::Solution {
@@ -119,14 +121,15 @@ impl Solution {
         }
     }
 
-    /// The limits of the check: those of optimality go with the solver's tolerance, as far as a certificate may.
+    /// Returns the limits of the check. Those of optimality follow the solver's tolerance, as far as a certificate may.
     #[must_use]
     pub fn check_limits(&self) -> CheckLimits {
         CheckLimits::of(&self.settings)
     }
 
-    /// The certificate: conditions of optimality, forward simulation, errors in time and space, energy and momentum, recomputed by code that
-    /// shares no assembly with the solver; with the second-order condition where the solver's last Hessian was not positive by itself.
+    /// Computes the certificate: conditions of optimality, forward simulation, errors in time and space, energy and momentum, recomputed by
+    /// code that shares no assembly with the solver. The second-order condition is examined where the solver's last Hessian was not
+    /// positive definite without a modification.
     ///
     /// # Errors
     /// [`CheckError`] when a replay cannot be made.
@@ -134,7 +137,8 @@ impl Solution {
         self.certify_deeply(false)
     }
 
-    /// [`Self::certify`]; with `deep`, the second-order condition and the growth of disturbances in any case.
+    /// Does the same as [`Self::certify`]; with `deep`, also examines the second-order condition and the growth of disturbances in any
+    /// case.
     ///
     /// # Errors
     /// As [`Self::certify`].
@@ -146,12 +150,13 @@ impl Solution {
         Ok(check)
     }
 
-    /// Whether nothing that the solver has computed says that the solution is a minimum: its last Hessian was not positive by itself, or that of
-    /// Gauss and Newton, which always is, and the exact one at the solution is not either.
+    /// Tells whether the solver has not found the solution to be a minimum: its last Hessian was not positive definite without a
+    /// modification, or the last Hessian was that of Gauss and Newton, which is never indefinite, and the exact Hessian at the solution is
+    /// not positive definite.
     fn is_doubtful(&self) -> bool {
         let outcome = &self.attempt.outcome;
         let last = (outcome.history.iter().rev()).find(|row| row.step_norm > 0.0);
-        match last.map(|row| row.hessian) {
+        match last.map(|row| row.step.hessian) {
             None | Some(HessianKind::Exact) => false,
             Some(HessianKind::Convexified) => true,
             Some(HessianKind::GaussNewton | HessianKind::Proximal) => {
@@ -161,10 +166,10 @@ impl Solution {
         }
     }
 
-    /// A time-varying linear-quadratic regulator around the motion.
+    /// Computes a time-varying linear-quadratic regulator around the motion.
     ///
     /// # Errors
-    /// [`FeedbackError`] where the weights leave it ill posed.
+    /// [`FeedbackError`] where the weights make the regulator ill posed.
     pub fn regulator(
         &self,
         weights: &FeedbackWeights,
@@ -180,8 +185,8 @@ impl Solution {
         )
     }
 
-    /// What the gains of a [regulator](Self::regulator) do on arms whose stiffness, mass or damping is off by 1, 5 and 20 %, beside the
-    /// controls alone; empty where an actuator is one's own.
+    /// Simulates the [regulator](Self::regulator) and the controls alone on arms whose stiffness, mass or damping is off by 1, 5 and 20 %.
+    /// Returns an empty list where an actuator is user-defined.
     ///
     /// # Errors
     /// [`StepError::Stopped`] where the problem's signal stops it.
@@ -193,8 +198,8 @@ impl Solution {
         )
     }
 
-    /// Checks the solution, as far as that can be done, and writes it as a result directory, which `softarm verify` reads: `summary.json`, `controls.csv`, `trajectory.npz`,
-    /// `multipliers.json`, `iterations.csv`, `scene.toml` and `report.html`. Returns the directory.
+    /// Checks the solution, as far as that can be done, and writes it as a result directory, which `softarm verify` reads: `summary.json`,
+    /// `controls.csv`, `trajectory.npz`, `multipliers.json`, `iterations.csv`, `scene.toml` and `report.html`. Returns the directory.
     ///
     /// # Errors
     /// [`SaveError`] where the problem cannot be written as a scene, or the files cannot be written.
@@ -203,8 +208,8 @@ impl Solution {
         save(self, &examined, directory)
     }
 
-    /// Every how many time nodes the written motion has a row: every one, unless the solve or its check was stopped, when nobody waits for
-    /// that many.
+    /// Returns the number of time nodes per row of the written motion: one, unless the solve or its check was stopped and nothing was
+    /// checked; then a long motion is thinned, so that the files are written at once.
     pub(crate) fn steps_per_row(&self, examined: &Examined) -> usize {
         let is_stopped = matches!(self.status(), SqpStatus::Stopped(_));
         if examined.check.is_none() && (is_stopped || examined.unchecked.is_some()) {
@@ -215,10 +220,10 @@ impl Solution {
     }
 }
 
-/// What of a motion is packed in about a tenth of a second, in bytes.
+/// Size of a motion, in bytes, that is compressed in about a tenth of a second.
 const MOST_STOPPED_BYTES: u64 = 4_000_000;
 
-/// Every how many time nodes the motion of a solve that was stopped is written.
+/// Returns the number of time nodes per row of the motion of a solve that was stopped.
 fn stopped_steps_per_row(problem: &Problem) -> usize {
     let row = row_bytes(&MotionRecord::empty(problem.discrete.rod.n_nodes()).arrays());
     let rows = (MOST_STOPPED_BYTES / row).max(2) as usize;

@@ -1,4 +1,4 @@
-//! Statics of an arm: its equilibrium, its stability, the load factor at which that is lost, and a sweep over the load factor.
+//! Statics of an arm: its equilibrium, its stability, the critical load factor, and a sweep over the load factor.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,18 +7,19 @@ use crate::mechanics::{Critical, LoadPath, LoadedShape, Rod, RodError, Varied};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
 
-/// What is asked about the statics of an arm.
+/// Options of [`statics`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StaticsOptions {
     /// Loads that the load factor multiplies.
     pub varied: Varied,
-    /// The sweep ends at this load factor.
+    /// Load factor at the end of the sweep.
     pub to: f64,
-    /// Load factors of the sweep, evenly spread from 0 to the end, at least two.
+    /// Number of load factors of the sweep, evenly spaced from 0 to the end; at least two.
     pub points: usize,
-    /// Time at which loads with a profile and a driven base are looked at, s.
+    /// Time at which loads with a profile and a driven base are evaluated, s.
     pub time: f64,
-    /// Dead force across the tip along the arm's softest direction, over EI/L²: an imperfection, with which a symmetric arm buckles gradually.
+    /// Imperfection: a dead force across the tip in the arm's softest direction, as a multiple of EI/L². With it a symmetric arm buckles
+    /// gradually.
     pub imperfection: f64,
 }
 
@@ -35,7 +36,7 @@ impl Default for StaticsOptions {
 }
 
 impl StaticsOptions {
-    /// The load factors of the sweep above 0, in their order, with 1 among them.
+    /// Returns the load factors of the sweep above 0 in ascending order, with 1 among them.
     fn factors(&self) -> Vec<f64> {
         let n = self.points.max(2) - 1;
         let mut out: Vec<f64> = (1..=n).map(|i| self.to * i as f64 / n as f64).collect();
@@ -47,49 +48,52 @@ impl StaticsOptions {
     }
 }
 
-/// Statics of an arm.
+/// Results of [`statics`].
 #[derive(Clone, Debug)]
 pub struct Statics {
-    /// The rod, under the loads at factor 1.
+    /// Rod under the loads at factor 1.
     pub rod: Rod,
     /// Dead force on the tip that the load factor does not multiply, N, spatial frame.
     pub aside: Vector3<f64>,
-    /// The equilibrium at load factor 1.
+    /// Equilibrium at load factor 1.
     pub own: LoadedShape,
-    /// Displacement of its tip per dead force on it, m/N, spatial frame.
+    /// Displacement of the tip at that equilibrium per dead force on it, m/N, spatial frame.
     pub tip_compliance: Option<Matrix3<f64>>,
-    /// Where the arm goes that is pushed a little, if the equilibrium is not stable and another one is found.
+    /// Stable equilibrium to which a slightly pushed arm goes, if `own` is not stable and another equilibrium is found.
     pub goes_to: Option<LoadedShape>,
-    /// The load factor at which stability is lost.
+    /// Load factor at which stability is lost.
     pub critical: Critical,
-    /// Equilibria at load factors from 0 on.
+    /// Equilibria of the sweep, from load factor 0 on.
     pub sweep: Vec<LoadedShape>,
-    /// Why the sweep ends before its end.
+    /// Reason why the sweep ends early.
     pub cut: Option<EquilibriumError>,
-    /// Estimated error of the tip of `own` that the elements make, m, from an arm with twice as many; `None` where that has another equilibrium or none.
+    /// Estimated discretization error of the tip of `own`, m, from an arm with twice as many elements; `None` where that arm has no
+    /// equilibrium.
     pub refined_space: Option<f64>,
 }
 
-/// Why there are no statics.
+/// Reason why the statics cannot be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum StaticsError {
-    /// The arm cannot be discretized so.
+    /// The arm cannot be discretized with these options.
     #[error(transparent)]
     Rod(#[from] RodError),
-    /// There is no equilibrium.
+    /// No equilibrium was found.
     #[error(transparent)]
     Equilibrium(#[from] EquilibriumError),
 }
 
-/// Part of EI/L² that pushes an arm aside to see where it goes.
+/// Multiple of EI/L² that pushes an arm aside to find the equilibrium that it goes to, and multiple of its length that it must move by to
+/// have gone anywhere: small against a force that bends the arm, large against rounding.
 const PUSH: f64 = 1e-3;
-/// Rate by which the distance from an equilibrium of twice the elements, whose own error is a quarter, counts as the error (Richardson).
+/// Ratio of the error to the distance from the equilibrium with twice as many elements, whose own error is a quarter: `1/(1 - 1/4)`
+/// (Richardson).
 const RICHARDSON: f64 = 4.0 / 3.0;
 
-/// Statics of an arm with the elements of a discretization.
+/// Computes the statics of an arm with the elements of a discretization.
 ///
 /// # Errors
-/// [`StaticsError`] where the arm has no equilibrium that is found, or the work was stopped.
+/// [`StaticsError`] where no equilibrium is found, or the work was stopped.
 pub fn statics(
     arm: &Arm,
     discretization: &Discretization,
@@ -150,7 +154,7 @@ pub fn statics(
     })
 }
 
-/// The tip of an equilibrium at factor 1; `None` where there is none.
+/// Returns the tip of the equilibrium at factor 1, m, or `None` where there is none.
 fn tip_at_one(
     rod: &Rod,
     options: &StaticsOptions,
@@ -165,7 +169,7 @@ fn tip_at_one(
     }
 }
 
-/// Unit vector along which the tip of the unloaded arm gives way most; of a straight arm the first axis of its section.
+/// Returns the unit vector along which the tip of the unloaded arm is most compliant; for a straight arm the first axis of its section.
 fn softest(
     rod: &Rod,
     options: &StaticsOptions,
@@ -178,12 +182,13 @@ fn softest(
         return Ok(first);
     };
     let compliance = 0.5 * (compliance + compliance.transpose());
-    // Of directions that are equally soft, the one nearest to the first axis.
+    // The power of the compliance selects the softest directions; of equally soft ones it keeps the one nearest to the first axis.
     let softest = compliance * compliance * compliance * first;
     Ok(softest.try_normalize(0.0).unwrap_or(first))
 }
 
-/// The stable equilibrium that an arm comes to whose loads grow from zero while a small force pushes its tip aside, without that force.
+/// Returns the stable equilibrium that the arm reaches when its loads grow from zero while a small force pushes its tip aside, after that
+/// force is removed; `None` where it is not stable or not another one.
 fn pushed(
     rod: &Rod,
     own: &LoadedShape,

@@ -1,12 +1,14 @@
 //! The column `kind` of the iteration table.
 
-use crate::sqp::{HessianKind, IterationRecord, Leave};
+use crate::sqp::IterationRecord;
+#[cfg(feature = "cli")]
+use crate::sqp::Leave;
 
-/// Every letter and word of the column with its meaning, in the order in which they are explained.
+/// Signs of the column and their meanings, in the order in which they are explained.
 pub(crate) const MEANINGS: [(&str, &str); 9] = [
     ("g", "Gauss-Newton Hessian"),
     ("x", "exact Hessian"),
-    ("c", "exact Hessian, its negative curvature turned round"),
+    ("c", "exact Hessian, its negative curvature reversed"),
     ("p", "restoration of feasibility, without the objective"),
     ("l", "states moved linearly"),
     ("r", "states simulated from the controls"),
@@ -15,28 +17,12 @@ pub(crate) const MEANINGS: [(&str, &str); 9] = [
     ("-", "no step: the end of the attempt"),
 ];
 
-/// Kind of the step that left a point: a letter for the Hessian, one for the states, and a `+` for every correction; or a word where it
-/// was left otherwise.
+/// Kind of the step that left a point.
 pub(crate) fn step_kind(row: &IterationRecord) -> String {
-    let word = match row.left {
-        Leave::Step => None,
-        Leave::Settled => Some("settle"),
-        Leave::End => Some("-"),
-    };
-    if let Some(word) = word {
-        return word.into();
-    }
-    let hessian = match row.hessian {
-        HessianKind::GaussNewton => 'g',
-        HessianKind::Exact => 'x',
-        HessianKind::Convexified => 'c',
-        HessianKind::Proximal => 'p',
-    };
-    let states = if row.rolled_out { 'r' } else { 'l' };
-    format!("{hessian}{states}{}", "+".repeat(row.corrections))
+    row.step.to_string()
 }
 
-/// All of it, for the help of `solve`.
+/// Returns the explanation of all signs for the help of `solve`.
 #[cfg(feature = "cli")]
 pub(crate) fn help() -> String {
     let entry = |(sign, meaning): &(&str, &str)| format!("  {sign:8} {meaning}");
@@ -47,7 +33,7 @@ pub(crate) fn help() -> String {
     )
 }
 
-/// The signs that some rows have, with their meanings, in one line.
+/// Returns the explanation of the signs that occur in `rows`, in one line.
 #[cfg(feature = "cli")]
 pub(crate) fn legend(rows: &[IterationRecord]) -> String {
     let kinds: Vec<String> = rows.iter().map(step_kind).collect();
@@ -55,7 +41,7 @@ pub(crate) fn legend(rows: &[IterationRecord]) -> String {
         let is_letter = sign.len() == 1 && sign != "-";
         (kinds.iter().zip(rows)).any(|(kind, row)| {
             if is_letter {
-                row.left == Leave::Step && kind.contains(sign)
+                row.step.left == Leave::Step && kind.contains(sign)
             } else {
                 kind == sign
             }
@@ -71,34 +57,14 @@ pub(crate) fn legend(rows: &[IterationRecord]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sqp::KktResidual;
+    use crate::sqp::HessianKind;
 
-    /// Whatever leaves a point, every sign of its kind is explained, and nothing is explained twice.
+    /// Every sign of a kind is explained exactly once.
     #[test]
     fn every_kind_is_explained() {
-        let mut row = IterationRecord {
-            iteration: 0,
-            objective: 0.0,
-            residual: KktResidual {
-                stationarity: 0.0,
-                feasibility: 0.0,
-                complementarity: 0.0,
-            },
-            infeasibility: 0.0,
-            step_norm: 1.0,
-            contraction: None,
-            left: Leave::Step,
-            hessian: HessianKind::GaussNewton,
-            corrections: 2,
-            rolled_out: false,
-            trust_radius: 1.0,
-            elastic_weight: 1.0,
-            slack: 0.0,
-            linearized_rows: 0,
-            working_rows: 0,
-            qp_iterations: 0,
-            elapsed: 0.0,
-        };
+        let mut row = IterationRecord::default();
+        row.step.left = Leave::Step;
+        row.step.corrections = 2;
         let explained = |sign: &str| MEANINGS.iter().filter(|(known, _)| *known == sign).count();
         for hessian in [
             HessianKind::GaussNewton,
@@ -107,14 +73,14 @@ mod tests {
             HessianKind::Proximal,
         ] {
             for rolled_out in [false, true] {
-                (row.hessian, row.rolled_out) = (hessian, rolled_out);
+                (row.step.hessian, row.step.rolled_out) = (hessian, rolled_out);
                 for letter in step_kind(&row).chars() {
                     assert_eq!(explained(&letter.to_string()), 1, "{letter}");
                 }
             }
         }
         for left in [Leave::Settled, Leave::End] {
-            row.left = left;
+            row.step.left = left;
             assert_eq!(explained(&step_kind(&row)), 1, "{left:?}");
         }
     }

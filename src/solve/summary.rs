@@ -2,23 +2,29 @@
 
 use std::path::Path;
 
+use serde::Serialize;
+use serde_json::Value;
+
 use super::causes::causes;
 use super::examined::{Examined, Spent};
 use super::soft_goals::soft_goals;
 use super::solution::Solution;
-use crate::control::{Attempt, OptimalControlProblem, SolveLog, observe, tracking_errors};
-use crate::mechanics::Wrench;
+use crate::control::{
+    Attempt, Feedback, OptimalControlProblem, SolveLog, observe, tracking_errors,
+};
+use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{
-    AttemptSummary, BetweenSummary, CheckOutcome, CheckRecord, CriterionSummary, EnergyAccount,
-    GrowthSummary, LargestDistance, LargestSpeed, MomentumAccount, NOT_CHECKED, NamedConstraint,
-    PhaseSummary, SCHEMA_VERSION, SecondOrderSummary, SensitivitySummary, SolveSummary,
-    StartSummary, StaysSummary, StrainSummary, TOOL,
+    AttemptSummary, CheckRecord, LargestDistance, LargestSpeed, NOT_CHECKED, NamedConstraint,
+    PhaseSummary, ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities, SensitivitySummary,
+    SolveSummary, StartSummary, StaysSummary, TOOL, TipEnd,
 };
 use crate::sqp::{IterationRecord, Progress, SqpStatus};
 use crate::stop::Stop;
+use crate::verify::growth::Growth;
+use crate::verify::second_order::SecondOrder;
 use crate::verify::{CheckItem, ForwardCheck};
 
-/// The solves of the start that the result is from.
+/// Returns the solves from the start that led to the result.
 fn attempts(attempt: &Attempt) -> Vec<AttemptSummary> {
     let of = |(number, solve): (usize, &SolveLog)| AttemptSummary {
         from: solve.from.clone(),
@@ -29,7 +35,7 @@ fn attempts(attempt: &Attempt) -> Vec<AttemptSummary> {
     attempt.solves.iter().enumerate().map(of).collect()
 }
 
-/// The summary of a solution of the scene of this name, which took `wall` seconds and goes to `target`.
+/// Returns the summary of a solution of the scene of this name, which took `wall` seconds and goes to `target`.
 pub(crate) fn summarize(
     scene: &str,
     solution: &Solution,
@@ -63,33 +69,25 @@ pub(crate) fn summarize(
         wall_s: wall,
         iteration_s: median_iteration(&outcome.history),
         phases_s: PhaseSummary {
-            linearize: outcome.phases.linearize,
-            condense: outcome.phases.condense,
-            qp: outcome.phases.qp,
-            globalize: outcome.phases.globalize,
+            solver: outcome.phases,
             certify: spent.certify,
             feedback: spent.feedback,
         },
         kkt: outcome.residual,
         convergence: outcome.convergence,
-        tip_error_m: check.map_or(f64::NAN, |check| check.tip_error),
-        tip_angle_rad: check.map_or(f64::NAN, |check| check.tip_angle),
-        tip_speed_m_s: check.map_or(f64::NAN, |check| check.tip_speed),
-        stays: stays(problem, check),
-        tracking: tracking_errors(problem, &outcome.point.trajectory),
-        soft_goals: soft_goals(problem, &outcome.point.trajectory),
+        reached: reached(
+            problem,
+            &outcome.point.trajectory,
+            check,
+            examined.unchecked,
+        ),
         accuracy: None,
-        check: (check.map(|check| CheckRecord::Made(Box::new(check_outcome(check)))))
-            .or_else(|| examined.unchecked.map(CheckRecord::not_checked)),
         progress: match outcome.status {
             SqpStatus::Stopped(_) => Progress::of(&outcome.history),
             _ => None,
         },
         steps_per_row: Some(solution.steps_per_row(examined)).filter(|&steps| steps > 1),
-        open_loop_sensitivity: (examined.feedback.as_ref())
-            .map(|feedback| SensitivitySummary::of(&feedback.open_loop)),
-        closed_loop_sensitivity: (examined.feedback.as_ref())
-            .map(|feedback| SensitivitySummary::of(&feedback.closed_loop)),
+        sensitivities: sensitivities(examined.feedback.as_ref()),
         model_mismatch: examined.mismatches.clone(),
         worst_constraints: solution.worst.clone(),
         qp_backend: outcome.route.name(),
@@ -98,6 +96,54 @@ pub(crate) fn summarize(
         abandoned: solution.attempt.abandoned.clone(),
         attempts: attempts(&solution.attempt),
         starts,
+        facts: problem_facts(problem, &outcome.multipliers.constraints),
+        directory: target.display().to_string(),
+    }
+}
+
+/// What a motion reaches, with its check or the reason why there is none.
+pub(super) fn reached(
+    problem: &OptimalControlProblem,
+    motion: &Trajectory,
+    check: Option<&ForwardCheck>,
+    unchecked: Option<Stop>,
+) -> Reached {
+    Reached {
+        tip: tip_end(check),
+        stays: stays(problem, check),
+        tracking: tracking_errors(problem, motion),
+        soft_goals: soft_goals(problem, motion),
+        check: (check.map(|check| CheckRecord::Made(check_outcome(check))))
+            .or_else(|| unchecked.map(CheckRecord::not_checked)),
+    }
+}
+
+/// End of the tip in the replay of a check; NaN without one.
+pub(super) fn tip_end(check: Option<&ForwardCheck>) -> TipEnd {
+    let [tip_error_m, tip_angle_rad, tip_speed_m_s] = check.map_or([f64::NAN; 3], |check| {
+        [check.tip_error, check.tip_angle, check.tip_speed]
+    });
+    TipEnd {
+        tip_error_m,
+        tip_angle_rad,
+        tip_speed_m_s,
+    }
+}
+
+/// Growth of perturbations, where gains were computed.
+pub(super) fn sensitivities(feedback: Option<&Feedback>) -> Sensitivities {
+    let of = |growth: fn(&Feedback) -> &[f64]| {
+        feedback.map(|feedback| SensitivitySummary::of(growth(feedback)))
+    };
+    Sensitivities {
+        open_loop_sensitivity: of(|feedback| &feedback.open_loop),
+        closed_loop_sensitivity: of(|feedback| &feedback.closed_loop),
+    }
+}
+
+/// The discrete problem, and the multipliers of its target.
+pub(super) fn problem_facts(problem: &OptimalControlProblem, multipliers: &[f64]) -> ProblemFacts {
+    ProblemFacts {
         model: problem.rod.model.name(),
         strain: problem.rod.strain_rule.name(),
         elements: problem.rod.n_elements(),
@@ -105,17 +151,13 @@ pub(crate) fn summarize(
         steps: problem.grid.n_steps,
         duration_s: problem.grid.duration(),
         control_blocks: problem.control.n_blocks(),
-        variables: outcome.point.variables.len(),
-        multipliers: outcome.multipliers.constraints.clone(),
-        directory: target.display().to_string(),
+        variables: problem.n_variables(),
+        multipliers: multipliers.to_vec(),
     }
 }
 
-/// Staying after the task, as the summaries carry it.
-pub(crate) fn stays(
-    problem: &OptimalControlProblem,
-    check: Option<&ForwardCheck>,
-) -> Option<StaysSummary> {
+/// Staying after the task.
+fn stays(problem: &OptimalControlProblem, check: Option<&ForwardCheck>) -> Option<StaysSummary> {
     let stay = problem.stay.as_ref()?;
     let held = check.and_then(|check| check.stays.as_ref());
     let holds = |check: &ForwardCheck| {
@@ -146,80 +188,99 @@ pub(crate) fn stays(
 }
 
 /// The check as the summaries carry it.
-pub(crate) fn check_outcome(check: &ForwardCheck) -> CheckOutcome {
-    CheckOutcome {
-        same_grid_m: check.same_grid,
-        same_grid_rad: check.same_grid_turn,
-        refined_time_m: check.refined_time,
-        refined_space_m: check.refined_space,
-        order_time: check.order_time,
-        order_space: check.order_space,
-        objective: check.objective,
-        between: (check.between.iter())
-            .map(|between| BetweenSummary {
-                name: between.name.clone(),
-                excess: between.excess,
-                unit: between.unit,
-                reference: between.reference,
-                along: between.along,
-                time_s: between.time,
-            })
-            .collect(),
-        strains: StrainSummary {
-            stretch: [check.strains.least_stretch, check.strains.largest_stretch],
-            curvature_1_m: check.strains.curvature,
-            twist_1_m: check.strains.twist,
-        },
-        kkt: check.kkt,
-        kkt_parts: check.kkt_parts.to_vec(),
-        energy: EnergyAccount {
-            work: check.energy.work,
-            change: check.energy.change,
-            dissipation: check.energy.dissipation,
-            relative_residual: check.energy.relative(),
-            halving_ratio: check.energy_ratio,
-            halving_ratio_largest: check.energy_halving,
-        },
-        momentum: MomentumAccount {
-            linear_n_s: check.momentum.linear,
-            angular_n_m_s: check.momentum.angular,
-            over_rounding: check.momentum.over_rounding,
-            time_s: check.momentum.time,
-        },
-        second_order: check.second_order.as_ref().map(|found| SecondOrderSummary {
+pub(super) fn check_outcome(check: &ForwardCheck) -> Value {
+    serde_json::to_value(CheckOutcome {
+        check,
+        second_order: (check.second_order.as_ref()).map(|found| JudgedCurvature {
             verdict: found.extremum().name(),
-            eigenvalue: found.eigenvalue,
-            error: found.error,
-            largest: found.largest,
-            dimension: found.dimension,
-            held: found.held,
-            products: found.products,
+            found,
             gain: check.gain_over_objective(found),
         }),
-        growth: check.growth.as_ref().map(|growth| GrowthSummary {
-            amplification: growth.amplification,
-            disturbance: growth.disturbance,
-            tip_from_state_m: growth.tip_from_state,
-            tip_from_control_m: growth.tip_from_control,
+        growth: check.growth.as_ref().map(|growth| WordedGrowth {
+            growth,
             sentence: growth.sentence(),
         }),
         verdict: check.verdict(),
-        failed: check
-            .items
-            .iter()
+        failed: (check.items.iter())
             .filter(|item| !item.holds())
             .map(|item| item.name)
             .collect(),
         criteria: (check.items.iter())
-            .map(|item| CriterionSummary {
-                name: item.name,
-                value: item.value,
-                limit: item.limit,
-                unit: item.unit,
+            .map(|item| JudgedItem {
+                item,
                 holds: item.holds(),
                 meaning: item.meaning,
             })
             .collect(),
+    })
+    .unwrap_or_default()
+}
+
+/// The object `check` of a summary.
+#[derive(Serialize)]
+struct CheckOutcome<'a> {
+    #[serde(flatten)]
+    check: &'a ForwardCheck,
+    /// Curvature of the Lagrangian; absent where it was not examined.
+    second_order: Option<JudgedCurvature<'a>>,
+    /// Growth of small disturbances over the horizon; absent where it was not examined.
+    growth: Option<WordedGrowth<'a>>,
+    /// `certified`, or `rejected`.
+    verdict: &'static str,
+    /// Names of the criteria that failed.
+    failed: Vec<&'static str>,
+    /// Every criterion with its value and its limit, in the order of the terminal.
+    criteria: Vec<JudgedItem<'a>>,
+}
+
+#[derive(Serialize)]
+struct JudgedCurvature<'a> {
+    /// `minimum`, `degenerate`, or `not a minimum`.
+    verdict: &'static str,
+    #[serde(flatten)]
+    found: &'a SecondOrder,
+    /// What is left to gain along the most negative curvature, at most, over the objective; 0 at a minimum.
+    gain: f64,
+}
+
+#[derive(Serialize)]
+struct WordedGrowth<'a> {
+    #[serde(flatten)]
+    growth: &'a Growth,
+    sentence: String,
+}
+
+#[derive(Serialize)]
+struct JudgedItem<'a> {
+    #[serde(flatten)]
+    item: &'a CheckItem,
+    holds: bool,
+    meaning: &'static str,
+}
+
+/// A start that has ended; nothing is checked yet.
+#[cfg(feature = "cli")]
+pub(crate) fn start_summary(attempt: &Attempt) -> StartSummary {
+    StartSummary {
+        start: attempt.start,
+        from: attempt.from,
+        status: status_words(&attempt.outcome.status, &[]).0,
+        objective: attempt.outcome.objective,
+        iterations: attempt.iterations(),
+        verdict: None,
+    }
+}
+
+/// A start without a first point, or that nobody waited for.
+#[cfg(feature = "cli")]
+pub(crate) fn start_not_begun(start: usize, status: &'static str) -> StartSummary {
+    StartSummary {
+        start,
+        from: "not begun",
+        status,
+        objective: f64::NAN,
+        iterations: 0,
+        verdict: None,
     }
 }
 
@@ -257,11 +318,11 @@ pub(crate) fn status_words(
     }
 }
 
-/// What helps where a solve did not converge, or the check rejects it.
+/// Returns advice for a solve that did not converge, or that the check rejects for its discretization errors.
 fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
     let (problem, outcome) = (&solution.problem.discrete, &solution.attempt.outcome);
     let converged = outcome.status == SqpStatus::Converged;
-    // What the check rejects for another reason than its errors has a remedy of its own.
+    // A rejection for another reason than the discretization errors has a remedy of its own.
     let is_unresolved = |check: &ForwardCheck| {
         let fails =
             |name: &str| (check.items.iter()).any(|item| item.name == name && !item.holds());
@@ -286,7 +347,7 @@ fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
             outcome.residual.feasibility, outcome.residual.stationarity
         )
     });
-    // Nobody waits for statics after a deadline.
+    // The statics take long, so they are left out after a deadline.
     let motion = if problem.stop.is_raised() {
         Vec::new()
     } else {

@@ -1,4 +1,4 @@
-//! The way back into a ball.
+//! Projects a step of the variables back into balls.
 
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
@@ -6,11 +6,11 @@ use faer::linalg::solvers::Solve as _;
 use super::kkt::{difference, norm};
 use super::program::{ConvexSet, along};
 
-/// Balls that share variables are visited this often at most.
+/// Cap on the passes over all balls; more than one is needed only where balls share variables.
 const SWEEPS: usize = 20;
 
-/// Variables moved into one ball after the other by the shortest way that keeps the direction of `M v`, until they are in
-/// all of them. Sets that are no balls are left alone.
+/// Returns the variables moved into one ball after the other, by the shortest way that keeps the direction of `M v`, until they are in all
+/// of them. Sets that are not balls are ignored.
 fn into_balls<'s>(mut v: Vec<f64>, sets: impl Iterator<Item = &'s ConvexSet> + Clone) -> Vec<f64> {
     for _ in 0..SWEEPS {
         let mut moved = false;
@@ -26,7 +26,7 @@ fn into_balls<'s>(mut v: Vec<f64>, sets: impl Iterator<Item = &'s ConvexSet> + C
     v
 }
 
-/// The change of `variables` that ends [in the balls](into_balls) where `change` may leave them.
+/// Returns the change of `variables` that ends [in the balls](into_balls) where `change` may leave them.
 pub(super) fn change_into_balls<'s>(
     variables: &[f64],
     change: &[f64],
@@ -36,7 +36,7 @@ pub(super) fn change_into_balls<'s>(
     difference(&into_balls(end, sets), variables)
 }
 
-/// `v + Mᵀ (M Mᵀ)⁻¹ (radius/|M v| - 1) M v`; whether it had to.
+/// Adds `Mᵀ (M Mᵀ)⁻¹ (radius/|M v| - 1) M v` to `v` if `|M v|` exceeds the radius; returns `true` if it does.
 fn into_ball(v: &mut [f64], rows: &[Vec<(usize, f64)>], radius: f64) -> bool {
     let inside: Vec<f64> = rows.iter().map(|row| along(row, v)).collect();
     let size = norm(&inside);
@@ -70,7 +70,7 @@ mod tests {
 
     /// A ball of differences: the difference ends on the sphere in its old direction, the mean of the two stays.
     #[test]
-    fn difference_returns() {
+    fn differences_are_shortened_to_the_sphere() {
         let rows = (0..2).map(|i| vec![(i + 2, 1.0), (i, -1.0)]).collect();
         let set = ConvexSet::Ball { rows, radius: 1.0 };
         let v = into_balls(vec![0.0, 0.0, 3.0, 4.0], std::iter::once(&set));

@@ -1,10 +1,10 @@
-//! The best point that a solve has seen.
+//! The best point that a solve has visited.
 
 use std::sync::Arc;
 
 use super::kkt::{KktResidual, Multipliers};
 
-/// The best point so far: least infeasible, and among feasible ones the nearest to optimal.
+/// The best point so far: the one of least infeasibility, and among feasible ones the one with the smallest KKT residual.
 #[derive(Clone)]
 pub(super) struct Best<Point> {
     pub(super) point: Arc<Point>,
@@ -21,7 +21,7 @@ const UNKNOWN_RESIDUAL: KktResidual = KktResidual {
 };
 
 impl<Point> Best<Point> {
-    /// A first point, than which every other is better.
+    /// Returns a placeholder of infinite infeasibility, which every visited point replaces.
     pub(super) fn none(point: Arc<Point>, multipliers: Multipliers, objective: f64) -> Self {
         Self {
             point,
@@ -32,7 +32,7 @@ impl<Point> Best<Point> {
         }
     }
 
-    /// Whether it takes the place of another; infeasibilities within `tolerance` count as none.
+    /// Tells whether this point may replace `other`. Infeasibilities up to `tolerance` count as zero.
     pub(super) fn is_no_worse_than(&self, other: &Self, tolerance: f64) -> bool {
         if self.infeasibility.max(other.infeasibility) <= tolerance {
             self.residual.max() <= other.residual.max()

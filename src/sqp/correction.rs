@@ -1,5 +1,5 @@
-//! Second-order corrections of a refused step: full steps along a curved constraint are refused near a solution (the Maratos effect), and
-//! Newton steps on the rows that the trial violates lead back (Nocedal and Wright 2006, section 18.3).
+//! Second-order corrections of a refused step: a filter refuses full steps along a curved constraint near a solution (the Maratos effect),
+//! and Newton steps on the rows that the trial violates lead back (Nocedal and Wright 2006, section 18.3).
 
 use super::balls::change_into_balls;
 use super::filter::{Filter, Slope};
@@ -9,12 +9,14 @@ use super::program::LiftedProgram;
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
 use super::trial::{Accepted, Departure, Refused};
 
+/// Cap on the corrections of one step (Ipopt's `max_soc` is 4).
 const CORRECTIONS: usize = 8;
-/// A correction that does not shrink the infeasibility by this is the last one.
+/// A correction that leaves more than this fraction of the infeasibility is the last one: Ipopt's `kappa_soc`.
 const CORRECTION_PROGRESS: f64 = 0.99;
 
 impl Filter {
-    /// Second-order corrections of a refused step, while they reduce its infeasibility.
+    /// Tries second-order corrections of a refused step, as long as each reduces the infeasibility of the one before; returns the first
+    /// that the filter accepts.
     pub(super) fn correct<P: LiftedProgram>(
         &mut self,
         program: &P,
@@ -25,7 +27,8 @@ impl Filter {
         slope: Slope,
     ) -> Option<Accepted<P>> {
         let linearization = from.linearization;
-        // The rows are linear along the step in the tangents; the way from there into the balls bends the rows as their own curvature does.
+        // In the subproblem the rows are linear along the step in the balls' tangents. The way from the tangents into the balls bends the
+        // rows, which belongs to their curvature.
         let mut change: Vec<f64> = match from.returned {
             [] => change.to_vec(),
             returned => difference(change, returned),
@@ -34,7 +37,8 @@ impl Filter {
         let mut inequalities = refused.inequalities.clone();
         let here = from.measure(program, from.evaluation);
         let mut infeasibility = refused.infeasibility;
-        // As a rule the same is active, which saves the interior point; the trust region can be no part of that.
+        // The active set of the subproblem is usually active here too, which saves the interior point. That shortcut cannot represent an
+        // active trust region.
         let active = from.multipliers.at_rows(&linearization.rows);
         let expected = (norm(&change) < INSIDE * subproblem.trust_radius).then_some(&active);
         for count in 1..=CORRECTIONS {
@@ -77,7 +81,8 @@ impl Filter {
     }
 }
 
-/// The step, back in the balls that the subproblem held by their tangents: along these a step may go as far as its trust region.
+/// Returns the step moved into those balls that the subproblem replaced by tangents; along a tangent a step may be as long as the trust
+/// region.
 fn within_balls<P: LiftedProgram>(
     program: &P,
     from: &Departure<P>,

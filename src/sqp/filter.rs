@@ -1,30 +1,32 @@
-//! Which trial points pass: a filter on (infeasibility, objective) with a switching condition.
+//! A filter on (infeasibility, objective) with a switching condition, which decides about trial points.
 //!
-//! After Wächter and Biegler (2006), Ipopt's filter line search, with its constants.
+//! After Wächter and Biegler (2006), the filter line search of Ipopt, with Ipopt's constants except for `LARGEST_INFEASIBILITY` and
+//! `SUFFICIENT_DECREASE`.
 
 use super::kkt::Multipliers;
 use super::program::{Evaluation, LiftedProgram};
 use super::settings::{MERIT_ROUNDING, NEGLIGIBLE};
 
-const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ
-const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ
-const SWITCH_OBJECTIVE_POWER: f64 = 2.3; // s_φ
-const SWITCH_INFEASIBILITY_POWER: f64 = 1.1; // s_θ
+const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ: Ipopt's `gamma_theta`
+const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ: Ipopt's `gamma_phi`
+const SWITCH_OBJECTIVE_POWER: f64 = 2.3; // s_φ: Ipopt's `s_phi`
+const SWITCH_INFEASIBILITY_POWER: f64 = 1.1; // s_θ: Ipopt's `s_theta`
 const SUFFICIENT_DECREASE: f64 = 1e-4; // Nocedal & Wright 2006, p. 33
-const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max over θ₀; Ipopt has 1e4: too wide where recursions amplify
-const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min over θ₀
-/// What the filter compares.
+const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max / θ₀; Ipopt's `theta_max_fact` is 1e4, which is too wide where recursions amplify
+const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min / θ₀: Ipopt's `theta_min_fact`
+
+/// The values of a point that the filter compares.
 #[derive(Clone, Copy, Debug)]
 pub struct Measure {
     pub(super) infeasibility: f64,
     objective: f64,
-    /// With the multipliers of the step that is judged.
+    /// Lagrangian with the multipliers of the step under test.
     lagrangian: f64,
 }
 
 impl Measure {
-    /// Of a point's values: [`LiftedProgram::infeasibility`], [`LiftedProgram::total_objective`], and that with `yᵀc + zᵀh`
-    /// over the hard rows.
+    /// Collects the values of a point: [`LiftedProgram::infeasibility`], [`LiftedProgram::total_objective`], and the latter plus `yᵀc +
+    /// zᵀh` over the hard rows.
     #[must_use]
     pub fn of<P: LiftedProgram>(
         program: &P,
@@ -45,36 +47,36 @@ impl Measure {
     }
 }
 
-/// What a step does to first order.
+/// First-order changes along a step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Slope {
     pub(super) objective: f64,
     pub(super) lagrangian: f64,
-    /// What rows that are met to the accuracy of a subproblem change the objective by.
+    /// Change of the objective that rows account for if a subproblem meets them to its accuracy only.
     pub(super) noise: f64,
 }
 
-/// Pairs (infeasibility, objective) that no later point may be worse than in both.
+/// Pairs (infeasibility, objective); a later point must be better than each of them in one of the two.
 #[derive(Clone, Debug)]
 pub struct Filter {
     entries: Vec<(f64, f64)>,
     largest: f64,
     small: f64,
-    /// Length of the step whose lifted point was refused last; infinite after one was not.
+    /// Length of the last step whose lifted point was refused; infinite if the last lifted point was accepted.
     pub(super) refused_lift: f64,
 }
 
-/// How a trial point passed.
+/// The condition by which a trial point passed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Passage {
-    /// By decrease of the objective at small infeasibility: the filter stays as it is.
+    /// The objective decreased at small infeasibility; the filter stays as it is.
     Objective,
-    /// By the filter: the point left behind joins it.
+    /// The filter allows the point; the point left behind joins the filter.
     Filter,
 }
 
 impl Filter {
-    /// An empty filter for a start of infeasibility `initial`.
+    /// Returns an empty filter for a start of infeasibility `initial`.
     #[must_use]
     pub fn new(initial: f64) -> Self {
         let unit = initial.max(1.0);
@@ -86,8 +88,8 @@ impl Filter {
         }
     }
 
-    /// Whether a point is better than every remembered one in one of the two; an objective that is higher by no more than
-    /// `noise` is no worse.
+    /// Tells whether a point is better than every entry in infeasibility or objective; an objective counts as better unless it is higher by
+    /// `noise` or more.
     #[must_use]
     pub fn allows(&self, to: Measure, noise: f64) -> bool {
         to.infeasibility <= self.largest
@@ -96,12 +98,12 @@ impl Filter {
                 .any(|&(t, p)| to.infeasibility >= t && to.objective >= p + noise)
     }
 
-    /// Where the objective is what matters, it is judged by the Lagrangian: rows that bend turn a good step's objective
-    /// either way by as much as they are then violated (Maratos), and steps that only trade one for the other are no
-    /// progress.
+    /// Returns the condition by which `to` passes, if any. Under the switching condition, the Lagrangian is compared in place of the
+    /// objective: curved rows change the objective of a good step either way by as much as they are then violated (Maratos effect), and
+    /// steps that only trade objective for violation are no progress.
     fn passage(&self, from: Measure, to: Measure, slope: Slope) -> Option<Passage> {
         let rounding = MERIT_ROUNDING * from.objective.abs();
-        // A step that promises less than the noise is judged by nothing else; one that promises more must deliver it.
+        // A step that promises less than the noise is judged by the noise only; a step that promises more must deliver it.
         let noise = if slope.lagrangian.abs() <= slope.noise {
             rounding + slope.noise
         } else {
@@ -128,7 +130,7 @@ impl Filter {
             .then_some(Passage::Filter)
     }
 
-    /// Remembers a point that is left behind.
+    /// Adds a point that is left behind.
     pub fn leave(&mut self, from: Measure) {
         let (theta, phi) = (from.infeasibility, from.objective);
         let entry = (
@@ -139,7 +141,7 @@ impl Filter {
         self.entries.push(entry);
     }
 
-    /// Whether a trial point passes; the filter remembers the point it leaves where it must.
+    /// Tells whether a trial point passes, and adds the point left behind where that is required.
     pub(super) fn lets_pass(&mut self, from: Measure, to: Measure, slope: Slope) -> bool {
         let passage = self.passage(from, to, slope);
         if passage == Some(Passage::Filter) {

@@ -1,4 +1,4 @@
-//! The Hessian of the quadratic subproblem: Gauss-Newton, or the exact one made convex where it must be.
+//! The Hessian of the quadratic subproblem: the Gauss-Newton one, or the exact one with its negative curvature removed.
 
 use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
@@ -9,7 +9,7 @@ use super::program::{
 };
 use super::settings::NEGLIGIBLE;
 
-/// The second derivatives that the quadratic model uses.
+/// Second derivatives in the quadratic model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[cfg_attr(feature = "schema", schemars(rename = "Hessian"))]
@@ -18,9 +18,9 @@ pub enum HessianChoice {
     /// Gauss-Newton while the linearized constraints cannot be met, exact afterwards, with the multipliers of the last subproblem.
     #[default]
     Auto,
-    /// Of the objective alone.
+    /// Second derivatives of the objective alone, without those of its residuals.
     GaussNewton,
-    /// Of the Lagrangian.
+    /// Second derivatives of the Lagrangian.
     Exact,
 }
 
@@ -37,47 +37,48 @@ impl HessianChoice {
 }
 
 /// What was put into the subproblem.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HessianKind {
     /// Gauss-Newton.
+    #[default]
     GaussNewton,
-    /// Exact; positive definite as it is where constraints and active sets leave the variables free.
+    /// Exact Hessian, which is positive definite on the directions that constraints and active sets leave free.
     Exact,
-    /// Exact, with its negative curvature there turned round.
+    /// Exact Hessian with its negative eigenvalues on those directions replaced by their absolute values.
     Convexified,
-    /// None: restoration of feasibility, with a proximal term.
+    /// No second derivatives but a proximal term: restoration of feasibility.
     Proximal,
 }
 
 impl HessianKind {
-    /// Whether it holds the second derivative of the Lagrangian, so that steps near a solution contract by themselves.
+    /// Tells whether the matrix has the second derivative of the Lagrangian, so that steps near a solution contract by themselves.
     #[must_use]
     pub fn is_second_order(self) -> bool {
         matches!(self, Self::Exact | Self::Convexified)
     }
 }
 
-/// A positive semidefinite Hessian and the gradient that goes with it.
+/// A positive semidefinite Hessian and the matching gradient.
 #[derive(Clone, Debug)]
 pub struct ModelHessian {
     /// `H`
     pub matrix: Mat<f64>,
-    /// Gradient of the model; differs from the given one by a term that vanishes on the constraints.
+    /// Gradient of the model; it differs from that of the linearization by a term that vanishes on the constraints.
     pub gradient: Vec<f64>,
-    /// Where it came from.
+    /// Origin of the matrix.
     pub kind: HessianKind,
-    /// Balls whose own curvature is in `matrix`: the subproblem must hold them by their tangents instead.
+    /// Balls whose own curvature is in `matrix`; the subproblem must replace them by their tangents.
     pub tangents: Vec<ActiveNormal>,
-    /// Value of the model at no step, which the terms of what is held contribute.
+    /// Value of the model at a zero step, contributed by the terms for active conditions.
     pub constant: f64,
-    /// The most negative curvature that was turned round.
+    /// Direction of the most negative curvature, if it makes the point a saddle.
     pub descent: Option<NegativeCurvature>,
-    /// Whether `matrix` and `gradient` have terms of what is held, which are right only where a step does hold it.
+    /// Tells whether `matrix` and `gradient` have terms for active conditions, which are correct only if the step keeps those active.
     pub holds: bool,
 }
 
-/// A direction that holds what is active, to first order, and along which the Lagrangian bends downward.
+/// A unit direction along which active conditions stay active to first order and the Lagrangian has negative curvature.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NegativeCurvature {
     /// Unit vector of the variables.
@@ -86,13 +87,13 @@ pub struct NegativeCurvature {
     pub value: f64,
 }
 
-/// Eigenvalues below this part of the least positive Gauss-Newton diagonal entry count as negative curvature.
+/// Eigenvalues below this fraction of the least positive Gauss-Newton diagonal entry count as negative curvature.
 const CURVATURE_FLOOR: f64 = 1e-4;
-/// Negative curvature beyond this part of it makes a stationary point a saddle.
+/// A stationary point is a saddle if it has negative curvature beyond this fraction of that entry.
 const SADDLE_CURVATURE: f64 = 1e-2;
 
 impl ModelHessian {
-    /// Gauss-Newton.
+    /// Returns the Gauss-Newton model of a linearization.
     #[must_use]
     pub fn gauss_newton(linearization: &Linearization) -> Self {
         Self {
@@ -106,7 +107,7 @@ impl ModelHessian {
         }
     }
 
-    /// A given matrix and no objective.
+    /// Returns a model with the given matrix and no objective.
     pub(super) fn proximal(matrix: Mat<f64>) -> Self {
         Self {
             gradient: vec![0.0; matrix.nrows()],
@@ -119,16 +120,16 @@ impl ModelHessian {
         }
     }
 
-    /// The exact Hessian `H = GN + curvature`, convexified. Directions are split by the gradients of constraints and
-    /// active inequalities and the normals of the active sets: on what they leave free, negative eigenvalues are turned
-    /// round; on what they hold, `½ σ |Yᵀδ - t|²` is added, which vanishes where all of them hold (`t` is what `Yᵀδ` must
-    /// be there) and so changes neither the step nor the multipliers, but for the sets' own curvature.
+    /// Returns the exact Hessian `H = GN + curvature`, convexified. Directions are split by the gradients of constraints and active
+    /// inequalities and the normals of the active sets. On the directions that these leave free, negative eigenvalues are replaced by their
+    /// absolute values. On the others `½ σ |Yᵀδ - t|²` is added, where `t` is the value that `Yᵀδ` has if all conditions hold with
+    /// equality; it vanishes there and so changes neither the step nor the multipliers, but for the curvature of the sets themselves.
     ///
-    /// A ball that is active bends the Lagrangian as well, by its multiplier over its radius across the normal. Where
-    /// only that makes the Hessian positive, it goes into the matrix, and the ball's tangent takes the ball's place in
-    /// the subproblem: otherwise the convexification would spoil the convergence for nothing.
+    /// An active ball adds to the Lagrangian's curvature across its normal, by its multiplier divided by its radius. Where only this term
+    /// makes the Hessian positive, it goes into the matrix, and the subproblem replaces the ball by its tangent: otherwise the
+    /// convexification would slow the convergence down for nothing.
     ///
-    /// A Hessian that is positive definite is left alone; without curvature it is Gauss-Newton.
+    /// A positive definite Hessian is returned as it is; a linearization without curvature gives Gauss-Newton.
     #[must_use]
     pub fn exact(linearization: &Linearization, sets: &[ConvexSet], active: &ActiveSet) -> Self {
         let Some(curvature) = &linearization.curvature else {
@@ -151,14 +152,14 @@ impl ModelHessian {
         }
     }
 
-    /// With the curvature of the active balls.
+    /// Returns the convexified model with the curvature of the active balls; `None` without active balls or if a factorization fails.
     fn bent(
         mut full: Mat<f64>,
         linearization: &Linearization,
         sets: &[ConvexSet],
         active: &ActiveSet,
     ) -> Option<Self> {
-        // What bends more would drown the curvature that decides in its own rounding.
+        // A larger curvature would drown the deciding one in its rounding.
         let most = CURVATURE_FLOOR * linearization.least_curvature() / f64::EPSILON;
         let tangents: Vec<ActiveNormal> = (active.normals.iter())
             .filter(|normal| normal.curvature > 0.0 && normal.curvature < most)
@@ -230,7 +231,7 @@ impl ModelHessian {
             cross_terms = cross.transpose() * &weighted;
         }
         if m > 0 {
-            // Schur complement of the held directions: what σ must outweigh.
+            // The Schur complement of the directions of active conditions, which `σ` must exceed.
             let schur = cross_terms - range.transpose() * &full * &range;
             let worst = schur
                 .self_adjoint_eigen(Side::Lower)
@@ -258,11 +259,12 @@ impl ModelHessian {
     }
 }
 
-/// Whether the Hessian of the Lagrangian at a solution is positive on what constraints, and inequalities and sets with a multiplier, leave free:
-/// the second-order sufficient condition (Nocedal and Wright 2006, theorem 12.6), by the solver's own derivatives. `false` says nothing.
+/// Tells whether the Hessian of the Lagrangian at a solution is positive on the directions that constraints, and inequalities and sets with
+/// a multiplier, leave free: the second-order sufficient condition (Nocedal and Wright 2006, theorem 12.6), by the solver's own
+/// derivatives. `false` does not prove the contrary.
 ///
 /// # Errors
-/// [`Failure`] where the program cannot be evaluated or linearized there.
+/// Returns [`Failure`] if the program cannot be evaluated or linearized there.
 pub fn is_strict_minimum<P: LiftedProgram>(
     program: &P,
     point: &P::Point,
@@ -285,18 +287,18 @@ pub fn is_strict_minimum<P: LiftedProgram>(
     Ok(ModelHessian::exact(&linearization, sets, &active).kind == HessianKind::Exact)
 }
 
-/// An orthonormal basis of the directions that something holds, and how far the step must go along each. A gradient that
-/// depends on those before it holds nothing of its own.
+/// An orthonormal basis of the directions fixed by active conditions, and the length of the step along each. A gradient that depends on
+/// those before it adds no direction.
 struct Held {
     basis: Mat<f64>,
     target: Vec<f64>,
 }
 
-/// Part of a row's gradient that must be independent of the others. Neighbors among many inequalities point almost the same way;
-/// the one with the larger multiplier holds that direction, and what the other is off by would be magnified.
+/// Fraction of a row's gradient that must be independent of the other rows. Neighboring inequalities have nearly parallel gradients; only
+/// the row with the larger multiplier is kept then, because dividing the violation of the other by a small remainder would magnify it.
 const INDEPENDENT_PART_OF_ROWS: f64 = 1e-2;
-/// Where it is magnified to no more than this, as near a solution, neighbors hold what is their own from this part on: at an optimum that both
-/// hold, the curvature there need not be positive.
+/// A nearly dependent row is kept as well if its independent fraction exceeds [`LEAST_PART`] and its magnified target stays below this, as
+/// near a solution: at an optimum where two neighbors are active, the curvature between them need not be positive.
 const NEAR_TARGET: f64 = 1e-3;
 const LEAST_PART: f64 = 1e-5;
 
@@ -329,7 +331,7 @@ impl Held {
     }
 }
 
-/// Gram and Schmidt, twice, on `row · δ = target`.
+/// Adds `row · δ = target` by two passes of Gram and Schmidt.
 fn hold(
     held: &mut (Vec<Vec<f64>>, Vec<f64>),
     mut row: Vec<f64>,
@@ -357,18 +359,18 @@ fn hold(
     }
 }
 
-/// What holds the variables besides the constraints.
+/// Active conditions besides the constraints.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ActiveSet {
-    /// Linearized inequalities, by their place in the linearization, the largest multiplier first.
+    /// Active linearized inequalities, by their place in the linearization, the largest multiplier first.
     pub rows: Vec<usize>,
-    /// Convex sets.
+    /// Normals of the active convex sets.
     pub normals: Vec<ActiveNormal>,
 }
 
 impl ActiveSet {
-    /// What has a multiplier that, in units of the cost's curvature, exceeds the slack. A soft row holds nothing once its
-    /// price is paid. `softness`: of the linearized rows.
+    /// Collects the rows and sets whose multiplier, divided by the cost's least curvature, exceeds their slack. A soft row whose multiplier
+    /// has reached its price is not active. `softness` belongs to the linearized rows.
     #[must_use]
     pub fn of(
         linearization: &Linearization,
@@ -395,9 +397,9 @@ impl ActiveSet {
         }
     }
 
-    /// Returns what a step leaves behind: linearized inequalities and sets, whose slack after the step is more than a part of the multiplier that
-    /// goes with it, in units of the cost's curvature. A step along the tangent of a ball returns to the ball, and leaves that only by its own slack: its
-    /// normal falls short of the tangent by the square of the step, `|δ|²/2r`, however well it holds.
+    /// Returns the active rows and sets that a step leaves: their slack after the step exceeds [`TIGHT`] times their multiplier, divided by
+    /// the cost's least curvature. For a ball that was replaced by its tangent, the slack is that of the step after its return to the ball:
+    /// measured by the normal, even an active ball would have a slack of the order of the square of the step, `|δ|²/2r`.
     #[must_use]
     pub fn left_by(
         &self,
@@ -425,7 +427,7 @@ impl ActiveSet {
     }
 }
 
-/// Balls that a subproblem held by their tangents, and the variables that its step leaves.
+/// Balls that a subproblem replaced by their tangents, and the variables at which its step begins.
 #[derive(Clone, Copy, Debug)]
 pub struct Tangents<'a> {
     /// The balls' normals.
@@ -437,7 +439,7 @@ pub struct Tangents<'a> {
 }
 
 impl Tangents<'_> {
-    /// Slack of a set after a step that has returned to the balls; `None` where the set was not held by a tangent.
+    /// Returns the slack of a set after a step that has returned to the balls; `None` if no tangent replaced the set.
     fn slack(&self, set: usize, change: &[f64]) -> Option<f64> {
         self.held.iter().find(|held| held.set == set)?;
         let there: Vec<f64> = (self.variables.iter().zip(change))
@@ -447,29 +449,29 @@ impl Tangents<'_> {
     }
 }
 
-/// Slack over multiplier, in units of the cost's curvature, up to which a subproblem's solution holds a row.
+/// A row is still active after a subproblem up to this ratio of slack to multiplier, in units of the cost's curvature.
 const TIGHT: f64 = 1e-5;
 
-/// A soft row's multiplier this near to its price, relatively, is at it.
+/// Relative distance to its price up to which the multiplier of a soft row counts as having reached it.
 const BOUGHT: f64 = 1e-6;
 
-/// The outward normal of a set whose boundary holds the variables, and the distance that is left to it.
+/// The outward normal of a set on whose boundary the variables are, and the distance to that boundary.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActiveNormal {
-    /// `(variable, component)`: the gradient of what the set limits.
+    /// `(variable, component)`: the gradient of the limited quantity.
     pub direction: Vec<(usize, f64)>,
-    /// What is left to the limit.
+    /// Distance to the limit.
     pub gap: f64,
-    /// Multiplier over radius of a ball; 0 for a flat set.
+    /// Multiplier divided by the radius of a ball; 0 for a flat set.
     pub curvature: f64,
-    /// Which set it is.
+    /// Index of the set.
     pub set: usize,
-    /// Unit vector in the space of the set's own rows: a ball's `M v / |M v|`, of which `direction` is the pull.
+    /// Unit vector in the space of the set's own rows: `M v / |M v|` of a ball; `direction` is `Mᵀ` times this.
     pub outward: Vec<f64>,
 }
 
 impl ActiveNormal {
-    /// Adds a ball's `curvature (MᵀM - g gᵀ)`, `g = Mᵀn` the direction.
+    /// Adds a ball's `curvature (MᵀM - g gᵀ)` to `matrix`, where `g = Mᵀn` is the direction.
     fn add_curvature(&self, sets: &[ConvexSet], matrix: &mut Mat<f64>) {
         let ConvexSet::Ball { rows, .. } = &sets[self.set] else {
             return;
@@ -487,7 +489,7 @@ impl ActiveNormal {
         add(&self.direction, -self.curvature);
     }
 
-    /// The half-space that touches the set where the variables are closest to it.
+    /// Returns the half-space that touches the set where the variables are closest to it.
     #[must_use]
     pub fn tangent(&self, variables: &[f64]) -> ConvexSet {
         ConvexSet::HalfSpace {
@@ -550,7 +552,7 @@ impl ActiveNormal {
     }
 }
 
-/// `factor Mᵀx`, each variable once.
+/// Returns `factor Mᵀx` with one entry per variable.
 fn combination(rows: &[Vec<(usize, f64)>], x: &[f64], factor: f64) -> Vec<(usize, f64)> {
     let mut sums = std::collections::BTreeMap::new();
     for (row, x) in rows.iter().zip(x) {
@@ -561,7 +563,7 @@ fn combination(rows: &[Vec<(usize, f64)>], x: &[f64], factor: f64) -> Vec<(usize
     sums.into_iter().collect()
 }
 
-/// Whether every eigenvalue exceeds `floor`.
+/// Tells whether every eigenvalue exceeds `floor`.
 fn is_positive(matrix: &Mat<f64>, floor: f64) -> bool {
     let n = matrix.nrows();
     let shifted = Mat::from_fn(n, n, |i, j| {

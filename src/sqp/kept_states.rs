@@ -1,14 +1,15 @@
-//! The two ways to put a quadratic subproblem, and the linearization that keeps the states, of which the sparse one is made.
+//! The two forms of a quadratic subproblem, and the linearization with states from which the sparse form is built.
 
 use faer::Mat;
 
-/// How the quadratic subproblem is put to Clarabel. Both ways lead to the same step.
+/// Form in which Clarabel gets the quadratic subproblem. Both forms have the same solution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum QpRoute {
-    /// Over the variables alone: small and dense.
+    /// Quadratic program in the variables alone: small and dense.
     #[default]
     Condensed,
-    /// With the states and their equations: large and sparse. Programs that do not keep their states are solved condensed.
+    /// Quadratic program in variables and states, with the state equations: large and sparse. Programs that do not provide these equations
+    /// are solved condensed.
     Sparse,
 }
 
@@ -23,32 +24,32 @@ impl QpRoute {
     }
 }
 
-/// `states·ξ + variables·δ`, linear in what a step of the variables does to the states, and in that step.
+/// `states·ξ + variables·δ`: a linear function of the change of the states and of the step of the variables.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StateRow {
-    /// State, coefficient; those of a state that occurs more than once add up.
+    /// `(state, coefficient)`; coefficients of a state that occurs twice add up.
     pub states: Vec<(usize, f64)>,
-    /// The same of the variables.
+    /// `(variable, coefficient)`, with the same rule.
     pub variables: Vec<(usize, f64)>,
 }
 
-/// The linearization of [`Linearization`](super::Linearization) at a point, with the states in it.
+/// The linearization of [`Linearization`](super::Linearization) at a point, before the states are eliminated.
 ///
-/// `ξ` is the change of the states beyond their answer to their defects: it vanishes with `δ`, and constants are those of the
-/// condensed linearization, like the gradient. (With the answer in it, Clarabel would weigh its gap against costs that no step can
-/// change.) The Gauss-Newton term `½ δᵀ(GN)δ` is `½ δᵀHδ + ½ Σ row²` over the residuals.
+/// `ξ` is the change of the states without their response to the defects: it vanishes with `δ`, and constants and gradient are those of the
+/// condensed linearization. (With the response included, Clarabel would weigh its gap against costs that no step can change.) The
+/// Gauss-Newton term `½ δᵀ(GN)δ` is `½ δᵀHδ + ½ Σ row²` over the residuals.
 #[derive(Clone, Debug)]
 pub struct StateLinearization {
     /// Length of `ξ`.
     pub n_states: usize,
-    /// State equations: all vanish.
+    /// Equations of the states: each of these vanishes.
     pub equations: Vec<StateRow>,
     /// `dc`
     pub constraints: Vec<StateRow>,
-    /// `dh` of the rows that the condensed linearization has, in its order.
+    /// `dh` of the rows of the condensed linearization, in its order.
     pub inequalities: Vec<StateRow>,
-    /// Changes of the residuals of the cost over states.
+    /// Changes of the residuals of the cost on states.
     pub residuals: Vec<StateRow>,
-    /// `H`, of the cost over the variables.
+    /// `H`, the Hessian of the cost on variables.
     pub hessian: Mat<f64>,
 }

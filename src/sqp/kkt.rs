@@ -1,4 +1,4 @@
-//! The optimality conditions and how far a point is from them.
+//! The optimality conditions, and the residual of a point in them.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ pub struct Multipliers {
 }
 
 impl Multipliers {
-    /// Zero multipliers for so many constraints and inequalities, and the given sets.
+    /// Returns zero multipliers for the given numbers of constraints and inequalities and for `sets`.
     #[must_use]
     pub fn zeros(n_constraints: usize, n_inequalities: usize, sets: &[ConvexSet]) -> Self {
         Self {
@@ -38,7 +38,7 @@ impl Multipliers {
 }
 
 impl Multipliers {
-    /// With the inequalities of the given rows only, by their place among these.
+    /// Returns the multipliers with the inequalities of the given rows only, in the order of `rows`.
     pub(super) fn at_rows(&self, rows: &[usize]) -> Self {
         Self {
             inequalities: rows.iter().map(|&row| self.inequalities[row]).collect(),
@@ -46,8 +46,8 @@ impl Multipliers {
         }
     }
 
-    /// Largest pull on a slack at the elastic weight, which must exceed it: a constraint has one of its own, the inequalities of a group
-    /// share one. `group_of` has no group for rows without such a slack.
+    /// Returns the largest sum of multipliers that share a slack, which the elastic weight must exceed. A constraint has a slack of its
+    /// own, the inequalities of a group share one. `group_of` returns `None` for rows without such a slack.
     pub(super) fn largest_on_slack(&self, group_of: impl Fn(usize) -> Option<usize>) -> f64 {
         let mut groups: BTreeMap<usize, f64> = BTreeMap::new();
         let pushing = self
@@ -65,7 +65,7 @@ impl Multipliers {
             .fold(0.0, |m: f64, y| m.max(y.abs()))
     }
 
-    /// `yᵀc + Σ z h` over the hard ones of the given rows.
+    /// Returns `yᵀc + Σ z h` over the hard rows among the given ones.
     pub(super) fn work<P: LiftedProgram>(
         &self,
         program: &P,
@@ -83,7 +83,7 @@ impl Multipliers {
 }
 
 impl Multipliers {
-    /// What rows that are met to the accuracy of a subproblem change the objective by.
+    /// Returns the change of the objective that rows account for if a subproblem meets them to its accuracy only, [`EXACT`].
     pub(super) fn row_noise(&self) -> f64 {
         let pulls = self.constraints.iter().map(|y| y.abs());
         EXACT * (pulls.sum::<f64>() + self.inequalities.iter().sum::<f64>())
@@ -94,14 +94,15 @@ impl Multipliers {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct KktResidual {
     /// `|∇J_v + (∇J_q + Jᵀy + Dᵀz) + Σ pulls of the sets|_∞`, relative to the largest entry of its terms, as bracketed, along the variables
-    /// that are [controls](LiftedProgram::n_controls): what the variables cost by themselves
-    /// ([`own_gradient`](LiftedProgram::own_gradient), all of `∇J` where a program does not say), what comes through the states, and the
-    /// pull of every set. The terms are those of the check in [`verify`](crate::verify), so that neither is stricter than the other.
+    /// that are [controls](LiftedProgram::n_controls). The terms are the cost of the variables themselves
+    /// ([`own_gradient`](LiftedProgram::own_gradient), or all of `∇J` if the program does not separate it), the rest through the states,
+    /// and the pull of every set. The check in [`verify`](crate::verify) uses the same terms, so that neither test is stricter than the
+    /// other.
     pub stationarity: f64,
     /// Largest of the scaled constraints, the violated hard inequalities, the state defect, and the violation of the sets.
     pub feasibility: f64,
-    /// Largest product of a slack and its multiplier, relative like the stationarity; covers wrong signs as well. A soft
-    /// row of violation `t` has two pairs: `z` with `max(-h, 0)`, and `linear + quadratic t - z` with `t`.
+    /// Largest product of a slack and its multiplier, relative like the stationarity; it covers wrong signs as well. A soft row of
+    /// violation `t` has two pairs: `z` with `max(-h, 0)`, and `linear + quadratic t - z` with `t`.
     pub complementarity: f64,
 }
 
@@ -122,7 +123,7 @@ impl Sum {
 }
 
 impl KktResidual {
-    /// Larger of stationarity and complementarity; NaN if either is.
+    /// Returns the larger of stationarity and complementarity; NaN if either is.
     #[must_use]
     pub fn optimality(&self) -> f64 {
         Self {
@@ -132,7 +133,7 @@ impl KktResidual {
         .max()
     }
 
-    /// Largest of the three.
+    /// Returns the largest of the three residuals; NaN if any is.
     #[must_use]
     pub fn max(&self) -> f64 {
         // f64::max drops NaN, and a NaN must not pass for small.
@@ -145,7 +146,7 @@ impl KktResidual {
             .max(self.complementarity)
     }
 
-    /// Residuals at a point. Inequalities with a multiplier must be among the linearized rows.
+    /// Computes the residuals at a point. Inequalities with a multiplier must be among the linearized rows.
     #[must_use]
     pub fn of<P: LiftedProgram>(
         program: &P,
@@ -159,7 +160,8 @@ impl KktResidual {
         Self::of_terms(program, point, evaluation, &terms, unit, multipliers)
     }
 
-    /// Residuals at a point from the gradient of its Lagrangian; `least_curvature` is used where the terms have none.
+    /// Computes the residuals at a point from the gradient of its Lagrangian; `least_curvature` replaces that of the terms if they have
+    /// none.
     pub(super) fn of_terms<P: LiftedProgram>(
         program: &P,
         point: &P::Point,
@@ -175,8 +177,8 @@ impl KktResidual {
             largest: infinity_norm(&terms.own[..n_controls]),
             n_controls,
         };
-        // Rows that nearly say the same may pull against each other, or against costs of the states, as hard as they like: together they
-        // are one term.
+        // Rows with nearly parallel gradients, or rows and costs of the states, may have large opposite multipliers. They are therefore one
+        // term.
         for (j, term) in terms.through_states.iter().enumerate() {
             sum.add(j, *term);
         }
@@ -208,7 +210,7 @@ impl KktResidual {
     }
 }
 
-/// Products of slacks and multipliers of one inequality, and what has the wrong sign.
+/// Returns the largest product of slack and multiplier of one inequality, or a multiplier of wrong sign if that is larger.
 fn row_complementarity(h: f64, z: f64, softness: Softness) -> f64 {
     match softness {
         Softness::Hard => (z * h).abs().max(-z),
@@ -221,7 +223,7 @@ fn row_complementarity(h: f64, z: f64, softness: Softness) -> f64 {
     }
 }
 
-/// The product of a set's slack and its normal; adds its pull to `sum`.
+/// Returns the product of a set's slack and its normal, and adds the set's pull to `sum`.
 fn set_complementarity(set: &ConvexSet, normal: &[f64], variables: &[f64], sum: &mut Sum) -> f64 {
     match set {
         ConvexSet::Interval {
@@ -240,16 +242,16 @@ fn set_complementarity(set: &ConvexSet, normal: &[f64], variables: &[f64], sum: 
             for &(index, component) in direction {
                 sum.add(index, z * component);
             }
-            // A normal pulls outward only: a negative one is as wrong as it is long.
+            // A normal must point outward; the size of a negative one counts as violation.
             (z * set.violation(variables)).abs().max(-z)
         }
         ConvexSet::Ball { rows, radius } => {
-            // Only what points outward at Mv is a normal; the rest, which the product of slack and normal sees by its square, is left to
-            // the stationarity.
+            // Only the component along Mv is a normal of the ball. The rest is left to the stationarity: the product of slack and normal
+            // sees only its square.
             let inside: Vec<f64> = rows.iter().map(|row| along(row, variables)).collect();
             let size = norm(&inside);
             let inner: f64 = normal.iter().zip(&inside).map(|(z, u)| z * u).sum();
-            // A smaller vector is the rounding of the variables.
+            // A shorter vector is rounding of the variables and has no direction.
             let has_direction = size > ROW_TOLERANCE * infinity_norm(variables).max(1.0);
             let outward = inner / size;
             for ((row, z), u) in rows.iter().zip(normal).zip(&inside) {
@@ -281,7 +283,7 @@ pub(crate) fn norm(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Largest absolute value; NaN if any entry is.
+/// Returns the largest absolute value; NaN if any entry is NaN.
 pub(crate) fn infinity_norm(v: &[f64]) -> f64 {
     v.iter().fold(0.0, |m: f64, x| {
         if x.is_nan() || m.is_nan() {

@@ -37,7 +37,9 @@ pub use kept_states::QpRoute;
 pub use kept_states::{StateLinearization, StateRow};
 pub(crate) use kkt::norm;
 pub use kkt::{KktResidual, Multipliers};
-pub use outcome::{Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpStatus};
+pub use outcome::{
+    Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpStatus, StepKind,
+};
 pub use program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Softness,

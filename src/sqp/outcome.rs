@@ -1,81 +1,124 @@
-//! What a solve reports: its iterations, and how it ended.
+//! The report of a solve: its iterations and its status.
+
+use serde::{Serialize, Serializer};
 
 use super::hessian::HessianKind;
 use super::kept_states::QpRoute;
 use super::kkt::{KktResidual, Multipliers};
 use crate::stop::Stop;
 
-/// How a solve ended. Only the residual check can say `Converged`.
+/// The status with which a solve ended. Only the residual test returns `Converged`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SqpStatus {
-    /// The KKT residual is within the tolerance, its feasibility well within, or what rounding leaves of it.
+    /// The KKT residual is within the tolerance; its feasibility is within a fraction of that, or within rounding.
     Converged,
-    /// The constraints cannot be met to first order from here; the multipliers say which pull against each other.
+    /// The linearized constraints cannot be met near this point; the multipliers tell which of them conflict.
     LocallyInfeasible,
-    /// Iterations used up.
+    /// The maximum number of iterations was reached.
     IterationLimit,
-    /// No acceptable step, however short, or none any more that leads anywhere.
+    /// No acceptable step was found, or only steps without progress.
     StepTooSmall,
-    /// Stopped from outside.
+    /// A stop signal ended the solve.
     Stopped(Stop),
-    /// The model broke down at the start, or a subproblem could not be solved.
+    /// The program cannot be evaluated at the start, or a subproblem could not be solved.
     Failed(String),
 }
 
 /// How an iteration left its point.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Leave {
-    /// Not at all: the solve ended there.
+    /// The solve ended at the point.
     #[default]
     End,
-    /// By a step of the variables.
+    /// A step of the variables.
     Step,
-    /// The variables stayed, and the states were computed from them.
+    /// The variables stayed, and the states were replaced by the rollout of the variables.
     Settled,
 }
 
-/// One row of the iteration table: the point, and the step that left it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// The kind of a step: how its point was left, and with which model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepKind {
+    /// How the point was left.
+    pub left: Leave,
+    /// Hessian of the step.
+    pub hessian: HessianKind,
+    /// Number of second-order corrections of the step.
+    pub corrections: usize,
+    /// Tells whether the states after the step are a rollout of the variables rather than a linear step.
+    pub rolled_out: bool,
+}
+
+/// A letter for the Hessian, one for the states, and a `+` for every correction; or a word where the point was left otherwise.
+impl std::fmt::Display for StepKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.left {
+            Leave::Step => {}
+            Leave::Settled => return f.pad("settle"),
+            Leave::End => return f.pad("-"),
+        }
+        let hessian = match self.hessian {
+            HessianKind::GaussNewton => 'g',
+            HessianKind::Exact => 'x',
+            HessianKind::Convexified => 'c',
+            HessianKind::Proximal => 'p',
+        };
+        let states = if self.rolled_out { 'r' } else { 'l' };
+        f.pad(&format!(
+            "{hessian}{states}{}",
+            "+".repeat(self.corrections)
+        ))
+    }
+}
+
+impl Serialize for StepKind {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// One row of the iteration table, and of `iterations.csv`: the point, and the step that left it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct IterationRecord {
     /// Counted from 0.
     pub iteration: usize,
     /// `J` at the point, with the price of soft inequalities.
     pub objective: f64,
-    /// KKT residual at the point.
-    pub residual: KktResidual,
+    /// Stationarity of the [KKT residual](Self::residual) at the point.
+    pub stationarity: f64,
+    /// Feasibility of the KKT residual.
+    pub feasibility: f64,
+    /// Complementarity of the KKT residual.
+    pub complementarity: f64,
     /// Infeasibility that the globalization works on.
     pub infeasibility: f64,
     /// Norm of the step of the variables from here; 0 in the last row.
     pub step_norm: f64,
-    /// Norm of this step over that of the last one before it.
-    pub contraction: Option<f64>,
-    /// How the point was left.
-    pub left: Leave,
-    /// Hessian of the step.
-    pub hessian: HessianKind,
-    /// Second-order corrections of the step.
-    pub corrections: usize,
-    /// Whether the step's states were computed from its variables rather than moved linearly.
-    pub rolled_out: bool,
     /// Trust radius of the step.
     pub trust_radius: f64,
+    /// Kind of the step.
+    #[serde(rename = "kind")]
+    pub step: StepKind,
     /// Elastic weight of the subproblem.
     pub elastic_weight: f64,
-    /// What the subproblem could not satisfy.
+    /// Violation that the subproblem leaves.
     pub slack: f64,
-    /// Inequalities that were linearized.
+    /// Number of linearized inequalities.
     pub linearized_rows: usize,
-    /// Inequalities that Clarabel saw.
+    /// Number of inequalities in Clarabel's problem.
     pub working_rows: usize,
+    /// Norm of this step over that of the last one before it.
+    pub contraction: Option<f64>,
     /// Interior-point iterations of the subproblem.
     pub qp_iterations: u32,
     /// Seconds since the start.
+    #[serde(rename = "elapsed_s")]
     pub elapsed: f64,
 }
 
 impl IterationRecord {
-    /// The row of a point that has not been left.
+    /// Returns the row of a point that has not been left.
     pub(super) fn at(
         iteration: usize,
         objective: f64,
@@ -85,21 +128,21 @@ impl IterationRecord {
         Self {
             iteration,
             objective,
-            residual,
+            stationarity: residual.stationarity,
+            feasibility: residual.feasibility,
+            complementarity: residual.complementarity,
             infeasibility,
-            step_norm: 0.0,
-            contraction: None,
-            left: Leave::End,
-            hessian: HessianKind::GaussNewton,
-            corrections: 0,
-            rolled_out: false,
-            trust_radius: 0.0,
-            elastic_weight: 0.0,
-            slack: 0.0,
-            linearized_rows: 0,
-            working_rows: 0,
-            qp_iterations: 0,
-            elapsed: 0.0,
+            ..Self::default()
+        }
+    }
+
+    /// KKT residual at the point.
+    #[must_use]
+    pub fn residual(&self) -> KktResidual {
+        KktResidual {
+            stationarity: self.stationarity,
+            feasibility: self.feasibility,
+            complementarity: self.complementarity,
         }
     }
 }
@@ -109,18 +152,18 @@ impl IterationRecord {
 pub struct PhaseTimes {
     /// Linearization, sensitivities and condensing.
     pub linearize: f64,
-    /// Hessian of the subproblem.
+    /// Building the Hessian of the subproblem.
     pub condense: f64,
-    /// Clarabel.
+    /// Solving subproblems with Clarabel.
     pub qp: f64,
-    /// Trial points, expansion and correction.
+    /// Trial points, expansions and corrections.
     pub globalize: f64,
 }
 
-/// The end of a solve, whatever it was.
+/// The result of a solve, whatever its status.
 #[derive(Clone, Debug)]
 pub struct SqpOutcome<P> {
-    /// How it ended.
+    /// The status with which the solve ended.
     pub status: SqpStatus,
     /// The best point found: the last one if it converged, else the one with the smallest infeasibility.
     pub point: P,
@@ -128,22 +171,22 @@ pub struct SqpOutcome<P> {
     pub multipliers: Multipliers,
     /// KKT residual at that point.
     pub residual: KktResidual,
-    /// `J` at that point, with the price of soft inequalities.
+    /// `J` at that point, with the penalties of soft inequalities.
     pub objective: f64,
-    /// How subproblems were solved.
+    /// Form of the subproblems.
     pub route: QpRoute,
     /// One row per iteration.
     pub history: Vec<IterationRecord>,
-    /// How fast the last steps shrank.
+    /// Contraction of the last steps.
     pub convergence: Convergence,
-    /// Where the time went.
+    /// Seconds spent in each phase.
     pub phases: PhaseTimes,
-    /// The last subproblem that could not be solved, if there was one and the solve did not converge: Clarabel's own JSON.
+    /// The last subproblem that could not be solved, as Clarabel's own JSON, if there was one and the solve did not converge.
     pub failed_subproblem: Option<String>,
 }
 
 impl<P> SqpOutcome<P> {
-    /// A solve that could not begin, or was not begun any more.
+    /// Returns the outcome of a solve that could not begin or was stopped before it began.
     pub(crate) fn without_start(point: P, status: SqpStatus) -> Self {
         Self {
             status,
@@ -164,7 +207,7 @@ impl<P> SqpOutcome<P> {
     }
 }
 
-/// Observed rate of convergence, of the norms `s` of the last three steps.
+/// Observed rate of convergence, from the norms `s` of the last three steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Convergence {
     /// `s₃/s₂`; needs two steps.
@@ -174,7 +217,7 @@ pub struct Convergence {
 }
 
 impl Convergence {
-    /// Of the steps of a history.
+    /// Computes the rate from the steps of a history.
     #[must_use]
     pub fn of(history: &[IterationRecord]) -> Self {
         let mut ratios = history.iter().rev().filter_map(|row| row.contraction);

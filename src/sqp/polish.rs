@@ -1,11 +1,11 @@
-//! The solution of a subproblem to rounding, by Newton's method on the conditions of what is active.
+//! Solves a subproblem to rounding, by Newton's method on the conditions of its active set.
 //!
 //! An interior point ends at a small product of slack and multiplier. On a second-order cone that product is the square of the angle
-//! between the control and its multiplier, so that 1e-11 of it leaves 3e-6 of the gradient unexplained, however often the subproblem is
-//! repeated. What is active is known well before; with that, the conditions are smooth equations.
+//! between the control and its multiplier, so that a product of 1e-11 leaves 3e-6 of the gradient unexplained, however often the subproblem
+//! is repeated. The active set is known well before; once it is fixed, the conditions are smooth equations.
 //!
-//! Near a solution the same is active in one subproblem after the other. Then the multipliers of the last one say what, and the equations
-//! give the solution without an interior point.
+//! Near a solution, successive subproblems have the same active set. The multipliers of the last one then tell it, and the equations give
+//! the solution without an interior point.
 
 use std::collections::BTreeMap;
 
@@ -17,64 +17,64 @@ use super::program::{ConvexSet, Softness, along};
 use super::quadratic_program::{LinearInequalities, QpSolution, QuadraticProgram};
 use super::settings::{EXACT, NEGLIGIBLE};
 
-/// Part of the trust radius that a step must leave: beyond, its cone is active as well.
+/// Steps longer than this fraction of the trust radius are not polished: the cone of the trust region may be active as well.
 pub(super) const INSIDE: f64 = 0.999;
-/// Newton iterations.
+/// Cap on Newton iterations after an interior point.
 const ITERATIONS: usize = 4;
-/// The same from multipliers of another subproblem.
+/// Cap on Newton iterations if the active set comes from the multipliers of another subproblem.
 const EXPECTED_ITERATIONS: usize = 8;
-/// Regularization of dependent rows, relative to the largest entry of the Hessian; iterations take its effect back.
+/// Regularization of dependent rows, relative to the largest entry of the Hessian; Newton's iterations remove its effect.
 const REGULARIZATION: f64 = 1e-11;
-/// Largest change of the step, over its size and one: beyond, what is active was guessed wrong.
+/// Largest change of the step, relative to its size or one: a larger change means that the active set was guessed wrong.
 const FAR: f64 = 1e-3;
-/// Rounding of a set's value, over the variables (at least one).
+/// Rounding of a set's value, relative to the variables or one.
 const SET_ROUNDING: f64 = 1e-15;
-/// Violation of what was taken for inactive, and wrong sign of multipliers over the largest, that count as rounding.
+/// Violation of inactive conditions, and size of multipliers of wrong sign relative to the largest, that count as rounding.
 const ROUNDING: f64 = 1e-10;
 
-/// A row that holds with equality, by where its multiplier belongs.
+/// A row that holds with equality, named by the place of its multiplier.
 #[derive(Clone, Copy)]
 enum Active {
     Constraint(usize),
     Inequality(usize),
     Set(usize),
-    /// One row of a ball without radius.
+    /// One row of a ball of radius zero.
     Center(usize, usize),
 }
 
-/// What tells whether something is active.
+/// Evidence by which a row counts as active.
 #[derive(Clone, Copy)]
 enum Clue {
-    /// A slack smaller than the multiplier over the largest pull on the variables.
+    /// The slack is smaller than the multiplier divided by the largest pull on the variables.
     Slack,
-    /// A multiplier.
+    /// The multiplier is not zero.
     Multiplier,
 }
 
-/// The conditions with what is active as equations.
+/// The optimality conditions as equations for a given active set.
 struct Conditions<'a> {
     qp: &'a QuadraticProgram<'a>,
     active: Vec<Active>,
-    /// Clarabel's `v + δ`.
+    /// `v + δ` of Clarabel's solution.
     before: Vec<f64>,
-    /// Soft rows that are violated: their prices are part of the objective.
+    /// Violated soft rows `(row, linear, quadratic)`: their penalties are part of the objective.
     paid: Vec<(usize, f64, f64)>,
-    /// Constraints that are left to their slack, and to which side: the same with the elastic weight.
+    /// Constraints with a positive slack, and its sign: the elastic weight times the slack is part of the objective.
     given_up: Vec<(usize, f64)>,
-    /// Groups whose slack is positive. These slacks are unknowns after those of `δ`.
+    /// Groups of hard rows whose slack is positive. These slacks are unknowns after those of `δ`.
     slack_groups: Vec<usize>,
-    /// Over `δ` and these slacks.
+    /// Hessian with respect to `δ` and these slacks.
     hessian: Mat<f64>,
     gradient: Vec<f64>,
 }
 
-/// Whether a solution is well inside the trust region: what is active there are rows and sets.
+/// Tells whether a solution is well inside the trust region, so that only rows and sets are active.
 pub(super) fn can_be_polished(qp: &QuadraticProgram, solution: &QpSolution) -> bool {
     norm(&solution.change) <= INSIDE * qp.trust_radius
 }
 
-/// The polished form of a solution that [can be](can_be_polished), of the condensed conditions; `None` where what is active cannot be
-/// told, or the result is no better.
+/// Returns the polished form of a solution that [can be polished](can_be_polished), by the condensed conditions. Returns `None` if the
+/// active set cannot be identified, or if the result is no better.
 pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpSolution> {
     let conditions = Conditions::of(qp, solution, Clue::Slack);
     let slack = |group| solution.slacks.get(group).copied().unwrap_or(0.0);
@@ -92,7 +92,7 @@ pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpS
     }
     let moved =
         (change.iter().zip(&solution.change)).fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
-    // Clarabel may stop short of a trust region that a step of no consequence reaches.
+    // Clarabel may stop short of a trust region that a step with hardly any effect on the objective reaches.
     let far = norm(&change[..qp.gradient.len()]) > qp.trust_radius
         || moved > FAR * infinity_norm(&solution.change).max(1.0);
     if far || !(infinity_norm(&residual) <= before) || !conditions.allows(&change, &multipliers) {
@@ -101,7 +101,7 @@ pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpS
     Some(conditions.solution(solution, change, &multipliers))
 }
 
-/// The solution, if what `expected` says is active is; `None` otherwise.
+/// Returns the solution if its active set is that of `expected`, `None` otherwise.
 pub(super) fn as_expected(qp: &QuadraticProgram, expected: &Multipliers) -> Option<QpSolution> {
     if qp.states.is_some() {
         return None;
@@ -119,7 +119,7 @@ pub(super) fn as_expected(qp: &QuadraticProgram, expected: &Multipliers) -> Opti
     let mut change = start.change.clone();
     let mut multipliers = conditions.multipliers(&start);
     let mut residual = conditions.residual(&change, &multipliers);
-    // And one more, for sets may be left by less than equations may be off.
+    // One more iteration follows an exact one, because the tolerance on sets is tighter than that on equations.
     for _ in 0..EXPECTED_ITERATIONS {
         let was_exact = conditions.is_exact(&residual, &change, &multipliers);
         residual = conditions.improve(&mut change, &mut multipliers, &residual)?;
@@ -137,7 +137,7 @@ pub(super) fn as_expected(qp: &QuadraticProgram, expected: &Multipliers) -> Opti
     let on_slack = found
         .multipliers
         .largest_on_slack(|at| (rows.softness[at] == Softness::Hard).then(|| rows.groups[at]));
-    // No row could be given up for the price of its slack.
+    // No row may be cheaper to violate at the price of its slack.
     let keeps_rows = on_slack <= INSIDE * qp.elastic_weight;
     (can_be_polished(qp, &found) && keeps_rows).then(|| QpSolution {
         working: qp.first_rows(),
@@ -149,7 +149,7 @@ impl<'a> Conditions<'a> {
     fn of(qp: &'a QuadraticProgram<'a>, solution: &QpSolution, clue: Clue) -> Self {
         let multipliers = &solution.multipliers;
         let largest = |values: &[f64]| infinity_norm(values);
-        // What multipliers are measured in; slacks are in the units of the rows, which are scaled to about one.
+        // Unit of multipliers. Slacks are in the units of the rows, which are scaled to about one.
         let unit = (multipliers.normals.iter().map(|normal| largest(normal)))
             .fold(largest(&multipliers.inequalities), f64::max)
             .max(largest(qp.gradient))
@@ -158,7 +158,7 @@ impl<'a> Conditions<'a> {
             Clue::Slack => multiplier / unit > slack,
             Clue::Multiplier => multiplier / unit > NEGLIGIBLE,
         };
-        // A slack, and by how much multipliers together fall short of its price.
+        // A group's slack is positive if it exceeds what its multipliers lack to the elastic weight.
         let is_open = |slack: f64, multiplier: f64| {
             matches!(clue, Clue::Slack) && slack > (qp.elastic_weight - multiplier).max(0.0) / unit
         };
@@ -197,7 +197,7 @@ impl<'a> Conditions<'a> {
             let z = multipliers.inequalities[at];
             match rows.softness[at] {
                 Softness::Soft { linear, quadratic } if holds(linear.max(z), -values[at]) => {
-                    // Violated, or at its limit with a multiplier below the price.
+                    // The row is violated, or at its limit with a multiplier below its price.
                     let left = linear + quadratic * values[at].max(0.0) - z;
                     let is_paid = match clue {
                         Clue::Slack => values[at] > 0.0 && left <= values[at] * unit,
@@ -225,7 +225,7 @@ impl<'a> Conditions<'a> {
                 }
                 _ => {
                     let room = match set {
-                        // Of the side that the multiplier belongs to.
+                        // The side of the interval to which the multiplier belongs.
                         ConvexSet::Interval {
                             index,
                             lower,
@@ -271,13 +271,13 @@ impl<'a> Conditions<'a> {
         }
     }
 
-    /// Unknown of the slack that a hard row has, where that is positive.
+    /// Returns the unknown that is the slack of a hard row, if that slack is positive.
     fn slack_of(&self, at: usize) -> Option<usize> {
         open_slack(&self.qp.inequalities, &self.slack_groups, at)
             .map(|place| self.qp.gradient.len() + place)
     }
 
-    /// The multipliers of the active rows at a solution.
+    /// Returns the multipliers of the active rows at a solution.
     fn multipliers(&self, solution: &QpSolution) -> Vec<f64> {
         (self.active.iter())
             .map(|&active| self.multiplier(active, solution))
@@ -297,7 +297,8 @@ impl<'a> Conditions<'a> {
         }
     }
 
-    /// Value and gradient of an active row, and of which side an interval is: `|Mv|²/(2r) - r/2` of a ball.
+    /// Returns value and gradient of an active row: of an interval, on the side that the sign of the multiplier tells; of a ball,
+    /// `|Mv|²/(2r) - r/2`.
     fn row(&self, active: Active, change: &[f64], multiplier: f64) -> (f64, Vec<(usize, f64)>) {
         let qp = self.qp;
         let dense = |matrix: &Mat<f64>, row: usize, offset: f64, slack: Option<usize>| {
@@ -345,7 +346,7 @@ impl<'a> Conditions<'a> {
         }
     }
 
-    /// Gradient of the Lagrangian, then the values of the active rows.
+    /// Returns the gradient of the Lagrangian, followed by the values of the active rows.
     fn residual(&self, change: &[f64], multipliers: &[f64]) -> Vec<f64> {
         let mut out = self.gradient.clone();
         for (j, d) in change.iter().enumerate() {
@@ -363,7 +364,7 @@ impl<'a> Conditions<'a> {
         out
     }
 
-    /// One step of Newton's method, and the residual after it; `None` where that is not finite, or where the solve is stopped meanwhile.
+    /// Takes one Newton step and returns the residual after it; `None` if that is not finite or the solve was stopped.
     fn improve(
         &self,
         change: &mut [f64],
@@ -385,7 +386,7 @@ impl<'a> Conditions<'a> {
         next.iter().all(|r| r.is_finite()).then_some(next)
     }
 
-    /// Whether nothing is left but rounding.
+    /// Tells whether the residual is rounding.
     fn is_exact(&self, residual: &[f64], change: &[f64], multipliers: &[f64]) -> bool {
         let (gradient, rows) = residual.split_at(change.len());
         let pull = infinity_norm(&self.gradient).max(infinity_norm(multipliers));
@@ -427,7 +428,7 @@ impl<'a> Conditions<'a> {
         out
     }
 
-    /// Whether what is inactive holds, and the multipliers of the rest have the right sign.
+    /// Tells whether the inactive conditions hold and the multipliers of the active ones have the right sign.
     fn allows(&self, change: &[f64], multipliers: &[f64]) -> bool {
         let qp = self.qp;
         let there = moved(qp.variables, change);
@@ -463,7 +464,7 @@ impl<'a> Conditions<'a> {
                 is_free || *h - slack <= qp.row_tolerance.max(ROUNDING)
             }
         });
-        // No farther outside than rounding of the variables is, or Clarabel was.
+        // Violations of sets up to rounding of the variables, or up to Clarabel's own, are allowed.
         let rounding = SET_ROUNDING * infinity_norm(&there).max(1.0);
         let sets = (qp.sets.iter()).all(|set| {
             set.violation(&there)
@@ -474,7 +475,7 @@ impl<'a> Conditions<'a> {
         signs && open && rows && sets
     }
 
-    /// In the form of Clarabel's.
+    /// Returns the solution with its multipliers in the form of Clarabel's.
     fn solution(&self, old: &QpSolution, mut change: Vec<f64>, multipliers: &[f64]) -> QpSolution {
         let mut out = old.clone();
         let slacks = change.split_off(self.qp.gradient.len());
@@ -523,7 +524,7 @@ impl<'a> Conditions<'a> {
     }
 }
 
-/// Which of the groups whose slack is positive a hard row belongs to.
+/// Returns the position, among the groups with positive slack, of the group of a hard row.
 fn open_slack(rows: &LinearInequalities, slack_groups: &[usize], at: usize) -> Option<usize> {
     let group = rows.groups[at];
     (rows.softness[at] == Softness::Hard)
@@ -540,8 +541,8 @@ mod tests {
     use super::super::program::affine;
     use super::*;
 
-    /// Problems with all kinds of sets and rows at once, half of them with rows that are not worth their elastic weight: conditions to rounding
-    /// where Clarabel ends orders above it, and multipliers of balls that point outward exactly.
+    /// Problems with all kinds of sets and rows at once, half of them with rows whose violation is cheaper than the elastic weight: the
+    /// conditions hold to rounding where Clarabel ends orders of magnitude above, and multipliers of balls point outward exactly.
     #[test]
     fn conditions_hold_to_rounding() {
         const N: usize = 9;
@@ -606,7 +607,7 @@ mod tests {
             };
             let solution = qp.solve().expect("solvable");
             slack += usize::from(solution.slack > 1e-3);
-            // From near the solution its multipliers, a little off, say what is active as well; those of nothing are not believed.
+            // From a point near the solution, slightly wrong multipliers give the active set as well; multipliers of zero do not.
             let way: Vec<f64> = solution.change.iter().map(|d| 0.98 * d).collect();
             let moved_gradient = affine(&gradient, &hessian, &way);
             let moved_offset = affine(qp.offset, &jacobian, &way);
@@ -671,7 +672,7 @@ mod tests {
                     }
                 }
             }
-            // A slack is open where multipliers add up to its price, and then it is all that is missing.
+            // A slack is positive where multipliers add up to its price, and then it is the whole violation.
             let values = affine(qp.offset, &jacobian, &solution.change);
             let mut missing = 0.0;
             for (value, y) in values.iter().zip(&multipliers.constraints) {

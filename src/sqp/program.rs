@@ -1,12 +1,12 @@
-//! The nonlinear programs that the solver understands.
+//! The nonlinear programs that the solver accepts.
 //!
-//! Minimize `J(v, q)` over variables `v` and states `q`, subject to state equations `D(v, q) = 0` that determine `q`
-//! from `v`, to constraints `c(v, q) = 0`, to inequalities `h(v, q) ≤ 0`, and to convex sets on `v` alone. The iterate is
-//! lifted: its states need not obey their equations. The program eliminates the linearized states itself (condensing),
-//! so that the quadratic subproblem is dense and small; a program without states is the special case of an empty `q`.
+//! Minimize `J(v, q)` over variables `v` and states `q`, subject to state equations `D(v, q) = 0` that determine `q` from `v`, to
+//! constraints `c(v, q) = 0`, to inequalities `h(v, q) ≤ 0`, and to convex sets on `v` alone. The iterate is lifted: its states need not
+//! obey their equations. The program eliminates the linearized states itself (condensing), so that the quadratic subproblem is dense and
+//! small; a program without states is the special case of an empty `q`.
 //!
-//! There may be many more inequalities than variables (a distance per node and time): their values are asked for at
-//! every point, their gradients only where they may matter.
+//! There may be many more inequalities than variables (a distance per node and time). The solver evaluates all of them at every point, but
+//! asks for gradients only of those that may be active.
 
 use crate::stop::StopSignal;
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ use super::kkt::{Multipliers, infinity_norm, norm};
 pub enum ConvexSet {
     /// `lower ≤ v[index] ≤ upper`, both finite.
     Interval {
-        /// The variable.
+        /// Index of the variable.
         index: usize,
         /// Lower limit.
         lower: f64,
@@ -32,7 +32,7 @@ pub enum ConvexSet {
     HalfSpace {
         /// Outward normal, `(index, component)`, of any length but zero.
         direction: Vec<(usize, f64)>,
-        /// Largest value along it.
+        /// Largest value of `Σ component v[index]`.
         limit: f64,
     },
     /// `|M v| ≤ radius`
@@ -45,7 +45,7 @@ pub enum ConvexSet {
 }
 
 impl ConvexSet {
-    /// `|v[indices]| ≤ radius`
+    /// Returns the ball `|v[indices]| ≤ radius`.
     #[must_use]
     pub fn ball(indices: impl IntoIterator<Item = usize>, radius: f64) -> Self {
         Self::Ball {
@@ -59,7 +59,7 @@ impl ConvexSet {
 }
 
 impl ConvexSet {
-    /// How fast the [violation](Self::violation) grows along a variable, at most.
+    /// Returns an upper bound of the derivative of the [violation](Self::violation) along one variable.
     pub(crate) fn gradient_size(&self) -> f64 {
         let largest = |row: &[(usize, f64)]| row.iter().fold(0.0, |m: f64, (_, c)| m.max(c.abs()));
         match self {
@@ -69,7 +69,7 @@ impl ConvexSet {
         }
     }
 
-    /// How far variables are outside, in the set's own units; not positive inside.
+    /// Returns by how much variables are outside, in the set's own units; not positive inside.
     #[must_use]
     pub fn violation(&self, variables: &[f64]) -> f64 {
         match self {
@@ -92,28 +92,28 @@ pub(crate) fn along(direction: &[(usize, f64)], v: &[f64]) -> f64 {
     direction.iter().map(|&(index, c)| c * v[index]).sum()
 }
 
-/// Whether an inequality must hold, or what its violation costs.
+/// Hard inequality, or the penalty on the violation of a soft one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Softness {
     /// `h ≤ 0`
     Hard,
     /// `linear t + ½ quadratic t²` is added to the objective, `t = max(h, 0)`: exact, prices not negative.
     Soft {
-        /// Price of violation; the row holds as long as its multiplier is below it.
+        /// Price per unit of violation; the row holds as long as its multiplier is below it.
         linear: f64,
-        /// Growth of the price with violation.
+        /// Increase of the price per unit of violation.
         quadratic: f64,
     },
 }
 
 impl Softness {
-    /// Costs nothing: the row is as good as absent.
+    /// A soft row without penalty, which is as good as absent.
     pub const FREE: Self = Self::Soft {
         linear: 0.0,
         quadratic: 0.0,
     };
 
-    /// What `h` adds to the objective.
+    /// Returns the term that `h` adds to the objective.
     #[must_use]
     pub fn penalty(self, h: f64) -> f64 {
         match self {
@@ -127,7 +127,7 @@ impl Softness {
     }
 }
 
-/// Sum over groups of their largest positive value; NaN if any is.
+/// Returns the sum over groups of their largest positive value; NaN if any value is.
 pub(super) fn sum_of_largest(values: impl Iterator<Item = (usize, f64)>) -> f64 {
     let mut largest = BTreeMap::new();
     for (group, value) in values {
@@ -139,7 +139,7 @@ pub(super) fn sum_of_largest(values: impl Iterator<Item = (usize, f64)>) -> f64 
     largest.into_values().sum()
 }
 
-/// Something that is not a number, or a point at which the model has no meaning, in words that say where.
+/// A value that is not finite, or a point at which the model has no meaning; the text tells the place.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{0}")]
 pub struct Failure(pub String);
@@ -147,68 +147,70 @@ pub struct Failure(pub String);
 /// Values at a point.
 #[derive(Clone, Debug)]
 pub struct Evaluation<R> {
-    /// `J`, without the price of soft inequalities.
+    /// `J`, without the penalties of soft inequalities.
     pub objective: f64,
     /// `c`, scaled.
     pub constraints: Vec<f64>,
-    /// `h`, scaled: all rows, always in the same order.
+    /// `h`, scaled: all rows, in a fixed order.
     pub inequalities: Vec<f64>,
-    /// Size of the state residual `D`, scaled, at least its largest component.
+    /// Norm of the scaled state residual `D`, at least its largest component.
     pub defect: f64,
-    /// `D` itself, for the program's own use.
+    /// `D` itself, for use by the program.
     pub defects: R,
 }
 
-/// What is wanted of a linearization beyond gradients of objective and constraints.
+/// Content of a linearization besides the gradients of objective and constraints.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LinearizationRequest<'a> {
-    /// Asks for the exact curvature of the Lagrangian with these: of objective, constraints and inequalities.
+    /// Multipliers of the Lagrangian whose exact curvature is requested; without them none is computed.
     pub multipliers: Option<&'a Multipliers>,
-    /// Inequalities whose gradients are wanted, ascending.
+    /// Inequalities whose gradients are requested, ascending.
     pub rows: &'a [usize],
 }
 
-/// The gradient along the variables of the Lagrangian `J + yᵀ c + zᵀ h`, without the sets, in the two terms whose size it is measured by.
+/// The gradient along the variables of the Lagrangian `J + yᵀ c + zᵀ h`, without the sets, as two terms: their sizes are the scale of the
+/// stationarity.
 #[derive(Clone, Debug)]
 pub struct LagrangianTerms<C> {
-    /// What the variables cost by themselves: [`LiftedProgram::own_gradient`], or all of `∇J` from a program that does not tell.
+    /// Gradient of the variables' own cost: [`LiftedProgram::own_gradient`], or all of `∇J` if the program does not separate it.
     pub own: Vec<f64>,
-    /// The rest: what comes through the states and from the constraints.
+    /// The rest of the gradient: through the states and from the constraints.
     pub through_states: Vec<f64>,
-    /// [`Linearization::least_curvature`] at the point, if the gradient was found by a linearization; else that of the last one is used.
+    /// [`Linearization::least_curvature`] at the point, if a linearization computed the gradient; otherwise the value of the last one is
+    /// used.
     pub least_curvature: Option<f64>,
-    /// The multipliers of the state equations, if the gradient was found by them.
+    /// The multipliers of the state equations, if they were used to compute the gradient.
     pub costates: Option<C>,
 }
 
-/// The condensed linearization at a point: everything over the variables alone.
+/// The condensed linearization at a point, with respect to the variables alone.
 #[derive(Clone, Debug)]
 pub struct Linearization {
     /// Total derivative of `J` along `v` at the point.
     pub gradient: Vec<f64>,
-    /// Gradient of the quadratic model, which also sees the states' answer to their defects.
+    /// Gradient of the quadratic model, which includes the response of the states to their defects.
     pub model_gradient: Vec<f64>,
-    /// Change of `J` from that answer alone.
+    /// Change of `J` by that response alone.
     pub defect_slope: f64,
-    /// Gauss-Newton Hessian: positive semidefinite.
+    /// Gauss-Newton Hessian, positive semidefinite.
     pub gauss_newton: Mat<f64>,
-    /// What must be added to it for the exact Hessian of the Lagrangian; present when it was asked for.
+    /// Difference between the exact Hessian of the Lagrangian and the Gauss-Newton one, if it was requested.
     pub curvature: Option<Mat<f64>>,
     /// `dc/dv`, one row per constraint.
     pub jacobian: Mat<f64>,
-    /// `c` after the states' answer to their defects: the model is `offset + jacobian δv`.
+    /// `c` after the response of the states to their defects: the model is `offset + jacobian δv`.
     pub offset: Vec<f64>,
-    /// Inequalities that are linearized, ascending: those of the request.
+    /// Linearized inequalities, ascending: those of the request.
     pub rows: Vec<usize>,
-    /// `dh/dv` of these, one row each.
+    /// `dh/dv` of the linearized inequalities, one row each.
     pub inequality_jacobian: Mat<f64>,
-    /// `h` of these after the states' answer to their defects.
+    /// `h` of the linearized inequalities after the response of the states to their defects.
     pub inequality_offset: Vec<f64>,
 }
 
 impl Linearization {
-    /// Least positive diagonal entry of the Gauss-Newton Hessian: the curvature of the cheapest variable, in which small
-    /// things are counted (the weight of a soft target is no measure). Without any: the size of the gradient, or 1.
+    /// Returns the least positive diagonal entry of the Gauss-Newton Hessian: the curvature of the cheapest variable, which is the unit of
+    /// small quantities (the weight of a soft target would be no measure). Without such an entry, returns the size of the gradient, or 1.
     #[must_use]
     pub fn least_curvature(&self) -> f64 {
         let least = (0..self.gauss_newton.nrows())
@@ -223,8 +225,8 @@ impl Linearization {
         }
     }
 
-    /// The gradient of the Lagrangian; `own` is what the variables cost by themselves, where the program tells. Inequalities with a
-    /// multiplier must be among the linearized rows.
+    /// Returns the gradient of the Lagrangian; `own` is the gradient of the variables' own cost, if the program separates it. Inequalities
+    /// with a multiplier must be among the linearized rows.
     pub(crate) fn lagrangian_terms<C>(
         &self,
         own: Option<Vec<f64>>,
@@ -249,7 +251,7 @@ impl Linearization {
         }
     }
 
-    /// Size of the cost's derivatives: the weight of a violated constraint is counted in these.
+    /// Returns the size of the cost's derivatives, which is the unit of the elastic weight.
     pub(crate) fn cost_scale(&self) -> f64 {
         self.least_curvature().max(infinity_norm(&self.gradient))
     }
@@ -278,18 +280,18 @@ impl Linearization {
         self.rows = rows;
     }
 
-    /// `c + Jδ`
+    /// Returns `c + Jδ`.
     pub(crate) fn constraints_along(&self, change: &[f64]) -> Vec<f64> {
         affine(&self.offset, &self.jacobian, change)
     }
 
-    /// `h + Dδ` of the linearized rows.
+    /// Returns `h + Dδ` of the linearized rows.
     pub(crate) fn inequalities_along(&self, change: &[f64]) -> Vec<f64> {
         affine(&self.inequality_offset, &self.inequality_jacobian, change)
     }
 }
 
-/// `offset + matrix change`
+/// Returns `offset + matrix change`.
 pub(crate) fn affine(offset: &[f64], matrix: &Mat<f64>, change: &[f64]) -> Vec<f64> {
     let mut values = offset.to_vec();
     for (j, d) in change.iter().enumerate() {
@@ -308,56 +310,56 @@ pub trait LiftedProgram {
     type Direction;
     /// Residual of the state equations.
     type Defects: Clone;
-    /// Multipliers of the state equations, where the program finds the gradient of the Lagrangian by them; else `()`.
+    /// Multipliers of the state equations, if the program uses them to compute the gradient of the Lagrangian; otherwise `()`.
     type Costates;
 
-    /// The convex sets on the variables.
+    /// Returns the convex sets on the variables.
     fn sets(&self) -> &[ConvexSet];
 
-    /// The signal that ends a solve of the program early, if there is one.
+    /// Returns the signal that ends a solve of the program early, if there is one.
     fn stop(&self) -> Option<&StopSignal> {
         None
     }
 
-    /// The variables of a point.
+    /// Returns the variables of a point.
     fn variables<'a>(&self, point: &'a Self::Point) -> &'a [f64];
 
-    /// How many of the variables, the first ones, the size of the Lagrangian's terms is taken from. The others stand for residuals:
-    /// their terms are as large as the weights make them, and would hide what is left along the first.
+    /// Returns the number of variables, from the first, whose terms are the scale of the Lagrangian's gradient. The remaining variables
+    /// stand for residuals: their terms are as large as the weights and would hide the rest along the first ones.
     fn n_controls(&self) -> usize {
         usize::MAX
     }
 
-    /// Gradient of the part of `J` that is a function of the variables alone, where the program knows it; the rest of `J` comes through
-    /// the states, as the constraints do. At an optimum without active constraints both parts cancel: what is left of their sum is small
-    /// or large beside them, and beside nothing else. A program that does not tell them apart is judged by their sum.
+    /// Returns the gradient of the part of `J` that depends on the variables alone, or `None` if the program does not separate it. The rest
+    /// of `J` comes through the states, as the constraints do. At an optimum without active constraints both parts cancel, so that their
+    /// sizes are the scale for their sum. A program that returns `None` is judged by the sum alone.
     fn own_gradient(&self, _point: &Self::Point) -> Option<Vec<f64>> {
         None
     }
 
-    /// Values at a point.
+    /// Evaluates objective, constraints, inequalities and defects at a point.
     ///
     /// # Errors
-    /// [`Failure`] when something is not finite or the model has no meaning there.
+    /// Returns [`Failure`] if a value is not finite or the model has no meaning there.
     fn evaluate(&self, point: &Self::Point) -> Result<Evaluation<Self::Defects>, Failure>;
 
-    /// Whether an inequality is hard.
+    /// Returns whether an inequality is hard or soft.
     fn softness(&self, _row: usize) -> Softness {
         Softness::Hard
     }
 
-    /// The group of a hard inequality. The infeasibility counts the largest violation of every group, and the elastic
-    /// subproblem has one slack for it: of rows that sample one condition (a distance at many times), only the worst matters
-    /// while it is violated. Every row by itself, unless the program says otherwise.
+    /// Returns the group of a hard inequality. The infeasibility counts the largest violation of every group, and the elastic subproblem
+    /// has one slack for it: of rows that sample one condition (a distance at many times), only the worst matters while it is violated. By
+    /// default every row has a group of its own.
     fn group(&self, row: usize) -> usize {
         row
     }
 
-    /// Inequalities above minus this are linearized from the start; the others are screened out and checked again once
-    /// a step is known. Positive, in the units of `h`; infinite to linearize all.
+    /// Returns the screening margin: inequalities above minus this value are linearized from the start; the others are checked once a step
+    /// is known. Positive, in the units of `h`; infinite to linearize all.
     fn screening_margin(&self) -> f64;
 
-    /// Condensed linearization, with what `request` asks for; no curvature if the program has none.
+    /// Computes the condensed linearization with the content that `request` names; without curvature if the program has none.
     ///
     /// # Errors
     /// As [`Self::evaluate`].
@@ -368,8 +370,9 @@ pub trait LiftedProgram {
         request: &LinearizationRequest,
     ) -> Result<Linearization, Failure>;
 
-    /// The gradient of the Lagrangian at a point. The solver tests the point with it before it asks for the curvature, which a point that
-    /// passes does not need. It is that of [`Self::linearize`] unless the program has a cheaper way, such as an adjoint sweep.
+    /// Computes the gradient of the Lagrangian at a point. The solver tests the point with it before it asks for the curvature, which a
+    /// point that passes does not need. By default it comes from [`Self::linearize`]; a program may have a cheaper way, such as an adjoint
+    /// sweep.
     ///
     /// # Errors
     /// As [`Self::evaluate`].
@@ -390,8 +393,8 @@ pub trait LiftedProgram {
         Ok(linearization.lagrangian_terms(self.own_gradient(point), multipliers))
     }
 
-    /// [`Self::linearize`] with the costates that [`Self::lagrangian_terms`] found for the same point and the multipliers of the request, so
-    /// that the program need not compute them again.
+    /// Computes [`Self::linearize`] given the costates that [`Self::lagrangian_terms`] found for the same point and the multipliers of the
+    /// request, so that the program need not compute them again.
     ///
     /// # Errors
     /// As [`Self::evaluate`].
@@ -405,13 +408,13 @@ pub trait LiftedProgram {
         self.linearize(point, evaluation, request)
     }
 
-    /// How many states there are, if [`Self::keep_states`] can keep them.
+    /// Returns the number of states if [`Self::keep_states`] can keep them.
     fn n_states(&self) -> Option<usize> {
         None
     }
 
-    /// The linearization of [`Self::linearize`], of the inequalities `rows`, before the states are eliminated; `None` from a program
-    /// that always eliminates them.
+    /// Computes the linearization of [`Self::linearize`], with the inequalities `rows`, before the states are eliminated; `None` from a
+    /// program that always eliminates them.
     ///
     /// # Errors
     /// As [`Self::evaluate`].
@@ -423,7 +426,7 @@ pub trait LiftedProgram {
         Ok(None)
     }
 
-    /// `h + dh` of all rows along a direction of [`Self::expand`], to first order.
+    /// Computes `h + dh` of all rows along a direction of [`Self::expand`], to first order.
     ///
     /// # Errors
     /// As [`Self::evaluate`].
@@ -445,11 +448,12 @@ pub trait LiftedProgram {
         change: &[f64],
     ) -> Result<Self::Direction, Failure>;
 
-    /// Moves variables that do nothing but stand for a constraint's residual to where that constraint is violated least within
-    /// their sets, or on the face of a set that they are on: a slack reset (Gill, Murray and Saunders 2005), which makes a trial point no worse and leaves its states alone.
+    /// Moves variables that only stand for the residual of a constraint to the place within their sets, or on the face of a set that they
+    /// are on, where that constraint is violated least: a slack reset (Gill, Murray and Saunders 2005), which never makes a trial point
+    /// worse and leaves its states alone.
     fn reset_slacks(&self, _point: &mut Self::Point, _evaluation: &mut Evaluation<Self::Defects>) {}
 
-    /// The point `step_length` along a direction.
+    /// Returns the point at `step_length` along a direction.
     fn retract(
         &self,
         point: &Self::Point,
@@ -457,17 +461,17 @@ pub trait LiftedProgram {
         step_length: f64,
     ) -> Self::Point;
 
-    /// Longest step along a direction that the program's charts can be trusted with.
+    /// Returns the longest step along a direction for which the program's charts are valid.
     fn longest_step(&self, direction: &Self::Direction) -> f64;
 
-    /// The point with variables `v + change` whose states obey their equations.
+    /// Returns the point with variables `v + change` whose states obey their equations.
     ///
     /// # Errors
-    /// [`Failure`] when the states cannot be computed.
+    /// Returns [`Failure`] if the states cannot be computed.
     fn rollout(&self, point: &Self::Point, change: &[f64]) -> Result<Self::Point, Failure>;
 
-    /// `Σ|c| + Σ max(h, 0) + defect`, the second sum over [groups](Self::group) of hard rows, of their largest: what the
-    /// globalization drives to zero.
+    /// Returns `Σ|c| + Σ max(h, 0) + defect`, the second sum over [groups](Self::group) of hard rows, of their largest: the infeasibility
+    /// that the filter reduces.
     fn infeasibility(&self, evaluation: &Evaluation<Self::Defects>) -> f64 {
         let violations = (evaluation.inequalities.iter().enumerate())
             .filter(|&(row, &h)| !(h <= 0.0) && self.softness(row) == Softness::Hard)
@@ -476,7 +480,7 @@ pub trait LiftedProgram {
         constraints + evaluation.defect + sum_of_largest(violations)
     }
 
-    /// `J` and the price of violated soft rows.
+    /// Returns `J` and the penalties of violated soft rows.
     fn total_objective(&self, evaluation: &Evaluation<Self::Defects>) -> f64 {
         let penalties = (evaluation.inequalities.iter().enumerate())
             .filter(|&(_, &h)| !(h <= 0.0))

@@ -1,27 +1,27 @@
-//! Whether a solve that ended before its time was still getting on.
+//! Tells whether residuals were still decreasing when a solve stopped.
 
 use super::outcome::IterationRecord;
 use super::settings::PROGRESS;
 
-/// Iterations that are looked back over.
+/// Cap on the number of iterations that are compared with those before them.
 const WINDOW: usize = 10;
 
-/// Whether residuals were still falling when a solve ended.
+/// Trend of the residuals when a solve stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Trend {
     /// Over the last iterations, the infeasibility or the KKT residual of the best point fell by a tenth or more.
     Falling,
-    /// Neither did.
+    /// Both residuals fell by less than a tenth.
     Stalled,
 }
 
 /// The last iterations of a solve: the best point before them and the best point after them.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Progress {
-    /// Whether residuals were still falling.
+    /// Trend of the residuals.
     pub trend: Trend,
-    /// Iterations that are looked back over.
+    /// Number of iterations that are compared with those before them.
     pub iterations: usize,
     /// Least infeasibility before and after them.
     pub infeasibility: [f64; 2],
@@ -30,7 +30,7 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// Of the iterations of a solve; `None` where there is no step to judge.
+    /// Compares the last iterations of a history with those before; `None` if the history has no step.
     #[must_use]
     pub fn of(history: &[IterationRecord]) -> Option<Self> {
         let iterations = history.len().checked_sub(1)?.min(WINDOW);
@@ -44,7 +44,7 @@ impl Progress {
             [of(&history[..before]), of(history)]
         };
         let infeasibility = least(|row| row.infeasibility);
-        let residual = least(|row| row.residual.max());
+        let residual = least(|row| row.residual().max());
         let falls = |[from, to]: [f64; 2]| to < PROGRESS * from;
         Some(Self {
             trend: if falls(infeasibility) || falls(residual) {
@@ -58,7 +58,7 @@ impl Progress {
         })
     }
 
-    /// In words.
+    /// Describes the trend in words.
     #[must_use]
     pub fn sentence(&self) -> String {
         let Self {
@@ -81,33 +81,13 @@ impl Progress {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sqp::hessian::HessianKind;
-    use crate::sqp::kkt::KktResidual;
-    use crate::sqp::outcome::Leave;
 
     fn row(infeasibility: f64, stationarity: f64) -> IterationRecord {
         IterationRecord {
-            iteration: 0,
-            objective: 0.0,
-            residual: KktResidual {
-                stationarity,
-                feasibility: infeasibility,
-                complementarity: 0.0,
-            },
+            stationarity,
+            feasibility: infeasibility,
             infeasibility,
-            step_norm: 0.0,
-            contraction: None,
-            hessian: HessianKind::GaussNewton,
-            corrections: 0,
-            rolled_out: false,
-            trust_radius: 1.0,
-            elastic_weight: 0.0,
-            slack: 0.0,
-            linearized_rows: 0,
-            working_rows: 0,
-            qp_iterations: 0,
-            elapsed: 0.0,
-            left: Leave::Step,
+            ..IterationRecord::default()
         }
     }
 
@@ -116,8 +96,8 @@ mod tests {
         Progress::of(&rows).map(|progress| progress.trend)
     }
 
-    /// What falls by a tenth within ten iterations is falling, in either measure; what stands still, or only rises from its best, has
-    /// stalled; without a step there is nothing to say.
+    /// A residual that falls by a tenth within ten iterations is falling, in either measure; one that stays, or only rises from its best,
+    /// has stalled; a history without a step has no trend.
     #[test]
     fn falling_and_stalled_solves_are_told_apart() {
         let falls = |k: i32| 0.98_f64.powi(k);

@@ -6,11 +6,11 @@
 //!             h + Dδ ≤ t,   t ≥ 0          hard rows: p = γ, q = 0;   soft rows: their own prices
 //! ```
 //!
-//! The slacks make it feasible whenever the sets are not empty and within reach. The sets enter as they are (second-order
-//! cones for balls), not linearized; a set without interior enters as equations.
+//! The slacks make it feasible whenever the sets are not empty and within reach. The sets enter as they are (second-order cones for balls),
+//! not linearized; a set without interior enters as equations.
 //!
-//! Of many inequalities few are active, and dense rows are what Clarabel's time grows with: it first sees a working set,
-//! to which the peaks of what its solution violates are added until nothing is violated. Rows never leave, so this ends.
+//! Of many inequalities few are active, and Clarabel's time grows with the number of dense rows. Clarabel therefore starts with a working
+//! set; the local maxima among the rows that its solution violates join, until none is violated. Rows never leave, so this ends.
 
 mod clarabel;
 
@@ -46,23 +46,23 @@ pub struct QuadraticProgram<'a> {
     pub elastic_weight: f64,
     /// Trust radius: `|δ| ≤ radius`, a cone of its own; infinite for none.
     pub trust_radius: f64,
-    /// A row outside the working set may be violated by this much of its terms.
+    /// Violation of a row outside the working set that is allowed, relative to the row's value or one.
     pub row_tolerance: f64,
-    /// What may end the solve before it is done.
+    /// Signal that ends the solve early.
     pub stop: Option<&'a StopSignal>,
-    /// The same rows with the states in them, to be solved in their place.
+    /// These rows with the states in them, which replace the condensed rows on the sparse route.
     pub states: Option<KeptStates<'a>>,
-    /// Multipliers of a subproblem like this one, those of the inequalities by their place: where the same ones are active again, that
-    /// gives the solution without Clarabel.
+    /// Multipliers of a similar subproblem, those of the inequalities by their place. If its active set is also that of this one, the
+    /// solution needs no interior point.
     pub expected: Option<&'a Multipliers>,
 }
 
-/// What replaces the condensed rows of a [`QuadraticProgram`] on the sparse route.
+/// The rows that replace the condensed ones of a [`QuadraticProgram`] on the sparse route.
 #[derive(Clone, Copy, Debug)]
 pub struct KeptStates<'a> {
     /// Rows and costs with the states in them.
     pub linearization: &'a StateLinearization,
-    /// Whether the costs of states and variables take the place of `H`, because it is the Gauss-Newton Hessian.
+    /// Tells whether the costs of states and variables replace `H`, which requires `H` to be the Gauss-Newton Hessian.
     pub replaces_hessian: bool,
 }
 
@@ -73,11 +73,11 @@ pub struct LinearInequalities<'a> {
     pub jacobian: &'a Mat<f64>,
     /// `h`
     pub offset: &'a [f64],
-    /// One per row.
+    /// Softness of every row.
     pub softness: &'a [Softness],
     /// Group of every row; hard rows of a group share a slack.
     pub groups: &'a [usize],
-    /// Rows to begin with, by their place here; a good guess saves solves.
+    /// Rows of the first working set, by their place here; a good guess saves solves.
     pub first: &'a [usize],
 }
 
@@ -91,59 +91,59 @@ impl LinearInequalities<'_> {
     }
 }
 
-/// Its solution.
+/// The solution of a subproblem.
 #[derive(Clone, Debug, PartialEq)]
 pub struct QpSolution {
     /// `δ`
     pub change: Vec<f64>,
-    /// The part of `δ` that leads back into balls which the subproblem held by their tangents; empty where it held none so.
+    /// The part of `δ` that leads back into balls which the subproblem replaced by tangents; empty if there are none.
     pub returned: Vec<f64>,
     /// Multipliers of constraints, linearized inequalities (in the order of the rows given) and sets.
     pub multipliers: Multipliers,
     /// `Σ (s⁺ + s⁻)` and the slacks of hard inequalities.
     pub slack: f64,
-    /// Interior-point iterations; none where what was expected to be active is.
+    /// Interior-point iterations; 0 if the expected active set gave the solution.
     pub iterations: u32,
-    /// Inequalities that Clarabel saw, by their place.
+    /// Inequalities in Clarabel's last problem, by their place.
     pub working: Vec<usize>,
-    /// Slack of every group of hard inequalities that the solve saw.
+    /// Slack of every group of hard inequalities in Clarabel's last problem.
     pub slacks: BTreeMap<usize, f64>,
 }
 
-/// Why a subproblem has no usable solution.
+/// The reason why a subproblem has no usable solution.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum QpError {
-    /// Data that no solver should see.
+    /// The data have a number that is not finite.
     #[error(
         "the quadratic subproblem holds a number that is not finite ({0}): weights, prices, bounds or scales are too far apart"
     )]
     NotFinite(&'static str),
-    /// Clarabel's own status.
+    /// Clarabel ended without a usable solution.
     #[error(
         "Clarabel ended with {status}; as a rule weights, prices, bounds or scales are too far apart"
     )]
     Status {
-        /// Its words, and the residuals it reached.
+        /// Clarabel's status, and the residuals that it reached.
         status: String,
         /// The problem as Clarabel's own JSON, for a report.
         problem: Option<String>,
     },
-    /// It was not solved to the end.
+    /// A stop signal ended the solve.
     #[error(transparent)]
     Stopped(#[from] Stop),
 }
 
-/// Inequalities that are all given to Clarabel at once.
+/// Up to this number of inequalities the first working set has all of them.
 const FEW_ROWS: usize = 32;
-/// First working set of many: so many of the highest peaks.
+/// Number of local maxima, the highest ones, in the first working set if there are more inequalities.
 const FIRST_PEAKS: usize = 8;
 
 /// First elastic weight, relative to the size of the cost's derivatives.
 pub(super) const FIRST_ELASTIC_WEIGHT: f64 = 1e3;
 
 impl<'a> QuadraticProgram<'a> {
-    /// The condensed subproblem of a linearization with its Gauss-Newton Hessian, at the first elastic weight, without limits of step and
-    /// time; `softness` and `groups` are those of the linearized rows.
+    /// Returns the condensed subproblem of a linearization with its Gauss-Newton Hessian, at the first elastic weight, without trust region
+    /// and stop signal; `softness` and `groups` are those of the linearized rows.
     #[must_use]
     pub fn of(
         linearization: &'a Linearization,
@@ -178,7 +178,7 @@ impl<'a> QuadraticProgram<'a> {
     /// Solves the subproblem.
     ///
     /// # Errors
-    /// [`QpError`] when the data are not finite or Clarabel finds no solution however it is run.
+    /// Returns [`QpError`] if the data are not finite, Clarabel finds no solution with any of its settings, or the solve was stopped.
     pub fn solve(&self) -> Result<QpSolution, QpError> {
         self.check_finite()?;
         if let Some(solution) = self
@@ -201,7 +201,7 @@ impl<'a> QuadraticProgram<'a> {
                 }
                 return match polish(self, &solution) {
                     Some(polished) => Ok(polished),
-                    // Not near the solution of the condensed conditions.
+                    // Clarabel's solution with states is too far from that of the condensed conditions.
                     None if self.states.is_some() => self.condensed().solve(),
                     None => Ok(solution),
                 };
@@ -211,12 +211,12 @@ impl<'a> QuadraticProgram<'a> {
         }
     }
 
-    /// Why the solve is to end before it is done, if it is.
+    /// Returns the reason to end the solve early, if there is one.
     fn stopped(&self) -> Option<Stop> {
         self.stop.and_then(StopSignal::raised)
     }
 
-    /// The same without the states.
+    /// Returns the same subproblem without the states.
     fn condensed(&self) -> Self {
         Self {
             states: None,
@@ -272,7 +272,7 @@ impl<'a> QuadraticProgram<'a> {
         Ok(())
     }
 
-    /// Rows that the first solve sees.
+    /// Returns the rows of the first working set.
     pub(super) fn first_rows(&self) -> Vec<usize> {
         let LinearInequalities {
             offset,
@@ -296,8 +296,8 @@ impl<'a> QuadraticProgram<'a> {
         rows
     }
 
-    /// Whether a row holds and no step could violate it worth the name, as that of a touching obstacle before the control can tell:
-    /// nothing would bound its multiplier.
+    /// Tells whether a row is met and cannot be violated by any step within the trust region beyond a tenth of [`ROW_TOLERANCE`], such as
+    /// that of a touching obstacle at a time before the control has an effect: nothing would bound its multiplier.
     fn is_out_of_reach(&self, at: usize) -> bool {
         let (jacobian, h) = (self.inequalities.jacobian, self.inequalities.offset[at]);
         let slope = (0..jacobian.ncols())
@@ -317,7 +317,8 @@ impl<'a> QuadraticProgram<'a> {
         affine(self.offset, self.jacobian, change)
     }
 
-    /// Rows outside the working set that a step violates by more than the slack of their group, ascending, and by how much.
+    /// Returns the rows outside the working set that a step violates by more than the slack of their group, ascending, with their
+    /// violation.
     fn violated(&self, solution: &QpSolution, working: &[usize]) -> Vec<(usize, f64)> {
         let LinearInequalities {
             jacobian,
@@ -355,7 +356,7 @@ impl QpError {
     }
 }
 
-/// Local maxima along runs of neighboring rows, ends included; of equal ones the first.
+/// Returns the local maxima along runs of neighboring rows, ends included; of equal neighbors the first.
 pub(super) fn peaks(rows: &[(usize, f64)]) -> Vec<(usize, f64)> {
     let value = |at: usize, i: Option<usize>| {
         i.and_then(|i| rows.get(i))

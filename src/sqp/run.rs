@@ -1,4 +1,4 @@
-//! A solve in progress: what one iteration of the loop does, and what it remembers.
+//! The state of a solve in progress, and one iteration of its loop.
 
 mod restoration;
 mod saddle;
@@ -30,32 +30,35 @@ use super::trust_region::TrustRegion;
 use super::working_set::WorkingSet;
 use crate::stop::{LARGE, Stop, StopSignal};
 
-/// A solve that began with the multipliers of another uses the exact Hessian below this infeasibility.
+/// After a warm start with multipliers, the exact Hessian is used below this infeasibility, in the units of scaled rows.
 const EXACT_BELOW_WHEN_WARM: f64 = 1.0;
-/// Subproblems that promise less than this part of the infeasibility make no progress.
+/// A subproblem that reduces the infeasibility by less than this fraction makes no progress.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
+/// Number of such subproblems in a row after which the restoration begins; a cap.
 const INFEASIBLE_PATIENCE: usize = 3;
+/// Cap on the shrinkages of the trust region in one iteration: [`trust_region`](super::trust_region) shrinks it by 0.3¹² ≈ 5e-7 then.
 const SHRINKAGES: usize = 12;
-/// Subproblems without a solution, and restorations, in all, after which a solve gives up.
+/// Cap on the subproblems without a solution, and on the restorations, of one solve.
 const RESCUES: usize = 8;
-/// Models of an iteration that are made anew because a step leaves what they hold.
+/// Maximum number of Hessian rebuilds per iteration after a step leaves its active set.
 const RELEASES: usize = 3;
-/// What the stopping test reads at a point.
+
+/// The derivatives that the stopping test reads at a point.
 pub(super) enum Derivatives<P: LiftedProgram> {
-    /// The linearization for a step of Gauss-Newton or of the restoration.
+    /// The linearization, for a Gauss-Newton step or a restoration step.
     Linearized(Box<Linearization>),
     /// The gradient of the Lagrangian; the linearization with curvature is computed only if the point does not pass.
     Gradient(LagrangianTerms<P::Costates>),
 }
 
-/// What an iteration did.
+/// Result of an iteration.
 pub(super) enum Step {
     Taken,
     Refused,
     Infeasible,
 }
 
-/// Why a solve cannot go on.
+/// The reason why a solve cannot continue.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum Breakdown {
     #[error(transparent)]
@@ -64,13 +67,13 @@ pub(super) enum Breakdown {
     Model(#[from] Failure),
 }
 
-/// A solve in progress.
+/// The state of a solve in progress.
 pub(super) struct Run<'a, P: LiftedProgram> {
     program: &'a P,
     settings: &'a SqpSettings,
     iterate: Iterate<P>,
     working_set: WorkingSet,
-    /// Weight of infeasible rows in the subproblem; the first one is chosen by the first linearization.
+    /// Elastic weight of the subproblem; the first linearization determines the first one.
     elastic_weight: Option<f64>,
     trust_region: TrustRegion,
     filter: Filter,
@@ -81,40 +84,40 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     trace: Trace,
 }
 
-/// Where the solve is.
+/// The present iterate.
 struct Iterate<P: LiftedProgram> {
     point: Arc<P::Point>,
     evaluation: Evaluation<P::Defects>,
     multipliers: Multipliers,
-    /// Whether the first multipliers are those of another solve.
+    /// Tells whether the first multipliers come from another solve.
     has_multipliers: bool,
-    /// Distance of the variables from the sets; positive at most at the start.
+    /// Distance of the variables from the sets; only at the start can it be positive.
     outside: f64,
-    /// Defects of the last states that were computed from their variables.
+    /// Defects of the last rollout, which are rounding; 0 before the first.
     rounding: f64,
 }
 
-/// What the Hessian of the next subproblem depends on besides the linearization.
+/// State from which the Hessian of the next subproblem follows, besides the linearization.
 #[derive(Default)]
 struct HessianPolicy {
     /// [Least curvature](Linearization::least_curvature) of the last linearization.
     least_curvature: f64,
-    /// Inequalities and sets that the steps of this iteration left behind.
+    /// Inequalities and sets that steps of this iteration have left.
     left_rows: Vec<usize>,
     left_sets: Vec<usize>,
 }
 
-/// What is known about whether the constraints can be met.
+/// Evidence against feasible constraints.
 #[derive(Default)]
 struct Feasibility {
-    /// Subproblems in a row that could not promise a smaller infeasibility.
+    /// Number of subproblems in a row without progress in infeasibility.
     stuck: usize,
     restorations: usize,
-    /// The restoration that is under way.
+    /// The restoration in progress.
     phase: Option<Restoration>,
 }
 
-/// On the sparse route: the linearization with its states.
+/// The linearization with states, on the sparse route.
 struct States {
     route: QpRoute,
     linearization: Option<StateLinearization>,
@@ -193,26 +196,26 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.program.infeasibility(&self.iterate.evaluation)
     }
 
-    /// Whether the exact Hessian is to be used at the present point.
+    /// Tells whether the next step uses the exact Hessian.
     fn wants_curvature(&self) -> bool {
         if self.feasibility.phase.is_some() {
             return false;
         }
         match self.settings.hessian {
             HessianChoice::GaussNewton => false,
-            // Without multipliers there is no Lagrangian yet.
+            // The Lagrangian needs multipliers.
             HessianChoice::Exact => self.iterate.has_multipliers || !self.trace.history.is_empty(),
             HessianChoice::Auto if self.iterate.has_multipliers => {
                 self.infeasibility() < EXACT_BELOW_WHEN_WARM
             }
-            // What a subproblem with slack returns is limited by the elastic weight, and no estimate of the multipliers.
+            // The multipliers of a subproblem with slack are limited by the elastic weight and are no estimate of those of the program.
             HessianChoice::Auto => (self.trace.history.last()).is_some_and(|last| {
-                last.slack <= NEGLIGIBLE && last.hessian != HessianKind::Proximal
+                last.slack <= NEGLIGIBLE && last.step.hessian != HessianKind::Proximal
             }),
         }
     }
 
-    /// What the stopping test reads at the present point. A curvature that is wanted for the step from there waits for the test.
+    /// Computes the derivatives for the stopping test at the present point; the curvature for a step follows after the test.
     pub(super) fn derivatives(&mut self) -> Result<Derivatives<P>, Failure> {
         if !self.wants_curvature() {
             let linearization = self.linearize(None)?;
@@ -228,7 +231,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         Ok(Derivatives::Gradient(terms))
     }
 
-    /// The linearization at the present point; with the curvature of the Lagrangian if the terms of its gradient are given.
+    /// Linearizes at the present point, with the curvature of the Lagrangian if the terms of its gradient are given.
     fn linearize(
         &mut self,
         terms: Option<LagrangianTerms<P::Costates>>,
@@ -250,7 +253,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         Ok(linearization)
     }
 
-    /// On the sparse route: the linearization with its states.
+    /// Computes the linearization with states, on the sparse route.
     fn keep_states(&mut self, linearization: &Linearization) -> Result<(), Failure> {
         if self.states.route == QpRoute::Sparse {
             let rows = &linearization.rows;
@@ -292,7 +295,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             elapsed: self.trace.started.elapsed().as_secs_f64(),
             ..IterationRecord::at(iteration, objective, residual, infeasibility)
         });
-        // A point outside of the sets is none that could be used.
+        // A point outside of the sets cannot be used, so its distance counts as infeasibility.
         let here = Best {
             point: Arc::clone(&self.iterate.point),
             multipliers: self.iterate.multipliers.clone(),
@@ -305,27 +308,27 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
-    /// KKT residual of the best point.
+    /// Returns the KKT residual of the best point.
     pub(super) fn best_residual(&self) -> KktResidual {
         self.best.residual
     }
 
-    /// Defects of the states.
+    /// Returns the norm of the states' defects at the present point.
     pub(super) fn defect(&self) -> f64 {
         self.iterate.evaluation.defect
     }
 
-    /// Defects that rounding leaves; 0 as long as no states have been computed.
+    /// Returns the defects that rounding leaves; 0 as long as no rollout was computed.
     pub(super) fn rounding(&self) -> f64 {
         self.iterate.rounding
     }
 
-    /// Why the solve is to end before it is done, if it is.
+    /// Returns the reason to end the solve early, if there is one.
     pub(super) fn stopped(&self) -> Option<Stop> {
         self.program.stop().and_then(StopSignal::raised)
     }
 
-    /// One iteration: subproblems of shrinking trust radius, until one's step is accepted, or a step of the restoration.
+    /// Runs one iteration: subproblems of shrinking trust radius until a step is accepted, or a step of the restoration.
     pub(super) fn step(&mut self, derivatives: Derivatives<P>) -> Result<Step, Breakdown> {
         let mut linearization = match derivatives {
             Derivatives::Linearized(linearization) => *linearization,
@@ -390,7 +393,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         Ok(Step::Refused)
     }
 
-    /// Hessian of this iteration's subproblems.
+    /// Returns the Hessian of this iteration's subproblems.
     fn model_hessian(&mut self, linearization: &Linearization) -> ModelHessian {
         if linearization.curvature.is_none() {
             return ModelHessian::gauss_newton(linearization);
@@ -399,7 +402,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.exact_hessian(linearization, active)
     }
 
-    /// The exact Hessian; where its factorizations take long and the solve is stopped meanwhile, that of Gauss-Newton, which nobody uses.
+    /// Returns the exact Hessian. If the solve is stopped during its factorizations, returns that of Gauss-Newton, which the caller
+    /// discards.
     fn exact_hessian(&self, linearization: &Linearization, active: ActiveSet) -> ModelHessian {
         let sets = self.program.sets();
         let stop = (self.program.stop())
@@ -425,8 +429,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         active
     }
 
-    /// Whether a step leaves some of what the model's Hessian takes for held, where its terms would falsify gradient and multipliers; the
-    /// model is then to be made anew without it.
+    /// Tells whether a step leaves conditions that the model's Hessian treats as active, whose terms would falsify gradient and
+    /// multipliers; the caller then rebuilds the model without them.
     fn lets_go(
         &mut self,
         linearization: &Linearization,
@@ -451,7 +455,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         any
     }
 
-    /// After a subproblem that Clarabel could not solve: a smaller trust region, a few times.
+    /// Shrinks the trust region after a subproblem that Clarabel could not solve; returns the error after [`RESCUES`] of them.
     fn shrink_after(&mut self, error: QpError) -> Result<(), QpError> {
         if let QpError::Status { problem, .. } = &error {
             self.trace.failed_subproblem.clone_from(problem);
@@ -472,7 +476,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     ) {
         let (weight, radius) = (self.elastic_weight.unwrap_or(0.0), self.trust_region.radius);
         if let Some(row) = self.trace.history.last_mut() {
-            row.hessian = kind;
+            row.step.hessian = kind;
             row.slack = solution.slack;
             row.linearized_rows = linearization.rows.len();
             row.working_rows = solution.working.len();
@@ -482,7 +486,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
-    /// Goes to an accepted point.
+    /// Moves the iterate to an accepted point and adapts the trust region.
     fn take(
         &mut self,
         accepted: Accepted<P>,
@@ -497,8 +501,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         let before = self.merit(&self.iterate.evaluation, weight);
         let delivered = before - self.merit(&accepted.evaluation, weight);
         let noise = MERIT_ROUNDING * before.abs() + solution.multipliers.row_noise();
-        // Lifted states are off by their own second order, which near feasibility is all there is to see. Steps of the
-        // exact Hessian contract until rounding, or lead away from a saddle.
+        // Near feasibility, the difference between promised and delivered merit of lifted states is their own second-order error. Steps of
+        // the exact Hessian contract until rounding, or lead away from a saddle.
         let is_blind = promise.abs() <= noise
             || (!accepted.rolled_out
                 && !model.kind.is_second_order()
@@ -510,7 +514,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             let contraction = (self.last()).and_then(|row| row.contraction);
             self.trust_region.contract(contraction, length, size);
         } else {
-            // Every lifted step leaves defects; what it delivers says nothing about the radius.
+            // A lifted step leaves defects, so that its merit does not measure the model.
             let ratio = accepted.rolled_out.then_some(delivered / promise);
             self.trust_region.adapt(ratio, length, size);
         }
@@ -528,12 +532,12 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
     }
 
-    /// Weight of infeasibility in the merit that sizes the trust region: above every multiplier.
+    /// Returns the weight of infeasibility in the merit that adapts the trust radius: above every multiplier.
     fn merit_weight(&self, solution: &QpSolution) -> f64 {
         2.0 * self.largest_multiplier(solution)
     }
 
-    /// What the subproblem promised to take off the merit `J + weight · infeasibility`.
+    /// Returns the decrease of the merit `J + weight · infeasibility` that the subproblem predicts.
     fn promise(
         &self,
         linearization: &Linearization,
@@ -553,7 +557,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         weight * (self.infeasibility() - solution.slack) - bending - slope
     }
 
-    /// `J + weight · infeasibility`
+    /// Returns the merit `J + weight · infeasibility`.
     fn merit(&self, values: &Evaluation<P::Defects>, weight: f64) -> f64 {
         self.program.total_objective(values) + weight * self.program.infeasibility(values)
     }
@@ -575,7 +579,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
     }
 
-    /// Whether several subproblems in a row could not promise a smaller infeasibility, even without a trust region.
+    /// Tells whether [`INFEASIBLE_PATIENCE`] subproblems in a row predicted no smaller infeasibility, even without a trust region.
     fn is_stuck(
         &mut self,
         linearization: &Linearization,
@@ -606,7 +610,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         self.feasibility.stuck >= INFEASIBLE_PATIENCE
     }
 
-    /// Infeasibility that the linearization sees here: its slack without a step.
+    /// Returns the infeasibility of the linearization: its slack at a zero step.
     fn linear_violation(&self, linearization: &Linearization) -> f64 {
         let rows = self
             .working_set
@@ -619,7 +623,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         linearization.offset.iter().map(|c| c.abs()).sum::<f64>() + sum_of_largest(hard)
     }
 
-    /// The accepted step.
+    /// Searches for an acceptable step; `None` if all trial points are rejected.
     fn search(
         &mut self,
         linearization: &Linearization,
@@ -639,23 +643,23 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         verdict
     }
 
-    /// The row of the last iteration.
+    /// Returns the row of the last iteration.
     pub(super) fn last(&self) -> Option<&IterationRecord> {
         self.trace.history.last()
     }
 
-    /// Rows so far.
+    /// Returns the number of rows so far.
     pub(super) fn n_rows(&self) -> usize {
         self.trace.history.len()
     }
 
-    /// What was found.
+    /// Returns the outcome with the best point.
     pub(super) fn end(self, status: SqpStatus) -> SqpOutcome<P::Point> {
         let failed_subproblem = match status {
             SqpStatus::Converged => None,
             _ => self.trace.failed_subproblem,
         };
-        // The best point is then the only one.
+        // Dropping the iterate leaves the best point as the only owner of its point.
         drop(self.iterate);
         SqpOutcome {
             status,
@@ -672,13 +676,13 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 }
 
-/// Whether variables are in all sets, but for rounding; those that are no numbers are not.
+/// Tells whether variables are in all sets up to rounding; variables that are not finite are not.
 fn is_within(sets: &[ConvexSet], variables: &[f64]) -> bool {
     let size = norm(variables).max(1.0);
     (sets.iter()).all(|set| set.violation(variables) <= ROW_TOLERANCE * size)
 }
 
-/// How far variables are from the intersection of the sets; 0 inside.
+/// Returns the distance of variables from the intersection of the sets; 0 inside.
 fn distance_from_sets(sets: &[ConvexSet], variables: &[f64]) -> Result<f64, QpError> {
     if is_within(sets, variables) {
         return Ok(0.0);

@@ -1,27 +1,27 @@
-//! What a solve may do, and when a point is good enough.
+//! Settings of a solve, and the tolerances of its stopping test.
 
 use super::hessian::HessianChoice;
 use super::kept_states::QpRoute;
 
-/// What the solver may do.
+/// Settings of a solve.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SqpSettings {
     /// Largest scaled KKT residual of a converged point.
     pub tolerance: f64,
-    /// Iterations, at most.
+    /// Maximum number of iterations.
     pub max_iterations: usize,
-    /// Part of the objective that passing a saddle must gain for a step to go out of its way.
+    /// A step is lengthened past a saddle if that is expected to lower the objective by this fraction.
     pub saddle_gain: f64,
-    /// Which Hessian.
+    /// Hessian of the subproblems.
     pub hessian: HessianChoice,
-    /// How its subproblems are solved.
+    /// Form of the subproblems.
     pub qp: QpRoute,
-    /// Part of the KKT residual by which a subproblem may violate inequalities that it has not seen; 0 for none, so that every step is
-    /// that of all rows. Far from a solution not every one of them is worth a solve.
+    /// Fraction of the KKT residual by which a subproblem may violate inequalities outside its working set; 0 if every step must meet all
+    /// rows. Far from a solution, not every violated row is worth another solve.
     pub row_accuracy: f64,
 }
 
-/// Part of the objective that is worth passing a saddle for: what the discretization of an ordinary solve is off by.
+/// Default of `saddle_gain`: about the error of the objective that the discretization of an ordinary solve makes.
 pub const SADDLE_GAIN: f64 = 1e-2;
 
 impl Default for SqpSettings {
@@ -38,8 +38,8 @@ impl Default for SqpSettings {
 }
 
 impl SqpSettings {
-    /// What is left of states' defects and of violations, as parts of the tolerance, for which a point counts as feasible; where states that
-    /// were computed leave defects of the size `rounding`.
+    /// Returns the feasibility tolerance on defects or violations: the given fraction of `tolerance`, but not below what rounding leaves;
+    /// `rounding` is the size of the defects that a rollout leaves.
     pub(super) fn feasibility_tolerance(&self, part: f64, rounding: f64) -> f64 {
         (part * self.tolerance)
             .max(FEASIBILITY_FLOOR)
@@ -48,24 +48,26 @@ impl SqpSettings {
     }
 }
 
-/// Rounding of an objective or a merit, relatively.
+/// Relative rounding of an objective or a merit, which are sums over many nodes and times: 100 units in the last place.
 pub(super) const MERIT_ROUNDING: f64 = 100.0 * f64::EPSILON;
-/// Accuracy to which the conditions of a subproblem hold that Newton's method has ended on: rounding.
+/// Relative residual at which Newton's method on the conditions of a subproblem has ended: rounding.
 pub(super) const EXACT: f64 = 1e-12;
-/// Violation of rows and sets, over the variables or the row (at least one), that subproblems leave, and no step can tell from none.
+/// Violation of rows and sets that subproblems leave, relative to the variables or the row (at least one).
 pub(super) const ROW_TOLERANCE: f64 = 1e-9;
-/// The root of rounding: slacks, multipliers, infeasibilities and independent parts of rows that an interior point cannot tell from zero.
+/// About the square root of the machine precision: slacks, multipliers, infeasibilities and independent fractions of rows below it cannot
+/// be told from zero by an interior point.
 pub(super) const NEGLIGIBLE: f64 = 1e-8;
-/// Improvements of a residual, slack or infeasibility to more than this part of what it was are no progress.
+/// A residual, slack or infeasibility that keeps more than this fraction of its value makes no progress.
 pub(super) const PROGRESS: f64 = 0.9;
-/// Part of the tolerance at which the loop stops: what is recomputed elsewhere, by other sums, is then within it.
+/// The loop stops at this fraction of the tolerance, so that values recomputed elsewhere, by sums in another order, are within the
+/// tolerance.
 pub(super) const STOP_PART: f64 = 0.5;
-/// Defects of the states must be this much better than the tolerance: that costs one more iteration at most, and the replay of the
-/// controls shows every digit of them.
+/// The states' defects must be below this fraction of the tolerance. This costs at most one more iteration, and a replay of the controls
+/// shows every digit of the defects.
 pub(super) const DEFECT_PART: f64 = 1e-3;
-/// And constraints and inequalities this much.
+/// Constraints must be met to this fraction of the tolerance.
 pub(super) const VIOLATION_PART: f64 = 1e-2;
-/// The sum of the defects of a long motion cannot be brought much below this: rounding.
+/// Lower limit of the feasibility tolerance: rounding of the sum of the defects of a long motion.
 pub(super) const FEASIBILITY_FLOOR: f64 = 5e-10;
-/// Nor below what it is for computed states, give or take; stiff equations leave more.
+/// Lower limit of the feasibility tolerance, as a multiple of the defects that a rollout leaves; stiff equations leave larger ones.
 pub(super) const ROUNDING_MARGIN: f64 = 3.0;

@@ -1,4 +1,4 @@
-//! The loop, one iteration at a time.
+//! The loop of the solver, one iteration at a time.
 
 use std::ops::ControlFlow;
 
@@ -9,19 +9,19 @@ use super::run::{Run, Step, WarmStart};
 use super::settings::{DEFECT_PART, STOP_PART, SqpSettings, VIOLATION_PART};
 use crate::stop::Stop;
 
-/// What one iteration did.
+/// Result of one iteration.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Iteration {
-    /// Left its point for another.
+    /// The solve goes on from another point.
     Continues,
-    /// Ended the solve.
+    /// The solve has ended.
     Ended(SqpStatus),
 }
 
-/// A solve in progress, whose iterations are the caller's.
+/// A solve in progress whose loop belongs to the caller.
 ///
-/// [`solve`] runs one to its end. A caller that has a deadline, or a program that changes, takes single [steps](Self::step) and begins again
-/// from a [`WarmStart`].
+/// [`solve`] runs a solve to its end. A caller that has a deadline, or a program that changes, takes single [steps](Self::step) and begins
+/// again from a [`WarmStart`].
 pub struct Solver<'a, P: LiftedProgram> {
     run: Run<'a, P>,
     settings: &'a SqpSettings,
@@ -39,10 +39,10 @@ impl<P: LiftedProgram> std::fmt::Debug for Solver<'_, P> {
 }
 
 impl<'a, P: LiftedProgram> Solver<'a, P> {
-    /// A solve from a point.
+    /// Begins a solve at a point.
     ///
     /// # Errors
-    /// The outcome of a solve that cannot begin: the program cannot be evaluated there, or no variables are in all its sets.
+    /// Returns the outcome if the solve cannot begin: the program cannot be evaluated at the point, or its sets have no common point.
     pub fn new(
         program: &'a P,
         start: P::Point,
@@ -56,10 +56,10 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         })
     }
 
-    /// A solve that goes on where another one ended.
+    /// Begins a solve from the end of another one.
     ///
     /// # Errors
-    /// As [`new`](Self::new); and where the program has not as many constraints, inequalities and sets as the multipliers.
+    /// As [`new`](Self::new); also if the numbers of constraints, inequalities and sets of the program are not those of the multipliers.
     pub fn warm(
         program: &'a P,
         start: WarmStart<P::Point>,
@@ -75,7 +75,7 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         }
     }
 
-    /// One iteration: the residual test at the present point, and the step that leaves it. After the end it does nothing more.
+    /// Runs one iteration: the residual test at the present point, and the step that leaves it. After the end it does nothing.
     pub fn step(&mut self) -> Iteration {
         if self.ended.is_none() {
             self.ended = self.iterate();
@@ -87,26 +87,26 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         }
     }
 
-    /// The row of the last iteration, where it came to the residual test.
+    /// Returns the row of the last iteration, if one has reached the residual test.
     #[must_use]
     pub fn last(&self) -> Option<&IterationRecord> {
         self.run.last()
     }
 
-    /// What another solve needs to go on from the present point.
+    /// Returns the data from which another solve can go on at the present point.
     #[must_use]
     pub fn warm_start(&self) -> WarmStart<P::Point> {
         self.run.warm_start()
     }
 
-    /// What was found. A solve that has not ended was stopped.
+    /// Returns the outcome. A solve that has not ended is reported as interrupted.
     #[must_use]
     pub fn finish(self) -> SqpOutcome<P::Point> {
         let status = self.ended.unwrap_or(SqpStatus::Stopped(Stop::Interrupted));
         self.run.end(status)
     }
 
-    /// The residual test, and a step; a status where the solve ends.
+    /// Runs the residual test and a step; returns the status if the solve ends.
     fn iterate(&mut self) -> Option<SqpStatus> {
         let (run, settings) = (&mut self.run, self.settings);
         let may_go_on = self.iteration < settings.max_iterations;
@@ -123,7 +123,7 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
             return Some(SqpStatus::Converged);
         }
         let run = &mut self.run;
-        // At rounding no step can be an improvement any more; and what was left half done says nothing about the problem.
+        // A step from a solution to rounding cannot improve it, and an unfinished iteration says nothing about the problem.
         let is_good = |run: &Run<P>| run.best_residual().max() <= settings.tolerance;
         let or_converged = |run: &Run<P>, status| {
             Some(if is_good(run) {
@@ -156,7 +156,7 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         None
     }
 
-    /// Whether the present point is a solution.
+    /// Tells whether the present point is a solution.
     fn is_solution(&self, residual: &KktResidual) -> bool {
         let (run, settings) = (&self.run, self.settings);
         let stop = STOP_PART * settings.tolerance;
@@ -167,7 +167,7 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
     }
 }
 
-/// Solves a program from `start`; `observer` sees every row as it is written and may stop the solve.
+/// Solves a program from `start`; `observer` gets every row of the iteration table and may stop the solve.
 pub fn solve<P: LiftedProgram>(
     program: &P,
     start: P::Point,
@@ -180,7 +180,7 @@ pub fn solve<P: LiftedProgram>(
     }
 }
 
-/// [`solve`] from where another solve ended.
+/// Solves a program from the end of another solve; otherwise as [`solve`].
 pub fn solve_warm<P: LiftedProgram>(
     program: &P,
     start: WarmStart<P::Point>,
@@ -205,7 +205,7 @@ fn run_to_end<P: LiftedProgram>(
             _ => ControlFlow::Continue(()),
         };
         match (iteration, shown) {
-            // Already ending: a request to stop changes nothing.
+            // The solve has ended, so that a request to stop has no effect.
             (Iteration::Ended(_), _) => return solver.finish(),
             (Iteration::Continues, ControlFlow::Break(stop)) => {
                 return solver.run.end(SqpStatus::Stopped(stop));

@@ -1,4 +1,4 @@
-//! What a solve has done so far.
+//! The record of a solve in progress.
 
 use std::time::Instant;
 
@@ -6,12 +6,12 @@ use super::outcome::{IterationRecord, Leave, PhaseTimes};
 use super::program::LiftedProgram;
 use super::trial::Accepted;
 
-/// Rows of the iterations, times of the phases, failures of subproblems.
+/// Rows of the iterations, seconds of the phases, and failed subproblems.
 pub(super) struct Trace {
     pub(super) started: Instant,
     pub(super) history: Vec<IterationRecord>,
     pub(super) phases: PhaseTimes,
-    /// Subproblems without a solution, and the last of them as Clarabel's own JSON.
+    /// Number of subproblems without a solution, and the last of them as Clarabel's own JSON.
     pub(super) failures: usize,
     pub(super) failed_subproblem: Option<String>,
 }
@@ -27,21 +27,21 @@ impl Trace {
         }
     }
 
-    /// Writes an accepted step of this length into the present row.
+    /// Writes an accepted step of the given length into the present row.
     pub(super) fn note_step<P: LiftedProgram>(&mut self, accepted: &Accepted<P>, length: f64) {
         let before = (self.history.iter().rev())
             .map(|row| row.step_norm)
             .find(|&step| step > 0.0);
         if let Some(row) = self.history.last_mut() {
-            row.left = if length > 0.0 {
+            row.step.left = if length > 0.0 {
                 Leave::Step
             } else {
                 Leave::Settled
             };
             row.step_norm = length;
             row.contraction = before.map(|before| length / before);
-            row.corrections = accepted.corrections;
-            row.rolled_out = accepted.rolled_out;
+            row.step.corrections = accepted.corrections;
+            row.step.rolled_out = accepted.rolled_out;
         }
     }
 }

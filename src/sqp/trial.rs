@@ -1,36 +1,36 @@
-//! Trial points of a step: its lifted point, whose states move linearly, and the point whose states obey their equations. Who refuses both
-//! shrinks the trust region.
+//! Trial points of a step: the lifted point, whose states move linearly, and the rollout, whose states obey their equations. If both are
+//! rejected, the trust region shrinks.
 
 use super::filter::{Filter, Measure, Slope};
 use super::kkt::{Multipliers, norm};
 use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
 use super::quadratic_program::QuadraticProgram;
 
-/// A lifted step is tried when its turns are within what the charts allow, and kept when it is no less feasible than the point it
-/// leaves or than this: beyond, its defects are worse than what simulated states cost.
+/// A lifted point is kept only if its infeasibility does not exceed that of the point it leaves, or this value in the units of scaled rows:
+/// larger defects would cost more iterations than a rollout costs.
 const LIFTED_INFEASIBILITY: f64 = 1.0;
-/// Part of the variables (at least of one) up to which a step is short.
+/// A step is short up to this fraction of the norm of the variables (at least one).
 const SHORT: f64 = 0.1;
-/// After a lifted step was refused, one of this part of its length is tried next: longer ones would be computed to be refused as well.
+/// After a lifted point was refused, the next one is tried at this fraction of that step's length: longer ones would be refused as well.
 const SHORTER: f64 = 0.5;
 
 /// An accepted step.
 pub struct Accepted<P: LiftedProgram> {
     /// The new point.
     pub point: P::Point,
-    /// Its values.
+    /// Values at the new point.
     pub evaluation: Evaluation<P::Defects>,
-    /// Whether the states were computed from the variables rather than moved linearly.
+    /// Tells whether the states are a rollout of the variables rather than a linear step.
     pub rolled_out: bool,
-    /// Second-order corrections it took.
+    /// Number of second-order corrections.
     pub corrections: usize,
 }
 
-/// Values of a refused step's simulated point. The point itself, as large as all else together, is not kept.
+/// Values of a refused rollout. The point itself is not kept, because it is larger than all other data together.
 pub struct Refused {
-    /// Its constraints.
+    /// Equality constraints `c`.
     pub constraints: Vec<f64>,
-    /// Its path inequalities.
+    /// Inequalities `h`.
     pub inequalities: Vec<f64>,
     /// [`LiftedProgram::infeasibility`]
     pub infeasibility: f64,
@@ -47,11 +47,11 @@ impl Refused {
 }
 
 impl Filter {
-    /// Tries the step `change` of a subproblem: its lifted point, and the point whose states obey their equations under the same
-    /// variables; then second-order corrections of that. As a rule the lifted point comes first, since it is linear where the states'
-    /// answer is not; of a short step of second order the other, which costs a third and leaves no defects.
+    /// Tries the step `change` of a subproblem: its lifted point, and the rollout of the same variables, then second-order corrections of
+    /// the rollout. The lifted point comes first, since it is linear where the response of the states is not; after a short step with an
+    /// exact Hessian the rollout comes first, which costs a third as much and leaves no defects.
     ///
-    /// `None` when all are refused: the trust region must shrink.
+    /// Returns `None` if all are refused: the trust region must shrink.
     pub fn accept<P: LiftedProgram>(
         &mut self,
         program: &P,
@@ -75,7 +75,7 @@ impl Filter {
         self.correct(program, from, subproblem, change, &refused?, slope)
     }
 
-    /// The simulated point; its values where it is refused, and nothing where it cannot be computed.
+    /// Tries the rollout. Returns its values as an error if the filter refuses it, and no values if it cannot be computed.
     fn try_rollout<P: LiftedProgram>(
         &mut self,
         program: &P,
@@ -92,7 +92,7 @@ impl Filter {
         Err(Some(Refused::of(&trial.evaluation, there.infeasibility)))
     }
 
-    /// The point of a step whose states obey their equations; `None` where the model fails.
+    /// Returns the rollout of the variables after a step; `None` if the model fails.
     pub(super) fn rollout<P: LiftedProgram>(
         program: &P,
         from: &P::Point,
@@ -110,7 +110,7 @@ impl Filter {
         })
     }
 
-    /// The lifted point, unless one at about this length was refused before.
+    /// Tries the lifted point, unless one of about this length was refused before.
     fn try_lifted<P: LiftedProgram>(
         &mut self,
         program: &P,
@@ -165,15 +165,15 @@ impl Filter {
 pub struct Departure<'a, P: LiftedProgram> {
     /// The point.
     pub point: &'a P::Point,
-    /// Its values.
+    /// Values of the point.
     pub evaluation: &'a Evaluation<P::Defects>,
-    /// Its linearization.
+    /// Linearization at the point.
     pub linearization: &'a Linearization,
-    /// Of the linearized inequalities.
+    /// Softness of the linearized inequalities.
     pub softness: &'a [Softness],
-    /// Of the subproblem whose step is judged.
+    /// Multipliers of the subproblem whose step is under test.
     pub multipliers: &'a Multipliers,
-    /// Whether that held the second derivative of the Lagrangian.
+    /// Tells whether that subproblem has the second derivative of the Lagrangian.
     pub is_second_order: bool,
     /// [`QpSolution::returned`](super::quadratic_program::QpSolution::returned) of its step.
     pub returned: &'a [f64],
@@ -206,7 +206,7 @@ impl<P: LiftedProgram> Departure<'_, P> {
         }
     }
 
-    /// First-order change of the objective over a step; soft rows by their linear models, whose price is convex.
+    /// Returns the first-order change of the objective over a step; soft rows count by the penalty of their linear models.
     #[must_use]
     pub fn slope(&self, change: &[f64]) -> f64 {
         let linearization = self.linearization;

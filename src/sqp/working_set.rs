@@ -1,16 +1,16 @@
-//! Which inequalities the subproblems see.
+//! The inequalities that subproblems have.
 
 use super::program::Softness;
 
-/// The inequalities that are linearized, and those of them that mattered.
+/// The linearized inequalities, and those among them that the last subproblem used.
 pub(super) struct WorkingSet {
-    /// Inequalities above minus this are linearized from the start.
+    /// Inequalities above minus this value are linearized from the start.
     pub(super) screening_margin: f64,
-    /// Of every linearized inequality.
+    /// Softness of every linearized inequality.
     pub(super) softness: Vec<Softness>,
     /// Group of every linearized inequality.
     pub(super) groups: Vec<usize>,
-    /// Inequalities of the last subproblem that Clarabel saw.
+    /// Inequalities in Clarabel's last problem.
     pub(super) last: Vec<usize>,
 }
 

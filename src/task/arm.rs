@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::discretization::Discretization;
+pub use crate::mechanics::Place;
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::from_direction;
 use crate::mechanics::{
@@ -10,50 +11,6 @@ use crate::mechanics::{
     RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State, TimeScheme,
 };
 use crate::stop::StopSignal;
-
-/// A place along an arm.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Place {
-    /// The base, where the arm is held.
-    Base,
-    /// Its free end.
-    #[default]
-    Tip,
-    /// The arc coordinate at rest over the length, from 0 at the base to 1 at the tip. A discretization takes the nearest node.
-    Fraction(f64),
-}
-
-impl Place {
-    /// The place of a node of a rod of `elements`.
-    #[must_use]
-    pub fn of_node(node: usize, elements: usize) -> Self {
-        match node {
-            0 => Self::Base,
-            last if last == elements => Self::Tip,
-            _ => Self::Fraction(node as f64 / elements as f64),
-        }
-    }
-
-    /// Arc coordinate at rest over the length.
-    #[must_use]
-    pub fn fraction(self) -> f64 {
-        match self {
-            Self::Base => 0.0,
-            Self::Tip => 1.0,
-            Self::Fraction(s) => s,
-        }
-    }
-
-    /// The nearest node of a rod of `elements`.
-    #[must_use]
-    pub fn node(self, elements: usize) -> usize {
-        match self {
-            Self::Base => 0,
-            Self::Tip => elements,
-            Self::Fraction(s) => ((s * elements as f64).round() as usize).min(elements),
-        }
-    }
-}
 
 /// A given force and moment at a place of the arm.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -83,7 +83,9 @@ pub(super) fn check_contradictions(
                 .binary_search(&goal.goal.time_node)
                 .is_ok();
             let found = match constraint.limit {
-                PathLimit::Speed { node, largest } if node == goal.goal.node => {
+                PathLimit::Speed { at, largest }
+                    if at.node(problem.rod.n_elements()) == goal.goal.node =>
+                {
                     too_fast(problem, goal, &wanted, largest)
                 }
                 PathLimit::Stretch { largest, .. } if is_kept => {

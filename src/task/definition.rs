@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::arm::{Place, Start};
 use crate::control::{
-    Bound, Channel, FreeDuration, PathEnforcement, Shape, SharedActuator, SharedTerm, StateCost,
+    Bound, Channel, FreeDuration, PathEnforcement, PathLimit, SharedActuator, StateCost,
 };
 
 /// Whether a goal must be met, or is paid for.
@@ -162,57 +162,25 @@ impl Default for Cost {
     }
 }
 
-/// A quantity that is limited at all times.
-#[derive(Clone, Debug, PartialEq)]
-pub enum LimitKind {
-    /// The arm, with its radius, stays `margin` in m clear of an obstacle.
-    Clearance {
-        /// The obstacle, where it is at t = 0.
-        shape: Shape,
-        /// How it moves, m/s.
-        velocity: Vector3<f64>,
-        /// Clearance, m.
-        margin: f64,
-    },
-    /// Length of any piece of the arm over that at rest.
-    Stretch {
-        /// Least.
-        least: f64,
-        /// Largest.
-        largest: f64,
-    },
-    /// Bending curvature, 1/m.
-    Curvature {
-        /// Largest.
-        largest: f64,
-    },
-    /// Twist, 1/m.
-    Twist {
-        /// Largest.
-        largest: f64,
-    },
-    /// Speed of a place, m/s.
-    Speed {
-        /// The place on the arm.
-        at: Place,
-        /// Largest.
-        largest: f64,
-    },
-    /// Every value of a term of one's own is at most zero.
-    Term(SharedTerm),
-}
-
 /// A limit with the rate at which it is evaluated and its enforcement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limit {
     /// Name in reports.
     pub name: String,
     /// The quantity that is limited.
-    pub kind: LimitKind,
+    pub kind: PathLimit,
     /// Times per second at which it is kept, Hz. `None`: at every time step, or at about 1000 times of a longer motion.
     pub rate: Option<f64>,
     /// Hard, or at a price per scaled violation and second.
     pub enforcement: PathEnforcement,
+}
+
+impl Limit {
+    /// Tells whether the limit keeps the arm clear of an obstacle.
+    #[must_use]
+    pub fn is_obstacle(&self) -> bool {
+        matches!(self.kind, PathLimit::Clearance { .. })
+    }
 }
 
 /// Limits of one of the two vectors of a wrench.

@@ -6,14 +6,13 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::arm::Arm;
 use super::contradictions::check_contradictions;
-use super::definition::{Hardness, LimitKind, Rest, Staying, Target, Task};
+use super::definition::{Hardness, Rest, Staying, Target, Task};
 use super::discretization::Discretization;
 use super::error::{DiscretizeError, Obstruction};
 use super::own;
 use super::prediction::{Work, automatic_scheme, prefers_segments};
 use super::staying::stay;
 use super::tracking::default_weights;
-use crate::control::path::thinnest;
 use crate::control::{
     ActuatedNode, ControlGrid, Enforcement, Goal, GoalPart, Objective, OptimalControlProblem,
     PathConstraint, PathEnforcement, PathLimit, RodView, Tracking,
@@ -482,37 +481,6 @@ impl Task {
                 enforcement: limit.enforcement,
             })
             .collect()
-    }
-}
-
-impl LimitKind {
-    /// The limit on a rod whose nodes have these radii in m.
-    #[must_use]
-    pub fn on(&self, rod: &Rod, radii: &[f64]) -> PathLimit {
-        match self.clone() {
-            Self::Clearance {
-                shape,
-                velocity,
-                margin,
-            } => {
-                let chord = (rod.rest_chords.iter().copied()).fold(0.0, f64::max);
-                let radius = shape.least_radius() + thinnest(radii) + margin;
-                PathLimit::Clearance {
-                    shape,
-                    velocity,
-                    margin,
-                    points: PathLimit::points_per_element(chord, radius),
-                }
-            }
-            Self::Stretch { least, largest } => PathLimit::Stretch { least, largest },
-            Self::Curvature { largest } => PathLimit::Curvature { largest },
-            Self::Twist { largest } => PathLimit::Twist { largest },
-            Self::Speed { at, largest } => PathLimit::Speed {
-                node: at.node(rod.n_elements()),
-                largest,
-            },
-            Self::Term(term) => PathLimit::Term(term),
-        }
     }
 }
 

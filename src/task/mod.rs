@@ -31,10 +31,11 @@ pub mod prediction;
 pub(crate) mod staying;
 mod tracking;
 
+pub use crate::control::PathLimit;
 pub use arm::{Arm, Place, PointLoad, Start, StartShape};
 pub use definition::{
-    ChannelLimits, ControlGroup, Cost, Hardness, Limit, LimitKind, OwnActuator, Rest, Staying,
-    Target, Task, Tolerances, Track, WrenchActuator,
+    ChannelLimits, ControlGroup, Cost, Hardness, Limit, OwnActuator, Rest, Staying, Target, Task,
+    Tolerances, Track, WrenchActuator,
 };
 pub use discretization::Discretization;
 pub(crate) use discretize::MOST_STEPS;

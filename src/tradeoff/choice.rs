@@ -1,4 +1,4 @@
-//! The coarsest grid on which a simulation is accurate enough.
+//! The search for the coarsest grid on which a simulation is accurate enough.
 
 use super::grid::{self, End, Estimate, Grid, LONGEST, Measured, Order, Rule};
 use super::motion::{Motion, Run, RunError, Setup};
@@ -8,16 +8,16 @@ use crate::stop::StopSignal;
 use crate::task::Discretization;
 use crate::task::prediction::{FEWEST_ELEMENTS, Work, first_elements};
 
-/// Cap on the elements of a first grid, also where fewer cannot show the arm or its motion: eight times the fewest.
+/// Cap on the elements of a first grid, also if fewer cannot represent the arm or its motion: eight times the fewest.
 const MOST_AT_FIRST: usize = 8 * FEWEST_ELEMENTS;
-/// Steps that are solved for begin so much longer than automatic ones, which allow for an arm that is bent into a circle (decision 77): an arm that bends
-/// through a quarter of that.
+/// First length of implicit steps, relative to the automatic one. The automatic step allows for an arm that is bent into a circle (decision
+/// 77); this one allows for an arm that bends through a quarter of that.
 const LONGER: f64 = 4.0;
-/// Cap on the halvings of steps where a motion breaks down, as where a sudden load bends an arm into more than a circle: the shortest step over the
-/// automatic one.
+/// Lower limit of the length of steps, relative to the automatic one; it caps the halvings of the step when a motion breaks down, such as
+/// when a sudden load bends an arm into more than a circle.
 const SHORTEST: f64 = 1.0 / 16.0;
-/// Motions of a search, as if all took as long as that on its first grid, by which its integrator is chosen: the three coarse ones, and one that is
-/// finer.
+/// Duration of the work of a search, as a multiple of its motion, from which its integrator is chosen: the three coarse motions and a finer
+/// one.
 const MOTIONS: f64 = 5.0;
 
 /// A grid that is accurate enough.
@@ -25,43 +25,43 @@ const MOTIONS: f64 = 5.0;
 pub struct Choice {
     /// The discretization; nothing in it is left open.
     pub discretization: Discretization,
-    /// Estimated error of any place at any time, over the length.
+    /// Estimated largest position error of any place at any time, divided by the length.
     pub error: f64,
-    /// Parts of it that elements and steps make, as the model has them.
+    /// Parts of the error that elements and steps make, by the model of the error.
     pub parts: [f64; 2],
-    /// The grids that were tried, in order.
+    /// The measured grids, in order.
     pub levels: Vec<Level>,
 }
 
-/// Why there is no grid.
+/// The reason why no grid was found.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum ChoiceError {
-    /// A motion that was not simulated.
+    /// A motion could not be simulated.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// Errors that do not fall with finer grids.
+    /// Errors do not fall with finer grids.
     #[error(
         "an accuracy of {accuracy:e} of the length is out of reach: with {elements} elements and steps of {step:.3e} s the motion still changes by \
          about {error:.1e}, and finer grids change that little; such a motion depends on its smallest details: shorten it, add the damping that the \
          material has, or let loads grow in time; or give rod.elements"
     )]
     Stalled {
-        /// What was asked, over the length.
+        /// Requested accuracy, divided by the length.
         accuracy: f64,
-        /// What the last grid is estimated to have, over the length.
+        /// Estimated error on the last grid, divided by the length.
         error: f64,
-        /// Its elements.
+        /// Elements of the last grid.
         elements: usize,
-        /// Its step, s.
+        /// Step of the last grid, s.
         step: f64,
     },
-    /// A grid that nobody waits for.
+    /// The required grid would take too long.
     #[error(
         "an accuracy of {accuracy:e} of the length needs about {elements} elements and steps of {step:.3e} s, which would take some {hours:.0} hours; ask \
          for less, or give rod.elements"
     )]
     TooLong {
-        /// What was asked, over the length.
+        /// Requested accuracy, divided by the length.
         accuracy: f64,
         /// Elements.
         elements: usize,
@@ -72,12 +72,12 @@ pub enum ChoiceError {
     },
 }
 
-/// The coarsest grid on which no place of the arm is ever further than `accuracy` lengths from where it should be, as far as can be estimated.
+/// Finds the coarsest grid on which the estimated error of no place at any time exceeds `accuracy` lengths.
 ///
-/// `base` has what is not chosen: strain rule, integrator and rotary inertia, where they are given, and controls.
+/// `base` has what is not chosen: strain rule, integrator and rotary inertia if they are given, and controls.
 ///
 /// # Errors
-/// [`ChoiceError`]
+/// Returns [`ChoiceError`] if no grid is accurate enough or a motion cannot be simulated.
 pub fn choose(
     motion: &Motion,
     base: &Discretization,
@@ -87,10 +87,10 @@ pub fn choose(
     choose_telling(motion, base, accuracy, stop, &|_, _| ())
 }
 
-/// [`choose`]; `tell` is called before every motion, with its elements and the time that it is predicted to take, s.
+/// Finds a grid as [`choose`] does; `tell` is called before every motion, with its elements and its predicted time, s.
 ///
 /// # Errors
-/// [`ChoiceError`]
+/// As [`choose`].
 pub fn choose_telling(
     motion: &Motion,
     base: &Discretization,
@@ -159,7 +159,7 @@ pub fn choose_telling(
 }
 
 impl Choice {
-    /// What was chosen for the accuracy that was asked, in the numbers and the sentence of a summary.
+    /// Returns the choice and the requested accuracy as the numbers and the sentence of a summary.
     #[must_use]
     pub fn summary(self, asked: f64) -> AccuracySummary {
         let grid = Grid {
@@ -184,18 +184,19 @@ fn too_long(accuracy: f64, wanted: Grid, seconds: f64) -> ChoiceError {
 }
 
 impl ChoiceError {
-    /// Whether a motion came to no end of its own.
+    /// Tells whether the motion broke down before its end.
     fn breaks_down(&self) -> bool {
         matches!(self, Self::Run(RunError::Step(error)) if !matches!(error, StepError::Stopped(_)))
     }
 
-    /// Whether more elements may help.
+    /// Tells whether more elements may help.
     fn is_of_coarse_grids(&self) -> bool {
         self.breaks_down() || matches!(self, Self::Run(RunError::Discretize(_)))
     }
 }
 
-/// What all grids of a search have: its first motion is the fastest, and would by itself be simulated by the integrator of short work.
+/// Returns the discretization that all grids of a search share. Its integrator is chosen for the work of the whole search: the first motion
+/// alone is short work, for which another one would be chosen.
 fn suited(
     motion: &Motion,
     base: &Discretization,
@@ -209,7 +210,7 @@ fn suited(
         let found = (motion.arm).choose(&first, MOTIONS * motion.duration, Work::Simulation);
         match found {
             Ok((base, _)) => return Ok(base),
-            // Few elements may be unable to show the arm's shape at rest.
+            // Too few elements may be unable to represent the rest shape.
             Err(_) if first.elements < MOST_AT_FIRST => first.elements *= 2,
             Err(error) => return Err(RunError::from(error).into()),
         }
@@ -218,12 +219,12 @@ fn suited(
 
 struct Search<'a> {
     motion: &'a Motion,
-    /// What every grid has: one motion is simulated by one integrator, with one inertia.
+    /// Discretization that all grids share: one motion is simulated with one integrator and one inertia.
     base: Discretization,
     accuracy: f64,
     stop: &'a StopSignal,
     tell: &'a dyn Fn(usize, f64),
-    /// Longest step over the automatic one.
+    /// Longest step divided by the automatic one.
     longer: f64,
     levels: Vec<Level>,
     /// The motion on the last grid.
@@ -231,8 +232,8 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// A run with no longer steps than those of `grid`, or than the longest that is tried; with shorter ones where the motion breaks down, the
-    /// shortest of them `shortest` times as long as the automatic step.
+    /// Simulates with steps no longer than those of `grid` and than the longest that are tried. Halves the steps while the motion breaks
+    /// down, down to `shortest` times the automatic step.
     fn run(&mut self, grid: Grid, shortest: f64) -> Result<Run, ChoiceError> {
         loop {
             match self.try_run(grid) {
@@ -266,7 +267,7 @@ impl Search<'_> {
         Ok(self.setup(grid)?.predicted())
     }
 
-    /// Three coarse runs, with more elements where they break down, and with steps shorter than automatic ones where that does not help.
+    /// Runs three coarse motions; with more elements while they break down, and then with steps shorter than automatic ones.
     fn coarse(&mut self, first: usize) -> Result<(Run, Estimate), ChoiceError> {
         let mut shortest = 1.0;
         let mut elements = first;
@@ -284,7 +285,8 @@ impl Search<'_> {
         }
     }
 
-    /// A coarse grid, compared with one of half the step and one of twice the elements, each of which lacks a quarter of what the coarse one lacks.
+    /// Compares a coarse grid with one of half the step and with one of twice the elements, either of which has a quarter of the respective
+    /// error of the coarse one.
     fn coarse_with(
         &mut self,
         elements: usize,
@@ -307,7 +309,7 @@ impl Search<'_> {
             },
             shortest,
         )?;
-        // Explicit steps have to be shorter on shorter elements.
+        // Shorter elements need shorter explicit steps.
         let is_explicit = coarse.discretization.scheme == Some(TimeScheme::Explicit);
         let like = if is_explicit { &in_time } else { &coarse };
         let finer = Grid {
@@ -328,7 +330,7 @@ impl Search<'_> {
         Ok((coarse, Estimate { grid, parts }))
     }
 
-    /// A finer grid, compared with the last one.
+    /// Runs a finer grid and compares it with the last one.
     fn finer(&mut self, grid: Grid, before: &Estimate) -> Result<(Run, Estimate), ChoiceError> {
         let run = self.run(grid, SHORTEST)?;
         let distance = self.last.as_ref().map_or(f64::INFINITY, |last| {

@@ -1,20 +1,20 @@
-//! Processor time: unlike the time on the wall, it does not grow while others compute on the same machine.
+//! A clock of processor time, which unlike wall time does not grow while other programs compute on the same machine.
 
 use std::time::Instant;
 
-/// A clock of the processor time of this process, all threads together; of the time on the wall where the system does not tell.
+/// A clock of the processor time of this process, all threads together; of wall time if the system does not report it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Clock {
     wall: Instant,
     processor: Option<f64>,
 }
 
-/// Seconds of a piece of work.
+/// Seconds that a piece of work took.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seconds {
-    /// On the wall.
+    /// Wall time, s.
     pub wall: f64,
-    /// Of the processor.
+    /// Processor time, s.
     pub processor: f64,
 }
 
@@ -47,8 +47,8 @@ fn processor_seconds() -> Option<f64> {
     None
 }
 
-/// The least of some times, and of how many runs, with those of more runs where they are short: until five are made or the time for them is
-/// over.
+/// Returns the least of the times of several runs, and their number. Runs are repeated up to [`MOST_RUNS`] times, as long as [`FOR_RUNS_S`]
+/// allows another one.
 pub(super) fn least<E>(
     first: Seconds,
     mut again: impl FnMut() -> Result<Seconds, E>,
@@ -66,5 +66,5 @@ pub(super) fn least<E>(
 
 /// Cap on the runs of one setting.
 const MOST_RUNS: usize = 5;
-/// Cap on the seconds of all runs of one setting, where the first does not take longer.
+/// Cap on the seconds of all runs of one setting after the first.
 const FOR_RUNS_S: f64 = 4.0;

@@ -1,4 +1,4 @@
-//! A motion as any discretization shows it: poses at the same places of the arm and at the same times.
+//! A motion sampled independently of its discretization: poses at the same places of the arm and at the same times.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -26,45 +26,45 @@ struct Glimpse {
     energy: f64,
 }
 
-/// A motion, sampled.
+/// A sampled motion.
 #[derive(Clone, Debug)]
 pub struct Course {
     glimpses: Vec<Glimpse>,
-    /// Largest angle between neighboring nodes over their distance at rest, at any of the times, 1/m.
+    /// Largest angle between neighboring nodes divided by their distance at rest, at any of the times, 1/m.
     curvature: f64,
 }
 
-/// How far a motion is from another one of the same arm.
+/// Differences between two motions of the same arm.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Errors {
-    /// Distance of the tips at the end, over the length.
+    /// Distance of the tips at the end, divided by the length.
     #[serde(deserialize_with = "number")]
     pub tip_end: f64,
-    /// Largest distance of the tips at any time, over the length.
+    /// Largest distance of the tips at any time, divided by the length.
     #[serde(deserialize_with = "number")]
     pub tip: f64,
-    /// Largest distance of any place at any time, over the length; what a tolerance is about.
+    /// Largest distance of any place at any time, divided by the length; the quantity that tolerances limit.
     #[serde(deserialize_with = "number")]
     pub shape: f64,
     /// Largest angle between the tips at any time, rad.
     #[serde(deserialize_with = "number")]
     pub orientation_rad: f64,
-    /// Largest difference of kinetic and elastic energy at any time, over the largest such energy.
+    /// Largest difference of kinetic and elastic energy at any time, divided by the largest such energy.
     #[serde(deserialize_with = "number")]
     pub energy: f64,
-    /// Difference of the largest curvature, over that curvature.
+    /// Difference of the largest curvatures, divided by the largest curvature.
     #[serde(deserialize_with = "number")]
     pub curvature: f64,
 }
 
-/// Reads a number that is not finite from where JSON has `null` for it.
+/// Reads a number for which JSON has `null` if it is not finite.
 pub(super) fn number<'de, D: serde::Deserializer<'de>>(source: D) -> Result<f64, D::Error> {
     let number: Option<f64> = serde::Deserialize::deserialize(source)?;
     Ok(number.unwrap_or(f64::NAN))
 }
 
 impl Errors {
-    /// All of them times a factor.
+    /// Returns all differences multiplied by a factor.
     #[must_use]
     pub fn times(self, factor: f64) -> Self {
         Self {
@@ -78,17 +78,17 @@ impl Errors {
     }
 
     fn is_finite(&self) -> bool {
-        // Sums of positive numbers are finite only where all are.
+        // A sum of nonnegative numbers is finite only if all of them are.
         (self.tip_end + self.shape + self.orientation_rad + self.energy + self.curvature)
             .is_finite()
     }
 }
 
 impl Course {
-    /// Simulates a rod under a control, with the times of the comparison at `grid.n_steps / `[`TIMES`] steps from each other.
+    /// Simulates a rod under a control and samples it at [`TIMES`]` + 1` times, `grid.n_steps / `[`TIMES`] steps apart.
     ///
     /// # Errors
-    /// [`StepError`] with node, step and time, also where `stop` is raised.
+    /// Returns [`StepError`] with node, step and time, also if `stop` is raised.
     pub(super) fn of(
         rod: &Rod,
         grid: TimeGrid,
@@ -99,7 +99,7 @@ impl Course {
         Self::of_times(rod, grid, initial, control, TIMES, stop)
     }
 
-    /// The same with `times` intervals between the times of the comparison, a part of the steps.
+    /// Simulates as [`Self::of`] with `times` intervals between the times of the comparison; `times` must divide the number of steps.
     pub(super) fn of_times(
         rod: &Rod,
         grid: TimeGrid,
@@ -143,7 +143,7 @@ impl Course {
         }
     }
 
-    /// How far this motion is from `other`, of an arm of `length` m; infinite where either is not finite.
+    /// Returns the differences between this motion and `other`, of an arm of `length` m; infinite if either motion is not finite.
     #[must_use]
     pub fn errors(&self, other: &Self, length: f64) -> Errors {
         let mut out = Errors::default();
@@ -177,7 +177,7 @@ impl Course {
     }
 }
 
-/// The larger one, and not a number where either is none.
+/// Returns the larger number, or NaN if either is NaN.
 fn worse(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() {
         f64::NAN
@@ -186,7 +186,7 @@ fn worse(a: f64, b: f64) -> f64 {
     }
 }
 
-/// Steps through a motion; `see` looks at every time node.
+/// Steps through a motion; `see` is called at every time node.
 pub(super) fn advance(
     rod: &Rod,
     grid: TimeGrid,

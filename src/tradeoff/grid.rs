@@ -1,22 +1,23 @@
 //! The search for the coarsest grid that is accurate enough: one for simulations, solves, statics, and the reference of a sweep.
 //!
-//! The error on `K` elements with steps of `h` is modelled as `a/K² + b h²`, the orders of the rod and of its integrators, and the time as
-//! proportional to the node-steps, `K/h`. Every grid is measured: the motion on it is compared with that on another grid, which gives both
-//! parts of its error. While these are too large, the model gives the grid of least time that is accurate enough, and the search goes on there.
+//! The error on `K` elements with steps of `h` is modelled as `a/K² + b h²`, by the orders of the rod and of its integrators, and the time
+//! as proportional to the node-steps, `K/h`. Every grid is measured: the motion on it is compared with that on another grid, which gives
+//! both parts of its error. While these are too large, the model gives the grid of least time that is accurate enough, and the search
+//! continues there.
 
 use crate::output::summary::{AccuracySummary, Level};
 use crate::scene::MOST_ELEMENTS;
 
-/// Estimated errors may be wrong by this part: Richardson's extrapolation from two grids knows the order only roughly, and on stiff wires was
-/// seen a quarter too low (decision 76).
+/// Relative error of an estimated error: Richardson's extrapolation from two grids knows the order only roughly, and on stiff wires an
+/// estimate was a quarter too low (decision 76).
 const WRONG: f64 = 0.25;
-/// Cap on the refinement by a search: its last grid is up to so many times as fine as its first one.
+/// Cap on the refinement by a search: its last grid is at most this many times as fine as its first one.
 const FINEST: f64 = 32.0;
-/// Default cap on the predicted time of work on one grid that is chosen for somebody, s.
+/// Default cap on the predicted time of work on one automatically chosen grid, s.
 pub(super) const LONGEST: f64 = 3600.0;
-/// Observed order below which finer grids change a motion as much as coarse ones: a quarter of the order that all methods have.
+/// Observed order below which refinement is taken to have no effect: a quarter of the order 2 that all methods have.
 pub(super) const NO_ORDER: f64 = 0.5;
-/// Finer grids without an order before a search ends: one may be the first that shows the shape.
+/// Cap on the finer grids without an order before a search ends: the first of them may be the first that resolves the shape.
 const WITHOUT_ORDER: usize = 2;
 
 /// Elements and a time step.
@@ -24,12 +25,12 @@ const WITHOUT_ORDER: usize = 2;
 pub struct Grid {
     /// Elements.
     pub elements: usize,
-    /// The longest step, s.
+    /// Longest step, s.
     pub step: f64,
 }
 
 impl Grid {
-    /// By how much this grid is finer than another, in elements and in steps.
+    /// Returns the ratios of this grid's fineness to that of another, in elements and in steps.
     fn over(self, other: Self) -> [f64; 2] {
         [
             self.elements as f64 / other.elements as f64,
@@ -37,9 +38,9 @@ impl Grid {
         ]
     }
 
-    /// The grid that is finer by these factors.
+    /// Returns the grid that is finer by the given factors in elements and steps.
     fn refined(self, [elements, steps]: [f64; 2]) -> Self {
-        // Without the rounding of a factor.
+        // The factor 1 - 1e-12 removes the rounding of the product.
         let wanted = (elements * self.elements as f64 * (1.0 - 1e-12)).ceil();
         Self {
             elements: wanted as usize,
@@ -48,7 +49,7 @@ impl Grid {
     }
 }
 
-/// The errors that elements and steps make on a grid, over the length.
+/// The errors that elements and steps make on a grid, divided by the length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// The grid.
@@ -57,28 +58,28 @@ pub struct Estimate {
     pub parts: [f64; 2],
 }
 
-/// How the order of errors is known by which they are extrapolated.
+/// Knowledge of the order by which errors are extrapolated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// It was observed on three grids.
+    /// The order was observed on three grids.
     Observed,
-    /// It is assumed, and errors are extrapolated from two grids.
+    /// The order is assumed, and errors are extrapolated from two grids.
     Assumed,
 }
 
-/// What is asked of a grid.
+/// Requirements on a grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rule {
-    /// The largest error, over the length.
+    /// Largest error, divided by the length.
     pub accuracy: f64,
-    /// How the order of the errors is known.
+    /// Knowledge of the order of the errors.
     pub order: Order,
     /// Cap on the predicted time of the work on one grid, s.
     pub longest: f64,
 }
 
 impl Rule {
-    /// Part of the accuracy up to which an estimate confirms a grid.
+    /// Returns the fraction of the accuracy up to which an estimate confirms a grid.
     fn confirmed(&self) -> f64 {
         match self.order {
             Order::Observed => 1.0,
@@ -86,14 +87,15 @@ impl Rule {
         }
     }
 
-    /// The error that a grid aims at: an estimate that is larger by as much as it may be wrong confirms it.
+    /// Returns the error for which a grid is chosen: with this aim, an estimate that is too large by its own relative error still confirms
+    /// the grid.
     fn aim(&self) -> f64 {
         self.accuracy * self.confirmed() / (1.0 + WRONG)
     }
 
-    /// The factor by which a grid is refined at most. Errors are observed with grids up to twice as fine, and the model is not believed any further.
-    /// With an order that is assumed, an error is extrapolated from the grid before, and is the more wrong the further apart both are: for an order
-    /// of 1.6 too low by a quarter at √2, and by a third at 2.
+    /// Returns the largest factor of one refinement. Errors are observed with grids up to twice as fine, and the model is not extrapolated
+    /// any further. If the order is assumed, an error is extrapolated from the grid before, and its own error grows with the ratio of both
+    /// grids: for a true order of 1.6 it is too low by a quarter at √2, and by a third at 2.
     fn at_once(&self) -> f64 {
         match self.order {
             Order::Observed => 2.0,
@@ -101,26 +103,26 @@ impl Rule {
         }
     }
 
-    /// Grids that are measured at most.
+    /// Returns the largest number of grids that are measured.
     fn rounds(&self) -> usize {
         1 + (FINEST.ln() / self.at_once().ln()).round() as usize
     }
 }
 
 impl Estimate {
-    /// The error, over the length.
+    /// Returns the error, divided by the length.
     #[must_use]
     pub fn error(&self) -> f64 {
         self.parts[0] + self.parts[1]
     }
 
-    /// Whether the grid is as accurate as is asked.
+    /// Tells whether the grid is accurate enough for the rule.
     #[must_use]
     pub fn meets(&self, rule: &Rule) -> bool {
         self.error() <= rule.confirmed() * rule.accuracy
     }
 
-    /// The errors that the model expects on another grid.
+    /// Returns the errors that the model predicts on another grid.
     #[must_use]
     pub fn on(&self, grid: Grid) -> Self {
         let [elements, steps] = grid.over(self.grid);
@@ -134,10 +136,10 @@ impl Estimate {
         }
     }
 
-    /// The errors on a finer grid, on which the motion is at a `distance` from that on this grid, over the length. By the model that distance is
-    /// `x (f² - 1) + y (g² - 1)`, if the parts of the finer grid are `x` and `y`, and it is finer by `f` in elements and by `g` in steps. Both
-    /// parts change by one factor; a part that does not differ between the grids stays as it is expected. Of a grid whose errors are not known, both
-    /// parts count as equal.
+    /// Returns the errors on a finer grid whose motion has the `distance` (divided by the length) from that on this grid. By the model that
+    /// distance is `x (f² - 1) + y (g² - 1)` if the finer grid has the parts `x` and `y` and is finer by `f` in elements and by `g` in
+    /// steps. Both parts are scaled by one factor; a part in which the grids do not differ keeps its predicted value. If the errors of this
+    /// grid are unknown, both parts count as equal.
     #[must_use]
     pub fn seen(&self, grid: Grid, distance: f64) -> Self {
         let is_known = self.error().is_finite();
@@ -168,10 +170,10 @@ impl Estimate {
         }
     }
 
-    /// The grid, no coarser than this one, on which the model expects the error `aim` after the least time.
+    /// Returns the grid, no coarser than this one, on which the model predicts the error `aim` after the least time.
     ///
-    /// With the parts `x` and `y` of the error on that grid, the time `K/h` goes with `1/√(x y)`, which is least for `x = y` where `x + y = aim`
-    /// is given. A part that is smaller than half of it already stays as it is, and leaves the rest to the other one.
+    /// With the parts `x` and `y` of the error on that grid, the time `K/h` is proportional to `1/√(x y)`, which is least for `x = y` where
+    /// `x + y = aim` is given. A part that is already below `aim/2` stays as it is, and the other part gets the rest.
     #[must_use]
     pub fn cheapest(&self, aim: f64) -> Grid {
         let [x, y] = self.parts;
@@ -187,44 +189,44 @@ impl Estimate {
         self.grid.refined(factors)
     }
 
-    /// A grid between this one and a finer one, at most as much finer than this one as a factor says.
+    /// Returns the grid between this one and a finer one that is finer than this one by at most the given factor.
     fn towards(&self, grid: Grid, factor: f64) -> Grid {
         self.grid
             .refined(grid.over(self.grid).map(|finer| finer.clamp(1.0, factor)))
     }
 }
 
-/// A grid that was measured.
+/// A measured grid.
 #[derive(Clone, Copy, Debug)]
 pub struct Measured {
-    /// Its errors.
+    /// Errors on the grid.
     pub estimate: Estimate,
-    /// Seconds of the work on it, as predicted.
+    /// Predicted seconds of the work on the grid.
     pub seconds: f64,
-    /// Whether the grid is too coarse for something else than its errors.
+    /// Tells whether the grid is too coarse for a reason other than its errors.
     pub too_coarse: bool,
 }
 
-/// How a search ended.
+/// The result of a search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum End {
     /// The last grid is accurate enough.
     Met,
     /// Errors do not fall with finer grids, or not within the number of grids or elements that are tried.
     OutOfReach,
-    /// The grid that is needed takes too long, s.
+    /// The required grid would take too long.
     TooLong {
-        /// That grid.
+        /// The required grid.
         wanted: Grid,
-        /// Its predicted time, s.
+        /// Predicted time of work on this grid, s.
         seconds: f64,
     },
-    /// Nothing can be said of the error of a grid.
+    /// The error of a grid could not be determined.
     Unmeasured,
 }
 
-/// Measures one grid after the other, from `first` on, until one is accurate enough or [`End`] says why none is. `measure` returns nothing where
-/// nothing is known of the error; the grid that it measures may be finer than the one that is asked for.
+/// Measures one grid after the other, from `first` on, until one is accurate enough or [`End`] says why none is. `measure` returns `None`
+/// if it cannot determine the error; the grid that it measures may be finer than the requested one.
 ///
 /// # Errors
 /// Those of `measure`.
@@ -252,7 +254,7 @@ pub fn search<E>(
         if without_order == WITHOUT_ORDER {
             break;
         }
-        // How much finer a grid has to be is not known where its error is not, or where something else is wrong with it.
+        // If the error is unknown, or something other than the error is wrong, the required refinement is unknown too.
         let wanted = match estimate.meets(rule) || !estimate.error().is_finite() {
             true => estimate.grid.refined([rule.at_once(); 2]),
             false => estimate.cheapest(rule.aim()),
@@ -270,25 +272,26 @@ pub fn search<E>(
     Ok((last, End::OutOfReach))
 }
 
-/// The order by which an error fell that a model of second order expected to fall from `before` to the grid of `after`; of errors that nothing is known
-/// of, none.
+/// Returns the order by which an error fell from `before` to `after`, given that the model of second order predicts the fall; NaN if an
+/// error is unknown.
 fn observed_order(before: &Estimate, after: &Estimate) -> f64 {
     let expected = before.on(after.grid).error() / before.error();
     2.0 * (after.error() / before.error()).ln() / expected.ln()
 }
 
-/// The order by which the distance between motions fell from one pair of grids to the next, each grid twice as fine as the one before.
+/// Returns the order by which the distance between motions fell from one pair of grids to the next, each grid twice as fine as the one
+/// before.
 pub(super) fn order_of_distances(before: f64, after: f64) -> f64 {
     (before / after).log2()
 }
 
-/// The error on a grid over the distance from a grid half as fine, by Richardson's extrapolation with an observed order, from 1 to 2; an order that
-/// is not known counts as 1.
+/// Returns the ratio of the error on a grid to the distance from a grid half as fine, by Richardson's extrapolation with an observed order
+/// from 1 to 2; an unknown order counts as 1.
 pub(super) fn remainder(order: Option<f64>) -> f64 {
     1.0 / (order.unwrap_or(1.0).clamp(1.0, 2.0).exp2() - 1.0)
 }
 
-/// What a search for an accuracy came to, in the numbers and the sentence of a summary.
+/// Returns the result of a search for an accuracy as the numbers and the sentence of a summary.
 pub(super) fn summary(
     asked: f64,
     last: &Estimate,

@@ -1,8 +1,8 @@
-//! Speed against accuracy: errors of discretizations beside the time that they take, and the coarsest grid that is accurate enough.
+//! Speed against accuracy: the errors of discretizations beside their computing time, and the coarsest grid that is accurate enough.
 //!
 //! [`search`] finds the coarsest grid for an accuracy by measuring one after the other: [`choose`] measures simulations of a [`Motion`],
-//! [`accurate_statics`] equilibria, `solve` and a sweep what they find. [`Course::errors`] compares motions on different grids at the same places and
-//! times.
+//! [`accurate_statics`] equilibria, `solve` and a sweep their own results. [`Course::errors`] compares motions on different grids at the
+//! same places and times.
 
 mod choice;
 mod clock;

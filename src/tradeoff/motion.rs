@@ -1,4 +1,4 @@
-//! One motion, simulated with one discretization after the other.
+//! The simulation of one motion with several discretizations.
 
 use super::clock::{Clock, Seconds};
 use super::course::{Course, TIMES, advance};
@@ -9,21 +9,21 @@ use crate::stop::StopSignal;
 use crate::task::prediction::simulation_seconds;
 use crate::task::{Arm, Discretization, DiscretizeError, Start};
 
-/// A motion that discretizations are compared on: an arm, its start, and a duration.
+/// A motion on which discretizations are compared: an arm, its start, and a duration.
 #[derive(Clone, Debug)]
 pub struct Motion {
     /// The arm.
     pub arm: Arm,
-    /// Its state at time 0.
+    /// State at time 0.
     pub start: Start,
     /// Duration, s.
     pub duration: f64,
 }
 
-/// Why a motion was not simulated to its end.
+/// The reason why a motion was not simulated to its end.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum RunError {
-    /// The arm cannot be discretized so.
+    /// The arm cannot be discretized in this way.
     #[error(transparent)]
     Discretize(#[from] DiscretizeError),
     /// The motion broke down.
@@ -32,23 +32,23 @@ pub enum RunError {
 }
 
 impl RunError {
-    /// Whether somebody asked for the end.
+    /// Tells whether a stop signal ended the motion.
     #[must_use]
     pub fn is_stop(&self) -> bool {
         matches!(self, Self::Step(StepError::Stopped(_)))
     }
 }
 
-/// A motion on one grid.
+/// The result of a motion on one grid.
 #[derive(Clone, Debug)]
 pub struct Run {
     /// The discretization; nothing in it is left open.
     pub discretization: Discretization,
-    /// Steps taken.
+    /// Number of steps.
     pub n_steps: usize,
-    /// The motion.
+    /// The sampled motion.
     pub course: Course,
-    /// Time of the simulation without start and files.
+    /// Seconds of the simulation, without start and files.
     pub seconds: Seconds,
 }
 
@@ -59,7 +59,7 @@ impl Run {
         self.discretization.step.unwrap_or(f64::NAN)
     }
 
-    /// Elements and step.
+    /// Returns elements and step.
     pub(super) fn grid(&self) -> Grid {
         Grid {
             elements: self.discretization.elements,
@@ -68,7 +68,7 @@ impl Run {
     }
 }
 
-/// Rod, grid and state of a motion.
+/// Rod, grid and start of a motion.
 pub(super) struct Setup {
     pub discretization: Discretization,
     pub rod: Rod,
@@ -77,7 +77,7 @@ pub(super) struct Setup {
 }
 
 impl Setup {
-    /// What a simulation of it is predicted to take, s.
+    /// Returns the predicted time of the simulation, s.
     pub fn predicted(&self) -> f64 {
         simulation_seconds(&self.rod, self.grid.n_steps as f64)
     }
@@ -93,7 +93,7 @@ impl Setup {
         })
     }
 
-    /// Seconds of the simulation alone.
+    /// Simulates and returns the seconds of the simulation.
     pub fn time(&self, stop: &StopSignal) -> Result<Seconds, StepError> {
         let clock = Clock::start();
         advance(&self.rod, self.grid, &self.initial, None, stop, |_, _| ())?;
@@ -102,7 +102,7 @@ impl Setup {
 }
 
 impl Motion {
-    /// The motion of a scene.
+    /// Returns the motion of a scene.
     ///
     /// # Errors
     /// As [`Scene::arm`].
@@ -114,7 +114,8 @@ impl Motion {
         })
     }
 
-    /// The step of `discretization`, or the automatic one; no longer than `longest`, s, and dividing the times of the comparison.
+    /// Sets the motion up with the step of `discretization`, or the automatic one; the step is at most `longest`, s, and divides the times
+    /// of the comparison.
     pub(super) fn setup(
         &self,
         discretization: &Discretization,
@@ -124,7 +125,7 @@ impl Motion {
         self.setup_longer(discretization, 1.0, longest, stop)
     }
 
-    /// [`Self::setup`], the step of `discretization` or the automatic one times a factor.
+    /// Sets the motion up as [`Self::setup`] does, with the step of `discretization`, or the automatic one times a factor.
     pub(super) fn setup_longer(
         &self,
         discretization: &Discretization,
@@ -147,11 +148,11 @@ impl Motion {
         })
     }
 
-    /// Simulates with this discretization, whose step may be shortened: to that of the stable step, and to a part of the times at which
-    /// motions are compared.
+    /// Simulates with a discretization. Its step may be shortened to the stable step, and to a fraction of the interval between the times
+    /// at which motions are compared.
     ///
     /// # Errors
-    /// [`RunError`]
+    /// Returns [`RunError`] if the arm cannot be discretized or the motion breaks down.
     pub fn run(&self, discretization: &Discretization, stop: &StopSignal) -> Result<Run, RunError> {
         Ok(self.setup(discretization, f64::INFINITY, stop)?.run(stop)?)
     }

@@ -1,4 +1,4 @@
-//! What `softarm tradeoff` writes: summary, table of points, picture, page.
+//! The files that `softarm tradeoff` writes: summary, table of points, picture, page.
 
 mod journal;
 mod saved;
@@ -6,7 +6,6 @@ mod saved;
 pub use self::journal::{Journal, journal_in};
 pub use self::saved::{SavedTradeoff, tradeoff_comparison, tradeoff_tables};
 
-use std::fmt::Write as _;
 use std::ops::Range;
 use std::path::Path;
 
@@ -14,10 +13,10 @@ use plotters::coord::Shift;
 use plotters::coord::combinators::WithKeyPoints;
 use plotters::prelude::*;
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use super::{Fate, Point, Recommendation, Reference, Setting, Subject, Tradeoff};
-use crate::output::{OutputError, PAGE_STYLE, figure};
+use super::{Fate, FeatureCost, Point, Recommendation, Setting, Subject, Tradeoff};
+use crate::output::{OutputError, PAGE_STYLE, figure, fill};
 
 /// `summary.json` of `softarm tradeoff`.
 #[derive(Debug, Serialize)]
@@ -36,7 +35,7 @@ pub struct TradeoffSummary<'a> {
     pub budget_s: f64,
     /// Wall time, s.
     pub wall_s: f64,
-    /// What was found.
+    /// Result of the sweep.
     #[serde(flatten)]
     pub found: &'a Tradeoff,
     /// The setting of the scene itself.
@@ -45,13 +44,13 @@ pub struct TradeoffSummary<'a> {
     pub directory: String,
 }
 
-/// Writes `points.csv`: one row a setting, in the order in which they were run.
+/// Writes `points.csv`: one row for each setting, in the order in which they were run.
 pub fn write_points(path: &Path, points: &[Point]) -> Result<(), OutputError> {
     let text = table(points).map_err(|error| OutputError::malformed(path, error.to_string()))?;
     std::fs::write(path, text).map_err(OutputError::unwritten(path, "cannot write"))
 }
 
-/// Columns of `points.csv`: their names, and where they stand in the JSON of a point.
+/// Columns of `points.csv`: their names, and their places in the JSON of a point.
 const COLUMNS: [(&str, &str); 26] = [
     ("elements", "/elements"),
     ("strain", "/strain"),
@@ -98,9 +97,9 @@ fn table(points: &[Point]) -> Result<Vec<u8>, csv::Error> {
 
 /// Size of the picture, in its own units.
 const SIZE: (u32, u32) = (960, 600);
-/// The same for a narrow screen, on which its words keep their size.
+/// Size for a narrow screen, on which the text keeps its size.
 const NARROW: (u32, u32) = (420, 470);
-/// Colors that are told apart by most eyes, on light and dark ground.
+/// Colors that most eyes can distinguish, on light and dark ground.
 const COLORS: [RGBColor; 11] = [
     RGBColor(0x1f, 0x77, 0xb4),
     RGBColor(0xe6, 0x6a, 0x00),
@@ -116,7 +115,7 @@ const COLORS: [RGBColor; 11] = [
 ];
 const INK: RGBColor = RGBColor(0x78, 0x78, 0x78);
 
-/// What distinguishes a setting from the usual one besides its elements, in words.
+/// Describes the differences between a setting and the usual one, except for the elements.
 fn family(setting: &Setting, usual: &Setting) -> String {
     let own = Setting {
         elements: usual.elements,
@@ -129,21 +128,18 @@ fn family(setting: &Setting, usual: &Setting) -> String {
     }
 }
 
-/// Error and time of all points, logarithmic: families that differ in their elements alone are lines, the front is marked, and what has no error
-/// stands at the right edge.
+/// Draws error and time of all points on logarithmic axes: families that differ in their elements only are lines, the front is marked, and
+/// points without an error are at the right edge.
 ///
 /// # Errors
-/// A sentence where the picture cannot be drawn.
+/// Returns a sentence if the picture cannot be drawn.
 pub fn picture(found: &Tradeoff, usual: &Setting) -> Result<String, String> {
     sized(found, usual, SIZE)
 }
 
-/// The picture in a size; a narrow one has no legend, for which [`legend`] stands below it.
+/// Draws the picture in a given size; a narrow picture has no legend, and [`legend`] is printed below it.
 fn sized(found: &Tradeoff, usual: &Setting, size: (u32, u32)) -> Result<String, String> {
-    let done: Vec<&Point> = (found.points.iter())
-        .filter(|point| point.error.is_some_and(|e| e.is_finite() && e > 0.0))
-        .filter(|point| point.time() > 0.0)
-        .collect();
+    let done = drawn(found);
     if done.is_empty() {
         return Err("no point has an error and a time".into());
     }
@@ -151,6 +147,14 @@ fn sized(found: &Tradeoff, usual: &Setting, size: (u32, u32)) -> Result<String, 
     let mut svg = String::new();
     draw(&mut svg, size, found, usual, &done, errors, times).map_err(|error| error.to_string())?;
     Ok(svg)
+}
+
+/// The points that have a place in the picture.
+fn drawn(found: &Tradeoff) -> Vec<&Point> {
+    (found.points.iter())
+        .filter(|point| point.error.is_some_and(|e| e.is_finite() && e > 0.0))
+        .filter(|point| point.time() > 0.0)
+        .collect()
 }
 
 /// Ranges of the errors and tolerances, over the length, and of the times, in ms, with room around them.
@@ -166,7 +170,7 @@ fn errors_and_times(points: &[&Point], tolerances: &[f64]) -> (Range<f64>, Range
     (range(&mut { errors }), range(&mut { times }))
 }
 
-/// What the picture shows to the right and upward.
+/// Returns the titles of the horizontal and the vertical axis.
 fn names_of_axes(subject: Subject) -> [&'static str; 2] {
     match subject {
         Subject::Motion => [
@@ -184,7 +188,7 @@ fn names_of_axes(subject: Subject) -> [&'static str; 2] {
     }
 }
 
-/// Families of points that differ in their elements alone, in the order of the points.
+/// Returns the families of points that differ in their elements only, in the order of the points.
 fn families(done: &[&Point], usual: &Setting) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for point in done {
@@ -196,40 +200,22 @@ fn families(done: &[&Point], usual: &Setting) -> Vec<String> {
     names
 }
 
-/// The color of a family.
+/// Returns the color of a family.
 fn color_of(index: usize) -> RGBColor {
     COLORS[index.min(COLORS.len() - 1)]
 }
 
-/// The families and their colors, for a picture without a legend of its own.
-fn legend(found: &Tradeoff, usual: &Setting) -> String {
-    let done: Vec<&Point> = (found.points.iter())
-        .filter(|point| point.error.is_some_and(|e| e.is_finite() && e > 0.0))
-        .filter(|point| point.time() > 0.0)
-        .collect();
-    let mut out = String::from("<ul class=\"legend narrow\">\n");
-    for (index, name) in families(&done, usual).iter().enumerate() {
-        let RGBColor(r, g, b) = color_of(index);
-        let _ = writeln!(
-            out,
-            "<li><span class=\"swatch solid\" style=\"background: rgb({r} {g} {b})\"></span>{}</li>",
-            escaped(name)
-        );
-    }
-    out + "</ul>\n"
-}
-
 /// A chart of times over errors, both on logarithmic axes.
 type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Decades, Decades>>;
-/// A logarithmic axis whose marks are powers of ten.
+/// A logarithmic axis with ticks at powers of ten.
 type Decades = WithKeyPoints<LogCoord<f64>>;
 
-/// The style of labels.
+/// Returns the style of labels.
 fn label() -> TextStyle<'static> {
     ("sans-serif", 15).into_font().color(&INK)
 }
 
-/// Draws the axes of a chart of times over errors.
+/// Draws the axes of a chart of times against errors.
 fn axes<'a>(
     root: &DrawingArea<SVGBackend<'a>, Shift>,
     subject: Subject,
@@ -339,7 +325,7 @@ fn draw(
     Ok(())
 }
 
-/// The powers of ten of a range; with two and five times these, where there are few.
+/// Returns the powers of ten in a range; also two and five times these if there are few.
 fn decades(range: &Range<f64>) -> Vec<f64> {
     let powers = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
     let wide = range.end / range.start > 1e3;
@@ -348,12 +334,6 @@ fn decades(range: &Range<f64>) -> Vec<f64> {
         .flat_map(|power| factors.iter().map(move |factor| factor * 10f64.powi(power)))
         .filter(|value| range.contains(value))
         .collect()
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
 }
 
 /// What is recommended, in a sentence.
@@ -385,162 +365,69 @@ pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
 }
 
 /// The page of a trade-off, which opens without a network.
-#[must_use]
-pub fn page(scene: &str, found: &Tradeoff, usual: &Setting, sentence: &str, svg: &str) -> String {
+///
+/// # Errors
+/// [`OutputError`] where the template cannot use what was found.
+pub fn page(
+    scene: &str,
+    found: &Tradeoff,
+    usual: &Setting,
+    sentence: &str,
+    svg: &str,
+) -> Result<String, OutputError> {
+    let recommended = found.recommended.as_ref().map(|found| &found.point);
     let mut points: Vec<&Point> = found.points.iter().collect();
     points.sort_by(|a, b| a.time().total_cmp(&b.time()));
-    let all = settings(points.iter().copied(), usual, |point| point.on_front);
-    let recommended = found.recommended.as_ref();
-    let front = points.into_iter().filter(|point| point.on_front);
-    let front = settings(front, usual, |point| {
-        recommended.is_some_and(|found| found.point.setting == point.setting)
-    });
-    let mut models = String::new();
-    for model in &found.models.error {
-        let _ = writeln!(
-            models,
-            "<li>error of {}: order {:.2} in the length of an element; the points are off by {:.0} %</li>",
-            escaped(&model.of),
-            model.order,
-            100.0 * model.residual
-        );
-    }
-    for model in &found.models.cost {
-        let _ = writeln!(
-            models,
-            "<li>time of {}: grows with the elements to the power {:.2}{}; the points are off by {:.0} %</li>",
-            escaped(&model.of),
-            model.elements,
-            (model.steps).map_or(String::new(), |steps| format!(
-                ", and with the steps to the power {steps:.2}"
-            )),
-            100.0 * model.residual
-        );
-    }
-    let mut features = String::new();
-    if let Some(first) = found.features.first() {
-        let _ = writeln!(
-            features,
-            "<h2>What features of the model cost, {}</h2>\n<div class=\"card wide\"><table class=\"stack\">\n<thead><tr><th>feature</th><th>with</th>\
-             <th>without</th><th>ratio</th></tr></thead>\n<tbody>",
-            first.unit
-        );
-        for cost in &found.features {
-            let _ = writeln!(
-                features,
-                "<tr{}><th scope=\"row\">{}</th><td class=\"value\" data-head=\"with\">{:.2}</td><td class=\"value\" data-head=\"without\">{:.2}</td>\
-                 <td class=\"value\" data-head=\"ratio\">{}</td></tr>",
-                if cost.in_scene {
-                    " class=\"marked\""
-                } else {
-                    ""
-                },
-                escaped(&cost.feature),
-                cost.with,
-                cost.without,
-                cost.ratio_in_words()
-            );
-        }
-        features.push_str(
-            "</tbody>\n</table></div>\n<p class=\"note\">The scene has those in bold.</p>\n",
-        );
-    }
-    let findings: String = (found.findings.iter())
-        .map(|finding| format!("<li>{}</li>\n", escaped(finding)))
+    let points: Vec<Value> = (points.into_iter())
+        .map(|point| {
+            json!({
+                "setting": point.setting.differences(usual),
+                "keys": point.assignments(usual),
+                "time": milliseconds(point.time()),
+                "error": point.error,
+                "why": point.why,
+                "objective": point.objective,
+                "on_front": point.on_front,
+                "recommended": recommended.is_some_and(|found| found.setting == point.setting),
+            })
+        })
         .collect();
-    let keys = recommended.map_or(String::new(), |recommended| {
-        let lines = recommended.point.assignments(usual).join("\n");
-        format!(
-            "<p>In the scene, or after <code>--set</code>:</p>\n<pre>{}</pre>",
-            escaped(&lines)
-        )
-    });
-    let reference = (found.reference.as_ref()).map_or(String::new(), |reference| {
-        measured_against(found.subject, reference)
-    });
-    include_str!("page/page.html")
-        .replace("{{title}}", &escaped(scene))
-        .replace("{{sentence}}", &escaped(sentence))
-        .replace("{{keys}}", &keys)
-        .replace("{{reference}}", &reference)
-        .replace("{{findings}}", &findings)
-        .replace("{{models}}", &models)
-        .replace("{{features}}", &features)
-        .replace("{{front}}", &front)
-        .replace("{{all}}", &all)
-        .replace(
-            "{{narrow}}",
-            &sized(found, usual, NARROW).unwrap_or_default(),
-        )
-        .replace("{{legend}}", &legend(found, usual))
-        .replace("{{svg}}", svg)
-        .replace("{{style}}", PAGE_STYLE)
+    let families: Vec<(String, [u8; 3])> = (families(&drawn(found), usual).into_iter().enumerate())
+        .map(|(index, name)| {
+            let RGBColor(r, g, b) = color_of(index);
+            (name, [r, g, b])
+        })
+        .collect();
+    filled(
+        "page.html",
+        &json!({
+            "title": scene,
+            "sentence": sentence,
+            "style": PAGE_STYLE,
+            "svg": svg,
+            "narrow": sized(found, usual, NARROW).unwrap_or_default(),
+            "families": families,
+            "keys": recommended.map(|point| point.assignments(usual)),
+            "subject": found.subject,
+            "reference": found.reference,
+            "findings": found.findings,
+            "models": found.models,
+            "features": found.features,
+            "ratios": found.features.iter().map(FeatureCost::ratio_in_words).collect::<Vec<_>>(),
+            "points": points,
+        }),
+    )
 }
 
-/// What errors are measured against, in a paragraph.
-fn measured_against(subject: Subject, reference: &Reference) -> String {
-    let Reference {
-        elements, error, ..
-    } = reference;
-    let words = match subject {
-        Subject::Motion => format!(
-            "Errors are measured against {elements} elements, whose own error is {error:.1e} of the length."
-        ),
-        Subject::OptimalControl => format!(
-            "The controls of every setting are simulated on four times its elements, and errors are measured against that motion. The finest has \
-             {elements} elements and an error of its own of {error:.1e} of the length."
-        ),
-        Subject::ClosedLoop => format!(
-            "Errors are those of the tip against its reference. Around an arm of {elements} elements, the scene's own setting has one that is \
-             different by {error:.1e} of the length."
-        ),
-    };
-    format!("<p>{words}</p>")
-}
+/// The templates by their names.
+const TEMPLATES: [(&str, &str); 2] = [
+    ("page.html", include_str!("page/page.html")),
+    ("comparison.html", include_str!("page/comparison.html")),
+];
 
-/// A table of settings, some of them marked.
-fn settings<'a>(
-    points: impl Iterator<Item = &'a Point> + Clone,
-    usual: &Setting,
-    is_marked: impl Fn(&Point) -> bool,
-) -> String {
-    let has_objectives = points.clone().any(|point| point.objective.is_some());
-    let objective = if has_objectives {
-        "<th>objective</th>"
-    } else {
-        ""
-    };
-    let mut out = format!(
-        "<table class=\"stack\">\n<thead><tr><th>setting, and the keys to type for it</th><th>time</th><th>error</th>{objective}</tr></thead>\n<tbody>\n"
-    );
-    for point in points {
-        let class = if is_marked(point) {
-            " class=\"marked\""
-        } else {
-            ""
-        };
-        let error = match (point.error, &point.why) {
-            (Some(error), _) => format!("{error:.2e}"),
-            (None, Some(why)) => escaped(why),
-            (None, None) => "none".into(),
-        };
-        let objective = if has_objectives {
-            let value = (point.objective).map_or(String::new(), |value| format!("{value:.6}"));
-            format!("<td class=\"value\" data-head=\"objective\">{value}</td>")
-        } else {
-            String::new()
-        };
-        let _ = writeln!(
-            out,
-            "<tr{class}><th scope=\"row\">{}<code>{}</code></th><td class=\"value\" data-head=\"time\">{}</td>\
-             <td class=\"value\" data-head=\"error\">{error}</td>{objective}</tr>",
-            escaped(&point.setting.differences(usual)),
-            escaped(&point.assignments(usual).join("\n")),
-            milliseconds(point.time()),
-        );
-    }
-    out.push_str("</tbody>\n</table>");
-    out
+fn filled(template: &str, context: &Value) -> Result<String, OutputError> {
+    let malformed = |error| OutputError::malformed(Path::new("summary.json"), error);
+    fill(&TEMPLATES, template, context).map_err(|error| malformed(format!("{error:#}")))
 }
 
 fn milliseconds(seconds: f64) -> String {

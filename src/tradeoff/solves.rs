@@ -1,4 +1,4 @@
-//! A problem that is solved on finer and finer grids, until the check of its solution finds it accurate enough.
+//! Solves a problem on finer and finer grids until the check of its solution finds it accurate enough.
 
 use super::grid::{self, End, Estimate, Grid, LONGEST, Measured, Order, Rule};
 use crate::mechanics::Wrench;
@@ -18,20 +18,20 @@ const OF_THE_GRID: [&str; 5] = [
     "between_samples",
 ];
 
-/// A solution on the last grid.
+/// The solution on the last grid.
 pub(crate) struct SolvedOnGrids {
     pub chosen: Chosen,
     /// The problem on that grid.
     pub setup: OptimalControl,
-    /// What became of the accuracy that the scene asks for; absent where it asks for none, and where nothing was checked.
+    /// Result of the search for the accuracy of the scene; absent if the scene names none or nothing was checked.
     pub accuracy: Option<AccuracySummary>,
-    /// Why the accuracy is not reached, where finer grids were not tried.
+    /// The reason why the accuracy is not reached, if finer grids were not tried.
     pub warning: Option<String>,
 }
 
-/// Solves a scene's problem, `setup`, from `previous` controls if there are any, and on finer grids from those of the one before, as long as the check of
-/// a converged solution finds an error above the accuracy that the scene asks for. `pose` makes the problem of a scene, and `solve` solves and checks
-/// it.
+/// Solves the problem `setup` of a scene, from `previous` controls if there are any. As long as the check of a converged solution finds an
+/// error above the accuracy of the scene, solves on finer grids, from the controls of the grid before. `pose` makes the problem of a scene,
+/// and `solve` solves and checks it.
 ///
 /// # Errors
 /// Those of `pose` and `solve`.
@@ -53,7 +53,7 @@ pub(crate) fn solve_on_grids<E>(
     };
     let rule = Rule {
         accuracy,
-        // The check observes the order of its errors.
+        // The check observes the order of the errors.
         order: Order::Observed,
         longest: LONGEST,
     };
@@ -110,10 +110,10 @@ pub(crate) fn solve_on_grids<E>(
     })
 }
 
-/// The errors that a check found.
+/// Returns the errors that a check found.
 fn measured(chosen: &Chosen, check: &ForwardCheck, length: f64) -> Measured {
     let solved = &chosen.solution.problem;
-    // What a grid is too coarse for besides its errors, such as an obstacle between two samples.
+    // A criterion other than the error for which a grid is too coarse, such as an obstacle between two samples.
     let by_grid = |item: &CheckItem| !item.holds() && OF_THE_GRID.contains(&item.name);
     Measured {
         estimate: Estimate {
@@ -128,7 +128,7 @@ fn measured(chosen: &Chosen, check: &ForwardCheck, length: f64) -> Measured {
     }
 }
 
-/// The problem on another grid, whose steps are automatic, or shorter where the accuracy needs that.
+/// Poses the problem on another grid, with automatic steps, or shorter ones if the accuracy needs them.
 fn on_grid<E>(
     scene: &Scene,
     solved: &Discretization,

@@ -5,11 +5,11 @@ use crate::solve::{Statics, StaticsError, StaticsOptions, statics};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
 
-/// Statics of an arm with more and more elements, from those of a discretization on, until the tip is accurate to this part of the length, or until no
-/// finer grid is tried; and the elements.
+/// Computes statics with more and more elements, from those of a discretization on, until the tip is accurate to this fraction of the
+/// length or no finer grid is tried; returns the elements of the last grid and its statics.
 ///
 /// # Errors
-/// [`StaticsError`]
+/// Returns [`StaticsError`] of the first grid that fails.
 pub fn accurate_statics(
     arm: &Arm,
     discretization: &Discretization,
@@ -25,7 +25,7 @@ pub fn accurate_statics(
     let mut found = None;
     let first = Grid {
         elements: discretization.elements,
-        // Statics have no steps, and no step makes an error.
+        // Statics have no steps, so that no step makes an error.
         step: 1.0,
     };
     let measure = |grid: Grid, _: Option<&Measured>| {

@@ -1,5 +1,5 @@
-//! Actuators of one's own, evaluated again: their wrenches alone, with differences of them in the place of what they say about their
-//! derivatives.
+//! Another evaluation of user-defined actuators: only their wrenches are used, and differences of these replace the derivatives that the
+//! actuators provide.
 
 use nalgebra::Vector3;
 
@@ -7,10 +7,10 @@ use super::limits::slope_at_zero;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{Actuator, StateView, Wrench};
 
-/// Shift of the differences along positions, in rod lengths, and along controls, in their scales; turn along rotations, rad.
+/// Shift in differences along positions, in lengths of the rod, and along controls, in their scales; turn along rotations, rad.
 const SHIFT: f64 = 1e-3;
 
-/// Nodes and wrenches under the controls `u`.
+/// Returns nodes and wrenches under the controls `u`.
 pub(super) fn wrenches(actuator: &dyn Actuator, at: &StateView, u: &[f64]) -> Vec<(usize, Wrench)> {
     let nodes = actuator.nodes(at.rod);
     let mut out = vec![Wrench::default(); nodes.len()];
@@ -18,7 +18,7 @@ pub(super) fn wrenches(actuator: &dyn Actuator, at: &StateView, u: &[f64]) -> Ve
     nodes.into_iter().zip(out).collect()
 }
 
-/// `Σ λ·w` over the nodes, for covectors of force and moment of every node of the rod.
+/// Returns `Σ λ·w` over the nodes, for covectors of force and moment of every node of the rod.
 fn paired(
     actuator: &dyn Actuator,
     at: &StateView,
@@ -66,7 +66,7 @@ pub(super) fn add_slopes(
     }
 }
 
-/// Slope of [`paired`] along a control whose scale is `scale`.
+/// Returns the slope of [`paired`] along a control of the given `scale`.
 pub(super) fn control_slope(
     actuator: &dyn Actuator,
     at: &StateView,

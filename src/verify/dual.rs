@@ -1,5 +1,5 @@
-//! Forward-mode differentiation of an element's strain and energy: a second route to the forces, which shares nothing with the
-//! analytic derivatives that the integrator and the solver use.
+//! Forward-mode differentiation of an element's strain and energy: a second route to the forces, which shares nothing with the analytic
+//! derivatives of integrator and solver.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -9,9 +9,10 @@ use pulp::Arch;
 use crate::mechanics::element::{Element, ElementPose};
 use crate::mechanics::{RodModel, StrainRule};
 
-/// Directions: of `y = R_aᵀ dx`, and `η` of `A = R_aᵀ R_b`, which moves to `A (I + η̂)`. An element knows no more of its pose.
+/// Number of directions: of `y = R_aᵀ dx`, and `η` of `A = R_aᵀ R_b`, which moves to `A (I + η̂)`. Strains depend on the pose through these
+/// only.
 const DIRECTIONS: usize = 6;
-/// Of the pose: `δdx`, `η_a`, `η_b`.
+/// Number of directions of the pose: `δdx`, `η_a`, `η_b`.
 const POSE_DIRECTIONS: usize = 9;
 
 /// A value with its derivatives along the directions of an element.
@@ -30,7 +31,7 @@ impl Dual {
         }
     }
 
-    /// Chain rule: `f(self)` from the value and derivative of `f`.
+    /// Applies the chain rule: returns `f(self)` from the value and derivative of `f`.
     #[inline(always)]
     fn chain(self, value: f64, derivative: f64) -> Self {
         let mut slope = self.slope;
@@ -133,7 +134,7 @@ fn times(a: &Vector, factor: Dual) -> Vector {
     a.map(|x| x * factor)
 }
 
-/// `½ Σ stiffness_i (strain_i - rest_i)²`
+/// Returns `½ Σ stiffness_i (strain_i - rest_i)²`.
 #[inline(always)]
 fn quadratic(strain: &Vector, rest: &Vector3<f64>, stiffness: &Vector3<f64>) -> Dual {
     let mut sum = Dual::constant(0.0);
@@ -144,7 +145,7 @@ fn quadratic(strain: &Vector, rest: &Vector3<f64>, stiffness: &Vector3<f64>) -> 
     sum
 }
 
-/// Unit quaternion of a rotation by less than half a turn: `w = ½ sqrt(1 + tr A)`, `v = skew(A) / (4 w)`.
+/// Returns the unit quaternion of a rotation by less than half a turn: `w = ½ sqrt(1 + tr A)`, `v = skew(A) / (4 w)`.
 #[inline(always)]
 fn quaternion(a: &[[Dual; 3]; 3]) -> (Dual, Vector) {
     let trace = a[0][0] + a[1][1] + a[2][2];
@@ -154,7 +155,7 @@ fn quaternion(a: &[[Dual; 3]; 3]) -> (Dual, Vector) {
     (w, times(&skew, quarter))
 }
 
-/// `2 asin(√s)/√s`, the factor from a quaternion's vector part to the rotation vector, with its derivative.
+/// Returns `2 asin(√s)/√s`, the factor from a quaternion's vector part to the rotation vector, with its derivative.
 #[inline(always)]
 fn rotation_factor(s: f64) -> (f64, f64) {
     if s < 1e-4 {
@@ -169,7 +170,7 @@ fn rotation_factor(s: f64) -> (f64, f64) {
     (value, (1.0 / (1.0 - s).sqrt() - 0.5 * value) / s)
 }
 
-/// `(1 - (θ/2) cot(θ/2))/θ²` over `t = θ²`, with its derivative.
+/// Returns `(1 - (θ/2) cot(θ/2))/θ²` as a function of `t = θ²`, with its derivative.
 #[inline(always)]
 fn bending_factor(t: f64) -> (f64, f64) {
     if t < 1e-2 {
@@ -186,13 +187,13 @@ fn bending_factor(t: f64) -> (f64, f64) {
     (value, (-inner - value) / t)
 }
 
-/// Elastic energy, J.
+/// Returns the elastic energy, J.
 pub(super) fn energy_value(element: &Element, rule: StrainRule, pose: &ElementPose) -> f64 {
     energy(element, rule, &Relative::of(pose)).value
 }
 
-/// Gradient `(F, M_a, M_b)` of an element's energy, by differentiating the energy; at frozen dilatation under the paper's model. It does
-/// not depend on the instruction set.
+/// Returns the gradient `(F, M_a, M_b)` of an element's energy, by differentiating the energy; at frozen dilatation under the paper's
+/// model. It does not depend on the instruction set.
 pub(super) fn gradient(
     element: &Element,
     rule: StrainRule,
@@ -206,7 +207,7 @@ pub(super) fn gradient(
     relative.along_pose(&energy.slope, pose)
 }
 
-/// Strain `(v_a, v_b, κ)` of an element and its derivative along `(δx_b - δx_a, η_a, η_b)`.
+/// Returns the strain `(v_a, v_b, κ)` of an element and its derivative along `(δx_b - δx_a, η_a, η_b)`.
 pub(super) fn strain(
     length: f64,
     rule: StrainRule,
@@ -248,7 +249,7 @@ impl Relative {
         }
     }
 
-    /// Derivatives along `δdx`, `η_a` and `η_b`, of which the element's own directions are `δy = R_aᵀ δdx + y × η_a` and
+    /// Returns the derivatives along `δdx`, `η_a` and `η_b`, on which the element's own directions depend as `δy = R_aᵀ δdx + y × η_a` and
     /// `η = η_b - Aᵀ η_a`.
     #[inline(always)]
     fn along_pose(&self, slope: &[f64; DIRECTIONS], pose: &ElementPose) -> [Vector3<f64>; 3] {
@@ -326,7 +327,7 @@ fn energy(element: &Element, rule: StrainRule, relative: &Relative) -> Dual {
     density(element, &linear[0], (near + far).scale(0.5), angular).scale(element.length)
 }
 
-/// Energy per rest length with the dilatation `|v|/|v_rest|` of the model; under the paper's, it is a constant.
+/// Returns the energy per rest length with the dilatation `|v|/|v_rest|` of the model, which is a constant under the paper's model.
 #[inline(always)]
 fn density(element: &Element, strain: &Vector, linear: Dual, angular: Dual) -> Dual {
     let rest = element.rest.linear[0].norm();
@@ -345,7 +346,7 @@ fn density(element: &Element, strain: &Vector, linear: Dual, angular: Dual) -> D
     thinned + completion.scale(element.linear_stiffness.z * rest * rest)
 }
 
-/// `y = R_aᵀ dx` with its derivatives.
+/// Returns `y = R_aᵀ dx` with its derivatives.
 #[inline(always)]
 fn start_difference(y: &Vector3<f64>) -> Vector {
     [0, 1, 2].map(|i| {
@@ -355,7 +356,7 @@ fn start_difference(y: &Vector3<f64>) -> Vector {
     })
 }
 
-/// `R_bᵀ dx = Aᵀ y` with its derivatives.
+/// Returns `R_bᵀ dx = Aᵀ y` with its derivatives.
 #[inline(always)]
 fn end_difference(relative: &Relative) -> Vector {
     let Relative { difference, turn } = relative;

@@ -1,4 +1,4 @@
-//! Stationarity along a free duration, or a limit that holds it: from motions that last a little longer and shorter.
+//! Stationarity along a free duration, or an active limit of it, from slightly longer and shorter motions.
 
 use nalgebra::Vector3;
 
@@ -12,13 +12,13 @@ use crate::mechanics::differences;
 
 /// Relative change of the duration in the differences, which are of fourth order.
 const CHANGE: f64 = 1e-4;
-/// Distance from a limit, over the duration, at which that limit may hold it.
+/// Distance from a limit, divided by the duration, at which the limit may be active.
 const AT_LIMIT: f64 = 1e-6;
 
-/// Derivative of the Lagrangian along the logarithm of a free duration that its limits do not explain, over its largest term; infinite
-/// outside the limits, `None` where the duration is fixed.
+/// Returns the derivative of the Lagrangian along the logarithm of a free duration, unless a limit explains it, divided by its largest
+/// term; infinite outside the limits, `None` if the duration is fixed.
 ///
-/// Controls and multipliers stay, the motion follows: nothing of the solver's linearization enters.
+/// Controls and multipliers are constant, and the motion follows the controls: the solver's linearization is not used.
 pub(super) fn examine(
     problem: &OptimalControlProblem,
     solution: &Solution,
@@ -44,16 +44,16 @@ pub(super) fn examine(
         slope += part;
         largest = f64::max(largest, part.abs());
     }
-    // At the shortest it may want to fall, at the longest to rise.
+    // The shortest duration may have a positive slope, the longest a negative one.
     let held = (short >= -AT_LIMIT && slope > 0.0) || (long <= AT_LIMIT && slope < 0.0);
     let unexplained = if held { 0.0 } else { slope.abs() };
     Ok(Some(unexplained / largest.max(f64::MIN_POSITIVE)))
 }
 
-/// Effort and rate, price of the duration, costs over states, goals, path, and bounds on rates.
+/// Effort and rate, price of the duration, costs on states, goals, path, and bounds on rates.
 const N_TERMS: usize = 6;
 
-/// The terms of the Lagrangian with the solution's controls and multipliers over `time_scale` times the duration.
+/// Returns the terms of the Lagrangian with the solution's controls and multipliers over `time_scale` times the duration.
 fn terms(
     problem: &OptimalControlProblem,
     solution: &Solution,
@@ -84,7 +84,7 @@ fn terms(
     ])
 }
 
-/// `|z| limit`; none where no multiplier acts, even if there is no limit.
+/// Returns `|z| limit`; 0 for a zero multiplier, even without a limit.
 fn leeway(multiplier: f64, limit: f64) -> f64 {
     match multiplier {
         0.0 => 0.0,
@@ -92,7 +92,7 @@ fn leeway(multiplier: f64, limit: f64) -> f64 {
     }
 }
 
-/// `Σ |z| limit`: what bounds on rates leave to controls, at their multipliers.
+/// Returns `Σ |z| limit`: the term of the bounds on rates.
 fn rate_room(problem: &OptimalControlProblem, rates: &[[f64; 6]]) -> f64 {
     let n = problem.actuators.len();
     let gaps = Spline::of(problem).gaps();

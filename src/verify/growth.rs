@@ -1,9 +1,9 @@
-//! How small disturbances grow over the horizon when the controls are replayed as they are.
+//! The growth of small disturbances over the horizon under a replay of the controls.
 //!
-//! Deviations of a state are measured by the square root of twice their energy: `Σ m |δv|² + δω·J δω` over the nodes and `Σ l ε·C ε` over the
-//! elements, `ε` the linear change of the strains. The transition from the start to the end is replayed column by column, over
-//! deviations of unit energy; its largest singular value is the amplification. The base does not deviate; of a free arm, moving all of it
-//! costs no energy, and node 0 stays where it starts.
+//! Deviations of a state are measured by the square root of twice their energy: `Σ m |δv|² + δω·J δω` over the nodes and `Σ l ε·C ε` over
+//! the elements, with `ε` the linear change of the strains. The transition from the start to the end is replayed column by column, for
+//! deviations of unit energy; its largest singular value is the amplification. The base does not deviate; for a free arm, rigid motions
+//! have no energy, and node 0 stays at its start.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -15,26 +15,30 @@ use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{BaseCondition, Rod, State};
 
 /// What small disturbances become at the end of the horizon.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Growth {
     /// Largest ratio of the sizes of a deviation at the end and at the start.
     pub amplification: f64,
     /// Energy of a deviation of one percent at the start, J: 1e-4 of `½ EI/L`.
+    #[serde(rename = "disturbance_J")]
     pub disturbance: f64,
     /// How far such a deviation moves the tip at the end, at most, m.
+    #[serde(rename = "tip_from_state_m")]
     pub tip_from_state: f64,
     /// The same for an error of one percent in every coefficient of the control, of the largest that this force or moment has, m: a
     /// bound.
+    #[serde(rename = "tip_from_control_m")]
     pub tip_from_control: f64,
     /// Length of the rod, m.
+    #[serde(skip)]
     pub length: f64,
 }
 
-/// Part of the length by which one percent may move the tip before a replay without feedback is pointless.
+/// Displacement of the tip by a disturbance of 1 %, divided by the length, above which a replay needs feedback.
 const POINTLESS: f64 = 0.1;
 
 impl Growth {
-    /// In a sentence.
+    /// Describes the growth in a sentence.
     #[must_use]
     pub fn sentence(&self) -> String {
         let farthest = self.tip_from_state.max(self.tip_from_control);
@@ -51,12 +55,12 @@ impl Growth {
     }
 }
 
-/// A percent.
+/// One percent.
 const PERCENT: f64 = 0.01;
-/// Size of the deviations that are replayed, over `√(EI/L)`: truncation and rounding are below a thousandth of the result.
+/// Size of the replayed deviations, divided by `√(EI/L)`: truncation and rounding are below a thousandth of the result.
 const SIZE: f64 = 1e-5;
 
-/// Replays the disturbances. `tip` are the derivatives of the tip's position at the end along the scaled controls, m.
+/// Replays the disturbances. `tip` has the derivatives of the tip's position at the end along the scaled controls, m.
 pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, CheckError> {
     let problem = probe.problem;
     let rod = &problem.rod;
@@ -67,7 +71,7 @@ pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, Check
     let sizes: Vec<DVector<f64>> = (columns.iter())
         .map(|&(node, part)| unit.of(&Deviation::along(rod, node, part)))
         .collect();
-    // Combinations of unit energy: columns of R⁻¹.
+    // Combinations of unit energy are the columns of R⁻¹.
     let stop = &problem.stop;
     let n = columns.len();
     let sizes = DMatrix::from_columns(&sizes);
@@ -112,7 +116,7 @@ pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, Check
     })
 }
 
-/// How far the tip moves at most when every coefficient of a force or moment is off by the largest of them, to first order, m.
+/// Returns the largest displacement of the tip if every coefficient of a force or moment is off by the largest of them, to first order, m.
 fn moved_by_controls(probe: &Probe, tip: &DMatrix<f64>) -> f64 {
     let components = probe.problem.actuated_components();
     let width = components.len();
@@ -138,7 +142,7 @@ fn moved_by_controls(probe: &Probe, tip: &DMatrix<f64>) -> f64 {
     sum
 }
 
-/// Three times node plus axis, and part, of all that may deviate.
+/// Returns the directions of deviations: three times the node plus the axis, and the part of the state.
 fn directions(rod: &Rod) -> Vec<(usize, usize)> {
     let first = rod.first_free_node();
     let mut out = Vec::new();
@@ -199,7 +203,7 @@ impl Deviation {
     }
 }
 
-/// Makes vectors of deviations whose squared norm is twice their energy.
+/// Maps deviations to vectors whose squared norm is twice their energy.
 struct Size<'a> {
     rod: &'a Rod,
     strains: Vec<interval::Strained>,

@@ -1,7 +1,7 @@
 //! The controls as functions of time, from the definition of the hold; no code is shared with the solver's `control/hold.rs`.
 //!
 //! Every hold is a spline of some degree `p` (constant 0, linear 1, cubic 3) over clamped knots: the edges of the blocks, the first and the
-//! last repeated `p` times more. Its basis functions are those of Cox and de Boor (de Boor 1978, A Practical Guide to Splines, ch. IX),
+//! last repeated `p` more times. Its basis functions are those of Cox and de Boor (de Boor 1978, A Practical Guide to Splines, ch. IX),
 //!
 //! ```text
 //! N_j,0 = 1 on the piece between knots j and j + 1, else 0
@@ -9,8 +9,8 @@
 //! N'_j,p = p [N_j,p-1/(τ_j+p - τ_j) - N_j+1,p-1/(τ_j+p+1 - τ_j+1)]
 //! ```
 //!
-//! evaluated by this recursion as it stands; at a time node, the mean of the pieces that meet there. Integrals of squares are those of
-//! Gauss and Lobatto with five points a piece, exact up to degree seven.
+//! evaluated by this recursion; at a time node, the mean of the pieces that meet there. Integrals of squares are those of Gauss and Lobatto
+//! with five points per piece, exact up to degree seven.
 
 use nalgebra::Vector3;
 
@@ -19,7 +19,7 @@ use crate::mechanics::{ControlSignal, Wrench};
 
 /// A hold over the blocks of a problem.
 #[derive(Clone, Debug)]
-pub(super) struct Spline {
+pub(crate) struct Spline {
     degree: usize,
     /// Edges of the blocks in steps.
     edges: Vec<usize>,
@@ -29,7 +29,7 @@ pub(super) struct Spline {
 
 impl Spline {
     /// That of a problem's control, on its time grid.
-    pub(super) fn of(problem: &OptimalControlProblem) -> Self {
+    pub(crate) fn of(problem: &OptimalControlProblem) -> Self {
         Self::new(
             problem.control.hold,
             problem.control.edges(),
@@ -49,23 +49,23 @@ impl Spline {
         }
     }
 
-    /// Number of pieces.
+    /// Returns the number of pieces.
     fn n_pieces(&self) -> usize {
         self.edges.len() - 1
     }
 
-    /// Number of coefficients.
+    /// Returns the number of coefficients.
     pub(super) fn n_coefficients(&self) -> usize {
         self.n_pieces() + self.degree
     }
 
-    /// Knot `i` of the clamped sequence, s.
+    /// Returns knot `i` of the clamped sequence, s.
     fn knot(&self, i: usize) -> f64 {
         let edge = i.saturating_sub(self.degree).min(self.n_pieces());
         self.edges[edge] as f64 * self.step
     }
 
-    /// The polynomial that `N_j,p` is on a piece, at time `t`.
+    /// Evaluates the polynomial of `N_j,p` on a piece, at time `t`.
     fn basis(&self, j: usize, p: usize, piece: usize, t: f64) -> f64 {
         // The piece lies between the knots `at` and `at + 1`.
         let at = piece + self.degree;
@@ -77,7 +77,7 @@ impl Spline {
         }
         let part = |lower: usize, weight: f64| {
             let width = self.knot(lower + p) - self.knot(lower);
-            // Over knots that coincide there is no function.
+            // Between coinciding knots there is no function.
             if width > 0.0 {
                 weight / width * self.basis(lower, p - 1, piece, t)
             } else {
@@ -87,7 +87,7 @@ impl Spline {
         part(j, t - self.knot(j)) + part(j + 1, self.knot(j + p + 1) - t)
     }
 
-    /// Its derivative, 1/s.
+    /// Evaluates the derivative of a basis function, 1/s.
     fn slope(&self, j: usize, piece: usize, t: f64) -> f64 {
         let p = self.degree;
         if p == 0 {
@@ -104,7 +104,7 @@ impl Spline {
         part(j) - part(j + 1)
     }
 
-    /// Coefficients that act at the time `k / factor` steps, with their weights.
+    /// Returns the coefficients that act at the time of `k / factor` steps, with their weights.
     pub(super) fn weights(&self, k: usize, factor: usize) -> Vec<(usize, f64)> {
         let t = k as f64 * (self.step / factor as f64);
         let (first, last) = self.pieces_at(k, factor);
@@ -118,7 +118,7 @@ impl Spline {
         out
     }
 
-    /// The first and the last piece that touch the time `k / factor` steps: one, or the two that meet there.
+    /// Returns the first and the last piece that touch the time of `k / factor` steps: one, or the two that meet there.
     fn pieces_at(&self, k: usize, factor: usize) -> (usize, usize) {
         let begun = self.edges.partition_point(|edge| edge * factor <= k);
         let last = begun.saturating_sub(1).min(self.n_pieces() - 1);
@@ -126,7 +126,7 @@ impl Spline {
         (if meets { last - 1 } else { last }, last)
     }
 
-    /// The times that coefficients stand for, s: the middle of a block, or the mean of the knots inside a basis function.
+    /// Returns the times of the coefficients, s: the middle of a block, or the mean of the knots inside a basis function.
     pub(super) fn times(&self) -> Vec<f64> {
         let p = self.degree;
         (0..self.n_coefficients())
@@ -138,7 +138,8 @@ impl Spline {
     }
 
     /// Start and end of what every coefficient of a constant hold lasts for, s; of the others, the time that it stands for, twice.
-    pub(super) fn intervals(&self) -> Vec<[f64; 2]> {
+    #[cfg(feature = "cli")]
+    pub(crate) fn intervals(&self) -> Vec<[f64; 2]> {
         (self.times().iter().enumerate())
             .map(|(j, t)| match self.degree {
                 0 => [self.knot(j), self.knot(j + 1)],
@@ -147,14 +148,14 @@ impl Spline {
             .collect()
     }
 
-    /// Times between neighboring coefficients, s: a difference of coefficients over its gap is a ramp between blocks, or a coefficient
-    /// of the derivative, which bounds it.
+    /// Returns the times between neighboring coefficients, s: a difference of coefficients divided by its gap is the rate of a ramp between
+    /// blocks, or a coefficient of the derivative, which bounds it.
     pub(super) fn gaps(&self) -> Vec<f64> {
         self.times().windows(2).map(|t| t[1] - t[0]).collect()
     }
 
-    /// `½ ∫ effort |u|² + rate |u̇|² dt` and its gradient along the coefficients. Jumps of a constant hold count as ramps between the
-    /// middles of the blocks.
+    /// Returns `½ ∫ effort |u|² + rate |u̇|² dt` and its gradient along the coefficients. Jumps of a constant hold count as ramps between
+    /// the middles of the blocks.
     pub(super) fn cost(
         &self,
         coefficients: &[Vector3<f64>],
@@ -202,7 +203,7 @@ impl Spline {
         (cost, gradient)
     }
 
-    /// The largest second derivative of [`Self::cost`] along any one coefficient.
+    /// Returns the largest second derivative of [`Self::cost`] along any one coefficient.
     pub(super) fn largest_curvature(&self, effort: f64, rate: f64) -> f64 {
         let n = self.n_coefficients();
         (0..n)
@@ -215,7 +216,7 @@ impl Spline {
     }
 }
 
-/// Points and weights of the rule of Gauss and Lobatto on [0, 1] with five points (Abramowitz & Stegun 1964, 25.4.32).
+/// Returns points and weights of the rule of Gauss and Lobatto on [0, 1] with five points (Abramowitz & Stegun 1964, 25.4.32).
 fn lobatto() -> [(f64, f64); 5] {
     let inner = 0.5 * (3.0_f64 / 7.0).sqrt();
     [
@@ -228,7 +229,7 @@ fn lobatto() -> [(f64, f64); 5] {
 }
 
 /// The wrenches on the actuated nodes at every time node of a grid whose steps are `factor` times shorter.
-pub(super) fn signal(
+pub(crate) fn signal(
     problem: &OptimalControlProblem,
     factor: usize,
     coefficients: &[Wrench],
@@ -298,8 +299,8 @@ mod tests {
         }
     }
 
-    /// Whether what the solver makes of a hold is what the definition says, to rounding: times, gaps, weights at all time nodes, refined by 1 and by 3,
-    /// and the quadratic forms of effort and rate.
+    /// Tells whether the solver's tables of a hold agree with the definition to rounding: times, gaps, weights at all time nodes, refined
+    /// by 1 and by 3, and the quadratic forms of effort and rate.
     fn agree(grid: &ControlGrid, step: f64, matrices: [&faer::Mat<f64>; 2], u: &[f64]) -> bool {
         let spline = Spline::new(grid.hold, grid.edges(), step);
         let end = grid.n_steps() as f64 * step;
@@ -336,10 +337,10 @@ mod tests {
     }
 
     proptest! {
-        /// Any hold over any blocks: the solver's tables against the recursion; and a solver whose effort or rate were off by one part in
-        /// a million in any one entry that acts would not pass.
+        /// Any hold over any blocks: the solver's tables agree with the recursion, and tables whose effort or rate are off by one part in a
+        /// million in any one entry that matters do not.
         #[test]
-        fn the_solver_holds_what_the_definition_says(
+        fn tables_of_the_solver_agree_with_the_definition(
             hold in 0..3usize,
             blocks in 1..9usize,
             more in 0..30usize,

@@ -9,13 +9,13 @@ use crate::mechanics::element::{Element, ElementPose};
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{Rod, StrainRule, TimeScheme};
 
-/// Over the strain `(v_a, v_b, κ)`, or over `(δx_b - δx_a, η_a, η_b)`.
+/// A vector of strain components `(v_a, v_b, κ)`, or of `(δx_b - δx_a, η_a, η_b)`.
 pub(super) type Nine = SVector<f64, 9>;
 
 /// Strain of an element and its derivative.
 pub(super) type Strained = (Nine, SMatrix<f64, 9, 9>);
 
-/// `γ` and `β`; `None` where no stress depends on both ends.
+/// Returns `γ` and `β`; `None` if no stress depends on both ends.
 pub(super) fn weights(rod: &Rod, h: f64) -> Option<[f64; 2]> {
     let mean = match rod.scheme {
         TimeScheme::Implicit => 0.5,
@@ -26,7 +26,7 @@ pub(super) fn weights(rod: &Rod, h: f64) -> Option<[f64; 2]> {
     Some([mean - rate, mean + rate])
 }
 
-/// Strains of all elements in a configuration.
+/// Returns the strains of all elements in a configuration.
 pub(super) fn strains(rod: &Rod, x: &[Vector3<f64>], r: &[Matrix3<f64>]) -> Vec<Strained> {
     (rod.elements.iter().enumerate())
         .map(|(q, element)| dual::strain(element.length, rod.strain_rule, &pose(x, r, q)))
@@ -41,14 +41,14 @@ pub(super) fn pose<'a>(x: &[Vector3<f64>], r: &'a [Matrix3<f64>], q: usize) -> E
     }
 }
 
-/// Energy per squared strain, twice: `l/2 C₁` for each end, `l C₂`.
+/// Returns twice the energy per squared strain: `l/2 C₁` for each end, `l C₂`.
 pub(super) fn stiffness(element: &Element) -> Nine {
     let l = element.length;
     let linear = element.linear_stiffness * (0.5 * l);
     nine(&linear, &linear, &(element.angular_stiffness * l))
 }
 
-/// `σ` times the length, over the strains.
+/// Returns `σ` times the length, by strain components.
 pub(super) fn stress(element: &Element, weights: [f64; 2], start: &Nine, end: &Nine) -> Nine {
     let [a, b] = &element.rest.linear;
     let rest = nine(a, b, &element.rest.curvature);
@@ -56,7 +56,7 @@ pub(super) fn stress(element: &Element, weights: [f64; 2], start: &Nine, end: &N
     stiffness(element).component_mul(&mean)
 }
 
-/// [`stress`] of all elements between their strains at both ends of a time step.
+/// Returns the [`stress`] of all elements between their strains at both ends of a time step.
 pub(super) fn stresses(
     rod: &Rod,
     weights: [f64; 2],
@@ -68,8 +68,8 @@ pub(super) fn stresses(
         .collect()
 }
 
-/// Covector of the configuration of a function `w·Bᵀσ` at a given stress: `E_b E_w (σ·s)`, from a difference of `B` along `w`
-/// that is exact to the fourth order, and the commutator of the fields.
+/// Returns the covector of the configuration of a function `w·Bᵀσ` at a given stress: `E_b E_w (σ·s)`, from a difference of `B` along `w`
+/// that is exact to fourth order, and the commutator of the fields.
 pub(super) fn bent(
     length: f64,
     rule: StrainRule,
@@ -123,7 +123,7 @@ pub(super) fn add_to_nodes(
     eta[q + 1] += part(2);
 }
 
-/// `l τ Δs·C Δs/h` of all elements: what Kelvin-Voigt damping takes over one step, J.
+/// Returns `l τ Δs·C Δs/h` of all elements, the dissipation of Kelvin-Voigt damping over one step, J.
 pub(super) fn dissipation(rod: &Rod, h: f64, start: &[Strained], end: &[Strained]) -> f64 {
     let sum: f64 = (rod.elements.iter().zip(start.iter().zip(end)))
         .map(|(element, ((start, _), (end, _)))| {

@@ -119,9 +119,10 @@ impl Measure<'_> {
                 shape,
                 velocity,
                 margin,
-                points,
+                ..
             } => {
-                let (q, s) = (item / points, (item % points) as f64 / *points as f64);
+                let points = limit.points();
+                let (q, s) = (item / points, (item % points) as f64 / points as f64);
                 let next = (q + 1).min(here.x.len() - 1);
                 let radius = |node: usize| self.radii.get(node).copied().unwrap_or(0.0);
                 let x = here.x[q] * (1.0 - s) + here.x[next] * s;
@@ -147,8 +148,9 @@ impl Measure<'_> {
                     -twist - largest
                 }
             }
-            PathLimit::Speed { node, largest } => before.map_or(-largest, |before| {
-                (here.x[*node] - before.x[*node]).norm() / self.step - largest
+            PathLimit::Speed { at, largest } => before.map_or(-largest, |before| {
+                let node = at.node(self.rod.n_elements());
+                (here.x[node] - before.x[node]).norm() / self.step - largest
             }),
             PathLimit::Term(term) => term_value(&**term, self.rod, here, item),
         }
@@ -245,12 +247,10 @@ impl Measure<'_> {
         }
         match limit {
             PathLimit::Clearance {
-                shape,
-                velocity,
-                points,
-                ..
+                shape, velocity, ..
             } => {
-                let (q, s) = (item / points, (item % points) as f64 / *points as f64);
+                let points = limit.points();
+                let (q, s) = (item / points, (item % points) as f64 / points as f64);
                 let next = (q + 1).min(here.x.len() - 1);
                 let x = here.x[q] * (1.0 - s) + here.x[next] * s;
                 let mut share = 0.0;

@@ -1,17 +1,15 @@
-//! Re-checks a solution by code that shares no assembly with the solver.
+//! The check of a solution by code that shares no assembly with the solver.
 //!
-//! The optimality conditions are recomputed ([`kkt`]), the controls are replayed by the forward simulation on the same
-//! grid and on finer ones ([`refinement`]), path constraints are evaluated between nodes and samples, and energy and momentum are balanced
-//! ([`momentum`]). [`ForwardCheck`] is the certificate, [`CheckLimits`] has its limits.
+//! The optimality conditions are recomputed ([`kkt`]), the controls are replayed by the forward simulation on the same grid and on finer
+//! ones ([`refinement`]), path constraints are evaluated between nodes and samples, and energy and momentum are balanced ([`momentum`]).
+//! [`ForwardCheck`] is the certificate, [`CheckLimits`] has its limits.
 
 mod acting;
 mod dual;
 mod duration;
 #[doc(hidden)]
-pub mod files;
-#[doc(hidden)]
 pub mod growth;
-mod hold;
+pub(crate) mod hold;
 mod interval;
 #[doc(hidden)]
 pub mod kkt;
@@ -30,14 +28,15 @@ mod stay;
 mod stepper;
 
 use nalgebra::Vector3;
+use serde::Serialize;
 
 use self::growth::Growth;
 use self::kkt::KktPart;
 use self::momentum::MomentumBalance;
 use self::probe::Probe;
 use self::refinement::{Between, PeakStrains, TipMotion, refine};
-pub use self::replay::{EnergyBalance, Replay, replay};
-use self::replay::{Simulation, account, halving};
+pub use self::replay::{EnergyAccount, EnergyBalance, Replay, replay};
+use self::replay::{Simulation, account};
 use self::second_order::{Extremum, SecondOrder};
 pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
 pub use self::stay::StayReplay;
@@ -50,38 +49,39 @@ use crate::mechanics::{
 use crate::sqp::{KktResidual, SADDLE_GAIN, SqpSettings};
 use crate::stop::Stop;
 
-/// Part of the limit of the energy residual below which it need not fall with the step.
+/// Fraction of the limit of the energy residual below which the residual need not fall with the step.
 const SMALL_ENERGY: f64 = 0.1;
 
-/// Largest acceptable values; all of them are reported beside what was found.
+/// Largest acceptable values; all of them are reported beside the values that were found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CheckLimits {
     /// Scaled KKT residuals.
     pub kkt: f64,
-    /// Replay on the same grid against the solution, in rod lengths.
+    /// Distance between the solution and its replay on the same grid, divided by the length of the rod.
     pub same_grid: f64,
-    /// Derivative of the Lagrangian along a free duration, over its largest term.
+    /// Derivative of the Lagrangian along a free duration, divided by its largest term.
     pub duration: f64,
-    /// Estimated discretization error in time, and in space, in rod lengths.
+    /// Estimated discretization error in time, and in space, divided by the length.
     pub refined: f64,
-    /// Tip error of the replay against a hard target, in rod lengths (rad for the orientation).
+    /// Tip error of the replay against a hard target, divided by the length (rad for the orientation).
     pub tip: f64,
-    /// Speed and angular speed of the tip of the finest rod at the end, over the highest ones before, beyond what the goal allows. The turning of a
-    /// single node holds the shortest waves, so that it converges last.
+    /// Speed and angular speed of the tip of the finest rod at the end, divided by the highest ones before, beyond the tolerance of the
+    /// goal. The turning of a single node contains the shortest waves, so that it converges last.
     pub rest: [f64; 2],
-    /// Energy residual over the energy that passed through.
+    /// Energy residual divided by the energy that passed through.
     pub energy: f64,
-    /// Largest energy residual with the step halved over the largest one: 1/4 of second order, 1/2 of first, 1 of none. Not asked of one
-    /// that is a tenth of what is allowed.
+    /// Largest energy residual with the step halved, divided by the largest one: 1/4 for a method of second order, 1/2 for first, 1 for
+    /// none. Not applied to a residual below a tenth of its limit.
     pub energy_halving: f64,
-    /// Violation of a path constraint between nodes and samples, over the radius of obstacle and arm, or over the limit.
+    /// Violation of a path constraint between nodes and samples, divided by the radius of obstacle and arm, or by the limit.
     pub between: f64,
-    /// What may be left to gain at a saddle, over the objective.
+    /// Possible gain at a saddle, divided by the objective.
     pub saddle_gain: f64,
 }
 
 impl CheckLimits {
-    /// The limits for what was solved with these settings: those of optimality go with the solver's tolerance, as far as a certificate may.
+    /// Returns the limits for a solution of these settings: those of optimality are proportional to the solver's tolerance, up to
+    /// [`Self::LOOSEST_KKT`].
     #[must_use]
     pub fn of(settings: &SqpSettings) -> Self {
         let limits = Self::default();
@@ -92,7 +92,7 @@ impl CheckLimits {
         }
     }
 
-    /// Residuals of a stationary point, at most, whatever tolerance a scene asks for.
+    /// Upper limit of the residuals of a stationary point, for any tolerance of a scene.
     pub const LOOSEST_KKT: f64 = 1e-3;
 }
 
@@ -114,7 +114,7 @@ impl Default for CheckLimits {
 }
 
 /// One line of the certificate.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CheckItem {
     /// Short name, as in the summary.
     pub name: &'static str,
@@ -125,24 +125,25 @@ pub struct CheckItem {
     /// Unit of both; empty for pure numbers.
     pub unit: &'static str,
     /// The meaning of the criterion, in a sentence.
+    #[serde(skip)]
     pub meaning: &'static str,
 }
 
 impl CheckItem {
-    /// By which factor a grid of second order must be finer for the error to be within two thirds of its limit; at least two, since
-    /// another grid has another solution.
+    /// Returns the factor by which a grid of second order must be finer for the error to be within two thirds of its limit; at least two,
+    /// since another grid has another solution.
     fn refinement(&self) -> f64 {
         (1.5 * self.value / self.limit).sqrt().clamp(2.0, 100.0)
     }
 
-    /// What helps when it fails, in the keys of the problem's scene.
+    /// Returns a remedy for the failed criterion, in the keys of the problem's scene.
     #[must_use]
     pub fn remedy(&self, problem: &OptimalControlProblem) -> String {
         let fixed = match self.name {
             "refined_space_m" if problem.rod.strain_rule == StrainRule::Trapezoidal => {
                 "use rod.strain = \"helical\", or more rod.elements"
             }
-            // Where the wrench holds a finer arm lies elsewhere.
+            // The place where the wrench holds the arm changes with the elements.
             "refined_space_m" | "stays_m" | "refined_speed_m_s" | "refined_spin_rad_s" => {
                 let elements = problem.rod.n_elements() as f64 * self.refinement();
                 return format!("set rod.elements = {}", elements.ceil());
@@ -176,77 +177,89 @@ impl CheckItem {
 }
 
 impl CheckItem {
-    /// Whether the value is within its limit; NaN is not.
+    /// Tells whether the value is within its limit; NaN is not.
     #[must_use]
     pub fn holds(&self) -> bool {
         self.value <= self.limit
     }
 }
 
-/// The certificate of a solution.
-#[derive(Clone, Debug)]
+/// The certificate of a solution. It serializes to the object `check` of a summary, but for verdicts.
+#[derive(Clone, Debug, Serialize)]
 pub struct ForwardCheck {
-    /// Recomputed optimality conditions.
-    pub kkt: KktResidual,
-    /// The same by parts, with the worst row of each.
-    pub kkt_parts: [KktPart; 5],
     /// Largest distance of any node at any time between the solution and its replay, m.
+    #[serde(rename = "same_grid_m")]
     pub same_grid: f64,
     /// Largest such distance of any rotation, as the norm of the difference of both matrices.
+    #[serde(rename = "same_grid_rad")]
     pub same_grid_turn: f64,
-    /// Value of the objective, recomputed.
-    pub objective: f64,
     /// Estimated error of any node at any time from the time step, m: see [`refinement::ErrorEstimate`].
+    #[serde(rename = "refined_time_m")]
     pub refined_time: f64,
     /// Estimated error of any node at any time from the elements, m.
+    #[serde(rename = "refined_space_m")]
     pub refined_space: f64,
     /// Observed order in time, about 2.
     pub order_time: Option<f64>,
-    /// Observed order in space, about 2 where the elements are shorter than the shape's own features.
+    /// Observed order in space, about 2 where the elements are shorter than the shape's own features; absent where only one refinement was made.
     pub order_space: Option<f64>,
+    /// Value of the objective, recomputed.
+    pub objective: f64,
     /// Worst violation of every hard path constraint between nodes and samples, on the finest replay.
     pub between: Vec<Between>,
     /// Extremes of the strains.
     pub strains: PeakStrains,
-    /// Distance of the replayed tip from a target position, m; 0 without one.
-    pub tip_error: f64,
-    /// Angle between the replayed tip and a target orientation, rad; 0 without one.
-    pub tip_angle: f64,
-    /// Speed of the replayed tip at the end, m/s.
-    pub tip_speed: f64,
-    /// Angular speed of the replayed tip at the end, rad/s.
-    pub tip_spin: f64,
-    /// Motion of the tip of the finest rod.
-    pub finest_tip: TipMotion,
-    /// The motion after the task with the last wrench held, where the arm stays.
-    pub stays: Option<StayReplay>,
+    /// Recomputed optimality conditions.
+    pub kkt: KktResidual,
+    /// The same by parts, with the worst row of each.
+    pub kkt_parts: [KktPart; 5],
     /// Work in, change of energy and dissipation of the replay.
-    pub energy: EnergyBalance,
-    /// Energy residual with the step halved over the residual itself: about 1/4.
-    pub energy_ratio: f64,
-    /// The same of the largest residuals on the way, at common times.
-    pub energy_halving: f64,
+    pub energy: EnergyAccount,
     /// Momentum balance of the replay.
     pub momentum: MomentumBalance,
     /// Curvature of the Lagrangian; absent until [`Self::deepen`].
+    #[serde(skip)]
     pub second_order: Option<SecondOrder>,
-    /// Part of the objective that may be left to gain at a saddle.
-    pub saddle_gain: f64,
     /// Growth of small disturbances; absent until [`Self::deepen`].
+    #[serde(skip)]
     pub growth: Option<Growth>,
+    /// Distance of the replayed tip from a target position, m; 0 without one.
+    #[serde(skip)]
+    pub tip_error: f64,
+    /// Angle between the replayed tip and a target orientation, rad; 0 without one.
+    #[serde(skip)]
+    pub tip_angle: f64,
+    /// Speed of the replayed tip at the end, m/s.
+    #[serde(skip)]
+    pub tip_speed: f64,
+    /// Angular speed of the replayed tip at the end, rad/s.
+    #[serde(skip)]
+    pub tip_spin: f64,
+    /// Motion of the tip of the finest rod.
+    #[serde(skip)]
+    pub finest_tip: TipMotion,
+    /// The motion after the task with the last wrench held, where the arm stays.
+    #[serde(skip)]
+    pub stays: Option<StayReplay>,
+    /// Part of the objective that may be left to gain at a saddle.
+    #[serde(skip)]
+    pub saddle_gain: f64,
     /// Largest violation of a bound, N or N m.
+    #[serde(skip)]
     pub bound_violation: f64,
     /// The replay on the same grid; its trajectory, which is the solution's to within `same_grid`, is left out.
+    #[serde(skip)]
     pub replay: Replay,
-    /// Every criterion with its limit.
+    /// Every criterion with its limit, in the order of the terminal.
+    #[serde(skip)]
     pub items: Vec<CheckItem>,
 }
 
 impl ForwardCheck {
-    /// Adds what takes many replays: the second-order condition, with its criterion.
+    /// Adds the criteria that take many replays: the second-order condition and the growth of disturbances.
     ///
     /// # Errors
-    /// [`CheckError`] when a replay next to the solution breaks down.
+    /// Returns [`CheckError`] if a replay near the solution breaks down.
     pub fn deepen(
         &mut self,
         problem: &OptimalControlProblem,
@@ -262,7 +275,7 @@ impl ForwardCheck {
                 value: self.gain_over_objective(&found),
                 limit: self.saddle_gain,
                 unit: "",
-                meaning: "what is left to gain along the most negative curvature of the Lagrangian, over the objective: a saddle",
+                meaning: "possible gain along the most negative curvature of the Lagrangian, divided by the objective: a saddle",
             }
         } else {
             CheckItem {
@@ -270,7 +283,7 @@ impl ForwardCheck {
                 value: -found.eigenvalue,
                 limit: found.error,
                 unit: "",
-                meaning: "minus the smallest curvature of the Lagrangian over what active constraints leave free: beyond its error, a saddle",
+                meaning: "minus the smallest curvature of the Lagrangian in the directions that active constraints leave free: beyond its error, a saddle",
             }
         });
         self.second_order = Some(found);
@@ -278,19 +291,19 @@ impl ForwardCheck {
         Ok(())
     }
 
-    /// What the Lagrangian falls by from a saddle, over the objective.
+    /// Returns the decrease of the Lagrangian from a saddle, divided by the objective.
     #[must_use]
     pub fn gain_over_objective(&self, found: &SecondOrder) -> f64 {
         found.gain / self.objective.abs()
     }
 
-    /// Whether every criterion holds.
+    /// Tells whether every criterion holds.
     #[must_use]
     pub fn is_certified(&self) -> bool {
         self.items.iter().all(CheckItem::holds)
     }
 
-    /// `certified`, or `rejected`.
+    /// Returns `certified` or `rejected`.
     #[must_use]
     pub fn verdict(&self) -> &'static str {
         if self.is_certified() {
@@ -301,23 +314,23 @@ impl ForwardCheck {
     }
 }
 
-/// A replay of a solution, in errors.
+/// Kind of a replay, for errors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReplayKind {
-    /// On the solution's own grid.
+    /// Replay on the grid of the solution.
     SameGrid,
-    /// With shorter time steps.
+    /// Replay with shorter time steps.
     ShorterSteps,
-    /// With more elements.
+    /// Replay with more elements.
     MoreElements,
-    /// Slightly perturbed.
+    /// Replay of slightly perturbed controls or states.
     Perturbed,
-    /// After the end of the task, with the last wrench held.
+    /// Motion after the end of the task under the last wrench.
     Held,
 }
 
 impl ReplayKind {
-    /// What is to be done, to follow the error's own words.
+    /// Returns a remedy, as the continuation of the error's text.
     fn advice(self) -> &'static str {
         match self {
             Self::SameGrid | Self::Perturbed | Self::Held => "",
@@ -343,7 +356,7 @@ impl std::fmt::Display for ReplayKind {
     }
 }
 
-/// Why a solution could not be checked at all.
+/// The reason why a solution could not be checked.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum CheckError {
     /// A replay broke down.
@@ -357,16 +370,16 @@ pub enum CheckError {
     /// The refined rod could not be built.
     #[error("refined rod: {0}")]
     Rod(#[from] RodError),
-    /// The check was not made to its end.
+    /// A stop signal ended the check.
     #[error("not checked: {0}")]
     Stopped(#[from] Stop),
-    /// What is to be checked does not belong to the problem.
+    /// The solution does not belong to the problem.
     #[error("{0}")]
     Solution(#[from] SolutionError),
 }
 
 impl CheckError {
-    /// Why the check was not made to its end, where that is all.
+    /// Returns the stop that ended the check, if it was one.
     #[must_use]
     pub fn stopped(&self) -> Option<Stop> {
         match self {
@@ -380,10 +393,10 @@ impl CheckError {
     }
 }
 
-/// Checks a solution. `finer` builds the problem's rod with a number of times the elements, and the state in which it starts.
+/// Checks a solution. `finer` builds the problem's rod with a multiple of the elements, and the state in which it starts.
 ///
 /// # Errors
-/// [`CheckError`] when a replay breaks down, and for a solution that does not [belong](Solution::validate) to the problem.
+/// Returns [`CheckError`] if a replay breaks down, and for a solution that does not [belong](Solution::validate) to the problem.
 pub fn forward_check(
     problem: &OptimalControlProblem,
     finer: &dyn Fn(usize) -> Result<(Rod, State), RodError>,
@@ -413,7 +426,7 @@ pub fn forward_check(
             grid,
             simulation,
             &control,
-            // Under the model `consistent` two steps belong together.
+            // Under the model `consistent`, steps belong together in pairs.
             2 * factor,
             &problem.stop,
             &mut |state| {
@@ -449,7 +462,7 @@ pub fn forward_check(
     let strains = PeakStrains::of(&problem.rod, &same.trajectory, &problem.stop);
     let momentum = MomentumBalance::of(problem, &same.trajectory, &control);
     problem.stop.check()?;
-    // As large as the solution's, and of no use to what follows.
+    // This trajectory is as large as the solution's, and not needed any more.
     same.trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
     let half = run(2, ReplayKind::ShorterSteps)?;
     let refinement = refine(problem, finer, solution, &same.end)?;
@@ -471,9 +484,7 @@ pub fn forward_check(
         tip_spin: 0.0,
         finest_tip: refinement.tip,
         stays: refinement.stays,
-        energy: same.balance,
-        energy_ratio: half.balance.residual() / same.balance.residual(),
-        energy_halving: halving(&same.balance, &half.balance),
+        energy: EnergyAccount::of(same.balance, &half.balance),
         momentum,
         second_order: None,
         saddle_gain: limits.saddle_gain,
@@ -490,13 +501,13 @@ pub fn forward_check(
             value: found,
             limit: limits.duration,
             unit: "",
-            meaning: "derivative of the Lagrangian along a free duration, from motions that last longer and shorter, over its largest term",
+            meaning: "derivative of the Lagrangian along a free duration, from motions that last longer and shorter, divided by its largest term",
         });
     }
     Ok(check)
 }
 
-/// The controls on a grid whose steps are `factor` times shorter, and on the nodes of a rod with a whole multiple of the elements.
+/// Returns the controls on a grid whose steps are `factor` times shorter, and on the nodes of a rod with a whole multiple of the elements.
 fn refined_signal(
     problem: &OptimalControlProblem,
     factor: usize,
@@ -518,12 +529,12 @@ fn refined_grid(grid: TimeGrid, factor: usize) -> TimeGrid {
     }
 }
 
-/// Largest of some distances; NaN if any is.
+/// Returns the largest of some distances; NaN if any is.
 fn largest_of(distances: impl Iterator<Item = f64>) -> f64 {
     distances.fold(0.0, kkt::worse)
 }
 
-/// The goal of the tip at the end that has what `part` picks, if any.
+/// Returns the part that `part` selects of the tip's goals at the end, if any.
 fn last_goal<T>(
     problem: &OptimalControlProblem,
     part: impl Fn(&Goal) -> Option<T>,
@@ -570,7 +581,7 @@ fn items(
             check.kkt.stationarity,
             limits.kkt,
             "",
-            "gradient of the Lagrangian, recomputed from the energy itself, over its largest term",
+            "gradient of the Lagrangian, recomputed from the energy itself, divided by its largest term",
         ),
         item(
             "kkt.feasibility",
@@ -596,7 +607,7 @@ fn items(
         item(
             "same_grid_rad",
             check.same_grid_turn,
-            // An element that is off by this much at one end.
+            // Rotation of an element with this distance at one end.
             limits.same_grid * problem.rod.n_elements() as f64,
             "",
             "largest distance of any rotation at any time from that of the forward simulation",
@@ -617,31 +628,31 @@ fn items(
         ),
         item(
             "energy",
-            check.energy.relative(),
+            check.energy.relative_residual,
             limits.energy,
             "",
-            "work in minus change of energy minus dissipation, over the energy that passed through",
+            "work in minus change of energy minus dissipation, divided by the energy that passed through",
         ),
         item(
             "energy_halving",
-            check.energy_halving,
+            check.energy.halving_ratio_largest,
             limits.energy_halving,
             "",
-            "largest such residual with the step halved over itself: 1/4 of a method of second order",
+            "largest energy residual with the step halved, divided by the largest one: 1/4 for a method of second order",
         ),
         item(
             "momentum",
             check.momentum.over_rounding,
             1.0,
             "",
-            "impulse in minus change of linear and angular momentum over any step, over what rounding explains",
+            "impulse in minus change of linear and angular momentum over any step, divided by the effect of rounding",
         ),
     ];
     if !problem.rod.model.has_potential() {
-        // There is no energy to balance.
+        // Without a potential there is no energy to balance.
         items.retain(|item| !item.name.starts_with("energy"));
     }
-    if check.energy.relative() <= SMALL_ENERGY * limits.energy {
+    if check.energy.relative_residual <= SMALL_ENERGY * limits.energy {
         // As small as this it may be what the shortest waves do, which shorter steps only resolve.
         items.retain(|item| item.name != "energy_halving");
     }
@@ -660,7 +671,7 @@ fn items(
             between,
             limits.between,
             "",
-            "largest violation of a path constraint anywhere on the finest replay, over the radius or the limit itself",
+            "largest violation of a path constraint anywhere on the finest replay, divided by the radius or by the limit",
         ));
     }
     let allowed = |enforcement: &Enforcement, angle: bool| match enforcement {
@@ -729,7 +740,7 @@ fn items(
             "rad/s",
             "angular speed of the simulated tip at the end",
         ));
-        // An arm that stays is followed instead.
+        // An arm that stays is followed after the task instead.
         if problem.stay.is_none() {
             let tip = &check.finest_tip;
             items.push(item(
@@ -737,14 +748,14 @@ fn items(
                 tip.speed,
                 speed + limits.rest[0] * tip.highest_speed,
                 "m/s",
-                "speed of the tip at the end on a finer grid, where it should stop, beside the highest before",
+                "speed of the tip at the end on a finer grid, where it should stop",
             ));
             items.push(item(
                 "refined_spin_rad_s",
                 tip.spin,
                 spin + limits.rest[1] * tip.highest_spin,
                 "rad/s",
-                "angular speed of the tip at the end on a finer grid, beside the highest before",
+                "angular speed of the tip at the end on a finer grid, where it should stop",
             ));
         }
     }

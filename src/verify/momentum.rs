@@ -1,14 +1,14 @@
-//! Momentum balance of a motion: exact for the integrator, so anything beyond rounding is a mistake.
+//! The momentum balance of a motion, which is exact for the integrator: any error beyond rounding is a mistake.
 //!
-//! At every time node `k`, with the momenta of the intervals before and after it and the impulse of all that acts from outside,
+//! At every time node `k`, with the momenta of the intervals before and after it and the impulse of all external forces,
 //!
 //! ```text
 //! Σ p_after - decay Σ p_before = weight Σ f_external + impulse on node 0
 //! Σ (x × p + R π)_after - decay Σ (x × p + R π)_before = the same for moments about the origin, x and R those at k
 //! ```
 //!
-//! over the free nodes. Elastic and viscous stresses come in pairs and cancel, but for what the first element does to a node 0
-//! that is held: minus the base's reaction. Momenta are the velocities' own, `m Δx/h` and `(F J_d - J_d Fᵀ)^∨/h`.
+//! over the free nodes. Elastic and viscous stresses cancel in pairs, except for the effect of the first element on a held node 0, which is
+//! minus the base's reaction. Momenta are those of the velocities, `m Δx/h` and `(F J_d - J_d Fᵀ)^∨/h`.
 
 use nalgebra::Vector3;
 
@@ -19,23 +19,26 @@ use crate::control::OptimalControlProblem;
 use crate::mechanics::{ControlSignal, Rod, TimeScheme, Trajectory, Wrench};
 
 /// By how much a motion misses the balance of momentum over its worst step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct MomentumBalance {
     /// N s
+    #[serde(rename = "linear_n_s")]
     pub linear: f64,
     /// N m s, about the origin.
+    #[serde(rename = "angular_n_m_s")]
     pub angular: f64,
-    /// The larger of both, each over what rounding explains.
+    /// The larger of both, each divided by the effect of rounding.
     pub over_rounding: f64,
     /// Time, s.
+    #[serde(rename = "time_s")]
     pub time: f64,
 }
 
-/// Roundings of a sum of a few terms, each known to a few units in the last place.
+/// Rounding of a sum of a few terms, each accurate to a few units in the last place.
 const ROUNDINGS: f64 = 64.0 * f64::EPSILON;
 
 impl MomentumBalance {
-    /// Of a motion under a control.
+    /// Computes the balance of a motion under a control.
     #[must_use]
     pub fn of(
         problem: &OptimalControlProblem,
@@ -69,7 +72,7 @@ impl MomentumBalance {
 }
 
 impl Conditions<'_> {
-    /// What the balances at time node `k` lack: linear, and angular about the origin.
+    /// Returns the residuals of the balances at time node `k`: linear, and angular about the origin.
     fn momentum_missing(&self, k: usize) -> [Vector3<f64>; 2] {
         let rod = self.rod();
         let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
@@ -112,7 +115,7 @@ impl Conditions<'_> {
         [linear, angular]
     }
 
-    /// Impulse of the first element on node 0 at time node `k`: force, and moment in the body frame.
+    /// Returns the impulse of the first element on node 0 at time node `k`: force, and moment in the body frame.
     fn on_base(&self, k: usize, weight: f64, impulse: f64) -> (Vector3<f64>, Vector3<f64>) {
         let rod = self.rod();
         let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
@@ -152,7 +155,7 @@ impl Conditions<'_> {
         (push, twist)
     }
 
-    /// What rounding of the configurations, and of the strains made of them, does to the balances.
+    /// Returns the effect on the balances of rounding in the configurations and in the strains computed from them.
     fn momentum_rounding(&self, k: usize) -> [f64; 2] {
         let rod = self.rod();
         let h = self.problem.grid.step;

@@ -15,34 +15,34 @@ use crate::mechanics::{State, Stepper, Trajectory, Wrench};
 /// A row of a path constraint with a multiplier.
 struct PathTerm {
     row: PathMultiplier,
-    /// `(linear, quadratic)` price of a soft row beyond its limit, times the time it stands for.
+    /// Price `(linear, quadratic)` of a soft row beyond its limit, multiplied by the duration that the row represents.
     price: Option<[f64; 2]>,
 }
 
-/// A solution whose scaled controls can be moved; the motion follows.
+/// A solution whose scaled controls can be changed; the motion follows.
 pub(super) struct Probe<'a> {
     pub(super) problem: &'a OptimalControlProblem,
     terms: Vec<PathTerm>,
     multipliers: SolutionMultipliers<'a>,
     /// Scaled actuated coefficients of the solution.
     pub(super) variables: Vec<f64>,
-    /// Largest term of the Lagrangian's gradient there.
+    /// Largest term of the Lagrangian's gradient at the solution.
     pub(super) scale: f64,
-    /// The bounds that pull there.
+    /// Active bounds of the solution.
     pub(super) bounds: Vec<ActiveBound>,
-    /// Goals at the end of their tolerance.
+    /// Goals at the boundary of their tolerance.
     pub(super) balls: Vec<GoalBall>,
-    /// Indices into the path's terms of the rows that are held at their limits.
+    /// Indices of the path terms whose rows are active.
     held: Vec<usize>,
 }
 
-/// A motion that follows from controls.
+/// The motion under given controls.
 pub(super) struct Motion {
     pub(super) trajectory: Trajectory,
     pub(super) end: State,
 }
 
-/// The motion from a state under coefficients of the control.
+/// Simulates the motion from a state under coefficients of the control.
 pub(super) fn roll_out(
     problem: &OptimalControlProblem,
     initial: &State,
@@ -122,7 +122,7 @@ impl<'a> Probe<'a> {
         self.problem.wrenches(variables)
     }
 
-    /// The solution's variables moved by `step` along `direction`.
+    /// Returns the solution's variables moved by `step` along `direction`.
     fn moved(&self, direction: &[f64], step: f64) -> Vec<f64> {
         (self.variables.iter().zip(direction))
             .map(|(v, d)| v + step * d)
@@ -137,7 +137,7 @@ impl<'a> Probe<'a> {
         )
     }
 
-    /// Scaled residuals of the goals, values of the held rows of the path, and the tip's position at the end, at other controls.
+    /// Returns the scaled residuals of the goals, values of the active path rows, and the tip's position at the end, at other controls.
     fn rows(&self, variables: &[f64]) -> Result<Vec<f64>, CheckError> {
         let motion = self.motion(variables)?;
         let coefficients = self.coefficients(variables);
@@ -165,8 +165,8 @@ impl<'a> Probe<'a> {
         }
     }
 
-    /// Derivatives along the variables by central differences: of the scaled residuals of the goals and the values of the held rows of
-    /// the path, and of the tip's position at the end, m.
+    /// Returns derivatives along the variables by central differences: those of the scaled residuals of the goals and the values of the
+    /// active path rows, and those of the tip's position at the end, m.
     pub(super) fn responses(&self) -> Result<[DMatrix<f64>; 2], CheckError> {
         const STEP: f64 = 1e-4;
         let n = self.variables.len();
@@ -187,8 +187,8 @@ impl<'a> Probe<'a> {
         ])
     }
 
-    /// Gradient along the variables of the objective with fixed multipliers on what is held, and with the prices of what is soft,
-    /// at the solution moved by `step` along `direction`.
+    /// Returns the gradient along the variables of the objective with constant multipliers on active rows, and with the penalties of soft
+    /// ones, at the solution moved by `step` along `direction`.
     pub(super) fn gradient(&self, direction: &[f64], step: f64) -> Result<Vec<f64>, CheckError> {
         let problem = self.problem;
         let variables = self.moved(direction, step);
@@ -229,7 +229,7 @@ impl<'a> Probe<'a> {
             .collect())
     }
 
-    /// The variable of a component of a coefficient; `None` where it is not actuated.
+    /// Returns the variable of a component of a coefficient; `None` if it is not actuated.
     pub(super) fn variable(&self, at: usize, channel: usize, axis: usize) -> Option<usize> {
         let n = self.problem.actuators.len();
         let components = self.problem.actuated_components();
@@ -240,7 +240,8 @@ impl<'a> Probe<'a> {
     }
 }
 
-/// `(linear, quadratic)` of a soft row that is beyond its limit; `None` of a hard one, and of a soft one that its price keeps at it.
+/// Returns the price `(linear, quadratic)` of a soft row that is beyond its limit; `None` for a hard row, and for a soft one that its price
+/// keeps at the limit.
 fn price(conditions: &Conditions, row: &PathMultiplier) -> Option<[f64; 2]> {
     let constraint = conditions.path.get(row.constraint)?;
     let PathEnforcement::Soft { linear, quadratic } = constraint.enforcement else {
@@ -255,7 +256,7 @@ fn price(conditions: &Conditions, row: &PathMultiplier) -> Option<[f64; 2]> {
 }
 
 impl Conditions<'_> {
-    /// Scaled value of a row of a path constraint.
+    /// Returns the scaled value of a row of a path constraint.
     pub(super) fn row_value(&self, row: &PathMultiplier) -> f64 {
         let limit = &self.path[row.constraint].limit;
         let here = Pose::at(self.trajectory, row.time_node, self.problem.grid);

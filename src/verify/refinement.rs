@@ -1,6 +1,7 @@
 //! Errors in time and space with their observed orders, and path constraints between nodes and samples, from replays on finer grids.
 
 use nalgebra::Vector3;
+use serde::Serialize;
 
 use super::kkt::worse;
 use super::limits::{Measure, Pose};
@@ -12,20 +13,20 @@ use crate::mechanics::stability::{bent_step, stable_step};
 use crate::mechanics::{ControlSignal, Rod, RodError, State, Stepper, TimeScheme, Trajectory};
 use crate::stop::StopSignal;
 
-/// An error that was estimated by refining a grid twice.
+/// An error estimated by refining a grid twice.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ErrorEstimate {
-    /// Largest error of any shared node at any shared time, m: Richardson's, with the observed order, from 1 to 2.
+    /// Largest error of any shared node at any shared time, m: by Richardson's extrapolation with the observed order, from 1 to 2.
     pub error: f64,
-    /// Observed order `log2(|x_1 - x_2| / |x_2 - x_4|)` of the largest changes; absent where the second refinement was not made.
+    /// Observed order `log2(|x_1 - x_2| / |x_2 - x_4|)` of the largest changes; absent without the second refinement.
     pub order: Option<f64>,
 }
 
 impl ErrorEstimate {
-    /// From the largest changes of the first and the second refinement.
+    /// Estimates the error from the largest changes of the first and the second refinement.
     fn of(first: f64, second: Option<f64>) -> Self {
         let order = second.map(|second| (first / second).log2());
-        // A method of second order that does not show it on these grids is not trusted with the error of one.
+        // If a method of second order does not show its order on these grids, the observed order is used.
         let power = order.map_or(2.0, |order| if order < 2.0 { order.max(1.0) } else { 2.0 });
         Self {
             error: first / (1.0 - (-power).exp2()),
@@ -35,19 +36,20 @@ impl ErrorEstimate {
 }
 
 /// Worst violation of a path constraint between its nodes and samples.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Between {
     /// Name of the constraint.
     pub name: String,
     /// Excess over the limit in its own unit; negative inside.
     pub excess: f64,
-    /// What it is compared with, in the same unit: radius of obstacle and arm together, or the limit itself.
-    pub reference: f64,
-    /// Its unit.
+    /// Unit of the excess.
     pub unit: &'static str,
+    /// The value that the excess is compared with, in the same unit: radius of obstacle and arm together, or the limit itself.
+    pub reference: f64,
     /// Place, as a fraction of the arm's length.
     pub along: f64,
     /// Time, s.
+    #[serde(rename = "time_s")]
     pub time: f64,
 }
 
@@ -77,45 +79,45 @@ impl TipMotion {
 /// The result of the replays on finer grids.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refinement {
-    /// From the time step.
+    /// Error of the time step.
     pub time: ErrorEstimate,
-    /// From the elements.
+    /// Error of the elements.
     pub space: ErrorEstimate,
-    /// Of every hard path constraint.
+    /// Worst violation of every hard path constraint.
     pub between: Vec<Between>,
-    /// Of the finest rod.
+    /// Motion of the tip of the finest rod.
     pub tip: TipMotion,
-    /// The motion after the horizon on the finest rod, where the arm stays.
+    /// The motion after the horizon on the finest rod, if the arm stays.
     pub stays: Option<StayReplay>,
 }
 
-/// Node-steps of implicit replays up to which the second refinement in space is made.
+/// Cap on the node-steps of implicit replays for the second refinement in space.
 const MOST_IMPLICIT_NODE_STEPS: usize = 4_000_000;
 /// Rounding of a number of parts.
 const WHOLE: f64 = 1e-9;
-/// Part of the stable step that a refined rod may use.
+/// Largest step of a refined rod as a fraction of the stable one.
 const STEP_FRACTION: f64 = 0.9;
 
-/// How many times the step must be divided for the `finer` rod to be stable with it, at least `least`. Implicit steps have no linear limit,
+/// Returns the smallest divisor of the step, at least `least`, for which the `finer` rod is stable. Implicit steps have no linear limit,
 /// but one under bending, `2 sqrt(J/m)`: a step within that of the solution's own rod stays within that of the finer one, whose nodes have
-/// less rotary inertia (in proportion to the length of its elements, or to the cube of it where that is the inertia of segments).
+/// less rotary inertia (in proportion to the length of its elements, or to the cube of it for the inertia of segments).
 fn stable_factor(step: f64, own: &Rod, finer: &Rod, least: usize) -> usize {
     let needed = match finer.scheme {
         TimeScheme::Explicit => step / (STEP_FRACTION * stable_step(finer)),
         TimeScheme::Implicit => step.min(bent_step(own)) / bent_step(finer),
     };
-    // What is whole but for rounding stays what it is.
+    // A ratio that is whole up to rounding is not increased.
     ((needed - WHOLE).ceil() as usize).max(least)
 }
 
-/// One replay, in lockstep with others.
+/// One of several replays that advance together.
 struct Level<'a> {
     stepper: Stepper<'a>,
     signal: ControlSignal,
-    /// Steps per step of the solution.
+    /// Number of steps per step of the solution.
     factor: usize,
     n_nodes: usize,
-    /// Nodes per node of the solution.
+    /// Number of nodes per node of the solution.
     stride: usize,
     which: ReplayKind,
 }
@@ -140,7 +142,7 @@ impl<'a> Level<'a> {
         }
     }
 
-    /// To the next time node of the solution; `observe` sees every step.
+    /// Advances to the next time node of the solution; `observe` is called at every step.
     fn advance(&mut self, mut observe: impl FnMut(&Stepper)) -> Result<(), CheckError> {
         for _ in 0..self.factor {
             let k = self.stepper.step();
@@ -155,7 +157,7 @@ impl<'a> Level<'a> {
         Ok(())
     }
 
-    /// Positions of the solution's nodes.
+    /// Returns the positions of the solution's nodes.
     fn positions(&self) -> impl Iterator<Item = Vector3<f64>> {
         (0..self.n_nodes)
             .step_by(self.stride)
@@ -163,7 +165,7 @@ impl<'a> Level<'a> {
     }
 }
 
-/// Larger of `so_far` and the largest distance; NaN if any is.
+/// Returns the larger of `so_far` and the largest distance; NaN if any is.
 fn farthest(
     so_far: f64,
     a: impl Iterator<Item = Vector3<f64>>,
@@ -179,15 +181,15 @@ fn farthest(
     })
 }
 
-/// By how much steps are divided for the error in time.
+/// Divisors of the step for the error in time.
 const IN_TIME: [usize; 3] = [1, 2, 4];
 
 /// Replays the controls with the step halved and quartered, and with the elements doubled and quadrupled (at a common step that is stable
-/// for all); nothing is stored but the latest states. `finer` builds the rod with a number of times the elements, and its start. An arm that
-/// stays is followed after the horizon, where it arrives in the state `end` on its own grid.
+/// for all); only the latest states are stored. `finer` builds the rod with a multiple of the elements, and its start. If the arm stays, it
+/// is followed after the horizon; it arrives in the state `end` on its own grid.
 ///
 /// # Errors
-/// [`CheckError`] when a replay breaks down.
+/// Returns [`CheckError`] if a replay breaks down.
 pub fn refine(
     problem: &OptimalControlProblem,
     finer: &dyn Fn(usize) -> Result<(Rod, State), RodError>,
@@ -211,7 +213,7 @@ pub fn refine(
         .map(|&factor| level(coarse, start(), factor, ReplayKind::ShorterSteps))
         .collect();
     let in_time: Vec<usize> = (0..levels.len()).collect();
-    // The solution's own rod at the step of the finer ones is mostly there already.
+    // The solution's own rod at the step of the finer ones is usually among the replays already.
     let shared = IN_TIME.iter().position(|&in_time| in_time == factor);
     let mut in_space = vec![shared.unwrap_or(levels.len())];
     if shared.is_none() {
@@ -273,12 +275,12 @@ pub fn refine(
     })
 }
 
-/// Follows the hard path constraints on a finer rod and at every one of its steps.
+/// Evaluates the hard path constraints on a finer rod at each of its steps.
 struct Watch<'a> {
     rod: &'a Rod,
     radii: Vec<f64>,
     step: f64,
-    /// Each with its first and last time, s.
+    /// Limits, each with its first and last time, s.
     limits: Vec<(PathLimit, [f64; 2])>,
     worst: Vec<Between>,
     before: Pose,
@@ -314,10 +316,7 @@ impl<'a> Watch<'a> {
                         thickness.max(FLAT_REFERENCE * rod.scales.length)
                     }
                 }
-                PathLimit::Stretch { .. } | PathLimit::Term(_) => 1.0,
-                PathLimit::Curvature { largest }
-                | PathLimit::Twist { largest }
-                | PathLimit::Speed { largest, .. } => *largest,
+                other => other.size().unwrap_or(1.0),
             };
             let nodes = &constraint.time_nodes;
             let (Some(first), Some(last)) = (nodes.first(), nodes.last()) else {
@@ -326,11 +325,8 @@ impl<'a> Watch<'a> {
             if constraint.enforcement != PathEnforcement::Hard {
                 continue;
             }
-            let mut limit = constraint.limit.clone();
-            if let PathLimit::Speed { node, .. } = &mut limit {
-                *node *= factor;
-            }
-            // What holds at the end holds while the arm stays.
+            let limit = constraint.limit.clone();
+            // A constraint that holds at the end also holds while the arm stays.
             let end = if problem.stay.is_some() && *last == problem.grid.n_steps {
                 f64::INFINITY
             } else {
@@ -396,29 +392,28 @@ impl<'a> Watch<'a> {
     }
 }
 
-/// Of the length: what penetration of a plane by a line without thickness is compared with.
+/// Fraction of the length with which the penetration of a plane by a line without thickness is compared.
 const FLAT_REFERENCE: f64 = 0.05;
 
 /// Extremes of the strains over a motion.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PeakStrains {
-    /// Least length of an element over that at rest.
-    pub least_stretch: f64,
-    /// Largest.
-    pub largest_stretch: f64,
+    /// Least and largest length of an element over that at rest.
+    pub stretch: [f64; 2],
     /// Largest bending curvature, 1/m.
+    #[serde(rename = "curvature_1_m")]
     pub curvature: f64,
     /// Largest twist, 1/m.
+    #[serde(rename = "twist_1_m")]
     pub twist: f64,
 }
 
 impl PeakStrains {
-    /// Over all elements and time nodes, up to where `stop` is found raised.
+    /// Computes the extremes over all elements and time nodes, until `stop` is raised.
     #[must_use]
     pub fn of(rod: &Rod, trajectory: &Trajectory, stop: &StopSignal) -> Self {
         let mut out = Self {
-            least_stretch: f64::INFINITY,
-            largest_stretch: 0.0,
+            stretch: [f64::INFINITY, 0.0],
             curvature: 0.0,
             twist: 0.0,
         };
@@ -431,8 +426,7 @@ impl PeakStrains {
                 let stretch = (x[q + 1] - x[q]).norm() / rod.rest_chords[q];
                 let pose = Rod::element_pose(q, x, r);
                 let kappa = rod.strain_rule.strain(element.length, &pose).curvature;
-                out.least_stretch = out.least_stretch.min(stretch);
-                out.largest_stretch = out.largest_stretch.max(stretch);
+                out.stretch = [out.stretch[0].min(stretch), out.stretch[1].max(stretch)];
                 out.curvature = out.curvature.max(kappa.xy().norm());
                 out.twist = out.twist.max(kappa.z.abs());
             }
@@ -447,10 +441,10 @@ mod tests {
     use crate::mechanics::{Material, RotaryInertia};
     use crate::task::{Arm, Discretization};
 
-    /// A wire that is bent as far as its step bears: the finer rod's step bears it as well. With the inertia of sections a quarter of the step
-    /// does for a quarter of the length, with that of segments it takes an eighth.
+    /// A wire bent as far as its step allows: the finer rod's step allows it as well. With the inertia of sections a quarter of the step
+    /// suffices for a quarter of the length, with that of segments an eighth.
     #[test]
-    fn finer_rods_are_replayed_with_steps_that_they_bear() {
+    fn finer_rods_are_replayed_with_stable_steps() {
         let steel = Material::isotropic(200e9, 0.3, 7850.0);
         let wire = Arm::cylinder(&steel, 0.3, 0.5e-3);
         for (inertia, expected) in [(RotaryInertia::Section, 4), (RotaryInertia::Segment, 8)] {

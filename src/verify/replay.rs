@@ -1,4 +1,4 @@
-//! Replays of a solution by the forward simulation, with an account of their energy.
+//! Replays of a solution by forward simulation, with their energy balance.
 
 use nalgebra::Vector3;
 
@@ -14,31 +14,61 @@ use crate::mechanics::{
 use crate::stop::StopSignal;
 
 /// Energy account of a motion, J.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct EnergyBalance {
     /// Work of the control, of the loads on the tip and the other nodes, and of what drives the base.
+    #[serde(rename = "work_J")]
     pub work: f64,
     /// Kinetic, elastic and potential energy at the end minus those at the start.
+    #[serde(rename = "change_J")]
     pub change: f64,
     /// Energy taken by the damping.
+    #[serde(rename = "dissipation_J")]
     pub dissipation: f64,
     /// Largest of the work, the energies and the dissipation on the way: what the residual is compared with.
+    #[serde(skip)]
     pub throughput: f64,
     /// Largest residual on the way.
+    #[serde(skip)]
     pub largest_residual: f64,
 }
 
 impl EnergyBalance {
-    /// `|work - change - dissipation|`, J.
+    /// Returns `|work - change - dissipation|`, J.
     #[must_use]
     pub fn residual(&self) -> f64 {
         (self.work - self.change - self.dissipation).abs()
     }
 
-    /// The residual over the throughput.
+    /// Returns the residual divided by the throughput.
     #[must_use]
     pub fn relative(&self) -> f64 {
         self.residual() / self.throughput
+    }
+}
+
+/// Energy account of a replay beside that with the step halved.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct EnergyAccount {
+    /// Work, change and dissipation.
+    #[serde(flatten)]
+    pub balance: EnergyBalance,
+    /// The part that does not add up, over what passed through.
+    pub relative_residual: f64,
+    /// The residual with the step halved, over itself: about 1/4.
+    pub halving_ratio: f64,
+    /// Largest residual on the way with the step halved, over the largest one, at common times; 0 where there is next to none.
+    pub halving_ratio_largest: f64,
+}
+
+impl EnergyAccount {
+    pub(super) fn of(balance: EnergyBalance, halved: &EnergyBalance) -> Self {
+        Self {
+            relative_residual: balance.relative(),
+            halving_ratio: halved.residual() / balance.residual(),
+            halving_ratio_largest: halving(&balance, halved),
+            balance,
+        }
     }
 }
 
@@ -55,10 +85,10 @@ pub struct Replay {
     pub balance: EnergyBalance,
 }
 
-/// Runs a forward simulation and keeps account of its energy.
+/// Simulates forward with an energy balance.
 ///
 /// # Errors
-/// [`StepError`] of the integrator.
+/// Returns the [`StepError`] of the integrator.
 pub fn replay(
     rod: &Rod,
     grid: TimeGrid,
@@ -79,9 +109,9 @@ pub fn replay(
 
 /// The integrator of a replay.
 pub(super) enum Simulation<'a> {
-    /// The check's own, which knows its forces.
+    /// The check's own integrator, with access to its forces.
     Reference(Box<ReferenceStepper<'a>>),
-    /// That of simulations.
+    /// The integrator of simulations.
     Fast(Box<Stepper<'a>>),
 }
 
@@ -90,7 +120,7 @@ impl<'a> Simulation<'a> {
         Self::Reference(Box::new(ReferenceStepper::new(rod, grid, initial)))
     }
 
-    /// For finer grids: that of simulations, and the check's own where the work of what drives the base is counted.
+    /// Returns the integrator for finer grids: that of simulations, or the check's own if the work of a driven base counts.
     pub(super) fn fast(rod: &'a Rod, grid: TimeGrid, initial: State) -> Self {
         if rod.driven_base(0.0).is_some() {
             Self::reference(rod, grid, initial)
@@ -113,7 +143,7 @@ impl<'a> Simulation<'a> {
         }
     }
 
-    /// What acts on node 0 apart from what drives it, on the side of the time node that `node` names; nothing where nothing drives it.
+    /// Returns the wrench on node 0 except that of the base's drive, on the side of the time node that `node` names; zero without a drive.
     fn base_wrench(&self, rod: &Rod, node: &TimeNode) -> Wrench {
         let Self::Reference(stepper) = self else {
             return Wrench::default();
@@ -129,8 +159,8 @@ impl<'a> Simulation<'a> {
     }
 }
 
-/// A forward simulation that `observe` sees every state of, the first included; the trajectory of the result is empty. The largest
-/// residual of the energy is that of every `stride`th time node.
+/// Simulates forward and calls `observe` with every state, the first included; the trajectory of the result is empty. The largest residual
+/// of the energy is that of every `stride`th time node.
 pub(super) fn account(
     rod: &Rod,
     grid: TimeGrid,
@@ -145,7 +175,7 @@ pub(super) fn account(
     let start = Energy::of(rod, &after);
     let mut energies = vec![start];
     observe(&after);
-    // A smaller throughput is rounding of the stiffest element, and no energy to compare a residual with.
+    // A smaller throughput is rounding of the stiffest element.
     let mut balance = EnergyBalance {
         throughput: NO_ENERGY * rod.scales.force * rod.scales.length,
         ..EnergyBalance::default()
@@ -189,7 +219,7 @@ pub(super) fn account(
     })
 }
 
-/// Account of the stresses that depend on both ends of a step, which the forces of the integrator do not hold.
+/// Energy balance of the stresses that depend on both ends of a step, which the integrator's forces do not include.
 struct InternalAccount<'a> {
     rod: &'a Rod,
     weights: [f64; 2],
@@ -198,7 +228,7 @@ struct InternalAccount<'a> {
 }
 
 impl<'a> InternalAccount<'a> {
-    /// `None` where there is no such stress.
+    /// Creates the balance; `None` without such a stress.
     fn new(rod: &'a Rod, time_step: f64, state: &State) -> Option<Self> {
         let Configuration {
             positions,
@@ -212,8 +242,8 @@ impl<'a> InternalAccount<'a> {
         })
     }
 
-    /// Goes on to the end of a step: returns what Kelvin-Voigt damping took, J, and adds what the stresses do to node 0 at both
-    /// ends.
+    /// Advances to the end of a step: returns the dissipation of Kelvin-Voigt damping, J, and adds the effects of the stresses on node 0 at
+    /// both ends.
     fn advance(&mut self, after: &State, passive: &mut [Wrench; 2]) -> f64 {
         let (rod, h) = (self.rod, self.time_step);
         let Configuration {
@@ -237,11 +267,10 @@ impl<'a> InternalAccount<'a> {
     }
 }
 
-/// Part of the rod's energy scale `EI/L` that counts as none.
+/// Fraction of the rod's energy scale `EI/L` that counts as zero.
 const NO_ENERGY: f64 = 1e-9;
 
-/// Translation and rotation of a node over one step; the rotation vector has the same components in the frames of both
-/// of its ends.
+/// Returns translation and rotation of a node over one step; the rotation vector has the same components in the frames of both of its ends.
 fn displacement(before: &State, after: &State, q: usize) -> (Vector3<f64>, Vector3<f64>) {
     let (before, after) = (&before.configuration, &after.configuration);
     (
@@ -250,8 +279,8 @@ fn displacement(before: &State, after: &State, q: usize) -> (Vector3<f64>, Vecto
     )
 }
 
-/// Work of what drives the base over one step: the change of node 0's kinetic energy, less the work of all else that
-/// acts on it (`passive`, at both ends of the step).
+/// Returns the work of the base's drive over one step: the change of node 0's kinetic energy, minus the work of all other wrenches on it
+/// (`passive`, at both ends of the step).
 fn drive_work(rod: &Rod, before: &State, after: &State, passive: &[Wrench; 2]) -> f64 {
     let kinetic = |state: &State| {
         let rotary = rod.rotary_at(&state.configuration.positions)[0];
@@ -266,7 +295,7 @@ fn drive_work(rod: &Rod, before: &State, after: &State, passive: &[Wrench; 2]) -
     kinetic(after) - kinetic(before) - done
 }
 
-/// Work of loads and control over one step: forces at both ends, half each, along the step's own displacement.
+/// Returns the work of loads and control over one step: forces at both ends, half each, along the step's own displacement.
 fn step_work(
     rod: &Rod,
     grid: TimeGrid,
@@ -309,7 +338,7 @@ fn step_work(
     work
 }
 
-/// `h c Σ m |v|² + ω·Jω` with the step's own velocities.
+/// Returns `h c Σ m |v|² + ω·Jω` with the step's own velocities.
 fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
     if rod.viscous_damping == 0.0 {
         return 0.0;
@@ -329,9 +358,9 @@ fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
     h * rod.viscous_damping * sum
 }
 
-/// Largest residual with the step halved over the largest one, or 0 where that one is next to nothing.
+/// Returns the largest residual with the step halved divided by the largest one, or 0 if that one is rounding.
 pub(super) fn halving(same: &EnergyBalance, half: &EnergyBalance) -> f64 {
-    // Below this, rounding of stiff elements.
+    // Fraction of the throughput below which a residual is rounding of stiff elements.
     const NOTHING: f64 = 1e-6;
     if same.largest_residual <= NOTHING * same.throughput {
         0.0

@@ -2,7 +2,7 @@
 
 use crate::control::{OptimalControlProblem, PathConstraint};
 
-/// Half of every interval between neighboring time nodes for either of its ends, s.
+/// Returns the weights of the trapezoidal rule: half of every interval between neighboring time nodes for either of its ends, s.
 fn trapezoidal(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
     let mut out: Vec<(usize, f64)> = nodes.iter().map(|&k| (k, 0.0)).collect();
     for i in 1..nodes.len() {
@@ -13,7 +13,7 @@ fn trapezoidal(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
     out
 }
 
-/// Time nodes at which costs over states are sampled, as even as whole steps allow, with the time that each stands for, s.
+/// Returns the time nodes at which costs on states are sampled, as even as whole steps allow, with the duration that each represents, s.
 pub(super) fn of_costs(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
     let objective = &problem.objective;
     if !objective.sees_states() {
@@ -27,7 +27,7 @@ pub(super) fn of_costs(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
     trapezoidal(&nodes, problem.grid.step)
 }
 
-/// Time nodes of a path constraint, with the time that each stands for, s; a single one stands for one second.
+/// Returns the time nodes of a path constraint, with the duration that each represents, s; a single one represents one second.
 pub(super) fn of_path(constraint: &PathConstraint, step: f64) -> Vec<(usize, f64)> {
     match constraint.time_nodes.as_slice() {
         [k] => vec![(*k, 1.0)],
@@ -38,13 +38,13 @@ pub(super) fn of_path(constraint: &PathConstraint, step: f64) -> Vec<(usize, f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::cost::durations;
+    use crate::control::residual::durations;
     use proptest::prelude::*;
 
     proptest! {
-        /// Any ascending nodes: what the solver says they stand for, and all of the time between the first and the last.
+        /// Any ascending nodes: the durations are those of the solver, and add up to the time between the first and the last.
         #[test]
-        fn durations_are_the_solvers(gaps in prop::collection::vec(1..50usize, 0..20), step in 1e-6..1.0f64) {
+        fn durations_equal_those_of_the_solver(gaps in prop::collection::vec(1..50usize, 0..20), step in 1e-6..1.0f64) {
             let mut nodes = vec![3];
             for gap in gaps {
                 nodes.push(nodes[nodes.len() - 1] + gap);

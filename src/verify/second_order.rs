@@ -1,11 +1,12 @@
 //! The second-order condition: curvature of the Lagrangian over the directions that the active constraints leave free.
 //!
 //! In the scaled coefficients `v` of the controls, with the motion a function of them, `∇²L` must be positive on the null space of the
-//! gradients of all that is held: hard goals, and rows of the path, rates and bounds with a multiplier. Active norm bounds, and goals at
-//! the end of their tolerance, add the curvature of their own ball, `|z| (I - û ûᵀ)/|u|`. Rows without a multiplier hold nothing here, which can only lower the result.
+//! gradients of all active conditions: hard goals, and rows of the path, rates and bounds with a multiplier. Active norm bounds, and goals
+//! at the boundary of their tolerance, add the curvature of their own ball, `|z| (I - û ûᵀ)/|u|`. Rows without a multiplier count as free
+//! here, which can only lower the result.
 //!
-//! Products of `∇²L` with a direction are central differences of the recomputed gradient ([`kkt`](super::kkt)); the smallest
-//! eigenvalue comes from Lanczos' method with full reorthogonalization, stopped when its residual is a small part of it.
+//! Products of `∇²L` with a direction are central differences of the recomputed gradient ([`kkt`](super::kkt)); the smallest eigenvalue
+//! comes from Lanczos' method with full reorthogonalization, stopped when its residual is a small fraction of it.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -24,7 +25,7 @@ pub enum Extremum {
 }
 
 impl Extremum {
-    /// In words.
+    /// Returns the kind in words.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -36,28 +37,29 @@ impl Extremum {
 }
 
 /// Smallest curvature of the Lagrangian over the critical subspace.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct SecondOrder {
     /// Smallest eigenvalue found: objective per squared scaled control.
     pub eigenvalue: f64,
-    /// Some eigenvalue is within this of it: residual of the eigenpair, asymmetry of the products, and their truncation. That none is
-    /// below rests on Lanczos' method having found the end of the spectrum.
+    /// Error of the eigenvalue: residual of the eigenpair, asymmetry of the products, and their truncation. Some eigenvalue is within this
+    /// distance; that none is smaller relies on Lanczos' method having found the end of the spectrum.
     pub error: f64,
     /// Largest eigenvalue found.
     pub largest: f64,
     /// Dimension of the critical subspace.
     pub dimension: usize,
-    /// Number of independent gradients that are held.
+    /// Number of independent gradients of active conditions.
     pub held: usize,
-    /// Products of the Hessian with a direction.
+    /// Number of products of the Hessian with a direction.
     pub products: usize,
     /// What the Lagrangian falls by along the eigenvector, in the better of both ways, where the curvature is negative beyond its error; 0
     /// elsewhere.
+    #[serde(skip)]
     pub gain: f64,
 }
 
 impl SecondOrder {
-    /// The kind of the stationary point.
+    /// Returns the kind of the stationary point.
     #[must_use]
     pub fn extremum(&self) -> Extremum {
         if self.eigenvalue > self.error || self.dimension == 0 {
@@ -70,19 +72,19 @@ impl SecondOrder {
     }
 }
 
-/// Part of the eigenvalue to which its residual is brought.
+/// Residual of the eigenpair as a fraction of the eigenvalue, at which the iteration ends.
 const RESIDUAL: f64 = 0.02;
-/// Products before the residual is believed.
+/// Lower limit of the products before the residual is used.
 const FEWEST: usize = 8;
-/// Products, at most.
+/// Cap on the products.
 const MOST: usize = 80;
-/// Singular values of the held gradients, over their largest, below which they count as dependent: the error of the differences that
-/// they are made of.
+/// Gradients of active conditions count as dependent below this ratio of a singular value to the largest one, which is the error of the
+/// differences that give them.
 const DEPENDENT: f64 = 1e-6;
 /// Relative noise of the recomputed gradient.
 const NOISE: f64 = 1e-10;
 
-/// Examines the curvature around a solution. `responses` are those of [`Probe::responses`].
+/// Computes the curvature around a solution. `responses` are those of [`Probe::responses`].
 pub(super) fn examine(probe: &Probe, responses: &DMatrix<f64>) -> Result<SecondOrder, CheckError> {
     let n = probe.variables.len();
     let normals = held_normals(probe, responses);
@@ -115,7 +117,7 @@ pub(super) fn examine(probe: &Probe, responses: &DMatrix<f64>) -> Result<SecondO
         (out.eigenvalue, out.gain) = (f64::NAN, f64::NAN);
         return Ok(out);
     };
-    // Truncation goes with the square of the step, noise with its inverse: h³ = noise / (2 third derivatives), the latter from the
+    // Truncation is proportional to the square of the step, noise to its inverse: h³ = noise / (2 third derivatives), the latter from the
     // change of the first product with its step.
     let mut step = 1e-3;
     let (near, far) = (product(&next, step)?, product(&next, 2.0 * step)?);
@@ -163,25 +165,25 @@ pub(super) fn examine(probe: &Probe, responses: &DMatrix<f64>) -> Result<SecondO
     Ok(out)
 }
 
-/// First length along an eigenvector, in scaled controls over their norm (at least one), and the growth of the next ones.
+/// First length along an eigenvector, in scaled controls divided by their norm (at least one), and the ratio of successive lengths.
 const FIRST_LENGTH: f64 = 1e-2;
 const LENGTH_GROWTH: f64 = 1.25;
 
-/// What the Lagrangian falls by from the solution along a direction: minus the integral of its slope by the trapezoidal rule, as far as the
-/// slope is negative or to the norm of the controls. `bend` is the curvature of the active balls along it.
+/// Returns the decrease of the Lagrangian from the solution along a direction: minus the integral of its slope by the trapezoidal rule, as
+/// long as the slope is negative, up to the norm of the controls. `bend` is the curvature of the active balls along the direction.
 fn fall(probe: &Probe, direction: &DVector<f64>, bend: f64, way: f64) -> f64 {
     let size = probe.variables.iter().map(|v| v * v).sum::<f64>().sqrt();
     let farthest = size.max(1.0);
     // The slope at the solution itself is the rounding of its stationarity.
     let (mut out, mut before, mut at, mut next) = (0.0, 0.0, 0.0, FIRST_LENGTH * farthest);
     while next <= farthest {
-        // Where the motion cannot be simulated any more nothing can be gained.
+        // The decrease ends where the motion cannot be simulated any more.
         let Ok(gradient) = probe.gradient(direction.as_slice(), way * next) else {
             break;
         };
         let slope = way * direction.dot(&DVector::from_vec(gradient)) + bend * next;
         if !(slope < 0.0) {
-            // The slope vanishes in between, where a straight line says.
+            // The slope vanishes in between, by linear interpolation.
             let part = before / (before - slope);
             if part.is_finite() {
                 out -= 0.5 * before * part * (next - at);
@@ -195,7 +197,7 @@ fn fall(probe: &Probe, direction: &DVector<f64>, bend: f64, way: f64) -> f64 {
     out
 }
 
-/// What is left of `v` beside the basis, normalized; `None` if it is nothing but rounding.
+/// Returns the component of `v` orthogonal to the basis, normalized; `None` if it is rounding.
 fn orthogonal(v: &DVector<f64>, basis: &DMatrix<f64>) -> Option<DVector<f64>> {
     let mut rest = v.clone();
     for _ in 0..2 {
@@ -205,7 +207,7 @@ fn orthogonal(v: &DVector<f64>, basis: &DMatrix<f64>) -> Option<DVector<f64>> {
     (size > 1e-10 * v.norm()).then(|| rest / size)
 }
 
-/// A pseudo-random direction of the critical subspace beside the basis; `None` where numbers are no numbers.
+/// Returns a pseudorandom direction of the critical subspace orthogonal to the basis; `None` if values are not finite.
 fn fresh(
     n: usize,
     seed: &mut u64,
@@ -230,7 +232,7 @@ fn fresh(
     None
 }
 
-/// Orthonormal basis of the gradients of all that is held.
+/// Returns an orthonormal basis of the gradients of all active conditions.
 fn held_normals(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
     let n = probe.variables.len();
     let goals = probe.problem.goal_rows();
@@ -242,7 +244,7 @@ fn held_normals(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
         }
     }
     if probe.problem.stay.is_some() {
-        // What holds the arm, the last coefficient, is given.
+        // The last coefficient, which holds the arm, is given.
         let first = n - probe.problem.actuated_components().len();
         let held = (first..n).map(|i| DVector::from_fn(n, |j, _| f64::from(u8::from(i == j))));
         columns.extend(held);
@@ -280,12 +282,12 @@ fn held_normals(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
         .map_or_else(|| DMatrix::zeros(n, 0), |u| u.select_columns(&kept))
 }
 
-/// Coefficients of a bound with their signs.
+/// Returns the coefficients of a bound with their signs.
 fn ends(at: usize, earlier: Option<usize>) -> impl Iterator<Item = (usize, f64)> {
     std::iter::once((at, 1.0)).chain(earlier.map(|earlier| (earlier, -1.0)))
 }
 
-/// Sum of the curvatures of the balls in which goals are met.
+/// Returns the sum of the curvatures of the balls of goals within a tolerance.
 fn ball_curvature(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
     let n = probe.variables.len();
     let mut out = DMatrix::zeros(n, n);
@@ -300,7 +302,7 @@ fn ball_curvature(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
     out
 }
 
-/// Sum of the curvatures of the active norm bounds.
+/// Returns the sum of the curvatures of the active norm bounds.
 fn own_curvature(probe: &Probe) -> DMatrix<f64> {
     let n = probe.variables.len();
     let mut out = DMatrix::zeros(n, n);

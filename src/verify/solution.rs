@@ -1,11 +1,11 @@
-//! The solution that is checked: motion, controls and multipliers, and whether their sizes fit the problem.
+//! The solution under check: motion, controls and multipliers, and the test that their sizes fit the problem.
 
 use std::collections::HashMap;
 
 use crate::control::{OptimalControlProblem, PathMultiplier};
 use crate::mechanics::{Trajectory, Wrench};
 
-/// A solution to check: what a result directory holds.
+/// A solution to check, as a result directory holds it.
 #[derive(Clone, Copy, Debug)]
 pub struct Solution<'a> {
     /// Configurations at every time node.
@@ -19,17 +19,17 @@ pub struct Solution<'a> {
 /// Multipliers of a solution, in the solver's scaling.
 #[derive(Clone, Copy, Debug)]
 pub struct SolutionMultipliers<'a> {
-    /// Of the goals' scaled residuals, in the order of [`OptimalControlProblem::goal_rows`].
+    /// Multipliers of the goals' scaled residuals, in the order of [`OptimalControlProblem::goal_rows`].
     pub goals: &'a [f64],
-    /// Of rows of [`OptimalControlProblem::path`]; those that are absent are zero.
+    /// Multipliers of rows of [`OptimalControlProblem::path`]; absent ones are zero.
     pub path: &'a [PathMultiplier],
-    /// Normals of the bounds on the rate of the scaled control from one coefficient to the next, per step between coefficients and
-    /// actuator (force, moment); empty without such bounds.
+    /// Normals of the bounds on the rate of the scaled control from one coefficient to the next, for each step between coefficients and
+    /// each actuator (force, moment); empty without such bounds.
     pub rates: &'a [[f64; 6]],
 }
 
 impl<'a> SolutionMultipliers<'a> {
-    /// Multipliers of a problem in which only goals have them.
+    /// Returns the multipliers of a problem in which only goals have them.
     #[must_use]
     pub fn of_goals(goals: &'a [f64]) -> Self {
         Self {
@@ -40,23 +40,23 @@ impl<'a> SolutionMultipliers<'a> {
     }
 }
 
-/// What of a solution does not belong to the problem.
+/// A value or size of a solution that does not belong to the problem.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{place}: {found}, but the problem has {expected}")]
 pub struct SolutionError {
-    /// Which part: `trajectory`, `coefficients`, or a field of the multipliers, as in `path[3].constraint`.
+    /// Place of the value: `trajectory`, `coefficients`, or a field of the multipliers, as in `path[3].constraint`.
     pub place: String,
     /// The value or size that was found.
     pub found: String,
-    /// The value or size that the problem asks for.
+    /// The value or size that the problem requires.
     pub expected: String,
 }
 
 impl Solution<'_> {
-    /// Whether counts and indices are the problem's, no row has two multipliers, and all numbers are finite.
+    /// Checks that counts and indices are those of the problem, no row has two multipliers, and all numbers are finite.
     ///
     /// # Errors
-    /// [`SolutionError`] names the first that is not.
+    /// Returns a [`SolutionError`] for the first that is not.
     pub fn validate(&self, problem: &OptimalControlProblem) -> Result<(), SolutionError> {
         let size = [self.trajectory.n_nodes, self.trajectory.n_times()];
         let expected = [problem.rod.n_nodes(), problem.grid.n_steps + 1];
@@ -77,10 +77,10 @@ impl Solution<'_> {
 }
 
 impl SolutionMultipliers<'_> {
-    /// The multipliers' part of [`Solution::validate`].
+    /// Checks the multipliers as [`Solution::validate`] does.
     ///
     /// # Errors
-    /// [`SolutionError`] names the first that does not belong to the problem.
+    /// Returns a [`SolutionError`] for the first that does not belong to the problem.
     pub fn validate(&self, problem: &OptimalControlProblem) -> Result<(), SolutionError> {
         require_count("goals", self.goals.len(), problem.goal_rows().len())?;
         require_finite("goals", self.goals.iter())?;

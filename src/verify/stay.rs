@@ -1,5 +1,5 @@
-//! Staying where the arm arrives: its part of the optimality conditions, by differences of its definition, and the motion after the horizon
-//! with the last wrench held.
+//! The check of a stay: its part of the optimality conditions, by differences of its definition, and the motion after the horizon under the
+//! last wrench.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -9,26 +9,27 @@ use crate::mechanics::differences;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{NodeWrenches, Rod, State, Stepper, TimeGrid};
 
-/// The motion of an arm after its task, with the last wrench held.
+/// The motion of an arm after its task under the last wrench.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StayReplay {
-    /// How long it was followed, s.
+    /// Duration of the simulation, s.
     pub seconds: f64,
     /// Largest distance of the tip from its target, m.
     pub tip_error: f64,
-    /// When that was, in s after the task.
+    /// Time of the largest distance, in s after the task.
     pub at: f64,
     /// Largest speed of any node, m/s.
     pub node_speed: f64,
-    /// Distance in m from which the tip is never farther from where the wrench holds it, to second order, by the energy that the arrival on the
-    /// solution's own grid leaves in every mode.
+    /// Largest possible distance of the tip from the place where the wrench holds it, m, to second order, by the energy that the arrival on
+    /// the solution's own grid leaves in every mode.
     pub bound: f64,
 }
 
-/// Follows the motion of `rod` from `state`, at the end of the horizon, with constant wrenches: of the place where the tip should stay.
+/// Simulates `rod` from `state`, at the end of the horizon, under constant wrenches; distances are those of the tip from the place where it
+/// should stay.
 ///
 /// # Errors
-/// [`CheckError`] when the motion breaks down.
+/// Returns [`CheckError`] if the motion breaks down.
 pub(super) fn follow(
     problem: &OptimalControlProblem,
     stay: &Stay,
@@ -81,10 +82,11 @@ pub(super) struct Covectors {
     pub(super) pi: Vec<Vector3<f64>>,
 }
 
-/// Rotation by which the logarithms are differentiated: differences of fourth order err by 1e-13 there.
+/// Rotation, rad, in differences of the logarithms: differences of fourth order have an error of 1e-13 there.
 const STEP: f64 = 1e-3;
 
-/// Derivative of `Σ y·r` over the state `(x, R, p, π)` of all nodes, in which `r` is linear but for the logarithms of rotations.
+/// Returns the derivative of `Σ y·r` with respect to the state `(x, R, p, π)` of all nodes, in which `r` is linear except for the
+/// logarithms of rotations.
 pub(super) fn covectors(stay: &Stay, y: &[Vector3<f64>], r: &[Matrix3<f64>]) -> Covectors {
     let n = r.len();
     let zeros = || vec![Vector3::zeros(); n];

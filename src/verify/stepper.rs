@@ -1,16 +1,17 @@
-//! The integrator of the check: the step of the paper, as its equations stand there, with forces by differentiating the energy.
+//! The integrator of the check: the step of the paper in the form of its equations, with forces by differentiating the energy.
 //!
 //! With the momenta `p` and `π` at time node `k`, the rotation `F` of a node over the step, `J_d = ½ tr(J) I - J`, `a = c h/2`, and the
-//! [stress of the interval](super::interval) `σ`, which is zero where no stress depends on both of its ends:
+//! [stress of the interval](super::interval) `σ`, which is zero if no stress depends on both of its ends:
 //!
 //! ```text
 //! (77)   m (x⁺ - x)/h = P            P = (p + h/2 (f - Bᵀσ))/(1 + a)      p⁺ = (1 - a) P + h/2 (f⁺ - B⁺ᵀσ)
 //! (81)   (F J_d - J_d Fᵀ)^∨/h = G    G = (π + h/2 (τ - Bᵀσ))/(1 + a)      π⁺ = (1 - a) (J_d F - Fᵀ J_d)^∨/h + h/2 (τ⁺ - B⁺ᵀσ)
 //! ```
 //!
-//! Force `f` and moment `τ` are what acts at a time node: minus the gradient of the energy, loads and controls. Under the models whose section
-//! thins, `J_d` follows the dilatation, and under `consistent` the impulses of the kinetic reaction come with `f`. The solver and the simulations
-//! use none of these equations' code, so that a replay is a second opinion on a motion; the guards that end a motion are shared.
+//! Force `f` and moment `τ` act at a time node: minus the gradient of the energy, loads and controls. Under the models with a thinning
+//! section, `J_d` follows the dilatation, and under `consistent` the impulses of the kinetic reaction are added to `f`. The solver and the
+//! simulations share no code with these equations, so that a replay is a second opinion on a motion; the guards that end a motion are
+//! shared.
 
 use nalgebra::{Matrix3, SMatrix, Vector3, Vector6};
 
@@ -29,17 +30,17 @@ use crate::mechanics::{
     TimeNode, Wrench,
 };
 
-/// Steps between two returns of the rotations to the group: products of rotations leave it by rounding.
+/// Steps between two projections of the rotations to the group, which products of rotations leave by rounding.
 const ORTHONORMALIZE_EVERY: usize = 64;
-/// Newton steps for the rotation of a node: 3 as a rule, and 11 next to a quarter turn.
+/// Cap on Newton's steps for the rotation of a node: usually 3, and 11 next to a quarter turn.
 const TURN_LIMIT: usize = 50;
-/// Newton steps for the end of an interval: 2 to 4 where the step resolves the motion.
+/// Cap on Newton's steps for the end of an interval: 2 to 4 where the step resolves the motion.
 const NEWTON_LIMIT: usize = 50;
-/// Residual over the largest momentum at which an interval is solved.
+/// Residual of a solved interval, relative to the largest momentum.
 const RELATIVE_TOLERANCE: f64 = 1e-13;
-/// Units of rounding in a strain, from poses and products of rotations.
+/// Rounding of a strain, from poses and products of rotations.
 const STRAIN_ROUNDING: f64 = 8.0 * f64::EPSILON;
-/// A residual that shrinks no more is that of rounding if it is this close to the tolerance.
+/// A residual that no longer decreases counts as rounding if it is within this factor of the tolerance.
 const STAGNATION: f64 = 1e3;
 /// Largest rotation of a node in one Newton step, rad; longer steps are shortened.
 const LARGEST_CORRECTION: f64 = 0.5;
@@ -51,12 +52,12 @@ pub struct ReferenceStepper<'a> {
     clock: Clock,
     step: usize,
     state: State,
-    /// Of the energy at the present time node.
+    /// Gradient of the energy at the present time node.
     gradient: Gradient,
     stressed: Option<Stressed>,
 }
 
-/// What the stresses that depend on both ends of an interval need.
+/// Data for the stresses that depend on both ends of an interval.
 #[derive(Clone)]
 struct Stressed {
     weights: [f64; 2],
@@ -64,7 +65,7 @@ struct Stressed {
     strains: Vec<Strained>,
 }
 
-/// Momenta of an interval in the frames where it starts, `P` and `G`, and the rotations of the nodes.
+/// Momenta of an interval in the frames of its start, `P` and `G`, and the rotations of the nodes.
 struct Interval {
     linear: Vec<Vector3<f64>>,
     angular: Vec<Vector3<f64>>,
@@ -72,8 +73,8 @@ struct Interval {
 }
 
 impl<'a> ReferenceStepper<'a> {
-    /// Starts from a state: at time 0 where `clock` is a step length, at the start of a [`TimeGrid`](crate::mechanics::TimeGrid) otherwise.
-    /// A driven base is put where its motion is then.
+    /// Starts from a state: at time 0 if `clock` is a step length, otherwise at the start of a [`TimeGrid`](crate::mechanics::TimeGrid). A
+    /// driven base is moved to its pose at that time.
     #[must_use]
     pub fn new(rod: &'a Rod, clock: impl Into<Clock>, mut initial: State) -> Self {
         let clock = clock.into();
@@ -81,7 +82,7 @@ impl<'a> ReferenceStepper<'a> {
         Self::resume(rod, clock, initial, 0)
     }
 
-    /// Goes on from the state after `step` steps of the same clock.
+    /// Resumes from the state after `step` steps of the same clock.
     #[must_use]
     pub fn resume(rod: &'a Rod, clock: impl Into<Clock>, state: State, step: usize) -> Self {
         let clock = clock.into();
@@ -102,26 +103,26 @@ impl<'a> ReferenceStepper<'a> {
         }
     }
 
-    /// State at the current time node, momenta included.
+    /// Returns the state at the current time node, including momenta.
     #[must_use]
     pub fn state(&self) -> &State {
         &self.state
     }
 
-    /// Steps taken so far.
+    /// Returns the number of steps taken.
     #[must_use]
     pub fn step(&self) -> usize {
         self.step
     }
 
-    /// Current time, s.
+    /// Returns the current time, s.
     #[must_use]
     pub fn time(&self) -> f64 {
         self.clock.time(self.step)
     }
 
-    /// Minus the gradient of the energy on a node at the current time node: force, spatial, N, and moment, body frame, N m. The elastic energy
-    /// of [implicit](crate::mechanics::TimeScheme::Implicit) steps belongs to intervals and is not in it.
+    /// Returns minus the gradient of the energy on a node at the current time node: force, spatial frame, N, and moment, body frame, N m.
+    /// The elastic energy of [implicit](crate::mechanics::TimeScheme::Implicit) steps belongs to intervals and is not included.
     #[must_use]
     pub fn passive_wrench(&self, node: usize) -> Wrench {
         Wrench {
@@ -130,11 +131,11 @@ impl<'a> ReferenceStepper<'a> {
         }
     }
 
-    /// One step under control wrenches: `control[0]` just after this time node, `control[1]` just before the next.
+    /// Takes one step under control wrenches: `control[0]` just after this time node, `control[1]` just before the next.
     ///
     /// # Errors
-    /// [`StepError`] when a node would turn by a quarter turn, when the equations of an interval are not solved, when an element collapses or
-    /// folds, or when something is not finite. The state is then no longer meaningful.
+    /// Returns [`StepError`] if a node would turn by a quarter turn, the equations of an interval are not solved, an element collapses or
+    /// folds, or a value is not finite. The state is then no longer meaningful.
     pub fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
         let (rod, h) = (self.rod, self.clock.step);
         let a = 0.5 * rod.viscous_damping * h;
@@ -204,8 +205,9 @@ impl<'a> ReferenceStepper<'a> {
         applied(node, &view, control, &self.gradient)
     }
 
-    /// Moves the arm over an interval without stress of its own. Where the inertia follows the dilatation, an interval of `dilatation` leaves with
-    /// that of its start and arrives with that of its end; one of `consistent` uses its start if its number is even, and its end if it is odd.
+    /// Moves the arm over an interval without stress of its own. If the inertia follows the dilatation, an interval of `dilatation` leaves
+    /// with that of its start and arrives with that of its end; one of `consistent` uses its start if its index is even, and its end if it
+    /// is odd.
     fn drift(
         &mut self,
         interval: &mut Interval,
@@ -249,7 +251,7 @@ impl<'a> ReferenceStepper<'a> {
         Ok(())
     }
 
-    /// `x⁺ = x + h P/m`
+    /// Computes `x⁺ = x + h P/m`.
     fn translate(
         &mut self,
         interval: &Interval,
@@ -275,7 +277,7 @@ impl<'a> ReferenceStepper<'a> {
         Ok(())
     }
 
-    /// The rotation of a node from (81).
+    /// Solves (81) for the rotation of a node.
     fn turn(
         &self,
         q: usize,
@@ -287,7 +289,7 @@ impl<'a> ReferenceStepper<'a> {
             .ok_or_else(|| rotation_error(q, self.step, self.time(), angular, h, inertia))
     }
 
-    /// Impulses of the kinetic reaction on all nodes, at the present positions.
+    /// Returns the impulses of the kinetic reaction on all nodes, at the present positions.
     fn kinetic_reaction(&self, turns: &[Matrix3<f64>]) -> Vec<Vector3<f64>> {
         let (rod, h) = (self.rod, self.clock.step);
         let x = &self.state.configuration.positions;
@@ -301,8 +303,7 @@ impl<'a> ReferenceStepper<'a> {
         out
     }
 
-    /// Turns the nodes that move, and gives them the momenta with which they arrive, in the frames where they are now:
-    /// `(J_d F - Fᵀ J_d)^∨/h = Fᵀ G`.
+    /// Turns the moving nodes, and gives them the momenta with which they arrive, in their new frames: `(J_d F - Fᵀ J_d)^∨/h = Fᵀ G`.
     fn arrive(&mut self, interval: &Interval) {
         let rod = self.rod;
         let a = 0.5 * rod.viscous_damping * self.clock.step;
@@ -320,8 +321,9 @@ impl<'a> ReferenceStepper<'a> {
         }
     }
 
-    /// Moves the arm over an interval whose stress depends on its end, by Newton's method for the configuration there; returns the stresses of the
-    /// elements. The search starts at rest: its first step is the linearly implicit one, which is sound for what the time step does not resolve.
+    /// Moves the arm over an interval whose stress depends on its end, by Newton's method for the configuration there; returns the stresses
+    /// of the elements. The search starts at rest: its first step is the linearly implicit one, which is sound also for motions that the
+    /// time step does not resolve.
     fn solve(
         &mut self,
         stressed: &mut Stressed,
@@ -387,7 +389,7 @@ impl<'a> ReferenceStepper<'a> {
         })
     }
 
-    /// (77) and (81) of an interval that ends in the configuration `to`.
+    /// Evaluates (77) and (81) of an interval that ends in the configuration `to`.
     fn equations(&self, stressed: &Stressed, interval: &Interval, to: &Configuration) -> Equations {
         let (rod, h) = (self.rod, self.clock.step);
         let weight = self.impulse_weight();
@@ -417,14 +419,15 @@ impl<'a> ReferenceStepper<'a> {
         }
     }
 
-    /// `(h/2)/(1 + a)`: the weight of forces in the momenta of an interval, s.
+    /// Returns `(h/2)/(1 + a)`, the weight of forces in the momenta of an interval, s.
     fn impulse_weight(&self) -> f64 {
         let h = self.clock.step;
         0.5 * h / (1.0 + 0.5 * self.rod.viscous_damping * h)
     }
 
-    /// The Newton step; `None` where its matrix is singular. The residual of (77) changes by `m/h` with the position at the end, that of (81)
-    /// by `(tr(A) I - A) F/h`, `A = F J_d`, with the body rotation there, and both by `h/2 β B_kᵀ C B_{k+1}/(1 + a)` of every element.
+    /// Returns the Newton step; `None` if its matrix is singular. The residual of (77) changes by `m/h` with the position at the end, that
+    /// of (81) by `(tr(A) I - A) F/h`, `A = F J_d`, with the body rotation there, and both by `h/2 β B_kᵀ C B_{k+1}/(1 + a)` of every
+    /// element.
     fn correction(
         &self,
         stressed: &Stressed,
@@ -451,8 +454,8 @@ impl<'a> ReferenceStepper<'a> {
         Some(correction)
     }
 
-    /// What the residuals of (77) and (81) are measured against, momentum units: [`RELATIVE_TOLERANCE`] of the largest momentum, and what the
-    /// rounding of strains leaves.
+    /// Returns the tolerances of the residuals of (77) and (81), momentum units: [`RELATIVE_TOLERANCE`] of the largest momentum, plus the
+    /// effect of the rounding of strains.
     fn tolerance(&self, x: &[Vector3<f64>], weights: [f64; 2], momentum: [f64; 2]) -> [f64; 2] {
         let (rod, h) = (self.rod, self.clock.step);
         let reach = self.impulse_weight() * (weights[0].abs() + weights[1].abs());
@@ -469,8 +472,8 @@ impl<'a> ReferenceStepper<'a> {
         [0, 1].map(|i| RELATIVE_TOLERANCE * momentum[i] + STRAIN_ROUNDING * rounding[i])
     }
 
-    /// No element has come past half a turn between its ends, where both strain rules end. Along a motion its relative quaternion
-    /// `conj(q_a) q_b` is continuous: it has then changed the sign of its scalar part.
+    /// Checks that no element has passed half a turn between its ends, where both strain rules end. Along a motion its relative quaternion
+    /// `conj(q_a) q_b` is continuous; past half a turn its scalar part has changed its sign.
     fn check_folds(&self, from: &[Matrix3<f64>], turns: &[Matrix3<f64>]) -> Result<(), StepError> {
         for q in 0..self.rod.n_elements() {
             let before = quaternion(&from[q].tr_mul(&from[q + 1]));
@@ -482,20 +485,21 @@ impl<'a> ReferenceStepper<'a> {
     }
 }
 
-/// The equations of an interval at a configuration where it might end.
+/// The equations of an interval at a possible end configuration.
 struct Equations {
-    /// Strains there.
+    /// Strains at that configuration.
     end: Vec<Strained>,
     stresses: Vec<Nine>,
-    /// What the stresses do at the start of the interval, in momentum units.
+    /// Effects of the stresses at the start of the interval, momentum units.
     pull: Gradient,
-    /// Of (77) and (81) for every node that moves, momentum units.
+    /// Residuals of (77) and (81) for every moving node, momentum units.
     residual: Vec<Vector6<f64>>,
     tolerance: [f64; 2],
 }
 
 impl Equations {
-    /// The largest residual over its tolerance and its node, the first of the residuals being that of the node `first`; NaN if there is one.
+    /// Returns the largest residual divided by its tolerance and its node, where the first residual is that of node `first`; NaN if there
+    /// is one.
     fn worst(&self, first: usize) -> (f64, usize) {
         let mut worst = (0.0, first);
         for (residual, q) in self.residual.iter().zip(first..) {
@@ -513,7 +517,7 @@ impl Equations {
     }
 }
 
-/// `-factor Bᵀσ` of all elements on their nodes.
+/// Returns `-factor Bᵀσ` of all elements on their nodes.
 fn pull<'a>(
     rod: &Rod,
     strains: impl IntoIterator<Item = &'a Strained>,
@@ -531,17 +535,17 @@ fn pull<'a>(
     out
 }
 
-/// `tr(A) I - A`, `A = F J_d`: the slope of `(F J_d - J_d Fᵀ)^∨` along the rotation `ζ` that moves `F` to `exp(ζ̂) F`.
+/// Returns `tr(A) I - A`, `A = F J_d`: the slope of `(F J_d - J_d Fᵀ)^∨` along the rotation `ζ` that moves `F` to `exp(ζ̂) F`.
 fn rotation_slope(turn: &Matrix3<f64>, j_d: &Matrix3<f64>) -> Matrix3<f64> {
     let a = turn * j_d;
     Matrix3::from_diagonal_element(a.trace()) - a
 }
 
-/// Solves (81), `(F J_d - J_d Fᵀ)^∨ = b`, for the rotation `F` of a step, by Newton's method from the identity: on its regular branch, which
-/// exists where `|b|` is below the least moment of inertia (a quarter turn); `None` elsewhere, and for NaN.
+/// Solves (81), `(F J_d - J_d Fᵀ)^∨ = b`, for the rotation `F` of a step, by Newton's method from the identity: on its regular branch,
+/// which exists if `|b|` is below the smallest moment of inertia (a quarter turn); otherwise, and for NaN, returns `None`.
 fn step_rotation(inertia: &Vector3<f64>, b: &Vector3<f64>) -> Option<Matrix3<f64>> {
     let least = inertia.min();
-    // Normalized, so that extreme inertias neither overflow nor vanish.
+    // Normalization prevents overflow and underflow of extreme inertias.
     let (j_d, b) = (j_d(&(inertia / least)), b / least);
     if !(b.norm_squared() < 1.0) {
         return None;

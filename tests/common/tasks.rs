@@ -6,7 +6,7 @@ use softarm::control::{
     OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, Shape, Tracking,
 };
 use softarm::mechanics::rotation::exp;
-use softarm::mechanics::{Rod, RodParameters, State, StrainRule, TimeGrid};
+use softarm::mechanics::{Place, Rod, RodParameters, State, StrainRule, TimeGrid};
 
 use super::soft_arm;
 
@@ -53,7 +53,7 @@ pub fn long_reach() -> (RodParameters, OptimalControlProblem) {
 
 pub const BUSY_STEPS: usize = 120;
 
-fn limits(rod: &Rod) -> Vec<PathConstraint> {
+fn limits() -> Vec<PathConstraint> {
     let path = |name: &str, limit| PathConstraint {
         name: name.into(),
         limit,
@@ -64,7 +64,7 @@ fn limits(rod: &Rod) -> Vec<PathConstraint> {
         velocity: Vector3::new(0.02, -0.01, 0.005),
         shape,
         margin: 0.01,
-        points: 2,
+        points: Some(2),
     };
     vec![
         path(
@@ -94,7 +94,7 @@ fn limits(rod: &Rod) -> Vec<PathConstraint> {
         path(
             "speed",
             PathLimit::Speed {
-                node: rod.tip(),
+                at: Place::Tip,
                 largest: 1.0,
             },
         ),
@@ -152,7 +152,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
         acting: Vec::new(),
         actuators: vec![actuator(rod.tip()), actuator(2)],
         goals: vec![via, near],
-        path: limits(&rod),
+        path: limits(),
         objective: Objective {
             terms: Vec::new(),
             effort: 1.0,

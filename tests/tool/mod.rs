@@ -2,6 +2,11 @@
 
 #![allow(dead_code)] // no test program uses all of it
 
+use std::time::Duration;
+
+/// A run that takes longer hangs, however busy the machine: runs of the tests take seconds.
+pub const HANGS: Duration = Duration::from_secs(3600);
+
 pub const DONE: i32 = 0;
 pub const USAGE: i32 = 2;
 pub const NOT_CONVERGED: i32 = 3;

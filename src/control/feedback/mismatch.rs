@@ -1,8 +1,8 @@
-//! What gains do on an arm that is not the model they were computed from.
+//! The effect of gains on an arm that differs from the model from which they were computed.
 //!
-//! A regulator is optimal for small deviations of its own model. On an arm with other moduli, mass or damping every deviation is the effect of
-//! a disturbance that lasts, and gains that take a kick away may make it grow. So the motion is simulated on a family of such arms, with
-//! and without the gains, and the ends of both are compared.
+//! A regulator is optimal for small deviations of its own model. On an arm with other moduli, mass or damping, every deviation is the
+//! effect of a lasting disturbance, and gains that remove a kick may amplify it. Therefore the motion is simulated on a family of such
+//! arms, with and without the gains, and the ends of both are compared.
 
 use serde::Serialize;
 
@@ -10,7 +10,7 @@ use super::Feedback;
 use crate::control::problem::OptimalControlProblem;
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Trajectory, Wrench};
 
-/// What of an arm differs from its model.
+/// A quantity in which an arm differs from its model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Quantity {
@@ -22,30 +22,30 @@ pub enum Quantity {
     Damping,
 }
 
-/// How far the tip is from the planned motion, m.
+/// Distance of the tip from the planned motion, m.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TipDeviation {
-    /// At the end of the horizon.
+    /// Distance at the end of the horizon, m.
     pub end_m: f64,
-    /// The largest at any time node.
+    /// Largest distance at any time node, m.
     pub largest_m: f64,
 }
 
 /// The motion on an arm that differs from its model, from the same configuration and velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ModelMismatch {
-    /// What differs.
+    /// Quantity that differs.
     pub quantity: Quantity,
-    /// The arm's over the model's.
+    /// Value of the arm divided by that of the model.
     pub factor: f64,
-    /// Under the controls of the solution alone; absent where the motion breaks down.
+    /// Deviation under the controls of the solution alone; absent if the motion breaks down.
     pub open_loop: Option<TipDeviation>,
-    /// With the gains, whose corrections no bound limits; absent where the motion breaks down.
+    /// Deviation with the gains, whose corrections are not bounded; absent if the motion breaks down.
     pub closed_loop: Option<TipDeviation>,
 }
 
 impl ModelMismatch {
-    /// Whether the gains bring the tip no nearer to its planned end than the controls alone do.
+    /// Tells whether the tip ends no nearer to its planned end with the gains than without.
     #[must_use]
     pub fn does_harm(&self) -> bool {
         match (self.open_loop, self.closed_loop) {
@@ -56,15 +56,15 @@ impl ModelMismatch {
     }
 }
 
-/// Parts by which a quantity of the family is off, in either direction.
+/// Relative errors of a quantity in the family, in both directions.
 const PARTS: [f64; 3] = [0.01, 0.05, 0.2];
 
 impl Feedback {
-    /// The solution's motion, `trajectory` under `coefficients`, on arms whose stiffness, mass or damping is off by 1, 5 and 20 %, with and
-    /// without the gains; empty where an actuator is one's own.
+    /// Simulates the solution's motion, `trajectory` under `coefficients`, on arms whose stiffness, mass or damping is off by 1, 5 and 20
+    /// %, with and without the gains; returns nothing if the problem has a user-defined actuator.
     ///
     /// # Errors
-    /// [`StepError::Stopped`] where the problem's signal stops it.
+    /// Returns [`StepError::Stopped`] if the problem's signal stops the simulations.
     pub fn mismatches(
         &self,
         problem: &OptimalControlProblem,
@@ -109,7 +109,7 @@ impl Feedback {
 }
 
 impl Quantity {
-    /// Name in words.
+    /// Returns the name in words.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -119,7 +119,7 @@ impl Quantity {
         }
     }
 
-    /// The rod with this quantity times `factor`.
+    /// Returns the rod with this quantity multiplied by `factor`.
     fn scaled(self, rod: &Rod, factor: f64) -> Rod {
         let mut out = rod.clone();
         match self {
@@ -140,7 +140,7 @@ impl Quantity {
     }
 }
 
-/// How far the tip of `arm` is from the planned motion.
+/// Returns the deviation of the tip of `arm` from the planned motion.
 fn deviation(
     arm: &Rod,
     problem: &OptimalControlProblem,
@@ -184,7 +184,7 @@ fn deviation(
     Ok(found)
 }
 
-/// The problem's initial state with the momenta that `arm` has at the same velocities.
+/// Returns the problem's initial state with the momenta of `arm` at the same velocities.
 fn moving_alike(model: &Rod, arm: &Rod, problem: &OptimalControlProblem) -> State {
     let mut state = problem.initial.clone();
     for (node, (own, other)) in model.nodes.iter().zip(&arm.nodes).enumerate() {

@@ -5,9 +5,9 @@
 //! approach   min ½|c|² + ½ε|u|²    c: by how much the tip misses the target
 //! ```
 //!
-//! both over equilibria, with controls within their bounds and, where asked for, `ω² ≥ σ` of the lowest modes under the controls held. To hold, springs
-//! pull the tip to the target: their pull `D c` is what the controls must take over, so that the program is regular wherever the arm whose tip is held by a
-//! hand is stable, also where it is not under the controls alone.
+//! both over equilibria, with controls within their bounds and, if requested, `ω² ≥ σ` for the lowest modes under constant controls. In the
+//! first program, springs pull the tip to the target, and the controls must replace their pull `D c`. The program is therefore regular
+//! wherever the arm is stable with its tip held in place, even if it is unstable under the controls alone.
 
 use faer::Mat;
 use nalgebra::Vector6;
@@ -24,21 +24,21 @@ use crate::stop::StopSignal;
 
 /// Stiffness of the springs that pull the tip to the target, in units of EI/L³ and EI/L.
 pub(super) const SPRING: f64 = 1e4;
-/// Weight of the effort where the distance is to be least.
+/// Weight `ε` of the effort in the program of the least distance.
 const LITTLE: f64 = 1e-6;
-/// Modes whose `ω²` is bounded: those of bending in two planes may be equal.
+/// Number of modes whose `ω²` is bounded: the bending modes in two planes may have the same frequency.
 const WATCHED_MODES: usize = 2;
-/// Largest growth rate of small motions over the frequency of the arm at rest, where moments act: half of what counts as growth.
+/// Largest growth rate of small motions under moments, divided by the frequency of the arm at rest: half of the rate that counts as growth.
 const SLOW: f64 = 0.5 * SLOWEST_GROWTH;
-/// Largest turn of a node, and change of the scaled controls, by which the growth rate is differentiated.
+/// Largest turn of a node, and change of the scaled controls, in differences of the growth rate.
 const DIFFERENCE: f64 = 1e-4;
 
-/// What is asked of an equilibrium.
+/// Requirement on an equilibrium.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Aim {
     /// The tip is at the target.
     Hold,
-    /// The tip is as near to it as it can be.
+    /// The tip is as near to the target as possible.
     Approach,
 }
 
@@ -47,7 +47,7 @@ pub(super) struct HoldingProgram<'a> {
     pub statics: &'a Statics<'a>,
     pub target: Target,
     pub aim: Aim,
-    /// Least `ω²` over the unit of [`Statics`]; `None` asks for no stability.
+    /// Lower limit of `ω²` in units of [`Statics::unit`]; `None` without a constraint on stability.
     pub stability: Option<f64>,
     sets: Vec<ConvexSet>,
 }
@@ -64,7 +64,7 @@ pub(super) struct HoldingDirection {
     step: Vec<Vector6<f64>>,
 }
 
-/// The linearized equilibrium: `δz = K⁻¹ (r + B δu)`.
+/// The response of the linearized equilibrium: `δz = K⁻¹ (r + B δu)`.
 struct Answers {
     /// `K⁻¹ r`
     own: Vec<Vector6<f64>>,
@@ -73,7 +73,7 @@ struct Answers {
 }
 
 impl<'a> HoldingProgram<'a> {
-    /// The program; `bounded` says whether the controls have their bounds.
+    /// Returns the program; `bounded` tells whether the controls have their bounds.
     pub fn new(
         statics: &'a Statics<'a>,
         target: Target,
@@ -126,7 +126,8 @@ impl<'a> HoldingProgram<'a> {
             .ok_or_else(|| Failure("the arm's modes are not numbers".into()))
     }
 
-    /// The growth rate of small motions over the frequency of the arm at rest, beyond what is allowed; `None` where everything that acts has a potential.
+    /// Returns the growth rate of small motions, divided by the frequency of the arm at rest, minus the allowed rate; `None` if all
+    /// wrenches have a potential.
     fn growth(&self, point: &HoldingPoint) -> Result<Option<f64>, Failure> {
         if self.stability.is_none() || !self.statics.has_moments() {
             return Ok(None);
@@ -155,7 +156,7 @@ impl<'a> HoldingProgram<'a> {
         Ok(gradients.collect())
     }
 
-    /// Derivative of a row along a direction.
+    /// Returns the derivative of a row along a direction.
     fn slope(
         &self,
         point: &HoldingPoint,
@@ -187,14 +188,14 @@ impl<'a> HoldingProgram<'a> {
     }
 }
 
-/// How a row of stability changes.
+/// The derivative of a row of stability.
 enum RowGradient {
-    /// The derivative of `ω²` along the states and the controls.
+    /// Derivatives of `ω²` along the states and the controls.
     Mode {
         states: Vec<Vector6<f64>>,
         controls: Vec<f64>,
     },
-    /// The value of the row of growth, from which differences are taken.
+    /// Value of the row of growth, from which differences are taken.
     Growth(f64),
 }
 
@@ -397,7 +398,7 @@ impl LiftedProgram for HoldingProgram<'_> {
     }
 }
 
-/// The bounds of the controls.
+/// Returns the bounds of the controls.
 fn bounds(statics: &Statics) -> Vec<ConvexSet> {
     let mut out = Vec::new();
     for (index, actuator) in statics.problem.actuators.iter().enumerate() {

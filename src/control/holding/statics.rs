@@ -1,4 +1,4 @@
-//! The arm at rest under its controls held: the balance of forces, its derivatives, and its stability.
+//! The arm at rest under constant controls: the balance of forces, its derivatives, and its stability.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
@@ -14,19 +14,19 @@ use crate::mechanics::{Configuration, Rod, StateView, Wrench};
 /// A target of the tip.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Target {
-    /// m
+    /// Position, m.
     pub position: Option<Vector3<f64>>,
-    /// Body to space.
+    /// Rotation, body to space.
     pub rotation: Option<Matrix3<f64>>,
 }
 
 impl Target {
-    /// Number of its equations.
+    /// Returns the number of equations.
     pub fn n_equations(&self) -> usize {
         3 * (usize::from(self.position.is_some()) + usize::from(self.rotation.is_some()))
     }
 
-    /// By how much the tip misses it: over the length, then in rad (`log(R*ᵀ R)`).
+    /// Returns the residual of the tip: the position error divided by the length, then `log(R*ᵀ R)`, rad.
     pub fn residual(&self, rod: &Rod, shape: &Configuration) -> Vec<f64> {
         let tip = rod.tip();
         let mut out = Vec::new();
@@ -40,7 +40,7 @@ impl Target {
         out
     }
 
-    /// Derivative of the residual along `(δx, η)` of the tip, row by row.
+    /// Returns the derivative of the residual along `(δx, η)` of the tip, row by row.
     pub fn gradients(&self, rod: &Rod, shape: &Configuration) -> Vec<Vector6<f64>> {
         let mut out = Vec::new();
         if self.position.is_some() {
@@ -56,7 +56,7 @@ impl Target {
         out
     }
 
-    /// Springs that pull the tip there, `stiffness` in units of EI/L³ and EI/L.
+    /// Returns springs that pull the tip to the target, of the given `stiffness` in units of EI/L³ and EI/L.
     pub fn springs(&self, rod: &Rod, stiffness: f64) -> TipSpring {
         let scales = &rod.scales;
         TipSpring {
@@ -69,15 +69,15 @@ impl Target {
 /// The arm of a problem at the end of its horizon, under its controls and springs on the tip.
 pub(super) struct Statics<'a> {
     pub problem: &'a OptimalControlProblem,
-    /// The actuated components, which the controls are values of, each over the scale of its channel.
+    /// The actuated components; the controls are their values divided by the scales of their channels.
     pub components: Vec<Component>,
     /// Time of loads and of a driven base, s.
     pub time: f64,
-    /// `ω²` of about the slowest mode of the arm at rest, 1/s².
+    /// About `ω²` of the slowest mode of the arm at rest, 1/s².
     pub unit: f64,
 }
 
-/// Half the width of central differences of the stiffness, rad, and over the length.
+/// Half the width of central differences of the stiffness, in rad and in lengths.
 const DIFFERENCE: f64 = 1e-5;
 
 impl Statics<'_> {
@@ -89,7 +89,7 @@ impl Statics<'_> {
         self.rod().n_nodes() - self.rod().first_free_node()
     }
 
-    /// The wrenches of all actuators, in the order of the problem's controls.
+    /// Returns the wrenches of all actuators, in the order of the problem's controls.
     pub fn wrenches(&self, controls: &[f64]) -> Vec<Wrench> {
         let mut out = vec![Wrench::default(); self.problem.actuators.len()];
         for (component, value) in self.components.iter().zip(controls) {
@@ -113,7 +113,7 @@ impl Statics<'_> {
         }
     }
 
-    /// The wrenches on nodes under the controls.
+    /// Returns the wrenches on nodes under the controls.
     pub fn nodal(&self, shape: &Configuration, controls: &[f64]) -> Vec<(usize, Wrench)> {
         let wrenches = self.wrenches(controls);
         let mut out: Vec<(usize, Wrench)> = (self.problem.wrench_actuators().iter())
@@ -126,7 +126,7 @@ impl Statics<'_> {
         out
     }
 
-    /// Unbalanced force and moment on every free node.
+    /// Returns the unbalanced force and moment on every free node.
     pub fn residual(
         &self,
         shape: &Configuration,
@@ -150,7 +150,7 @@ impl Statics<'_> {
             .collect()
     }
 
-    /// Norm of a residual, forces over EI/L² and moments over EI/L.
+    /// Returns the norm of a residual, with forces divided by EI/L² and moments by EI/L.
     pub fn size(&self, residual: &[Vector6<f64>]) -> f64 {
         let scales = &self.rod().scales;
         let squares = residual.iter().map(|r| {
@@ -160,7 +160,7 @@ impl Statics<'_> {
         squares.sum::<f64>().sqrt()
     }
 
-    /// Derivative of minus the residual along the free nodes.
+    /// Returns minus the derivative of the residual along the free nodes.
     pub fn tangent(&self, shape: &Configuration, controls: &[f64], springs: &TipSpring) -> Tangent {
         let rod = self.rod();
         let first = rod.first_free_node();
@@ -186,13 +186,13 @@ impl Statics<'_> {
         out
     }
 
-    /// Actuators of one's own whose wrenches depend on the configuration.
+    /// Returns the user-defined actuators whose wrenches depend on the configuration.
     fn looking(&self) -> impl Iterator<Item = &Acting> {
         (self.problem.acting.iter())
             .filter(|acting| acting.actuator.linear_map(self.rod()).is_none())
     }
 
-    /// Derivative of the residual along every control.
+    /// Returns the derivative of the residual along every control.
     pub fn columns(&self, shape: &Configuration, controls: &[f64]) -> Vec<Vec<Vector6<f64>>> {
         let rod = self.rod();
         let first = rod.first_free_node();
@@ -228,7 +228,7 @@ impl Statics<'_> {
             .collect()
     }
 
-    /// The lowest modes under the controls held.
+    /// Returns the lowest modes under constant controls.
     pub fn modes(
         &self,
         shape: &Configuration,
@@ -243,7 +243,8 @@ impl Statics<'_> {
         )
     }
 
-    /// Derivative of a mode's `ω²` along the free nodes and along the controls, by central differences of the stiffness within its quadratic form.
+    /// Returns the derivative of a mode's `ω²` along the free nodes and along the controls, by central differences of the stiffness in its
+    /// quadratic form.
     pub fn mode_gradient(
         &self,
         shape: &Configuration,
@@ -295,7 +296,7 @@ impl Statics<'_> {
         (along_states, along_controls)
     }
 
-    /// What the elements beside a node, and the loads on it, add to `qᵀ K q`.
+    /// Returns the terms of `qᵀ K q` from the elements beside a node and the loads on it.
     fn form_about(&self, shape: &Configuration, node: usize, q: &[Vector6<f64>]) -> f64 {
         let rod = self.rod();
         let first = rod.first_free_node();
@@ -322,7 +323,7 @@ impl Statics<'_> {
         elastic.sum::<f64>() + loads.sum::<f64>()
     }
 
-    /// What actuators of one's own add to `qᵀ K q`.
+    /// Returns the terms of `qᵀ K q` from user-defined actuators.
     fn own_form(&self, shape: &Configuration, controls: &[f64], q: &[Vector6<f64>]) -> f64 {
         let rod = self.rod();
         let first = rod.first_free_node();
@@ -347,7 +348,7 @@ impl Statics<'_> {
         -forms.sum::<f64>()
     }
 
-    /// The shape whose strains follow `(δx, η)` of the free nodes linearly.
+    /// Returns the shape whose strains follow `(δx, η)` of the free nodes linearly.
     pub fn moved(
         &self,
         shape: &Configuration,
@@ -366,7 +367,7 @@ impl Statics<'_> {
         out
     }
 
-    /// Newton's method at fixed controls; `None` where it does not converge.
+    /// Finds the equilibrium at constant controls by Newton's method; `None` if it does not converge.
     pub fn settled(
         &self,
         shape: &Configuration,
@@ -388,7 +389,7 @@ impl Statics<'_> {
             if !next.is_finite() {
                 return None;
             }
-            // At rounding nothing more is gained.
+            // At rounding, further steps bring no improvement.
             if next < SETTLED && next > 0.5 * size {
                 return Some(shape);
             }
@@ -397,7 +398,7 @@ impl Statics<'_> {
         (size < SETTLED).then_some(shape)
     }
 
-    /// Derivative of the residual of `target` along a step.
+    /// Returns the derivative of the residual of `target` along a step.
     pub fn along(&self, target: &Target, shape: &Configuration, step: &[Vector6<f64>]) -> Vec<f64> {
         let tip = step.len() - 1;
         (target.gradients(self.rod(), shape).iter())
@@ -405,13 +406,13 @@ impl Statics<'_> {
             .collect()
     }
 
-    /// Whether controls act whose work has no potential: all but forces in space.
+    /// Tells whether controls without a potential act: all but forces in the spatial frame.
     pub fn has_moments(&self) -> bool {
         (self.components.iter())
             .any(|component| component.axis >= 3 || self.problem.own_control(component).is_some())
     }
 
-    /// The growth rate of small motions over the frequency of the arm at rest.
+    /// Returns the growth rate of small motions divided by the frequency of the arm at rest.
     pub fn growth(&self, shape: &Configuration, controls: &[f64]) -> Option<f64> {
         let rate = (self.tangent(shape, controls, &TipSpring::default())).growth_rate(
             self.rod(),
@@ -422,13 +423,14 @@ impl Statics<'_> {
     }
 }
 
+/// Cap on Newton's steps.
 const NEWTON_STEPS: usize = 25;
-/// Residual, over EI/L² and EI/L, at which an equilibrium is one.
+/// Residual of an equilibrium, with forces divided by EI/L² and moments by EI/L.
 const SETTLED: f64 = 1e-6;
-/// Turn of a node in one Newton step, rad, up to which it can be trusted.
+/// Largest turn of a node in one Newton step, rad.
 pub(super) const LARGEST_TURN: f64 = 1.0;
 
-/// Largest rotation of a node.
+/// Returns the largest rotation of a node, rad.
 pub(super) fn largest_turn(step: &[Vector6<f64>]) -> f64 {
     (step.iter())
         .map(|s| s.fixed_rows::<3>(3).norm())

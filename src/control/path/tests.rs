@@ -56,7 +56,7 @@ fn direction(trajectory: &Trajectory, seed: u64) -> TrajectoryTangent {
     }
 }
 
-fn limits(rod: &Rod) -> Vec<PathLimit> {
+fn limits() -> Vec<PathLimit> {
     let x = Vector3::new(0.03, -0.05, 0.4);
     vec![
         PathLimit::Clearance {
@@ -66,7 +66,7 @@ fn limits(rod: &Rod) -> Vec<PathLimit> {
             },
             velocity: Vector3::zeros(),
             margin: 0.01,
-            points: 3,
+            points: Some(3),
         },
         PathLimit::Clearance {
             shape: Shape::Capsule {
@@ -76,7 +76,7 @@ fn limits(rod: &Rod) -> Vec<PathLimit> {
             },
             velocity: Vector3::new(0.3, -0.2, 0.1),
             margin: 0.01,
-            points: 2,
+            points: Some(2),
         },
         PathLimit::Stretch {
             least: 0.7,
@@ -85,7 +85,7 @@ fn limits(rod: &Rod) -> Vec<PathLimit> {
         PathLimit::Curvature { largest: 2.0 },
         PathLimit::Twist { largest: 2.0 },
         PathLimit::Speed {
-            node: rod.tip(),
+            at: Place::Tip,
             largest: 1.0,
         },
     ]
@@ -134,7 +134,7 @@ fn derivatives_equal_differences() {
         }
         let still = rod_view(&rod, &radii, &here);
         let h = 1e-5;
-        for limit in limits(&rod) {
+        for limit in limits() {
             for item in 0..limit.n_items(&rod) {
                 let d = direction(&here, 11 + item as u64);
                 let moved = [h, -h].map(|s| here.retract(&d, s));

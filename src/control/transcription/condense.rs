@@ -1,11 +1,10 @@
-//! Condensing: derivatives of all rows along the variables.
+//! Condensing: the derivatives of all rows along the variables.
 
 use faer::Mat;
 
-use super::rows::{Columns, Gathered, describe};
+use super::rows::{Columns, CostRow, Gathered, describe};
 use super::{LiftedPoint, MANY_PRODUCTS, Transcription};
 use crate::control::acting::ControlCurvature;
-use crate::control::cost::CostRow;
 use crate::control::path::{RowCurvature, RowGradient};
 use crate::mechanics::StateForm;
 use crate::mechanics::curvature::Multipliers as StateMultipliers;
@@ -15,11 +14,11 @@ use crate::sqp::{Evaluation, Failure, Linearization, LinearizationRequest, Multi
 use crate::stop::{LARGE, StopSignal};
 
 impl Transcription<'_> {
-    /// Total derivative of `J + yᵀ c + zᵀ h` along the variables, at a point that obeys its dynamics, by one adjoint sweep. Normals of
-    /// the sets and prices of soft rows do not enter.
+    /// Returns the total derivative of `J + yᵀ c + zᵀ h` along the variables, at a point that obeys its dynamics, by one adjoint sweep.
+    /// Normals of the sets and penalties of soft rows are not included.
     ///
     /// # Errors
-    /// [`Failure`] where the trajectory cannot be linearized.
+    /// Returns [`Failure`] if the trajectory cannot be linearized.
     pub fn lagrangian_gradient(
         &self,
         point: &LiftedPoint,
@@ -34,11 +33,11 @@ impl Transcription<'_> {
             .collect())
     }
 
-    /// Multipliers of the equations of motion that belong to those of goals and path constraints: the derivatives of
-    /// `J + yᵀ c + zᵀ h` along the states, swept backward.
+    /// Returns the multipliers of the equations of motion for given ones of goals and path constraints: the derivatives of `J + yᵀ c + zᵀ
+    /// h` along the states, swept backward.
     ///
     /// # Errors
-    /// [`Failure`] where the trajectory cannot be linearized.
+    /// Returns [`Failure`] if the trajectory cannot be linearized.
     pub(super) fn costates(
         &self,
         point: &LiftedPoint,
@@ -54,7 +53,7 @@ impl Transcription<'_> {
         adjoint(&motion, &point.trajectory, &outcome, self.n_threads).map_err(describe)
     }
 
-    /// The derivative of `J + yᵀ c + zᵀ h` along the variables, without what they cost by themselves.
+    /// Returns the derivative of `J + yᵀ c + zᵀ h` along the variables, without the variables' own cost.
     pub(super) fn through_states(
         &self,
         point: &LiftedPoint,
@@ -88,10 +87,10 @@ impl Transcription<'_> {
         gradient
     }
 
-    /// The linearization; `costates` belong to the multipliers of the request, if it has any.
+    /// Computes the linearization; `costates` belong to the multipliers of the request, if it has any.
     ///
     /// # Errors
-    /// [`Failure`] where the trajectory cannot be linearized.
+    /// Returns [`Failure`] if the trajectory cannot be linearized.
     pub(super) fn linearize_by(
         &self,
         point: &LiftedPoint,
@@ -107,8 +106,8 @@ impl Transcription<'_> {
         let rod_view = self.rod_view(point);
         let n_goals = self.goal_rows.len();
         let mut gathered = Gathered::default();
-        for row in &self.goal_rows {
-            gathered.push(self.goal_gradient(&point.trajectory, row));
+        for gradient in self.goal_gradients(&point.trajectory) {
+            gathered.push(gradient);
         }
         for &row in request.rows {
             gathered.push(self.path_gradient(&rod_view, row));
@@ -118,7 +117,8 @@ impl Transcription<'_> {
             gathered.push(row.gradient.clone());
         }
         let n_rows = gathered.rows.len();
-        // What bends by itself: within one time node it goes into the sweep, across two it is added to its result.
+        // Second derivatives of the rows themselves: those within one time node go into the sweep, those across two time nodes are added to
+        // its result.
         let (mut own, mut across) = (Vec::new(), Vec::new());
         if let Some(multipliers) = request.multipliers {
             for curvature in self.own_curvature(point, multipliers) {
@@ -184,7 +184,7 @@ impl Transcription<'_> {
         Ok(linearization)
     }
 
-    /// The derivative of `J + yᵀ c + zᵀ h` over the states alone.
+    /// Returns the derivative of `J + yᵀ c + zᵀ h` with respect to the states alone.
     pub(super) fn outcome(
         &self,
         point: &LiftedPoint,
@@ -201,8 +201,9 @@ impl Transcription<'_> {
                 form
             }));
         };
-        for (row, &y) in self.goal_rows.iter().zip(&multipliers.constraints) {
-            add(self.goal_gradient(&point.trajectory, row), y);
+        let goals = self.goal_gradients(&point.trajectory);
+        for (gradient, &y) in goals.into_iter().zip(&multipliers.constraints) {
+            add(gradient, y);
         }
         for (row, &z) in multipliers.inequalities.iter().enumerate() {
             if z != 0.0 {
@@ -216,7 +217,7 @@ impl Transcription<'_> {
         out
     }
 
-    /// The condensed linearization, from the values of all rows along the controls and along the answer to the defects.
+    /// Assembles the condensed linearization from the values of all rows along the controls and along the response to the defects.
     #[expect(clippy::too_many_arguments, reason = "the parts of one linearization")]
     pub(super) fn assemble(
         &self,
@@ -269,7 +270,7 @@ impl Transcription<'_> {
                 rows.transpose() * rows
             } else {
                 let (own, stop) = (rows.to_owned(), &self.problem.stop);
-                // What was stopped is dropped by the caller.
+                // The caller discards the result after a stop.
                 stop.unless_raised(LARGE, move || own.transpose() * &own)
                     .unwrap_or_else(|_| Mat::zeros(rows.ncols(), rows.ncols()))
             };
@@ -287,7 +288,7 @@ impl Transcription<'_> {
                 }
             }
         }
-        // What the defects add through the cost's and the Lagrangian's curvature.
+        // Adds the effect of the defects through the curvature of cost and Lagrangian.
         let mut model_gradient: Vec<f64> = gradient
             .iter()
             .zip(&model_extra)

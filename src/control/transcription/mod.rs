@@ -1,25 +1,25 @@
 //! The optimal-control problem as a lifted program: controls are variables, configurations at every time node are states.
 //!
-//! The state equations are the discrete equations of motion; they are eliminated exactly, by the forward recursion of
-//! the linearized motion (condensing), or its transpose. The constraints are the scaled residuals of the goals, the inequalities the rows of
-//! the path constraints; a soft goal, and one within a tolerance, has variables of its own for its residuals.
+//! The state equations are the discrete equations of motion; they are eliminated exactly, by the forward recursion of the linearized motion
+//! (condensing), or its transpose. The constraints are the scaled residuals of the goals, the inequalities the rows of the path
+//! constraints; a soft goal, and a goal within a tolerance, has variables of its own for its residuals.
 
 use nalgebra::Vector3;
 
 use crate::control::acting::ActingAlong;
 use crate::control::control_cost::ControlCost;
-use crate::control::cost::{CostRow, cost_curvature, cost_rows, sample_times, speed_rows};
 use crate::control::path::{
-    PathConstraint, PathLimit, PathMultiplier, RodView, RowCurvature, RowGradient, along, at,
-    turn_curvature,
+    PathConstraint, PathLimit, PathMultiplier, RodView, RowCurvature, RowGradient,
 };
-use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
-use crate::control::turns::{longer_ways, rotation_error};
+use crate::control::problem::{Component, GoalRow, OptimalControlProblem};
+use crate::control::residual::{
+    Motion as States, Residual, cost_residuals, goal_curvature, goal_residuals,
+};
+use crate::control::turns::longer_ways;
 use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
-use crate::mechanics::rotation::log_tangent;
 use crate::mechanics::sensitivity::{ControlColumns, defects, direction};
 use crate::mechanics::sparse_motion::{MotionRow, SparseMotion};
-use crate::mechanics::{ControlSignal, FormTerm, StateForm, Trajectory, TrajectoryTangent};
+use crate::mechanics::{ControlSignal, StateForm, Trajectory, TrajectoryTangent};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Multipliers, Softness, StateLinearization, StateRow,
@@ -33,17 +33,17 @@ mod simulation;
 mod slacks;
 
 pub(super) use self::rows::describe;
-use self::rows::{Columns, WrenchColumn, goal_vector};
+use self::rows::{Columns, CostRow, WrenchColumn};
 use self::sets::convex_sets;
 pub use self::simulation::simulate;
 
-/// Largest rotation of a node in one step of the solver, rad: the charts are trusted this far.
+/// Largest rotation of a node in one step of the solver, rad: the range of validity of the charts.
 const LARGEST_TURN: f64 = std::f64::consts::FRAC_PI_4;
-/// Rotation of a node below which a step may stretch the rod, by the square of it.
+/// Rotation of a node, rad, below which a step may stretch the rod, which it does by the square of the rotation.
 const SMALL_TURN: f64 = 1e-3;
-/// Products of a Gauss-Newton Hessian from which they take more than some hundredths of a second.
+/// Number of products from which a Gauss-Newton Hessian takes more than some hundredths of a second.
 const MANY_PRODUCTS: usize = 100_000_000;
-/// Rows of path constraints nearer than this (in rod lengths, radians, ...) enter the subproblem from the start.
+/// Rows of path constraints nearer to their limit than this (in lengths of the arm, radians, ...) enter the subproblem from the start.
 const SCREENING_MARGIN: f64 = 0.05;
 
 /// Controls and configurations; the configurations need not obey the dynamics.
@@ -55,7 +55,7 @@ pub struct LiftedPoint {
     pub trajectory: Trajectory,
 }
 
-/// A change of both.
+/// A change of a [`LiftedPoint`].
 #[derive(Clone, Debug)]
 pub struct LiftedDirection {
     /// Change of the variables.
@@ -71,14 +71,14 @@ pub struct PathRow {
     pub constraint: usize,
     /// Index into the constraint's time nodes.
     pub time: usize,
-    /// Which of its items.
+    /// Index of the item at that time node.
     pub item: usize,
 }
 
-/// A program whose rows need not hold: with one more variable `τ`, the last, constraints read `c = τ d` and inequalities `h ≤ τ d`, and
+/// A relaxation of a program's rows: with one more variable `τ`, the last, constraints read `c = τ d` and inequalities `h ≤ τ d`, and
 /// `weight τ` is added to the objective.
 ///
-/// At a solution `weight = dᵀ(y, z)`. Where the rows of a program can only just be met, its multipliers are not unique; those of the relaxed
+/// At a solution `weight = dᵀ(y, z)`. If the rows of a program can only just be met, its multipliers are not unique; those of the relaxed
 /// one are.
 #[derive(Clone, Debug)]
 pub(super) struct Relaxation {
@@ -90,24 +90,24 @@ pub(super) struct Relaxation {
     pub(super) inequalities: Vec<f64>,
 }
 
-/// An optimal-control problem, transcribed.
+/// The transcription of an optimal-control problem.
 pub struct Transcription<'a> {
     problem: &'a OptimalControlProblem,
     components: Vec<Component>,
     goal_rows: Vec<GoalRow>,
-    /// Of every goal, whether its orientation is approached by more than half a turn.
-    longer_ways: Vec<bool>,
+    /// Their residuals, three rows each.
+    goals: Vec<Residual>,
     /// Variable of every goal row whose residual has one.
     slack_variables: Vec<Option<usize>>,
     sets: Vec<ConvexSet>,
     path: Vec<PathConstraint>,
-    /// First row of every path constraint, and their number at the end. The rows of an item follow each other in time: neighbors are
-    /// alike, which the solver's choice of rows relies on.
+    /// First row of every path constraint, and their number at the end. The rows of an item are successive in time: neighbors are similar,
+    /// on which the solver's choice of rows relies.
     path_starts: Vec<usize>,
-    /// Duration that every time node of every path constraint stands for, s.
+    /// Duration that every time node of every path constraint represents, s.
     path_durations: Vec<Vec<f64>>,
-    /// Time nodes at which costs over states are sampled, with durations, s.
-    samples: Vec<(usize, f64)>,
+    /// The residuals of the costs over states.
+    costs: Vec<Residual>,
     control_cost: ControlCost,
     relaxation: Option<Relaxation>,
     pub(super) n_controls: usize,
@@ -115,13 +115,13 @@ pub struct Transcription<'a> {
 }
 
 impl<'a> Transcription<'a> {
-    /// Transcribes `problem`; sensitivities use `n_threads` threads, which changes nothing but the time.
+    /// Transcribes `problem`; sensitivities use `n_threads` threads, which has no effect on the result.
     #[must_use]
     pub fn new(problem: &'a OptimalControlProblem, n_threads: usize) -> Self {
         Self::of(problem, n_threads, None)
     }
 
-    /// Transcribes `problem` and relaxes it.
+    /// Transcribes and relaxes `problem`.
     pub(super) fn relaxed(
         problem: &'a OptimalControlProblem,
         n_threads: usize,
@@ -168,8 +168,10 @@ impl<'a> Transcription<'a> {
                 relaxation.as_ref().map(|relaxation| relaxation.weight),
             ),
             relaxation,
-            samples: sample_times(problem),
-            longer_ways: longer_ways(problem),
+            costs: (cost_residuals(problem).into_iter())
+                .filter(|residual| residual.counts(problem, &problem.grid))
+                .collect(),
+            goals: goal_residuals(problem, Some(&longer_ways(problem))),
             problem,
             components,
             goal_rows,
@@ -182,25 +184,25 @@ impl<'a> Transcription<'a> {
         }
     }
 
-    /// The problem.
+    /// Returns the problem.
     #[must_use]
     pub fn problem(&self) -> &OptimalControlProblem {
         self.problem
     }
 
-    /// The goals' residuals, in the order of constraints and their multipliers.
+    /// Returns the rows of the goals, in the order of constraints and their multipliers.
     #[must_use]
     pub fn goal_rows(&self) -> &[GoalRow] {
         &self.goal_rows
     }
 
-    /// The path constraints.
+    /// Returns the path constraints.
     #[must_use]
     pub fn path(&self) -> &[PathConstraint] {
         &self.path
     }
 
-    /// What row `index` of the inequalities is about.
+    /// Returns constraint, time and item of row `index` of the inequalities.
     #[must_use]
     pub fn path_row(&self, index: usize) -> PathRow {
         let constraint = self.path_starts.partition_point(|&start| start <= index) - 1;
@@ -213,7 +215,7 @@ impl<'a> Transcription<'a> {
         }
     }
 
-    /// The multipliers that are not zero, of those of all rows.
+    /// Returns the nonzero multipliers among those of all path rows.
     #[must_use]
     pub fn path_multipliers(&self, inequalities: &[f64]) -> Vec<PathMultiplier> {
         (inequalities.iter().enumerate())
@@ -234,13 +236,14 @@ impl<'a> Transcription<'a> {
             .collect()
     }
 
-    /// Number of rows of the path constraints.
+    /// Returns the number of rows of the path constraints.
     #[must_use]
     pub fn n_path_rows(&self) -> usize {
         self.path_starts[self.path.len()]
     }
 
-    /// Normals of the bounds on rates, per step between coefficients and actuator, from those of all sets; empty without such bounds.
+    /// Returns the normals of the bounds on rates, for every step between coefficients and every actuator, from those of all sets; empty
+    /// without such bounds.
     #[must_use]
     pub fn rate_normals(&self, normals: &[Vec<f64>]) -> Vec<[f64; 6]> {
         let n_components = self.components.len();
@@ -248,7 +251,7 @@ impl<'a> Transcription<'a> {
         let steps = self.problem.control.n_coefficients() - 1;
         let mut out = vec![[0.0; 6]; steps * n];
         let mut any = false;
-        // The later coefficient of a difference says where it belongs.
+        // The later coefficient of a difference tells the step to which it belongs.
         let mut add = |row: &[(usize, f64)], normal: f64| {
             let Some(&(later, sign)) = row.iter().max_by_key(|(index, _)| index) else {
                 return;
@@ -281,7 +284,7 @@ impl<'a> Transcription<'a> {
         }
     }
 
-    /// Actuators of one's own at a point; `None` where there are none.
+    /// Evaluates user-defined actuators at a point; `None` if there are none.
     fn acting(&self, point: &LiftedPoint) -> Option<ActingAlong<'_>> {
         if self.problem.acting.is_empty() {
             return None;
@@ -298,104 +301,55 @@ impl<'a> Transcription<'a> {
         self.problem.signal(&self.problem.control, &coefficients)
     }
 
-    /// Scaled residuals of the goals, without the variables that some have for them.
-    fn goal_residuals(&self, trajectory: &Trajectory, end: &Defects) -> Vec<f64> {
-        self.goal_rows
-            .iter()
-            .map(|row| {
-                let longer = self.longer_ways[row.goal];
-                let vector = goal_vector(self.problem, trajectory, end, row, longer);
-                vector[row.axis] / self.problem.goal_scale(row.part)
-            })
-            .collect()
-    }
-
-    /// The rotation vector of a goal's orientation; 0 where it has none.
-    fn rotation_error(&self, trajectory: &Trajectory, row: &GoalRow) -> Vector3<f64> {
-        let goal = &self.problem.goals[row.goal];
-        let longer = self.longer_ways[row.goal];
-        (goal.rotation.as_ref()).map_or_else(Vector3::zeros, |to| {
-            rotation_error(goal, to, trajectory, longer)
-        })
-    }
-
-    /// Derivative of one scaled residual.
-    pub(crate) fn goal_gradient(&self, trajectory: &Trajectory, row: &GoalRow) -> RowGradient {
-        let problem = self.problem;
-        let goal = &problem.goals[row.goal];
-        let (k, node) = (goal.time_node, goal.node);
-        let inertia = &problem.rod.nodes[node];
-        let inverse = 1.0 / problem.goal_scale(row.part);
-        let one = |component: usize, coefficient: f64| {
-            at(
-                k,
-                vec![FormTerm {
-                    node,
-                    component,
-                    coefficient,
-                }],
-            )
-        };
-        match row.part {
-            GoalPart::Position => one(row.axis, inverse),
-            GoalPart::Orientation => {
-                let psi = self.rotation_error(trajectory, row);
-                // δψ = Sᵀ ζ: row i of Sᵀ is column i of S.
-                let direction = log_tangent(&psi).column(row.axis) * inverse;
-                at(k, along(node, 3, &direction).collect())
-            }
-            GoalPart::Velocity => one(6 + row.axis, inverse / inertia.mass),
-            GoalPart::AngularVelocity => one(9 + row.axis, inverse / inertia.rotary[row.axis]),
-            GoalPart::Deviation(vector) => problem.stay.as_ref().map_or_else(Vec::new, |stay| {
-                let terms = stay.gradient(vector, row.axis, trajectory.rotations_at(k));
-                let scaled = terms.map(|term| FormTerm {
-                    coefficient: inverse * term.coefficient,
-                    ..term
-                });
-                at(k, scaled.collect())
+    /// The motion of a point with the momenta in which it ends; derivatives of residuals do without these.
+    fn states<'b>(&'b self, trajectory: &'b Trajectory, end: Option<&'b Defects>) -> States<'b> {
+        States {
+            view: RodView {
+                rod: &self.problem.rod,
+                radii: &self.problem.radii,
+                trajectory,
+                grid: self.problem.grid,
+            },
+            momenta: end.map_or([&[], &[]], |end| {
+                [&end.terminal_linear[..], &end.terminal_angular]
             }),
         }
     }
 
-    /// Second derivative of `Σ multiplier · residual` over the goals: only logarithms of rotations are bent.
-    fn goal_curvature(&self, trajectory: &Trajectory, multipliers: &[f64]) -> Vec<RowCurvature> {
-        let of = |first: usize| Vector3::from_fn(|axis, _| multipliers[first + axis]);
-        let rows = self.goal_rows.iter().enumerate();
-        let mut out: Vec<_> = rows
-            .filter(|(_, row)| row.part == GoalPart::Orientation && row.axis == 0)
-            .map(|(first, row)| {
-                let goal = &self.problem.goals[row.goal];
-                let psi = self.rotation_error(trajectory, row);
-                turn_curvature(goal.time_node, goal.node, &psi, &of(first))
-            })
-            .collect();
-        if let Some(stay) = &self.problem.stay {
-            let k = self.problem.goals[stay.goal].time_node;
-            let first = self.goal_rows.len() - 3 * stay.n_vectors();
-            let scale = self.problem.goal_scale(GoalPart::Deviation(0));
-            let y: Vec<_> = (0..stay.n_vectors())
-                .map(|vector| of(first + 3 * vector) / scale)
-                .collect();
-            let r = trajectory.rotations_at(k);
-            out.extend(stay.free_nodes().map(|node| {
-                let turned = stay.on_turn(node, &y);
-                turn_curvature(k, node, &stay.turn(node, &r[node]), &turned)
-            }));
+    /// Scaled residuals of the goals, without the variables that some have for them.
+    fn goal_values(&self, trajectory: &Trajectory, end: &Defects) -> Vec<f64> {
+        let states = self.states(trajectory, Some(end));
+        let mut out = Vec::with_capacity(self.goal_rows.len());
+        for residual in &self.goals {
+            residual.values(self.problem, &states, &mut |_, value| out.push(value));
         }
         out
     }
 
-    /// The residuals of the costs over states.
-    fn state_costs(&self, point: &LiftedPoint) -> Vec<CostRow> {
-        let rod_view = self.rod_view(point);
-        let at = |&(k, duration): &(usize, f64)| cost_rows(self.problem, &rod_view, k, duration);
-        let between = |pair: &[(usize, f64)]| {
-            let ends = [pair[0].0, pair[1].0];
-            speed_rows(self.problem, &rod_view, ends)
-        };
-        (self.samples.iter().flat_map(at))
-            .chain(self.samples.windows(2).flat_map(between))
+    /// Derivatives of the scaled residuals of the goals, in the order of [`Self::goal_rows`].
+    pub(crate) fn goal_gradients(&self, trajectory: &Trajectory) -> Vec<RowGradient> {
+        let states = self.states(trajectory, None);
+        (self.goals.iter())
+            .flat_map(|residual| residual.gradients(self.problem, &states))
             .collect()
+    }
+
+    /// The rows of the costs over states.
+    fn state_costs(&self, point: &LiftedPoint) -> Vec<CostRow> {
+        let states = self.states(&point.trajectory, None);
+        let mut out: Vec<CostRow> = Vec::new();
+        for residual in &self.costs {
+            let first = out.len();
+            let gradients = residual.gradients(self.problem, &states);
+            out.extend(gradients.into_iter().map(|gradient| CostRow {
+                residual: 0.0,
+                gradient,
+            }));
+            residual.values(self.problem, &states, &mut |row, value| {
+                out[first + row].residual = value;
+            });
+        }
+        out
     }
 
     /// Residuals of the goals minus the variables that some have for them.
@@ -407,7 +361,7 @@ impl<'a> Transcription<'a> {
         residuals
     }
 
-    /// `τ` of a [`Relaxation`]; 0 without one.
+    /// Returns `τ` of a [`Relaxation`]; 0 without one.
     fn shortfall(&self, variables: &[f64]) -> f64 {
         match (&self.relaxation, variables.last()) {
             (Some(_), Some(shortfall)) => *shortfall,
@@ -415,17 +369,17 @@ impl<'a> Transcription<'a> {
         }
     }
 
-    /// Derivative of a constraint along `τ`.
+    /// Returns the derivative of a constraint along `τ`.
     fn relaxed_constraint(&self, row: usize) -> f64 {
         (self.relaxation.as_ref()).map_or(0.0, |relaxation| -relaxation.constraints[row])
     }
 
-    /// Derivative of an inequality along `τ`.
+    /// Returns the derivative of an inequality along `τ`.
     fn relaxed_inequality(&self, row: usize) -> f64 {
         (self.relaxation.as_ref()).map_or(0.0, |relaxation| -relaxation.inequalities[row])
     }
 
-    /// Values of all path rows.
+    /// Returns the values of all path rows.
     fn path_values(&self, point: &LiftedPoint) -> Vec<f64> {
         let rod_view = self.rod_view(point);
         let mut values = Vec::with_capacity(self.n_path_rows());
@@ -445,7 +399,7 @@ impl<'a> Transcription<'a> {
         values
     }
 
-    /// Constraint, time node and item of a row.
+    /// Returns constraint, time node and item of a row.
     pub(super) fn located(&self, row: usize) -> (&PathConstraint, usize, usize) {
         let PathRow {
             constraint,
@@ -456,7 +410,7 @@ impl<'a> Transcription<'a> {
         (constraint, constraint.time_nodes[time], item)
     }
 
-    /// What every variable does to the wrenches of every time node.
+    /// Returns, for every time node, the derivatives of the wrenches along the variables.
     fn columns_by_time(&self) -> Vec<Vec<WrenchColumn>> {
         let columns = Columns::new(self.problem, &self.components, None);
         (0..=self.problem.grid.n_steps)
@@ -485,10 +439,12 @@ impl<'a> Transcription<'a> {
         constraint.limit.curvature(rod_view, k, item)
     }
 
-    /// Second derivatives of goals, path constraints and costs themselves, multipliers multiplied in.
+    /// Returns the second derivatives of goals, path constraints and costs themselves, with the multipliers as factors.
     fn own_curvature(&self, point: &LiftedPoint, multipliers: &Multipliers) -> Vec<RowCurvature> {
         let rod_view = self.rod_view(point);
-        let mut out = self.goal_curvature(&point.trajectory, &multipliers.constraints);
+        let states = self.states(&point.trajectory, None);
+        let y = &multipliers.constraints;
+        let mut out = goal_curvature(self.problem, &self.goals, &states, y);
         for (row, &y) in multipliers.inequalities.iter().enumerate() {
             if y != 0.0 {
                 let mut curvature = self.path_curvature(&rod_view, row);
@@ -496,9 +452,8 @@ impl<'a> Transcription<'a> {
                 out.push(curvature);
             }
         }
-        for &(k, duration) in &self.samples {
-            out.extend(cost_curvature(self.problem, &rod_view, k, duration));
-        }
+        let costs = self.costs.iter();
+        out.extend(costs.filter_map(|residual| residual.curvature(self.problem, &rod_view)));
         out
     }
 }
@@ -525,7 +480,7 @@ impl LiftedProgram for Transcription<'_> {
         self.n_controls
     }
 
-    /// Of effort, rate and soft residuals.
+    /// Returns the gradient of effort, rate and penalties of soft residuals.
     fn own_gradient(&self, point: &LiftedPoint) -> Option<Vec<f64>> {
         Some(self.control_cost.value(&point.variables).1)
     }
@@ -557,7 +512,7 @@ impl LiftedProgram for Transcription<'_> {
         let control = self.signal(&point.variables);
         let motion = self.problem.motion();
         let found = defects(&motion, &point.trajectory, &control).map_err(describe)?;
-        let residuals = self.goal_residuals(&point.trajectory, &found);
+        let residuals = self.goal_values(&point.trajectory, &found);
         let (control_cost, _) = self.control_cost.value(&point.variables);
         let state_cost: f64 = (self.state_costs(point).iter())
             .map(|row| 0.5 * row.residual * row.residual)
@@ -586,7 +541,7 @@ impl LiftedProgram for Transcription<'_> {
                 constraint.limit.node(&self.problem.rod, item)
             )));
         }
-        // Impulses, relative to what the rod's own force scale delivers in its own time.
+        // Impulses are divided by the impulse of the rod's force scale over its time scale.
         let scales = &self.problem.rod.scales;
         let sum = |rows: &[Vector3<f64>]| rows.iter().map(Vector3::norm).sum::<f64>();
         let defect = sum(&found.linear) / (scales.force * scales.time)
@@ -612,7 +567,7 @@ impl LiftedProgram for Transcription<'_> {
         self.linearize_by(point, evaluation, request, costates.as_ref())
     }
 
-    /// By one adjoint sweep.
+    /// Computes the terms by one adjoint sweep.
     fn lagrangian_terms(
         &self,
         point: &LiftedPoint,
@@ -640,7 +595,7 @@ impl LiftedProgram for Transcription<'_> {
     }
 
     fn n_states(&self) -> Option<usize> {
-        // The relaxed program has too few solves to keep their states.
+        // A relaxed program is solved too rarely to keep its states.
         self.relaxation.is_none().then(|| self.problem.n_states())?
     }
 
@@ -684,9 +639,10 @@ impl LiftedProgram for Transcription<'_> {
                     row
                 })
                 .collect(),
-            constraints: (self.goal_rows.iter().zip(&self.slack_variables))
-                .map(|(goal, soft)| {
-                    let mut row = of_forms(self.goal_gradient(trajectory, goal));
+            constraints: (self.goal_gradients(trajectory).into_iter())
+                .zip(&self.slack_variables)
+                .map(|(gradient, soft)| {
+                    let mut row = of_forms(gradient);
                     row.variables.extend(soft.map(|variable| (variable, -1.0)));
                     row
                 })
@@ -713,7 +669,7 @@ impl LiftedProgram for Transcription<'_> {
         let furthest = (direction.trajectory.positions.iter())
             .map(Vector3::norm)
             .fold(0.0, f64::max);
-        // A distance changes by no more than what moves the most, so that most rows need no gradient.
+        // A distance changes by no more than the largest displacement, so that most rows need no gradient.
         let is_out_of_reach = |row: usize, h: f64| {
             let limit = &self.located(row).0.limit;
             matches!(limit, PathLimit::Clearance { .. })
@@ -780,7 +736,7 @@ impl LiftedProgram for Transcription<'_> {
                 .zip(&direction.variables)
                 .map(|(v, d)| v + step_length * d)
                 .collect(),
-            // Far moves keep the stiff strains; near ones have no need to, and round less.
+            // A large step preserves the stiff strains; a small one need not and has less rounding.
             trajectory: if direction.trajectory.largest_rotation() > SMALL_TURN {
                 point
                     .trajectory

@@ -1,53 +1,31 @@
-//! Rows of goals, and forms gathered for one sweep.
+//! Rows of costs, and forms gathered for one sweep.
 
 use faer::Mat;
-use nalgebra::Vector3;
 
 use crate::control::acting::{ActingAlong, own_controls};
 use crate::control::path::RowGradient;
-use crate::control::problem::{Component, GoalPart, GoalRow, OptimalControlProblem};
-use crate::control::turns::rotation_error;
-use crate::mechanics::linearization::Defects;
+use crate::control::problem::{Component, OptimalControlProblem};
 use crate::mechanics::sensitivity::ControlColumns;
-use crate::mechanics::{StateForm, StepError, Trajectory};
+use crate::mechanics::{StateForm, StepError};
 use crate::sqp::Failure;
 
-/// A goal's vector before scaling; `longer` tells by which way its orientation is approached.
-pub(super) fn goal_vector(
-    problem: &OptimalControlProblem,
-    trajectory: &Trajectory,
-    end: &Defects,
-    row: &GoalRow,
-    longer: bool,
-) -> Vector3<f64> {
-    let goal = &problem.goals[row.goal];
-    let (k, node) = (goal.time_node, goal.node);
-    let inertia = &problem.rod.nodes[node];
-    let x = trajectory.positions_at(k)[node];
-    match row.part {
-        GoalPart::Position => x - goal.position.unwrap_or(x),
-        GoalPart::Orientation => (goal.rotation.as_ref()).map_or_else(Vector3::zeros, |to| {
-            rotation_error(goal, to, trajectory, longer)
-        }),
-        GoalPart::Velocity => end.terminal_linear[node] / inertia.mass,
-        GoalPart::AngularVelocity => end.terminal_angular[node].component_div(&inertia.rotary),
-        GoalPart::Deviation(vector) => problem.stay.as_ref().map_or_else(Vector3::zeros, |stay| {
-            let momenta = [&end.terminal_linear[..], &end.terminal_angular[..]];
-            let vectors = [trajectory.positions_at(k), momenta[0], momenta[1]];
-            stay.vector(vector, vectors, trajectory.rotations_at(k))
-        }),
-    }
+/// A row of the objective, which costs `½ r²`.
+pub(super) struct CostRow {
+    /// `r`, weights multiplied in.
+    pub(super) residual: f64,
+    /// `δr`
+    pub(super) gradient: RowGradient,
 }
 
 pub(in crate::control) fn describe(error: StepError) -> Failure {
     Failure(error.to_string())
 }
 
-/// Rows that are sums of forms, gathered for one sweep in the order of time.
+/// Rows that are sums of forms, gathered in the order of time for one sweep.
 #[derive(Default)]
 pub(super) struct Gathered {
     pub(super) forms: Vec<StateForm>,
-    /// Forms of every row.
+    /// Range of the forms of every row.
     pub(super) rows: Vec<std::ops::Range<usize>>,
 }
 
@@ -58,7 +36,7 @@ impl Gathered {
         self.rows.push(start..self.forms.len());
     }
 
-    /// The forms in the order of time, and where each of them went.
+    /// Returns the forms in the order of time, and the place of each of them.
     pub(super) fn sorted(&self) -> (Vec<StateForm>, Vec<usize>) {
         let mut order: Vec<usize> = (0..self.forms.len()).collect();
         order.sort_by_key(|&i| self.forms[i].time_node);
@@ -70,7 +48,7 @@ impl Gathered {
         (forms, place)
     }
 
-    /// Values of the rows from those of the sorted forms.
+    /// Returns the values of the rows from those of the sorted forms.
     pub(super) fn rows_of(&self, values: &Mat<f64>, place: &[usize]) -> Mat<f64> {
         Mat::from_fn(self.rows.len(), values.ncols(), |i, j| {
             self.rows[i]
@@ -81,7 +59,7 @@ impl Gathered {
     }
 }
 
-/// Newton or newton meter that a variable adds to one component of a node's wrench.
+/// Derivative of one component of a node's wrench along a variable, N or N m.
 pub(super) struct WrenchColumn {
     pub(super) column: usize,
     pub(super) node: usize,
@@ -94,7 +72,7 @@ pub(super) struct Columns<'a> {
     pub(super) problem: &'a OptimalControlProblem,
     pub(super) components: &'a [Component],
     pub(super) acting: Option<&'a ActingAlong<'a>>,
-    /// Of every component, which control of an actuator of one's own it is.
+    /// Control of a user-defined actuator that each component is, if any.
     pub(super) own: Vec<Option<(usize, usize)>>,
 }
 

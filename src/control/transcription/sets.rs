@@ -1,4 +1,4 @@
-//! Bounds on coefficients and rates, and goals within a tolerance, as convex sets of the variables.
+//! Bounds on coefficients and rates, and tolerances of goals, as convex sets of the variables.
 
 use crate::control::problem::{Bound, Channel, Component, GoalRow, OptimalControlProblem};
 use crate::sqp::ConvexSet;
@@ -36,7 +36,7 @@ impl<'a> ChannelVariables<'a> {
         out
     }
 
-    /// The set in which `rows`, one per axis, must stay; an axis without a bound is in none.
+    /// Adds the sets in which `rows`, one for each axis, must stay; an axis without a bound has none.
     fn push_sets(
         &self,
         bound: Option<Bound>,
@@ -73,7 +73,7 @@ impl<'a> ChannelVariables<'a> {
     }
 }
 
-/// The bounds on coefficients, on their differences, and on the residuals of goals within a tolerance, in scaled variables.
+/// Returns the bounds on coefficients, on their differences, and on the residuals of goals within a tolerance, in scaled variables.
 pub(super) fn convex_sets(
     problem: &OptimalControlProblem,
     components: &[Component],
@@ -83,7 +83,7 @@ pub(super) fn convex_sets(
     let mut sets = Vec::new();
     let gaps = problem.control.rate_gaps();
     let last = problem.control.n_coefficients() - 1;
-    // What holds the arm is the last coefficient.
+    // The last coefficient is the wrench that holds the arm.
     let held = problem.stay.as_ref().map(|stay| {
         let value = |component: &Component| {
             let wrench = &stay.wrenches[component.actuator];

@@ -1,12 +1,12 @@
-//! The motion that controls lead to.
+//! Simulation of the motion under given controls.
 
 use crate::control::problem::OptimalControlProblem;
 use crate::mechanics::{ControlSignal, StepError, Stepper, TimeGrid, Trajectory};
 
-/// Forward simulation of the problem's rod under the given wrenches.
+/// Simulates the problem's rod forward under the given wrenches.
 ///
 /// # Errors
-/// [`StepError`] of the integrator, or of the problem's [`StopSignal`](crate::stop::StopSignal).
+/// Returns [`StepError`] of the integrator, or of the problem's [`StopSignal`](crate::stop::StopSignal).
 pub fn simulate(
     problem: &OptimalControlProblem,
     grid: TimeGrid,

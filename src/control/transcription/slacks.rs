@@ -1,14 +1,14 @@
-//! Variables that stand for the residuals of goals within a tolerance.
+//! Variables that stand for the residuals of goals within a tolerance, and their reset.
 
 use super::{LiftedPoint, Transcription};
 use crate::control::problem::GoalRow;
 use crate::sqp::norm;
 
-/// A vector that is shorter than a radius by no more than this part is on the surface of its ball.
+/// A vector is on the surface of its ball if it is shorter than the radius by no more than this fraction.
 const ON_SURFACE: f64 = 1e-6;
 
 impl Transcription<'_> {
-    /// Moves the variables of goals within a tolerance to where their constraints are violated least.
+    /// Moves the variables of goals within a tolerance to the place where their constraints are violated least.
     pub(super) fn reset(&self, point: &mut LiftedPoint, constraints: &mut [f64]) {
         let mut first = 0;
         for rows in self.goal_rows.chunk_by(GoalRow::shares_vector_with) {
@@ -25,8 +25,8 @@ impl Transcription<'_> {
             let residuals: Vec<f64> = (constraints.iter().zip(&step))
                 .map(|(c, s)| c + s)
                 .collect();
-            // The nearest point of the ball, or of its surface where the step has put it there: in the residual's own direction, which so is
-            // that of its multiplier's normal.
+            // The new value is the nearest point of the ball, or of its surface if the step has put it there: in the direction of the
+            // residual, which is then also that of the multiplier's normal.
             let part = radius / norm(&residuals);
             let is_held = norm(&step) >= (1.0 - ON_SURFACE) * radius;
             let part = if is_held { part } else { part.min(1.0) };

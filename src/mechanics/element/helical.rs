@@ -13,7 +13,7 @@ use super::rule::{Blocks, Elasticity, Helical, Stress, TangentRule};
 use crate::mechanics::lanes::logarithm::{Logarithm, logarithm};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
 
-/// `S(ψ) = I - ψ̂/2 + c ψ̂²`
+/// Returns `S(ψ) = I - ψ̂/2 + c ψ̂²`.
 #[inline(always)]
 pub fn inverse_tangent<S: Simd>(log: &Logarithm<S>) -> Mat3<S> {
     let psi_hat = Mat3::hat(log.psi);
@@ -22,7 +22,7 @@ pub fn inverse_tangent<S: Simd>(log: &Logarithm<S>) -> Mat3<S> {
     identity - psi_hat * 0.5 + square * log.c
 }
 
-/// `S^{(T)} y = y + (sign/2) ψ × y + c (ψ (ψ·y) - |ψ|² y)`: its derivative along `ψ`.
+/// Returns the derivative along `ψ` of `S^{(T)} y = y + (sign/2) ψ × y + c (ψ (ψ·y) - |ψ|² y)`.
 #[inline(always)]
 pub fn tangent_derivative<S: Simd>(log: &Logarithm<S>, y: Vec3<S>, sign: f64) -> Mat3<S> {
     let psi = log.psi;
@@ -32,7 +32,7 @@ pub fn tangent_derivative<S: Simd>(log: &Logarithm<S>, y: Vec3<S>, sign: f64) ->
     Mat3::hat(y) * (-0.5 * sign) + inner * log.c + Mat3::outer(double_cross * log.slope, psi)
 }
 
-/// `∂²(n·S(ψ)y)/∂ψ²`
+/// Returns `∂²(n·S(ψ)y)/∂ψ²`.
 #[inline(always)]
 fn curvature_of_coupling<S: Simd>(log: &Logarithm<S>, n: Vec3<S>, y: Vec3<S>) -> Mat3<S> {
     let psi = log.psi;
@@ -59,7 +59,7 @@ pub struct HelicalPose<S: Simd> {
 }
 
 impl<S: Simd> HelicalPose<S> {
-    /// `l δv` along `(dx; body a; body b)`.
+    /// Returns `l δv` along `(dx; body a; body b)`.
     #[inline(always)]
     fn linear_derivative(&self) -> [Mat3<S>; 3] {
         [

@@ -11,8 +11,12 @@
 //! * [`StrainRule::Helical`]: one constant strain per element from the exponential of SE(3), `ψ = log(R_aᵀ R_b)`,
 //!   `v = S(ψ) R_aᵀ dx / l`. Arcs and helices are represented exactly; there is no locking.
 //!
-//! The element's [model](RodModel) says which stress follows from a strain. Under [`RodModel::Dilatation`] the "energy" is
-//! that of the paper's (86) and the "gradient" its derivative at frozen dilatation, which has no potential.
+//! The element's [model](RodModel) determines which stress follows from a strain. Under [`RodModel::Dilatation`] the "energy" is that of
+//! the paper's (86) and the "gradient" its derivative at frozen dilatation, which has no potential.
+//!
+//! `helical.rs` and `trapezoidal.rs` have the formulas of the two rules, for any number of elements at a time, one in each lane of a
+//! vector; the methods of [`Element`] and [`StrainRule`] are the same code with one lane. `law.rs` has the stress that follows from a
+//! strain.
 
 //!
 //! `helical.rs` and `trapezoidal.rs` have the formulas of the two rules, for any number of elements at a time, one in each lane of a vector;
@@ -47,7 +51,7 @@ pub enum StrainRule {
     Trapezoidal,
 }
 
-/// Relative pose of an element's ends and what both rules need of it.
+/// Relative pose of an element's ends, from which both rules compute strains.
 #[derive(Clone, Copy, Debug)]
 pub struct ElementPose<'a> {
     /// `x_b - x_a`, spatial, m.
@@ -87,7 +91,7 @@ pub struct Element {
     pub linear_stiffness: Vector3<f64>,
     /// `diag(EI₁, EI₂, GJ)`, N m².
     pub angular_stiffness: Vector3<f64>,
-    /// Strain at which the element is free of stress.
+    /// Strain of the stress-free element.
     pub rest: ElementStrain,
 }
 
@@ -111,7 +115,7 @@ pub type ElementStiffness = SMatrix<f64, 9, 9>;
 pub type StrainDerivative = SMatrix<f64, 9, 9>;
 
 impl StrainRule {
-    /// Name in scene and result files.
+    /// Returns the name in scene and result files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -120,7 +124,7 @@ impl StrainRule {
         }
     }
 
-    /// Strains of an element of rest length `length` in the given pose.
+    /// Returns the strains of an element of rest length `length` in the given pose.
     #[must_use]
     pub fn strain(self, length: f64, pose: &ElementPose) -> ElementStrain {
         match self {
@@ -129,7 +133,7 @@ impl StrainRule {
         }
     }
 
-    /// [`Self::strain`] and its derivative.
+    /// Returns [`Self::strain`] and its derivative.
     #[must_use]
     pub fn strain_derivative(
         self,
@@ -143,13 +147,13 @@ impl StrainRule {
     }
 }
 
-/// Returns the quantities that a rule needs of a pose, in one lane.
+/// Returns the data of a rule for a pose, in one lane.
 fn posed<R: TangentRule>(pose: &ElementPose) -> R::Pose<Scalar> {
     let [a, b] = [pose.rotation_a, pose.rotation_b].map(Mat3::of_matrix);
     pose_of_any_turn::<R>(Vec3::splat(Scalar, &pose.dx), a, b)
 }
 
-/// Returns the quantities that a rule needs of a pose whose ends are turned against each other by any angle up to half a turn.
+/// Returns the data of a rule for a pose whose ends are turned against each other by any angle up to half a turn.
 pub(crate) fn pose_of_any_turn<R: TangentRule>(
     dx: Vec3<Scalar>,
     a: Mat3<Scalar>,
@@ -177,7 +181,7 @@ fn derivative_of<R: TangentRule>(
 ) -> (ElementStrain, StrainDerivative) {
     let mut rows = R::derivative(pose);
     if R::END_WEIGHT == 1.0 {
-        // The one linear strain is that of both ends.
+        // The one linear strain belongs to both ends.
         rows[1] = rows[0];
     }
     (strain_of::<R>(length, pose), nine_by_nine(&rows) / length)
@@ -194,13 +198,13 @@ pub(crate) fn nine_by_nine(blocks: &Blocks<Scalar>) -> SMatrix<f64, 9, 9> {
     out
 }
 
-/// The blocks of a 9×9 matrix.
+/// Returns the blocks of a 9×9 matrix.
 pub(crate) fn blocks_of(matrix: &SMatrix<f64, 9, 9>) -> Blocks<Scalar> {
     let block = |i: usize, j: usize| matrix.fixed_view::<3, 3>(3 * i, 3 * j).into_owned();
     [0, 1, 2].map(|i| [0, 1, 2].map(|j| Mat3::of_matrix(&block(i, j))))
 }
 
-/// A stress in the scale of a rule.
+/// Returns a stress in the scale of a rule.
 fn scaled<R: TangentRule>(linear: &[Vector3<f64>; 2], angular: &Vector3<f64>) -> Stress<Scalar> {
     Stress {
         linear: linear.map(|n| Vec3::splat(Scalar, &n) * R::END_WEIGHT),
@@ -218,21 +222,21 @@ fn gradient_of<R: TangentRule>(pose: &R::Pose<Scalar>, stress: &Stress<Scalar>) 
 }
 
 impl Element {
-    /// Elastic energy, J, with the dilatation of the [model](RodModel).
+    /// Returns the elastic energy, J, with the dilatation of the [model](RodModel).
     #[must_use]
     pub fn energy(&self, rule: StrainRule, pose: &ElementPose) -> f64 {
         self.energy_of(&rule.strain(self.length, pose))
     }
 
-    /// Internal force (N) and moment (N m), with the dilatation of the [model](RodModel). Components in the body frame: under
-    /// the helical rule the same all along the element, under the trapezoidal rule means of those in the frames of the ends.
+    /// Returns internal force (N) and moment (N m), with the dilatation of the [model](RodModel). Components in the body frame: under the
+    /// helical rule constant along the element, under the trapezoidal rule means of those in the frames of the ends.
     #[must_use]
     pub fn stress(&self, rule: StrainRule, pose: &ElementPose) -> (Vector3<f64>, Vector3<f64>) {
         let stress = self.stress_of(&rule.strain(self.length, pose));
         (0.5 * (stress.linear[0] + stress.linear[1]), stress.angular)
     }
 
-    /// Gradient of the energy.
+    /// Returns the gradient of the energy.
     #[inline]
     #[must_use]
     pub fn gradient(&self, rule: StrainRule, pose: &ElementPose) -> ElementGradient {
@@ -248,7 +252,7 @@ impl Element {
         gradient_of::<R>(&pose, &scaled::<R>(&stress.linear, &stress.angular))
     }
 
-    /// Gradient of the energy and its derivative.
+    /// Returns the gradient of the energy and its derivative.
     #[must_use]
     pub fn stiffness(
         &self,
@@ -261,7 +265,8 @@ impl Element {
         }
     }
 
-    /// The stiffness of a section that thins is that at the given stress plus `BᵀTB`, with the [tangent](Self::stress_tangent) `T` of the stress.
+    /// Returns gradient and stiffness. The stiffness of a thinning section is that at the given stress plus `BᵀTB`, with the
+    /// [tangent](Self::stress_tangent) `T` of the stress.
     fn stiffness_by<R: TangentRule>(
         &self,
         pose: &ElementPose,
@@ -281,7 +286,7 @@ impl Element {
         (gradient_of::<R>(&at, &scaled), stiffness)
     }
 
-    /// `weights[0] C (s₀ - s_rest) + weights[1] C (s₁ - s_rest)` of two strains, by the standard model.
+    /// Returns `weights[0] C (s₀ - s_rest) + weights[1] C (s₁ - s_rest)` of two strains, by the standard model.
     #[must_use]
     pub fn interval_stress(
         &self,
@@ -301,7 +306,7 @@ impl Element {
         self.stress_of_strain(&strain, 1.0)
     }
 
-    /// `factor C` times a strain, the standard model's law about the stress-free shape.
+    /// Returns `factor C` times a strain, the standard model's law about the stress-free shape.
     #[must_use]
     pub fn stress_of_strain(&self, strain: &ElementStrain, factor: f64) -> IntervalStress {
         let linear = self.linear_stiffness * factor;
@@ -311,8 +316,8 @@ impl Element {
         }
     }
 
-    /// Returns the pull of a given stress on the ends of the element: `Bᵀ` times the stress, [`Self::gradient`] where the
-    /// stress is that of the pose.
+    /// Returns the pull of a given stress on the ends of the element: `Bᵀ` times the stress, which equals [`Self::gradient`] if the stress
+    /// is that of the pose.
     #[must_use]
     pub fn gradient_under(
         &self,
@@ -330,7 +335,7 @@ impl Element {
         }
     }
 
-    /// Derivative of [`Self::gradient_under`] when the stress changes with `factor` times the standard model's stiffness.
+    /// Returns the derivative of [`Self::gradient_under`] if the stress changes with `factor` times the standard model's stiffness.
     #[must_use]
     pub fn stiffness_under(
         &self,
@@ -356,7 +361,7 @@ impl Element {
         nine_by_nine(&R::stiffness_under(&law, &posed::<R>(pose), &scaled))
     }
 
-    /// `B_startᵀ C B_end` with the weights of the two ends and the length: how the forces at one instant change with the
+    /// Returns `B_startᵀ C B_end` with the weights of the two ends and the length: the derivative of the forces at one instant along the
     /// configuration at another.
     #[must_use]
     pub fn coupling(&self, start: &StrainDerivative, end: &StrainDerivative) -> ElementStiffness {
@@ -369,12 +374,12 @@ impl Element {
                 row *= stiffness;
             }
         }
-        // Faster than `tr_mul`, which takes dot products.
+        // This is faster than `tr_mul`, which computes dot products.
         start.transpose() * stressed
     }
 }
 
-/// `∂(S(ψ) y)/∂ψ` for `sign = -1` and `∂(S(ψ)ᵀ y)/∂ψ` for `sign = +1`.
+/// Returns `∂(S(ψ) y)/∂ψ` for `sign = -1` and `∂(S(ψ)ᵀ y)/∂ψ` for `sign = +1`.
 ///
 /// `S^{(T)} y = y + (sign/2) ψ × y + c (ψ (ψ·y) - |ψ|² y)`.
 #[inline]
@@ -390,8 +395,8 @@ pub(crate) fn tangent_derivative(psi: &Vector3<f64>, y: &Vector3<f64>, sign: f64
     helical::tangent_derivative(&log, Vec3::splat(Scalar, y), sign).matrix()
 }
 
-/// Symmetric second derivative of `y·log(A)` along body rotations `A exp(ζ)` at `A = exp(ψ)`: the derivative of its
-/// gradient `S(ψ) y`, with `δψ = Sᵀ ζ`, made symmetric.
+/// Returns the symmetric second derivative of `y·log(A)` along body rotations `A exp(ζ)` at `A = exp(ψ)`: the derivative of its gradient
+/// `S(ψ) y`, with `δψ = Sᵀ ζ`, made symmetric.
 #[must_use]
 pub fn log_second_derivative(psi: &Vector3<f64>, y: &Vector3<f64>) -> Matrix3<f64> {
     let m = tangent_derivative(psi, y, -1.0) * log_tangent(psi).transpose();

@@ -1,6 +1,7 @@
-//! What the code of all strain rules has in common: one element in each lane of a vector, and of one lane where there is but one.
+//! The common code of all strain rules: one element in each lane of a vector; with one lane it is the plain code.
 //!
-//! Strains are here times the length of the element, so that forces and moments are the derivatives along `(δdx, η_a, η_b)` themselves.
+//! Strains are multiplied by the length of the element here, so that forces and moments are the derivatives along `(δdx, η_a, η_b)`
+//! themselves.
 
 use pulp::Simd;
 
@@ -10,13 +11,13 @@ use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
 /// A matrix over `(dx; body a; body b)`, in blocks.
 pub type Blocks<S> = [[Mat3<S>; 3]; 3];
 
-/// [`StrainRule::Helical`](crate::mechanics::StrainRule::Helical)
+/// The rule [`StrainRule::Helical`](crate::mechanics::StrainRule::Helical).
 pub struct Helical;
 
-/// [`StrainRule::Trapezoidal`](crate::mechanics::StrainRule::Trapezoidal)
+/// The rule [`StrainRule::Trapezoidal`](crate::mechanics::StrainRule::Trapezoidal).
 pub struct Trapezoidal;
 
-/// A stress, or a strain times the length: linear at the two ends, and angular. The helical rule has the first of the linear ones only.
+/// A stress, or a strain times the length: linear at the two ends, and angular. The helical rule uses the first linear one only.
 #[derive(Clone, Copy)]
 pub struct Stress<S: Simd> {
     pub linear: [Vec3<S>; 2],
@@ -72,7 +73,7 @@ impl<S: Simd> Elasticity<S> {
         }
     }
 
-    /// Of a strain without that at rest.
+    /// Returns the stress of a strain from which that at rest was subtracted.
     #[inline(always)]
     pub fn stress(&self, strain: Stress<S>) -> Stress<S> {
         Stress {
@@ -84,7 +85,7 @@ impl<S: Simd> Elasticity<S> {
         }
     }
 
-    /// With so many times the stiffness.
+    /// Returns the law with `factor` times the stiffness.
     #[inline(always)]
     pub fn times(&self, factor: Lanes<S>) -> Self {
         Self {
@@ -95,19 +96,19 @@ impl<S: Simd> Elasticity<S> {
     }
 }
 
-/// A strain rule, as far as its stiffness is concerned.
+/// A strain rule with its derivatives.
 pub trait TangentRule {
-    /// What the rule needs of an element's pose.
+    /// Data of an element's pose that the rule uses.
     type Pose<S: Simd>: Copy;
     /// Weight of an end at which the linear strain is taken.
     const END_WEIGHT: f64;
-    /// Which blocks of [`Self::derivative`] there are.
+    /// Nonzero blocks of [`Self::derivative`].
     const PATTERN: [[bool; 3]; 3];
 
-    /// Of an element whose ends are less than half a turn apart: digits are lost near it.
+    /// Computes the data of a pose whose ends are less than half a turn apart; near half a turn digits are lost.
     fn pose<S: Simd>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Self::Pose<S>;
 
-    /// Of any element, with the quaternion of `R_aᵀ R_b`.
+    /// Computes the data of any pose, with the quaternion of `R_aᵀ R_b`.
     fn pose_at<S: Simd>(
         dx: Vec3<S>,
         a: Mat3<S>,
@@ -115,30 +116,31 @@ pub trait TangentRule {
         relative: Quaternion<S>,
     ) -> Self::Pose<S>;
 
-    /// The strain times the length.
+    /// Returns the strain times the length.
     fn strain<S: Simd>(pose: &Self::Pose<S>) -> Stress<S>;
 
-    /// The derivative of the strain: rows of the linear strain at either end, of which the helical rule has one, and of the angular one.
+    /// Returns the derivative of the strain: rows of the linear strain at either end, of which the helical rule has one, and of the angular
+    /// one.
     fn derivative<S: Simd>(pose: &Self::Pose<S>) -> Blocks<S>;
 
-    /// `Bᵀ` times a stress: `(F, M_a, M_b)`, see [`ElementGradient`](super::ElementGradient).
+    /// Returns `Bᵀ` times a stress: `(F, M_a, M_b)`, see [`ElementGradient`](super::ElementGradient).
     fn pull<S: Simd>(pose: &Self::Pose<S>, stress: &Stress<S>) -> [Vec3<S>; 3];
 
-    /// Derivative of the pull along `(δdx, η_a, η_b)` when the stress changes with the stiffness of a law.
+    /// Returns the derivative of the pull along `(δdx, η_a, η_b)` if the stress changes with the stiffness of a law.
     fn stiffness_under<S: Simd>(
         law: &Elasticity<S>,
         pose: &Self::Pose<S>,
         stress: &Stress<S>,
     ) -> Blocks<S>;
 
-    /// `B_startᵀ C B_end`: how the pull at one instant changes with the pose at another.
+    /// Returns `B_startᵀ C B_end`, the derivative of the pull at one instant along the pose at another.
     fn coupling<S: Simd>(
         law: &Elasticity<S>,
         start: &Self::Pose<S>,
         end: &Self::Pose<S>,
     ) -> Blocks<S>;
 
-    /// The gradient `(F, M_a, M_b)` of the energy of an element between two poses.
+    /// Returns the gradient `(F, M_a, M_b)` of an element's energy in a pose.
     #[inline(always)]
     fn gradient<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> [Vec3<S>; 3]
     where
@@ -151,7 +153,7 @@ pub trait TangentRule {
         Self::pull(&pose, &law.stress(Self::strain(&pose).minus(law.rest)))
     }
 
-    /// The stiffness of an element between two poses.
+    /// Returns the stiffness of an element in a pose.
     #[inline(always)]
     fn stiffness<S: Simd>(element: &Element, dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> Blocks<S>
     where
@@ -166,12 +168,11 @@ pub trait TangentRule {
     }
 }
 
-/// Step of the central difference, in strain and in radians: the cube root of the rounding unit, where truncation
-/// (step²) and rounding (unit/step) are alike.
+/// Step of the central difference, in strain and in radians: the cube root of the rounding unit, where truncation (step²) and rounding
+/// (unit/step) are of the same size.
 pub const DIFFERENCE_STEP: f64 = 6e-6;
 
-/// Where the stiffness is asked for to find the [element's curvature](crate::mechanics::curvature::element_curvature) along a
-/// covector.
+/// The displaced pose for the [element's curvature](crate::mechanics::curvature::element_curvature) along a covector.
 #[derive(Clone, Copy)]
 pub struct Displacement<S: Simd> {
     pub covector: [Vec3<S>; 3],
@@ -185,7 +186,7 @@ impl<S: Simd> Displacement<S> {
         let one = Lanes::splat(covector[0].x.simd, 1.0);
         let turns = covector[1].norm().max(covector[2].norm());
         let size = (covector[0].norm() * (1.0 / length)).max(turns);
-        // Nothing that pulls is a difference of nothing.
+        // A zero covector has a zero difference.
         let size = size.select_below(f64::MIN_POSITIVE, one, size);
         Self {
             covector,
@@ -194,7 +195,7 @@ impl<S: Simd> Displacement<S> {
         }
     }
 
-    /// The pose moved by `sign` steps.
+    /// Returns the pose moved by `sign` steps.
     #[inline(always)]
     pub fn moved(&self, dx: Vec3<S>, [a, b]: [Mat3<S>; 2], sign: f64) -> (Vec3<S>, [Mat3<S>; 2]) {
         let step = self.step * sign;
@@ -203,13 +204,13 @@ impl<S: Simd> Displacement<S> {
         (dx + self.covector[0] * step, [turned_a, turned_b])
     }
 
-    /// The derivative along the covector, from what is ahead and behind.
+    /// Returns the derivative along the covector, from the values ahead and behind.
     #[inline(always)]
     pub fn difference(&self, ahead: Mat3<S>, behind: Mat3<S>) -> Mat3<S> {
         (ahead - behind) * (self.size * (0.5 / DIFFERENCE_STEP))
     }
 
-    /// The curvature, from the stiffness here, ahead and behind.
+    /// Returns the curvature, from the stiffness here, ahead and behind.
     #[inline(always)]
     pub fn curvature(&self, [here, ahead, behind]: &[Blocks<S>; 3]) -> Blocks<S> {
         let simd = self.size.simd;
@@ -237,7 +238,7 @@ impl<S: Simd> Displacement<S> {
     }
 }
 
-/// `exp(v̂)` for a vector of at most [`DIFFERENCE_STEP`]: `I + (1 - θ²/6) v̂ + v̂²/2`, off by `θ⁴/24`.
+/// Returns `exp(v̂)` for a vector of at most [`DIFFERENCE_STEP`]: `I + (1 - θ²/6) v̂ + v̂²/2`, with the error `θ⁴/24`.
 #[inline(always)]
 fn small_turn<S: Simd>(v: Vec3<S>) -> Mat3<S> {
     let square = v.dot(v);

@@ -95,7 +95,7 @@ pub(super) fn flat(g: &ElementGradient) -> SMatrix<f64, 9, 1> {
     out
 }
 
-/// Derivative of `f(h)` at zero to fourth order: Richardson's extrapolation of central differences.
+/// Returns the derivative of `f(h)` at zero to fourth order: Richardson's extrapolation of central differences.
 pub(super) fn derivative<T>(f: impl Fn(f64) -> T) -> T
 where
     T: std::ops::Sub<Output = T> + std::ops::Mul<f64, Output = T>,
@@ -159,7 +159,7 @@ proptest! {
     /// Under the stress of its own pose an element has its own gradient and stiffness, and the gradient is `Bᵀ` times
     /// the stress; under any other stress the stiffness is the derivative of that product.
     #[test]
-    fn given_stress_acts_like_ones_own(pose in pose(), other in pose(), d in direction()) {
+    fn given_stress_acts_like_stress_of_the_pose(pose in pose(), other in pose(), d in direction()) {
         for rule in RULES {
             let e = element_for(rule, RodModel::Standard);
             let (strain, b) = rule.strain_derivative(e.length, &pose.view());

@@ -12,7 +12,7 @@ use pulp::Simd;
 use super::rule::{Blocks, Elasticity, Stress, TangentRule, Trapezoidal};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
 
-/// The quantities that the trapezoidal rule needs of a pose.
+/// The data of a pose that the trapezoidal rule uses.
 #[derive(Clone, Copy)]
 pub struct TrapezoidalPose<S: Simd> {
     rotations: [Mat3<S>; 2],

@@ -1,4 +1,4 @@
-//! The base, where it is held.
+//! A held base in the lanes.
 
 use nalgebra::Vector3;
 
@@ -20,7 +20,7 @@ pub struct HeldBase {
 }
 
 impl LaneIntegrator<'_> {
-    /// Where a driven base will be at the end of the step.
+    /// Sets the pose of a driven base at the end of the step.
     pub(super) fn aim_base(&mut self, base: &BaseState, turn: &Vector3<f64>) {
         let Some(held) = &mut self.base else { return };
         let q = quaternion(&base.rotation);
@@ -34,7 +34,7 @@ impl LaneIntegrator<'_> {
         held.turn = wxyz(&cayley_quaternion(turn));
     }
 
-    /// Those of its motion.
+    /// Sets the momenta of a driven base.
     pub(super) fn set_base_momenta(&mut self, base: &BaseState) {
         let damping = 1.0 + self.half_damping();
         let rotary = self.rod.base_rotary(&[base.position, self.position(1)]);

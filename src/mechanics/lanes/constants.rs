@@ -9,8 +9,7 @@ use crate::mechanics::element::StrainRule;
 use crate::mechanics::element::{Helical, RodModel, Trapezoidal};
 use crate::mechanics::rod::{NodeInertia, Rod};
 
-/// Rotary inertia of nodes that do not turn by themselves: no moment turns them, and the fourth power of its inverse is
-/// no subnormal number, with which processors are slow.
+/// Rotary inertia of held nodes: no moment turns them, and the fourth power of its inverse is not subnormal, which would be slow.
 pub const HELD_INERTIA: f64 = 1e50;
 
 /// Constants of nodes and elements in blocks; equal neighbors share one.
@@ -18,7 +17,7 @@ pub const HELD_INERTIA: f64 = 1e50;
 pub struct Constants {
     pub nodes: Buffer,
     pub elements: Buffer,
-    /// Of every block the blocks of `nodes` and of `elements`.
+    /// For every block, the indices of its blocks of `nodes` and of `elements`.
     pub kinds: Vec<[usize; 2]>,
 }
 
@@ -52,8 +51,8 @@ impl Constants {
         }
     }
 
-    /// Those of another step length, and of a rod whose elements are stiffer or softer, all of them by the same factor, and whose tip is
-    /// heavier or lighter: what was equal still is.
+    /// Rewrites the constants for another step length, and for a rod whose elements are all stiffer or softer by the same factor, and whose
+    /// tip is heavier or lighter: blocks that were equal remain equal.
     pub fn rewrite(&mut self, rod: &Rod, slots: Slots, time_step: f64) {
         let node_size = NODE_ROWS * slots.n_lanes;
         let element_size = element_rows(rod) * slots.n_lanes;
@@ -72,7 +71,7 @@ fn element_rows(rod: &Rod) -> usize {
     }
 }
 
-/// Constants of the nodes of a block, and of the elements that begin there.
+/// Returns the constants of the nodes of a block, and of the elements that begin there.
 fn write_block(
     rod: &Rod,
     slots: Slots,
@@ -104,16 +103,16 @@ fn write_block(
     }
 }
 
-/// Different blocks one after the other.
+/// Distinct blocks one after the other.
 #[derive(Default)]
 struct Kinds {
     blocks: Vec<Vec<f64>>,
-    /// Whether the last one stands for itself alone.
+    /// Tells whether the last block must not be shared.
     alone: bool,
 }
 
 impl Kinds {
-    /// Index of a block, which is the last one where they are equal and neither is to stand alone.
+    /// Returns the index of a block, which is the last one if they are equal and may be shared.
     fn of(&mut self, block: Vec<f64>, alone: bool) -> usize {
         if alone || self.alone || self.blocks.last() != Some(&block) {
             self.blocks.push(block);
@@ -145,7 +144,7 @@ fn node_constants(rod: &Rod, node: usize, h: f64) -> [f64; NODE_ROWS] {
     for i in 0..3 {
         rows[WEIGHT + i] = mass * rod.gravity[i];
     }
-    // Three different moments of inertia: an infinite level, so that the node is always turned singly.
+    // Three different moments of inertia get an infinite level, so that the node is always turned singly.
     if rod.model == RodModel::Standard {
         rows[GYRATION] = h / j.x;
         rows[GYRATION + 1] = h / j.z;

@@ -1,6 +1,6 @@
-//! Second derivatives of what the stress of an interval does to an element, several time nodes at a time.
+//! Second derivatives of the effect of an interval's stress on an element, several time nodes at a time.
 //!
-//! Strains are times the length, as in [`element`](crate::mechanics::element).
+//! Strains are multiplied by the length, as in [`element`](crate::mechanics::element).
 
 use pulp::Simd;
 
@@ -23,7 +23,7 @@ pub struct StressBlocks<S: Simd> {
     pub end: Blocks<S>,
 }
 
-/// An end of the interval with the strain there, its derivative `B`, and the derivative of that along the covector.
+/// An end of the interval with the strain there, its derivative `B`, and the derivative of `B` along the covector.
 struct Bent<S: Simd, R: TangentRule> {
     displacement: Displacement<S>,
     poses: [R::Pose<S>; 3],
@@ -75,7 +75,7 @@ impl<S: Simd, R: TangentRule> Bent<S, R> {
         }
     }
 
-    /// The derivative of the strain along the covector.
+    /// Returns the derivative of the strain along the covector.
     #[inline(always)]
     fn along(&self) -> Stress<S> {
         let simd = self.displacement.covector[0].x.simd;
@@ -94,7 +94,7 @@ impl<S: Simd, R: TangentRule> Bent<S, R> {
         }
     }
 
-    /// Both directions at this end, whose strain has the given weight in the stress.
+    /// Returns the second derivative with both directions at this end, whose strain has the given weight in the stress.
     #[inline(always)]
     fn own(
         &self,
@@ -126,7 +126,7 @@ impl<S: Simd, R: TangentRule> Bent<S, R> {
     }
 }
 
-/// `Lᵀ C R` of two derivatives of strains.
+/// Returns `Lᵀ C R` of two derivatives of strains.
 #[inline(always)]
 fn coupled<S: Simd, R: TangentRule>(
     law: &Elasticity<S>,
@@ -151,11 +151,11 @@ fn coupled<S: Simd, R: TangentRule>(
     x
 }
 
-/// The curvature of an element of the given length over an interval; `pose` makes what the rule needs of a pose, as [`TangentRule::pose`].
+/// Returns the curvature of an element of the given length over an interval; `pose` computes the data of a pose, as [`TangentRule::pose`].
 ///
-/// With `d = B w` of either end, the function is `(d_start + d_end)·σ`, and `σ` is linear in the strains of both ends: what is
-/// bent are the strains themselves, at a given stress ([`TangentRule::stiffness_under`]) and at the stress that the strains `d`
-/// would make, and `d`, whose derivatives along `w` are central differences.
+/// With `d = B w` of either end, the function is `(d_start + d_end)·σ`, and `σ` is linear in the strains of both ends. Its second
+/// derivatives are those of the strains themselves, at the given stress ([`TangentRule::stiffness_under`]) and at the stress of the strains
+/// `d`, and the derivatives of `d` along `w`, which are central differences.
 #[inline(always)]
 pub fn stress_curvature<S: Simd, R: TangentRule>(
     law: &Elasticity<S>,

@@ -1,4 +1,4 @@
-//! What went wrong in a step.
+//! The error of a failed step.
 
 use nalgebra::Vector3;
 
@@ -9,7 +9,7 @@ use crate::mechanics::guards::{check_dilatation, check_fold, not_finite, rotatio
 use crate::mechanics::inertia::InertiaRule;
 
 impl LaneIntegrator<'_> {
-    /// The error of a step, in the order in which it happens.
+    /// Returns the error of a step, in the order of its parts.
     pub(super) fn find_error(
         &self,
         inertia_rule: InertiaRule,

@@ -1,4 +1,4 @@
-//! What acts on the nodes besides the elements: control and loads.
+//! Impulses on the nodes besides those of the elements: control and loads.
 
 use nalgebra::Vector3;
 
@@ -10,13 +10,13 @@ use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::time::TimeNode;
 
 impl LaneIntegrator<'_> {
-    /// Half a kick of the control before this time node and half of the one after it; the former is forgotten.
+    /// Adds half a kick of the control before this time node and half of the one after it; the former is discarded.
     pub(super) fn add_control(&mut self, after: NodeWrenches) {
         let first = self.rod.first_free_node();
         let acting = self.acting(after);
         let given = after.iter().map(|(node, wrench)| (node, *wrench));
         for (i, (node, wrench)) in given.chain(acting).enumerate() {
-            // As a rule the same nodes as before, in the same order.
+            // Usually the nodes are the same as before, in the same order.
             let before = match self.control.get(i) {
                 Some((same, _)) if *same == node => Some(i),
                 _ => self.control.iter().position(|(other, _)| *other == node),
@@ -32,7 +32,7 @@ impl LaneIntegrator<'_> {
         let mut control = std::mem::take(&mut self.control);
         for (node, wrench) in control.drain(..) {
             let place = self.slots.place(node);
-            // Single numbers written where a vector is read next hold it up.
+            // Scalar writes to memory that is read as a vector next would delay the read.
             if wrench.force != Vector3::zeros() {
                 self.add(place, FORCE, &(wrench.force * 0.5));
             }
@@ -40,11 +40,11 @@ impl LaneIntegrator<'_> {
                 self.add(place, MOMENT, &(wrench.moment * 0.5));
             }
         }
-        // Its memory serves the next step.
+        // The memory is reused by the next step.
         self.control = control;
     }
 
-    /// Wrenches of the actuators of one's own at the present configuration.
+    /// Returns the wrenches of user-defined actuators at the present configuration.
     pub(super) fn acting(&self, control: NodeWrenches) -> Vec<(usize, Wrench)> {
         if control.acting.is_empty() {
             return Vec::new();
@@ -61,7 +61,7 @@ impl LaneIntegrator<'_> {
         control.acting_on(view).collect()
     }
 
-    /// This time node, as the end of the step before it.
+    /// Returns this time node as the end of the step before it.
     pub(super) fn end_of_step(&self) -> TimeNode {
         TimeNode {
             time: self.time(),
@@ -70,7 +70,7 @@ impl LaneIntegrator<'_> {
         }
     }
 
-    /// Half of what loads that jump near this time node apply after it more than before it.
+    /// Adds half of the difference between the loads after and before this time node, for loads that jump near it.
     pub(super) fn share_jumps(&mut self) {
         let rod = self.rod;
         let [start, end] = [self.clock.ends_of_step(self.step)[0], self.end_of_step()];
@@ -87,7 +87,7 @@ impl LaneIntegrator<'_> {
         }
     }
 
-    /// The loads just before this time node.
+    /// Adds the loads just before this time node.
     pub(super) fn add_loads(&mut self) {
         let rod = self.rod;
         let end = self.end_of_step();

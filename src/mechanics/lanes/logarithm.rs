@@ -5,7 +5,7 @@ use pulp::Simd;
 use super::vector::{Lanes, Quaternion, Vec3};
 use crate::mechanics::rotation::INVERSE_TANGENT_SERIES;
 
-/// The logarithm of a rotation, and the coefficient of its tangent; see
+/// The logarithm of a rotation, and the coefficients of its tangent; see
 /// [`InverseTangentCoefficients`](crate::mechanics::rotation::InverseTangentCoefficients).
 #[derive(Clone, Copy, Debug)]
 pub struct Logarithm<S: Simd> {
@@ -16,10 +16,10 @@ pub struct Logarithm<S: Simd> {
     pub bend: Lanes<S>,
 }
 
-/// Rotations whose quaternion has at least this scalar part, `sqrt(15)/4`, are near: an angle of at most 0.505.
+/// Smallest scalar part of the quaternion of a near rotation, `sqrt(15)/4`: an angle of at most 0.505.
 const NEAR: f64 = 0.968_245_836_551_854_3;
 
-/// `asin(√t)/√t` for `0 <= t <= 1/16` to 3e-18: interpolated at Chebyshev points.
+/// Coefficients of `asin(√t)/√t` for `0 <= t <= 1/16`, accurate to 3e-18: interpolated at Chebyshev points.
 const ARCSINE: [f64; 9] = [
     1.0,
     0.16666666666666308,
@@ -32,7 +32,7 @@ const ARCSINE: [f64; 9] = [
     0.014731093985552658,
 ];
 
-/// Terms of the series of `c` that matter up to `θ² = 0.256`: the next is below 1e-16 of the first.
+/// Number of terms of the series of `c` up to `θ² = 0.256`: the next one is below 1e-16 of the first.
 const SERIES_TERMS: usize = 7;
 
 const C_SERIES: [f64; SERIES_TERMS] = {
@@ -45,7 +45,7 @@ const C_SERIES: [f64; SERIES_TERMS] = {
     series
 };
 
-/// Of `c'(θ)/θ = 2 dc/dθ²`.
+/// Series of `c'(θ)/θ = 2 dc/dθ²`.
 const SLOPE_SERIES: [f64; SERIES_TERMS] = {
     let mut series = [0.0; SERIES_TERMS];
     let mut i = 0;
@@ -56,7 +56,7 @@ const SLOPE_SERIES: [f64; SERIES_TERMS] = {
     series
 };
 
-/// Of the derivative of the slope over `θ` once more, `4 d²c/d(θ²)²`.
+/// Series of the derivative of the slope divided by `θ` once more, `4 d²c/d(θ²)²`.
 const BEND_SERIES: [f64; SERIES_TERMS] = {
     let mut series = [0.0; SERIES_TERMS];
     let mut i = 0;
@@ -83,7 +83,7 @@ pub fn logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
     if (-w).all_at_most(-NEAR) {
         return near;
     }
-    // The other sign of a quaternion is the same rotation, the short way round.
+    // Of the two signs of a quaternion, that of the shorter rotation is used.
     let one = Lanes::splat(w.simd, 1.0);
     let sign = w.select_below(0.0, -one, one);
     let w = w.abs();
@@ -102,7 +102,8 @@ pub fn logarithm<S: Simd>(rotation: Quaternion<S>) -> Logarithm<S> {
     }
 }
 
-/// Any rotation but those near the identity: three halvings of the angle lead to the near range. `w >= 0`, `t = |v|²`.
+/// Returns the logarithm of a rotation that is not near the identity: three halvings of the angle lead to the near range. `w >= 0`, `t =
+/// |v|²`.
 ///
 /// `c = (1 - (θ/2) cot(θ/2))/θ²` satisfies `c'/θ = (1/4 - 3c + c²θ²)/θ²`; with this slope `s`, `s'/θ = (2c² - 5s + 2csθ²)/θ²`.
 #[inline(always)]
@@ -138,9 +139,9 @@ mod tests {
     use pulp::Scalar;
 
     proptest! {
-        /// Angle and coefficients for every angle below half a turn and both signs of the quaternion. What cancels in
-        /// the far `c` is below a few roundings of one over the angle's square (at least 0.255); the slope has three times
-        /// its error, over that square.
+        /// Angle and coefficients for every angle below half a turn and both signs of the quaternion. Cancellation in the far `c` is below
+        /// a few roundings divided by the square of the angle (at least 0.255); the slope has three times its error, divided by that
+        /// square.
         #[test]
         fn logarithm_is_accurate(
             angle in prop_oneof![Just(0.0), Just(1e-9), 0.0..0.6f64, 0.5..0.51f64, 0.0..3.1f64],
@@ -160,7 +161,7 @@ mod tests {
             prop_assert!(error(log.psi.z, -0.8 * angle) <= 2e-15 * angle);
             prop_assert!(error(log.angle_squared, angle * angle) <= 4e-15 * angle * angle);
             prop_assert!(error(log.c, exact.value) <= 3e-15);
-            // Five times the error of the slope, over the square again.
+            // Five times the error of the slope, divided by the square once more.
             prop_assert!(error(log.bend, exact.bend) <= 7.1e-13);
             prop_assert!(error(log.slope, exact.slope) <= 3.6e-14, "{} {}", log.slope.value, exact.slope);
         }

@@ -1,5 +1,5 @@
-//! The [step](super::stepper), several nodes at a time, with unit quaternions for rotations: the same to the bit on every instruction set.
-//! The tests hold it against the check's [`ReferenceStepper`](crate::verify::ReferenceStepper).
+//! The [step](super::stepper), several nodes at a time, with unit quaternions for rotations: exactly the same on every instruction set.
+//! Tests compare it with the check's [`ReferenceStepper`](crate::verify::ReferenceStepper).
 
 mod base;
 mod constants;
@@ -49,7 +49,7 @@ use super::signal::NodeWrenches;
 use super::step_error::StepError;
 use super::time::Clock;
 
-/// Steps between normalizations of the quaternions; each product changes their length by rounding only.
+/// Number of steps between normalizations of the quaternions, whose length each product changes by rounding only.
 const NORMALIZE_EVERY: usize = 16;
 
 /// Advances a rod in time.
@@ -62,20 +62,20 @@ pub struct LaneIntegrator<'a> {
     slots: Slots,
     state: Buffer,
     constants: Constants,
-    /// Empty where the inertia is constant.
+    /// Empty if the inertia is constant.
     spin: Buffer,
     exchange: Buffer,
     base: Option<HeldBase>,
-    /// The control just before this time node, on nodes that move.
+    /// Control just before this time node, on moving nodes.
     control: Vec<(usize, Wrench)>,
-    /// Forces where a motion starts, on their way to the lanes.
+    /// Forces at the start of a motion, as temporary memory.
     seating: NodalForces,
-    /// Present where steps are solved for.
+    /// Present if steps are solved for.
     solver: Option<Box<Solver>>,
 }
 
-/// What a [`LaneIntegrator`] is besides its rod: put away between two motions of the same rod with the same step, neither of
-/// which asks for memory of its own.
+/// The memory of a [`LaneIntegrator`] without its rod, kept between two motions of the same rod with the same step, so that the second one
+/// allocates none.
 #[derive(Clone, Debug)]
 pub(crate) struct LaneMemory {
     clock: Clock,
@@ -93,7 +93,8 @@ pub(crate) struct LaneMemory {
 }
 
 impl LaneMemory {
-    /// A motion of `rod`, which is the rod of the motion before, from `start` (s) and `initial` on; a driven base is where the state has it.
+    /// Begins a motion of `rod`, which must be the rod of the motion before, from `start` (s) and `initial`; a driven base has the pose of
+    /// the state.
     pub fn begin<'a>(self, rod: &'a Rod, start: f64, initial: &State) -> LaneIntegrator<'a> {
         let mut integrator = LaneIntegrator {
             rod,
@@ -117,7 +118,8 @@ impl LaneMemory {
         integrator
     }
 
-    /// For steps of another length, and for the rod of the motion before with all its elements stiffer or softer by the same factor.
+    /// Prepares the memory for steps of another length, and for the rod of the motion before with all its elements stiffer or softer by the
+    /// same factor.
     pub fn retune(&mut self, rod: &Rod, time_step: f64) {
         self.clock.step = time_step;
         self.constants.rewrite(rod, self.slots, time_step);
@@ -127,7 +129,7 @@ impl LaneMemory {
     }
 }
 
-/// The work of a step on the best vectors there are: two doubles where the processor offers no more.
+/// Runs the work of a step on the widest available vectors; with two doubles if the processor offers no more.
 pub(super) fn dispatch<W: WithSimd>(arch: Arch, work: W) -> W::Output {
     match arch {
         Arch::Scalar => work.with_simd(Scalar128b),
@@ -147,13 +149,13 @@ impl WithSimd for CountLanes {
 }
 
 impl<'a> LaneIntegrator<'a> {
-    /// Starts from a state at time 0; a driven base is put where its motion starts.
+    /// Starts from a state at time 0; a driven base is moved to the start of its motion.
     #[must_use]
     pub fn new(rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Self {
         Self::on(Arch::new(), rod, clock, initial)
     }
 
-    /// The same on a given instruction set; the result does not depend on it.
+    /// Starts on a given instruction set; the result does not depend on it.
     #[must_use]
     pub fn on(arch: Arch, rod: &'a Rod, clock: impl Into<Clock>, initial: &State) -> Self {
         let clock = clock.into();
@@ -162,8 +164,7 @@ impl<'a> LaneIntegrator<'a> {
         Self::empty(arch, rod, clock).seated(&initial, 0)
     }
 
-    /// Goes on from the state after `step` steps of the same length, as an integrator does that is [re-seated](Self::reseat)
-    /// there, to the bit.
+    /// Resumes from the state after `step` steps of the same length, exactly as an integrator that is [re-seated](Self::reseat) there.
     #[must_use]
     pub fn resume(rod: &'a Rod, clock: impl Into<Clock>, state: &State, step: usize) -> Self {
         Self::empty(Arch::new(), rod, clock.into()).seated(state, step)
@@ -197,7 +198,7 @@ impl<'a> LaneIntegrator<'a> {
         }
     }
 
-    /// Ends the motion, and keeps its memory for another.
+    /// Ends the motion, and returns its memory for another one.
     pub(crate) fn into_memory(self) -> LaneMemory {
         LaneMemory {
             clock: self.clock,
@@ -220,15 +221,15 @@ impl<'a> LaneIntegrator<'a> {
         self
     }
 
-    /// Forgets all but [`Self::state`], whose rotation matrices and momenta are rounded: what follows is the same to the
-    /// bit as after [`Self::resume`] from that state, which is given back.
+    /// Keeps only [`Self::state`], whose rotation matrices and momenta are rounded, and returns it: the motion continues exactly as after
+    /// [`Self::resume`] from that state.
     pub fn reseat(&mut self) -> State {
         let mut state = self.state();
         self.reseat_into(&mut state);
         state
     }
 
-    /// The same into a state of the same size.
+    /// Re-seats as [`Self::reseat`] does, into a state of the same size.
     pub fn reseat_into(&mut self, state: &mut State) {
         self.write_state(state);
         self.seat(state, self.step);
@@ -278,7 +279,7 @@ impl<'a> LaneIntegrator<'a> {
             let place = slots.place(node);
             let (force, moment) = (self.seating.forces[node], self.seating.moments[node]);
             self.set(place, POSITION, &configuration.positions[node]);
-            // Of the two signs the one near the neighbor, so that the relative rotation is near +1.
+            // Of the two signs, the one near the neighbor is used, so that the relative rotation is near +1.
             let q = quaternion(&configuration.rotations[node]);
             last = if q.dot(&last) < 0.0 { -q } else { q };
             self.state[slots.index(place, STATE_ROWS, ROTATION)] = last.w;
@@ -305,7 +306,7 @@ impl<'a> LaneIntegrator<'a> {
         }
     }
 
-    /// `a = c h/2`
+    /// Returns `a = c h/2`.
     fn half_damping(&self) -> f64 {
         0.5 * self.rod.viscous_damping * self.clock.step
     }
@@ -331,25 +332,25 @@ impl<'a> LaneIntegrator<'a> {
         self.set(place, row, &sum);
     }
 
-    /// Steps taken so far.
+    /// Returns the number of steps taken.
     #[must_use]
     pub fn step(&self) -> usize {
         self.step
     }
 
-    /// Current time, s.
+    /// Returns the current time, s.
     #[must_use]
     pub fn time(&self) -> f64 {
         self.clock.time(self.step)
     }
 
-    /// Position of a node, spatial, m.
+    /// Returns the position of a node, spatial frame, m.
     #[must_use]
     pub fn position(&self, node: usize) -> Vector3<f64> {
         self.of_node(node, POSITION)
     }
 
-    /// Three rows of a node; of a base that is held, those it is set to.
+    /// Returns three rows of a node; of a held base those of its prescribed pose.
     fn of_node(&self, node: usize, row: usize) -> Vector3<f64> {
         match &self.base {
             Some(held) if node == 0 => Vector3::from_column_slice(&held.rows[row..row + 3]),
@@ -357,7 +358,7 @@ impl<'a> LaneIntegrator<'a> {
         }
     }
 
-    /// Rotation of a node, body to space.
+    /// Returns the rotation of a node, body to space.
     #[must_use]
     pub fn rotation(&self, node: usize) -> Matrix3<f64> {
         from_quaternion(wxyz(&self.quaternion(node)))
@@ -396,7 +397,7 @@ impl<'a> LaneIntegrator<'a> {
         Quaternion::from_parts(w, self.of_node(node, ROTATION + 1))
     }
 
-    /// State at the current time node, momenta included.
+    /// Returns the state at the current time node, including momenta.
     #[must_use]
     pub fn state(&self) -> State {
         let n = self.rod.n_nodes();
@@ -408,7 +409,7 @@ impl<'a> LaneIntegrator<'a> {
         state
     }
 
-    /// The same into a state of the same size.
+    /// Writes the state into one of the same size.
     pub fn write_state(&self, state: &mut State) {
         let damping = 1.0 + self.half_damping();
         let before = 0.5 * self.clock.step;
@@ -427,11 +428,11 @@ impl<'a> LaneIntegrator<'a> {
         }
     }
 
-    /// One step under control wrenches: `control[0]` just after this time node, `control[1]` just before the next.
+    /// Takes one step under control wrenches: `control[0]` just after this time node, `control[1]` just before the next.
     ///
     /// # Errors
-    /// [`StepError`] when a node would turn more than a quarter turn, when the base does, when an element collapses, or when
-    /// something is not finite. The state is then no longer meaningful.
+    /// Returns [`StepError`] if a node or the base would turn by more than a quarter turn, an element collapses, or a value is not finite.
+    /// The state is then no longer meaningful.
     pub fn advance(&mut self, control: [NodeWrenches; 2]) -> Result<(), StepError> {
         let base = match &self.rod.base {
             BaseCondition::Driven(_) => {
@@ -481,7 +482,7 @@ impl<'a> LaneIntegrator<'a> {
         for &part in parts {
             match part {
                 Part::Turn => {}
-                // Turned already, but still where it was.
+                // The base has turned already, but not moved.
                 Part::ReactAndTranslate => self.turn_base(),
                 _ if base.is_some() => self.put_base(),
                 _ => {}
@@ -518,12 +519,12 @@ impl<'a> LaneIntegrator<'a> {
         Ok(())
     }
 
-    /// What acts just before the time node that a step has come to.
+    /// Adds the forces just before the time node at which a step has arrived.
     fn arrive(&mut self, control: NodeWrenches, base: Option<BaseState>) {
         if let Some(base) = &base {
             self.set_base_momenta(base);
         }
-        // A clamped base without spin does not move anyway; its momenta are not looked at.
+        // A clamped base without spin does not move; its momenta are not used.
         if base.is_some() || !self.spin.is_empty() {
             self.put_base();
         }

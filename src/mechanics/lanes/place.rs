@@ -1,4 +1,4 @@
-//! Where the numbers of a node are: its block and its lane; see [`sweep`](super::sweep) for the order of the nodes.
+//! The place of a node's numbers: its block and its lane; see [`sweep`](super::sweep) for the order of the nodes.
 
 /// The blocks of a rod.
 #[derive(Clone, Copy, Debug)]
@@ -7,7 +7,7 @@ pub struct Slots {
     pub n_lanes: usize,
 }
 
-/// A block, and a number in each of its rows.
+/// A block, and a lane in each of its rows.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
     pub block: usize,
@@ -26,7 +26,7 @@ impl Slots {
         }
     }
 
-    /// Index of a row among blocks of `n_rows` rows.
+    /// Returns the index of a row among blocks of `n_rows` rows.
     #[inline]
     pub fn index(self, place: Place, n_rows: usize, row: usize) -> usize {
         (place.block * n_rows + row) * self.n_lanes + place.lane

@@ -20,7 +20,7 @@ pub struct Failure {
     pub inertia: Vector3<f64>,
 }
 
-/// Turns nodes with [`solve_rotation`] and remembers the first that it cannot.
+/// Turns nodes with [`solve_rotation`] and stores the first that it cannot turn.
 pub struct SingleTurns<'a> {
     pub rod: &'a Rod,
     pub slots: Slots,

@@ -1,9 +1,9 @@
 //! One step of all nodes and elements.
 //!
-//! The nodes are dealt to the lanes in runs: of a rod of `B` blocks, run `j` holds the nodes `j B` to `(j + 1) B - 1`,
-//! and block `i` is the `i`-th of every run. The right neighbors of a block are then the next block in the same lanes,
-//! and what two blocks share stays in registers; only the last block finds its neighbors in the first one, a lane
-//! further. Slots beyond the tip hold nodes that cannot move, joined by elements without stiffness.
+//! The nodes are distributed over the lanes in runs: of a rod of `B` blocks, run `j` has the nodes `j B` to `(j + 1) B - 1`, and block `i`
+//! is the `i`-th of every run. The right neighbors of a block are then the next block in the same lanes, and values that two blocks share
+//! stay in registers; only the last block has its neighbors in the first one, a lane further. Slots beyond the tip hold nodes that cannot
+//! move, joined by elements without stiffness.
 
 use std::marker::PhantomData;
 
@@ -14,39 +14,39 @@ use super::rule::Rule;
 use super::turn::{Gyration, TURN_LIMIT, Turn};
 use super::vector::{Lanes, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows};
 
-/// Rows of a block of nodes.
+/// Number of rows of a block of nodes.
 pub const STATE_ROWS: usize = 19;
-/// Spatial, m.
+/// Position, spatial frame, m.
 pub const POSITION: usize = 0;
-/// Unit quaternion w, x, y, z.
+/// Rotation, unit quaternion w, x, y, z.
 pub const ROTATION: usize = 3;
-/// Of the last half step, damped: `(p - h/2 f)/(1 + a)` with momentum `p` and force `f` at the time node.
+/// Linear momentum of the last half step, damped: `(p - h/2 f)/(1 + a)` with momentum `p` and force `f` at the time node.
 pub const LINEAR_MOMENTUM: usize = 7;
-/// In the same way, body frame.
+/// Angular momentum, defined in the same way, body frame.
 pub const ANGULAR_MOMENTUM: usize = 10;
-/// Spatial, without the control.
+/// Force, spatial frame, without the control.
 pub const FORCE: usize = 13;
-/// Body frame, without the control.
+/// Moment, body frame, without the control.
 pub const MOMENT: usize = 16;
 
-/// Rows of the constants of a block of nodes.
+/// Number of rows of the constants of a block of nodes.
 pub const NODE_ROWS: usize = 8;
-/// `h/m`; zero for a node that does not move.
+/// `h/m`; zero for a held node.
 pub const MOBILITY: usize = 0;
 /// Mass times the acceleration of gravity.
 pub const WEIGHT: usize = 1;
-/// The four numbers of [`Gyration`], in their order; where the inertia follows the dilatation, the inertia at rest and
-/// the `unequal` of [`Gyration::of`].
+/// The four numbers of [`Gyration`], in their order; if the inertia follows the dilatation, the inertia at rest and the `unequal` of
+/// [`Gyration::of`].
 pub const GYRATION: usize = 4;
 
-/// Rows of a block of nodes whose inertia follows the dilatation.
+/// Number of rows of a block of nodes whose inertia follows the dilatation.
 pub const SPIN_ROWS: usize = 7;
 /// Principal moments of inertia.
 pub const ROTARY: usize = 0;
 /// Unit quaternion of the last rotation.
 pub const LAST_TURN: usize = 3;
 
-/// Rows of the exchange with [`TurnSingly`]: the angular momentum before, the inertia, and what [`Turn`] says.
+/// Number of rows of the exchange with [`TurnSingly`]: the angular momentum before, the inertia, and the results of [`Turn`].
 pub const EXCHANGE_ROWS: usize = 14;
 const MOMENTUM_BEFORE: usize = 0;
 const LEVEL: usize = 3;
@@ -54,9 +54,9 @@ const TURN: usize = 4;
 const MOMENTUM_AFTER: usize = 8;
 const INERTIA: usize = 11;
 
-/// What the lanes leave to a solver that takes one node at a time.
+/// A solver for nodes that the lanes cannot turn, one node at a time.
 pub trait TurnSingly {
-    /// The unit quaternion of the rotation `F` and `Fᵀ g` of the node in a slot. The inertia is given where it follows the
+    /// Returns the unit quaternion of the rotation `F`, and `Fᵀ g`, for the node in a slot. The inertia is given if it follows the
     /// dilatation.
     fn turn(
         &mut self,
@@ -67,13 +67,12 @@ pub trait TurnSingly {
     ) -> ([f64; 4], [f64; 3]);
 }
 
-/// A part of a step. Where the kinetic energy pulls at the elements a step has several, and between them a driven base is
-/// moved.
+/// A part of a step. With a kinetic reaction a step has several parts, between which a driven base is moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// All of a step without kinetic reaction.
+    /// A whole step without kinetic reaction.
     Whole,
-    /// Kicks and turns, with the inertia at hand.
+    /// Kicks and turns, with the present inertia.
     Turn,
     /// Kinetic reaction of these turns, then translation.
     ReactAndTranslate,
@@ -93,17 +92,17 @@ pub struct Sweep<'a, R, L, T> {
     pub state: &'a mut [f64],
     pub nodes: &'a [f64],
     pub elements: &'a [f64],
-    /// Which block of `nodes` and of `elements` holds the constants of a block.
+    /// Indices of the blocks of `nodes` and of `elements` with the constants of a block.
     pub kinds: &'a [[usize; 2]],
-    /// Empty where the inertia is constant.
+    /// Empty if the inertia is constant.
     pub spin: &'a mut [f64],
     pub exchange: &'a mut [f64],
     pub singly: &'a mut T,
     /// `h`
     pub time_step: f64,
-    /// `a = c h/2` of the viscous damping
+    /// `a = c h/2` of the viscous damping.
     pub half_damping: f64,
-    /// Whether to bring the quaternions back to unit length.
+    /// Tells whether the quaternions are normalized.
     pub normalize: bool,
     pub kind: PhantomData<(R, L)>,
 }
@@ -111,15 +110,15 @@ pub struct Sweep<'a, R, L, T> {
 /// The findings of a part of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Finding {
-    /// Whether all positions, forces and moments are finite.
+    /// Tells whether all positions, forces and moments are finite.
     pub finite: bool,
-    /// Whether the time step resolves the dilatation of all elements, with a margin of rounding.
+    /// Tells whether the time step resolves the dilatation of all elements, with a margin for rounding.
     pub resolved: bool,
-    /// Whether the ends of all elements are within half a turn.
+    /// Tells whether the ends of all elements are within half a turn.
     pub unfolded: bool,
 }
 
-/// Below one by more than the rounding of a quotient.
+/// A limit below one by more than the rounding of a quotient.
 const COMPRESSION_LIMIT: f64 = 1.0 - 1e-12;
 
 impl<R: Rule, L: SectionLaw, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
@@ -184,7 +183,7 @@ struct Work<'a, S: Simd, R, L, T> {
     /// `2/(h (1 + a))`
     reaction: Lanes<S>,
     normalize: bool,
-    /// Of all positions, angular momenta, forces and moments: not finite as soon as one is not.
+    /// Sum of all positions, angular momenta, forces and moments, which is not finite as soon as one of them is not.
     sum: Lanes<S>,
     /// Largest compression; see [`Chord::compression`].
     compression: Lanes<S>,
@@ -204,9 +203,8 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
         &self.elements[self.kinds[index][1] * L::ROWS..][..L::ROWS]
     }
 
-    /// Elements, and what follows for the nodes at their ends; with `MOVE` the nodes make their kick and drift first, well
-    /// before the elements to their left need them, so that their long chains of dependent operations overlap with those
-    /// of other blocks.
+    /// Computes elements, and the consequences for the nodes at their ends; with `MOVE` the nodes make their kick and drift first, well
+    /// before the elements to their left need them, so that their long chains of dependent operations overlap with those of other blocks.
     #[inline(always)]
     fn forces<const MOVE: bool>(&mut self, react: bool) {
         let simd = self.simd;
@@ -227,7 +225,7 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
                     (self.position(ahead), self.rotation(ahead))
                 }
             } else {
-                // Beyond the last block come the nodes of the first, a lane further.
+                // The last block is followed by the nodes of the first one, a lane further.
                 (self.position(0).next_lane(), self.rotation(0).next_lane())
             };
             let next = Pose::of(position, rotation);
@@ -282,7 +280,7 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
         }
     }
 
-    /// Linear momentum after the kick.
+    /// Returns the linear momentum after the kick.
     #[inline(always)]
     fn push(&self, index: usize) -> Vec3<S> {
         let block = &self.blocks[index];
@@ -301,7 +299,7 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
         position
     }
 
-    /// Kick and rotation; the angular momentum after it where the inertia is constant during the step.
+    /// Applies kick and rotation, and the angular momentum after it if the inertia is constant during the step.
     #[inline(always)]
     fn turn(&mut self, index: usize) -> Quaternion<S> {
         let simd = self.simd;
@@ -360,14 +358,14 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
         }
     }
 
-    /// The inertia at rest and what it gains from the elements to the right and to the left.
+    /// Sets the inertia: that at rest plus the shares of the elements to the right and to the left.
     #[inline(always)]
     fn set_inertia(&mut self, index: usize, right: Vec3<S>, left: Vec3<S>) {
         let rest = Vec3::load(self.simd, self.node(index), GYRATION);
         (rest + right + left).store(&mut self.spin[index], ROTARY);
     }
 
-    /// The angular momentum of the last rotation with the inertia at its end: `(2/h) (w J v - v × J v)` for its quaternion.
+    /// Sets the angular momentum of the last rotation with the inertia at its end: `(2/h) (w J v - v × J v)` for its quaternion.
     #[inline(always)]
     fn arrive(&mut self, index: usize) {
         let spin = &self.spin[index];
@@ -383,7 +381,7 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
         Vec3::load(self.simd, &self.spin[index], LAST_TURN + 1)
     }
 
-    /// Beyond the last block the nodes of the first, a lane further.
+    /// Returns the last turn of a block; beyond the last block that of the first one, a lane further.
     #[inline(always)]
     fn last_turn_or(&self, index: usize) -> Vec3<S> {
         if index < self.spin.len() {
@@ -418,7 +416,8 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
         }
     }
 
-    /// The element to the left of the first block is the last one, a lane back: it comes first.
+    /// Applies the kinetic reaction, then translates. The element to the left of the first block is the last one, a lane back, and comes
+    /// first.
     #[inline(always)]
     fn react_and_translate(&mut self) {
         let last = self.blocks.len() - 1;
@@ -443,7 +442,7 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
         }
     }
 
-    /// Turns all nodes; with `follow` their inertia is brought to the present positions before, else they are pushed.
+    /// Turns all nodes; with `follow` their inertia is first updated to the present positions, otherwise they are pushed.
     #[inline(always)]
     fn turn_all(&mut self, follow: bool) {
         let last = self.blocks.len() - 1;
@@ -471,7 +470,7 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
     }
 }
 
-/// Replaces rotation and momentum in the lanes whose level is beyond the limit or NaN.
+/// Replaces rotation and momentum in the lanes whose level exceeds the limit or is NaN.
 #[cold]
 #[inline(never)]
 fn turn_lanes_singly<T: TurnSingly>(

@@ -13,7 +13,7 @@ use pulp::Simd;
 use super::vector::{Lanes, Mat3, Row, Vec3};
 use crate::mechanics::rotation_step::{inverse_alpha, momentum, momentum_slope, spin_inertia};
 
-/// Numbers of a pose: position, rotation matrix row by row.
+/// Number of rows of a pose: position, rotation matrix row by row.
 pub const POSE_ROWS: usize = 12;
 
 /// Writes a pose to a lane of [`POSE_ROWS`] rows of `n_lanes`.
@@ -49,15 +49,15 @@ impl<S: Simd> NodePose<S> {
     }
 }
 
-/// `4 cos²` of half the angle between the ends of an element, `1 + tr`, from which on its relative rotation is taken apart
-/// without loss of digits: up to 2.2 rad.
+/// Smallest `4 cos²` of half the angle between the ends of an element, `1 + tr`, for which its relative rotation is decomposed without loss
+/// of digits: up to 2.2 rad.
 pub const LEAST_MARGIN: f64 = 0.75;
 
-/// Second derivative of `μ·π(F) - λ·g(F)` in the chart `F = exp(-ζ̂_k) F exp(ζ̂_{k+1})`, for the momenta
-/// `g = (1/h) (F J_d - J_d Fᵀ)^∨` (body frame before the step) and `π = Fᵀ g` (after it), kg m²/s: before, mixed (rows before), after.
+/// Returns the second derivative of `μ·π(F) - λ·g(F)` in the chart `F = exp(-ζ̂_k) F exp(ζ̂_{k+1})`, for the momenta `g = (1/h) (F J_d -
+/// J_d Fᵀ)^∨` (body frame before the step) and `π = Fᵀ g` (after it), kg m²/s: before, mixed (rows before), after.
 ///
-/// The function is `tr(CF)` with `C = (J_d λ̂ - μ̂ J_d)/h`, linear in `F`; `tr(M ζ̂²) = ζ·(M - tr M)ζ`, and the mixed
-/// term is the mixed cofactor of `Cᵀ` and `F`. `rotary` is the node's `J` (kg m²) for `g` and for `π`, `J_d = (tr J/2) I - J`.
+/// The function is `tr(CF)` with `C = (J_d λ̂ - μ̂ J_d)/h`, linear in `F`; `tr(M ζ̂²) = ζ·(M - tr M)ζ`, and the mixed term is the mixed
+/// cofactor of `Cᵀ` and `F`. `rotary` is the node's `J` (kg m²) for `g` and for `π`, `J_d = (tr J/2) I - J`.
 #[inline(always)]
 pub fn inertia_curvature<S: Simd>(
     rotary: [&Vector3<f64>; 2],
@@ -72,7 +72,7 @@ pub fn inertia_curvature<S: Simd>(
         Mat3::diagonal(Vec3::splat(simd, &j_d))
     });
     let c = leaving.product_hat(before) - Mat3::hat_product(after, arriving);
-    // The mixed cofactor of Cᵀ and F: of the rows of one and the other, both ways.
+    // The mixed cofactor of Cᵀ and F combines rows of both, in both orders.
     let (c_t, f) = (c.transpose().rows, turn.rows);
     let mixed = Mat3 {
         rows: [
@@ -89,7 +89,7 @@ pub fn inertia_curvature<S: Simd>(
     ]
 }
 
-/// Drift of a node, linearized, and whether it is regular there.
+/// The linearized drift of a node, and its regularity.
 #[derive(Clone, Copy)]
 pub struct Drift<S: Simd> {
     /// `Fᵀ`
@@ -103,7 +103,7 @@ pub struct Drift<S: Simd> {
     pub arriving: Vec3<S>,
     /// `|f|²/4` of the Cayley vector, below 1 where the node turns by less than a quarter turn.
     pub level: Lanes<S>,
-    /// `1 + tr F`, above 2 there.
+    /// `1 + tr F`, above 2 under the same condition.
     pub margin: Lanes<S>,
 }
 
@@ -114,7 +114,7 @@ struct Turn<S: Simd> {
     f: Vec3<S>,
     /// `1/(1 + |f|²/4)`
     inverse_alpha: Lanes<S>,
-    /// Angular momentum before it, and its derivative along `f`.
+    /// Angular momentum before the turn, and its derivative along `f`.
     g: Vec3<S>,
     slope: Mat3<S>,
 }
@@ -145,16 +145,16 @@ impl<S: Simd> Turn<S> {
 #[derive(Clone, Copy)]
 pub struct Spin<S: Simd> {
     pub turn_transposed: Mat3<S>,
-    /// `Θ⁻¹`: angular momentum before the drift per rotation, see [`spin_inertia`].
+    /// `Θ⁻¹`: derivative of the angular momentum before the drift along the rotation, see [`spin_inertia`].
     pub inertia: Mat3<S>,
-    /// `M Θ⁻¹`: that after it.
+    /// `M Θ⁻¹`: derivative of the angular momentum after the drift.
     pub arriving: Mat3<S>,
-    /// As in [`Drift`].
+    /// Level of the rotation, as in [`Drift::level`].
     pub level: Lanes<S>,
     pub margin: Lanes<S>,
 }
 
-/// The spin of a node of inertia `rotary` from one rotation to the next, a time step `h` later.
+/// Computes the spin of a node of inertia `rotary` from one rotation to the next, a time step `h` later.
 #[inline(always)]
 pub fn spin<S: Simd>(rotary: &Vector3<f64>, h: f64, before: Mat3<S>, after: Mat3<S>) -> Spin<S> {
     let Turn {
@@ -178,7 +178,7 @@ pub fn spin<S: Simd>(rotary: &Vector3<f64>, h: f64, before: Mat3<S>, after: Mat3
     }
 }
 
-/// The drift of a node of inertia `rotary` from one rotation to the next, a time step `h` later.
+/// Computes the drift of a node of inertia `rotary` from one rotation to the next, a time step `h` later.
 #[inline(always)]
 pub fn drift<S: Simd>(rotary: &Vector3<f64>, h: f64, before: Mat3<S>, after: Mat3<S>) -> Drift<S> {
     let one = Lanes::splat(before.rows[0].x.simd, 1.0);

@@ -1,4 +1,4 @@
-//! Tests of the module above.
+//! Tests of the integrator in lanes.
 
 use super::*;
 use crate::mechanics::{
@@ -40,7 +40,7 @@ fn rod(
     rod
 }
 
-/// Nodes spin at up to `spin` per step; every third element is bent beyond the near range of the logarithm.
+/// Nodes spin by up to `spin` per step; every third element is bent beyond the near range of the logarithm.
 fn initial(rod: &Rod, h: f64, spin: f64) -> State {
     let mut state = State::at_rest(rod.rest.clone());
     for q in 1..rod.n_nodes() {
@@ -49,7 +49,7 @@ fn initial(rod: &Rod, h: f64, spin: f64) -> State {
         let bend = if q % 3 == 0 { 1.0 } else { 0.1 };
         state.configuration.rotations[q] *= exp(&(direction * bend));
         state.configuration.positions[q] += direction * (0.02 / rod.n_nodes() as f64);
-        // The same turn everywhere, lest neighbors twist each other by half a turn.
+        // All nodes turn alike, because neighbors would otherwise twist each other by half a turn.
         let inertia = rod.nodes[q].rotary.min();
         state.angular_momentum[q] = Vector3::new(0.6, -0.5, 0.62) * (spin * inertia / h);
     }
@@ -81,7 +81,7 @@ fn bits(integrator: &LaneIntegrator) -> Vec<u64> {
     .collect()
 }
 
-/// What this machine has beyond the baseline.
+/// Instruction sets of this machine beyond the baseline.
 fn wider() -> Vec<Arch> {
     let mut wider = Vec::new();
     #[cfg(target_arch = "x86_64")]
@@ -93,7 +93,8 @@ fn wider() -> Vec<Arch> {
     wider
 }
 
-/// The same over steps that are solved for, from rest and by extrapolation, through jumps of the control, new factors and normalizations.
+/// Solved steps have the same bits on every instruction set: from rest and by extrapolation, through jumps of the control, new factors and
+/// normalizations.
 #[test]
 fn solved_motions_have_the_same_bits_for_long() {
     let schemes = [
@@ -132,8 +133,8 @@ fn solved_motions_have_the_same_bits_for_long() {
     }
 }
 
-/// Every vector length and instruction set gives the same bits: small and large turns, those the lanes leave to the
-/// scalar solver, near and far logarithms side by side.
+/// Every vector length and instruction set gives the same bits: for small and large turns, those that the lanes leave to the scalar solver,
+/// and near and far logarithms side by side.
 #[test]
 fn every_vector_length_gives_the_same_bits() {
     let laws = [
@@ -157,10 +158,10 @@ fn every_vector_length_gives_the_same_bits() {
     }
 }
 
-/// Memory that is retuned to another step and to a softer rod with a heavier tip and more damping moves as memory made for them, to the bit;
-/// with internal damping as without, and where the tip was as heavy as its neighbors.
+/// Memory that is retuned to another step and to a softer rod with a heavier tip and more damping moves exactly as memory created for them,
+/// with and without internal damping, also if the tip was as heavy as its neighbors.
 #[test]
-fn retuned_memory_is_that_of_the_other_rod() {
+fn retuned_memory_moves_as_new_memory() {
     let cases = [
         (TimeScheme::Explicit, 0.0, false),
         (TimeScheme::Explicit, 3e-3, false),

@@ -4,7 +4,7 @@ use pulp::Simd;
 
 use super::vector::{Lanes, Quaternion, Vec3};
 
-/// What the rotation of a step needs of an axisymmetric node inertia `diag(a, a, b)` and the time step `h`.
+/// Data for the rotation of a step, from an axisymmetric node inertia `diag(a, a, b)` and the time step `h`.
 #[derive(Clone, Copy, Debug)]
 pub struct Gyration<T> {
     /// `h/a`
@@ -28,14 +28,13 @@ pub struct Turn<S: Simd> {
     pub level: Lanes<S>,
 }
 
-/// Largest level at which the solution is exact to rounding; every `h |g| <= min(a, b)/2` is inside when
-/// `a <= b`, as it is for every section.
+/// Largest level at which the solution is exact to rounding. For `a <= b`, as for every section, every `h |g| <= min(a, b)/2` is inside.
 pub const TURN_LIMIT: f64 = 0.25;
 
-/// `1/(1 + sqrt(1 - z))` for `0 <= z <= 1/4` to 6e-5: interpolated at Chebyshev points.
+/// Coefficients of `1/(1 + sqrt(1 - z))` for `0 <= z <= 1/4`, accurate to 6e-5: interpolated at Chebyshev points.
 const START: [f64; 3] = [0.50002539995366, 0.12318935511503, 0.08071405498084];
 
-/// `1/sqrt(1 + t)` for `0 <= t <= 0.072` to 8e-10: interpolated at Chebyshev points.
+/// Coefficients of `1/sqrt(1 + t)` for `0 <= t <= 0.072`, accurate to 8e-10: interpolated at Chebyshev points.
 const INVERSE_ROOT: [f64; 5] = [
     0.99999999921347,
     -0.49999945232042,
@@ -45,7 +44,7 @@ const INVERSE_ROOT: [f64; 5] = [
 ];
 
 impl<S: Simd> Gyration<Lanes<S>> {
-    /// Of an inertia that is not constant; `unequal` is zero where it is axisymmetric, infinite elsewhere.
+    /// Returns the data for a variable inertia; `unequal` is zero if it is axisymmetric, infinite otherwise.
     #[inline(always)]
     pub fn of(rotary: Vec3<S>, unequal: Lanes<S>, h: f64) -> Self {
         let Vec3 { x: a, z: b, .. } = rotary;
@@ -77,7 +76,7 @@ impl<S: Simd> Gyration<Lanes<S>> {
         let isotropic = lateral + spin_squared;
         let level = isotropic + kappa_squared;
 
-        // Off by 1.3e-4 in the worst case up to the limit, so that the fourth power is below rounding.
+        // The error is 1.3e-4 in the worst case up to the limit, so that its fourth power is below rounding.
         let start = (isotropic - lateral * kappa_squared * 0.25).polynomial(&START);
         let ks = kappa_squared * start;
         let gain = spin_squared * start;
@@ -119,8 +118,8 @@ impl<S: Simd> Gyration<Lanes<S>> {
     }
 }
 
-/// `1/(1 - x)` as `(1 + x)(1 + x²)(1 + x⁴)(1 + x⁸)`, to the relative error `x¹⁶`: below 1e-13 for `|x| <= 0.15`, below
-/// rounding for `|x| <= 0.1`.
+/// Returns `1/(1 - x)` as `(1 + x)(1 + x²)(1 + x⁴)(1 + x⁸)`, with the relative error `x¹⁶`: below 1e-13 for `|x| <= 0.15`, below rounding
+/// for `|x| <= 0.1`.
 #[inline(always)]
 fn inverse_of_one_minus<S: Simd>(x: Lanes<S>) -> Lanes<S> {
     let square = x * x;
@@ -155,8 +154,8 @@ mod tests {
     }
 
     proptest! {
-        /// Every rotation of at most half the limit is within the lanes' range, and the same as the scalar solver's to
-        /// rounding: turn, momentum, unit length; flat, isotropic and elongated inertia.
+        /// Every rotation of at most half the limit is within the lanes' range, and agrees with the scalar solver to rounding: turn,
+        /// momentum, unit length; for flat, isotropic and elongated inertia.
         #[test]
         fn turn_agrees_with_the_scalar_solver(
             direction in proptest::array::uniform3(-1.0..1.0f64),

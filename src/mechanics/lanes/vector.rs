@@ -1,14 +1,14 @@
 //! Vectors and quaternions with one number per lane, as readable as scalars and as fast as intrinsics.
 //!
-//! No fused multiply-add and no sums over lanes: every lane does the same IEEE operations in the same order whatever
-//! the vector length, so all instruction sets give the same bits.
+//! There is no fused multiply-add and no sum over lanes in results: every lane does the same IEEE operations in the same order whatever the
+//! vector length is, so that all instruction sets give the same bits.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Scalar, Simd};
 
-/// One number per lane, as it lies in memory.
+/// One number per lane, in its memory layout.
 pub type Row<S> = <S as Simd>::f64s;
 
 #[inline(always)]
@@ -16,13 +16,13 @@ pub fn rows<S: Simd>(numbers: &[f64]) -> &[Row<S>] {
     S::as_simd_f64s(numbers).0
 }
 
-/// Blocks of `N` rows.
+/// Views numbers as blocks of `N` rows.
 #[inline(always)]
 pub fn blocks<S: Simd, const N: usize>(numbers: &[f64]) -> &[[Row<S>; N]] {
     rows::<S>(numbers).as_chunks().0
 }
 
-/// Blocks of `N` rows.
+/// Views numbers as mutable blocks of `N` rows.
 #[inline(always)]
 pub fn blocks_mut<S: Simd, const N: usize>(numbers: &mut [f64]) -> &mut [[Row<S>; N]] {
     S::as_mut_simd_f64s(numbers).0.as_chunks_mut().0
@@ -60,7 +60,7 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// The larger of two numbers.
+    /// Returns the larger of two numbers.
     #[inline(always)]
     pub fn max(self, other: Self) -> Self {
         Self {
@@ -69,19 +69,19 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// The largest of all lanes.
+    /// Returns the largest of all lanes.
     #[inline(always)]
     pub fn largest(self) -> f64 {
         self.simd.reduce_max_f64s(self.value)
     }
 
-    /// Whether the sum of all lanes is a number.
+    /// Tells whether the sum of all lanes is finite.
     #[inline(always)]
     pub fn has_finite_sum(self) -> bool {
         self.simd.reduce_sum_f64s(self.value).is_finite()
     }
 
-    /// Whether every lane is at most `limit`; false where one is NaN.
+    /// Tells whether every lane is at most `limit`; false if one is NaN.
     #[inline(always)]
     pub fn all_at_most(self, limit: f64) -> bool {
         let simd = self.simd;
@@ -89,7 +89,7 @@ impl<S: Simd> Lanes<S> {
         simd.first_true_m64s(simd.not_m64s(holds)) == S::F64_LANES
     }
 
-    /// `below` in the lanes of `self < limit`, `otherwise` in the others.
+    /// Returns `below` in the lanes of `self < limit`, `otherwise` in the others.
     #[inline(always)]
     pub fn select_below(self, limit: f64, below: Self, otherwise: Self) -> Self {
         let simd = self.simd;
@@ -100,7 +100,7 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// Every lane from its right neighbor, the last from the first.
+    /// Returns in every lane the number of its right neighbor, in the last that of the first.
     #[inline(always)]
     pub fn next_lane(self) -> Self {
         Self {
@@ -109,7 +109,7 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// Every lane from its left neighbor, the first from the last.
+    /// Returns in every lane the number of its left neighbor, in the first that of the last.
     #[inline(always)]
     pub fn previous_lane(self) -> Self {
         Self {
@@ -118,7 +118,7 @@ impl<S: Simd> Lanes<S> {
         }
     }
 
-    /// `Σ cᵢ selfⁱ` by Estrin's scheme: pairs, pairs of pairs, and so on, which do not wait for one another.
+    /// Returns `Σ cᵢ selfⁱ` by Estrin's scheme: pairs, pairs of pairs, and so on, which are independent of each other.
     #[inline(always)]
     pub fn polynomial<const N: usize>(self, coefficients: &[f64; N]) -> Self {
         let mut terms = [self; N];
@@ -215,7 +215,7 @@ impl<S: Simd> Vec3<S> {
         Self { x, y, z }
     }
 
-    /// The same vector in every lane.
+    /// Returns the same vector in every lane.
     #[inline(always)]
     pub fn splat(simd: S, v: &Vector3<f64>) -> Self {
         Self {
@@ -225,7 +225,7 @@ impl<S: Simd> Vec3<S> {
         }
     }
 
-    /// From three consecutive rows.
+    /// Loads three consecutive rows.
     #[inline(always)]
     pub fn load(simd: S, rows: &[Row<S>], at: usize) -> Self {
         Self {
@@ -235,7 +235,7 @@ impl<S: Simd> Vec3<S> {
         }
     }
 
-    /// To three consecutive rows.
+    /// Stores three consecutive rows.
     #[inline(always)]
     pub fn store(self, rows: &mut [Row<S>], at: usize) {
         rows[at] = self.x.value;
@@ -254,7 +254,7 @@ impl<S: Simd> Vec3<S> {
         self.dot(self).sqrt()
     }
 
-    /// Of the three components.
+    /// Returns the sum of the three components.
     #[inline(always)]
     pub fn sum(self) -> Lanes<S> {
         self.x + self.y + self.z
@@ -300,7 +300,7 @@ impl<S: Simd> Vec3<S> {
 }
 
 impl Vec3<Scalar> {
-    /// Of one lane.
+    /// Returns the vector of a single lane.
     #[inline(always)]
     pub fn vector(self) -> Vector3<f64> {
         Vector3::new(self.x.value, self.y.value, self.z.value)
@@ -308,7 +308,7 @@ impl Vec3<Scalar> {
 }
 
 impl Mat3<Scalar> {
-    /// Of one lane.
+    /// Converts a matrix to a single lane.
     #[inline(always)]
     pub fn of_matrix(m: &Matrix3<f64>) -> Self {
         Self {
@@ -316,7 +316,7 @@ impl Mat3<Scalar> {
         }
     }
 
-    /// Of one lane.
+    /// Returns the matrix of a single lane.
     #[inline(always)]
     pub fn matrix(self) -> Matrix3<f64> {
         Matrix3::from_rows(&self.rows.map(|row| row.vector().transpose()))
@@ -392,7 +392,7 @@ impl<S: Simd> Mat3<S> {
         }
     }
 
-    /// From nine consecutive rows, row by row.
+    /// Loads nine consecutive rows, row by row.
     #[inline(always)]
     pub fn load(simd: S, rows: &[Row<S>], at: usize) -> Self {
         Self {
@@ -546,7 +546,7 @@ impl<S: Simd> Mat3<S> {
         }
     }
 
-    /// `M⁻¹`, by cofactors.
+    /// Returns `M⁻¹`, by cofactors.
     #[inline(always)]
     pub fn inverse(self) -> Self {
         let [a, b, c] = self.rows;
@@ -611,7 +611,7 @@ impl<S: Simd> Mul<f64> for Mat3<S> {
     }
 }
 
-/// A quaternion `w + v` per lane, of unit length where it stands for a rotation.
+/// A quaternion `w + v` per lane, of unit length if it represents a rotation.
 #[derive(Clone, Copy, Debug)]
 pub struct Quaternion<S: Simd> {
     pub w: Lanes<S>,
@@ -619,7 +619,7 @@ pub struct Quaternion<S: Simd> {
 }
 
 impl<S: Simd> Quaternion<S> {
-    /// From four consecutive rows `w, x, y, z`.
+    /// Loads four consecutive rows `w, x, y, z`.
     #[inline(always)]
     pub fn load(simd: S, rows: &[Row<S>], at: usize) -> Self {
         Self {
@@ -628,14 +628,14 @@ impl<S: Simd> Quaternion<S> {
         }
     }
 
-    /// To four consecutive rows `w, x, y, z`.
+    /// Stores four consecutive rows `w, x, y, z`.
     #[inline(always)]
     pub fn store(self, rows: &mut [Row<S>], at: usize) {
         rows[at] = self.w.value;
         self.v.store(rows, at + 1);
     }
 
-    /// Hamilton's product: the rotation `self`, then `other` in the turned frame.
+    /// Returns Hamilton's product: the rotation `self`, then `other` in the turned frame.
     #[inline(always)]
     pub fn product(self, other: Self) -> Self {
         Self {
@@ -644,7 +644,7 @@ impl<S: Simd> Quaternion<S> {
         }
     }
 
-    /// `conj(self) other`: the rotation of `other` seen from the frame of `self`.
+    /// Returns `conj(self) other`: the rotation `other` relative to the frame of `self`.
     #[inline(always)]
     pub fn relative(self, other: Self) -> Self {
         Self {
@@ -653,7 +653,7 @@ impl<S: Simd> Quaternion<S> {
         }
     }
 
-    /// Unit length again, for a length within rounding of one: a Newton step for `1/|q|`.
+    /// Normalizes a quaternion whose length is one up to rounding: a Newton step for `1/|q|`.
     #[inline(always)]
     pub fn normalized_near_one(self) -> Self {
         let square = self.w * self.w + self.v.dot(self.v);
@@ -710,7 +710,7 @@ impl<S: Simd> Frame<S> {
         }
     }
 
-    /// From nine consecutive rows, axis by axis.
+    /// Loads nine consecutive rows, axis by axis.
     #[inline(always)]
     pub fn load(simd: S, rows: &[Row<S>], at: usize) -> Self {
         Self {
@@ -718,7 +718,7 @@ impl<S: Simd> Frame<S> {
         }
     }
 
-    /// To nine consecutive rows, axis by axis.
+    /// Stores nine consecutive rows, axis by axis.
     #[inline(always)]
     pub fn store(self, rows: &mut [Row<S>], at: usize) {
         for (i, axis) in self.axes.into_iter().enumerate() {
@@ -758,7 +758,7 @@ impl<S: Simd> Frame<S> {
     }
 }
 
-/// Row `at` of a block.
+/// Returns row `at` of a block.
 #[inline(always)]
 pub fn row<S: Simd>(simd: S, rows: &[Row<S>], at: usize) -> Lanes<S> {
     Lanes {

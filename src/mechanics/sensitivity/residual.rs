@@ -75,11 +75,12 @@ pub(super) fn defects_on(
     let mut probe = 0.0;
     for start in (0..=grid.n_steps).step_by(n_lanes) {
         let end = (start + n_lanes - 1).min(grid.n_steps);
-        let regular = (many.as_mut())
-            .is_some_and(|memory| memory.evaluate_many(arch, motion, trajectory, start, end));
+        if let Some(memory) = &mut many {
+            memory.evaluate_many(arch, motion, trajectory, start, end);
+        }
         for (lane, k) in (start..=end).enumerate() {
             let (memory, lane) = match &many {
-                Some(memory) if regular => (memory, lane),
+                Some(memory) if memory.is_regular(motion, lane) => (memory, lane),
                 _ => {
                     let memory = single.get_or_insert_with(|| Memory::new(motion, 1));
                     memory.evaluate_one(motion, trajectory, k)?;
@@ -167,7 +168,7 @@ impl Memory {
     fn new(motion: &Motion, n_lanes: usize) -> Self {
         Self {
             workspace: Workspace::new(motion, n_lanes),
-            out: Buffer::zeros(motion.rod.n_nodes() * OUT_ROWS * n_lanes),
+            out: Buffer::zeros((motion.rod.n_nodes() * OUT_ROWS + 1) * n_lanes),
             n_lanes,
             turns: Vec::new(),
         }
@@ -177,6 +178,11 @@ impl Memory {
     fn of(&self, q: usize, part: usize, lane: usize) -> Vector3<f64> {
         let row = q * OUT_ROWS + part;
         Vector3::from_fn(|axis, _| self.out[(row + axis) * self.n_lanes + lane])
+    }
+
+    /// Tells whether the time node of a lane is one that vectors know; the others are evaluated by themselves, whatever lies beside them.
+    fn is_regular(&self, motion: &Motion, lane: usize) -> bool {
+        self.out[motion.rod.n_nodes() * OUT_ROWS * self.n_lanes + lane] == 0.0
     }
 
     fn gather(&mut self, motion: &Motion, trajectory: &Trajectory, start: usize, end: usize) {
@@ -191,7 +197,7 @@ impl Memory {
         }
     }
 
-    /// Time nodes from `start` to `end`; false where one of them is to be evaluated by itself.
+    /// Time nodes from `start` to `end`.
     fn evaluate_many(
         &mut self,
         arch: Arch,
@@ -199,7 +205,7 @@ impl Memory {
         trajectory: &Trajectory,
         start: usize,
         end: usize,
-    ) -> bool {
+    ) {
         self.gather(motion, trajectory, start, end);
         let group = self.group(motion, start);
         match motion.rod.strain_rule {
@@ -227,11 +233,12 @@ impl Memory {
         }
         self.gather(motion, trajectory, k, k);
         let group = self.group(motion, k);
-        let regular = match rod.strain_rule {
+        match rod.strain_rule {
             StrainRule::Helical => group.run::<Scalar, Helical, AnyTurn>(Scalar),
             StrainRule::Trapezoidal => group.run::<Scalar, Trapezoidal, AnyTurn>(Scalar),
-        };
-        let error = (!regular && moves).then(|| turn_error(motion, trajectory, k));
+        }
+        let error =
+            (!self.is_regular(motion, 0) && moves).then(|| turn_error(motion, trajectory, k));
         error.flatten().map_or(Ok(()), Err)
     }
 
@@ -258,18 +265,18 @@ struct Group<'a> {
 struct Ruled<'a, R>(Group<'a>, PhantomData<R>);
 
 impl<R: TangentRule> WithSimd for Ruled<'_, R> {
-    /// Whether all time nodes are regular.
-    type Output = bool;
+    type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> bool {
-        self.0.run::<S, R, MildTurn>(simd)
+    fn with_simd<S: Simd>(self, simd: S) {
+        self.0.run::<S, R, MildTurn>(simd);
     }
 }
 
 impl Group<'_> {
+    /// Fills the rows, of which the last counts what is irregular, lane by lane.
     #[inline(always)]
-    fn run<S: Simd, R: TangentRule, P: Reach<S>>(self, simd: S) -> bool {
+    fn run<S: Simd, R: TangentRule, P: Reach<S>>(self, simd: S) {
         let Group {
             rod,
             h,
@@ -330,6 +337,6 @@ impl Group<'_> {
             drift.leaving.store(rows, 6);
             drift.arriving.store(rows, 9);
         }
-        irregular.all_at_most(0.0)
+        out[rod.n_nodes() * OUT_ROWS] = irregular.value;
     }
 }

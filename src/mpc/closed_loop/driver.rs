@@ -1,4 +1,5 @@
-//! The side of a loop that computes: a controller with its estimator, what was sent, and what is done where no command can be computed.
+//! The computing side of a loop: a controller with its estimator, the commands that were sent, and the fallbacks for samples without a
+//! command.
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -7,6 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::fallback::Fallback;
 use super::law::TipLaw;
+use super::responded::Responded;
 use super::{Action, Cause, Computing, Law, LoopSettings, Sample};
 use crate::mechanics::{State, Wrench};
 use crate::mpc::controller::{Command, Controller};
@@ -14,7 +16,7 @@ use crate::mpc::error::MpcError;
 use crate::mpc::estimator::{Disturbance, Estimate, EstimateError, Estimator, Inbox, Predictor};
 use crate::mpc::signal::Measurement;
 
-/// Failures of an estimator one after the other, after which it starts anew from where the task begins.
+/// Cap on consecutive failures of an estimator, after which it restarts from the start of the task.
 const MOST_FAILURES: usize = 3;
 
 /// Drives a plant of any kind: a simulated arm, another simulator, or hardware.
@@ -23,7 +25,7 @@ const MOST_FAILURES: usize = 3;
 ///
 /// ```text
 /// put       every measurement that has become known, if there is an estimator
-/// respond   estimate, prediction over the delays, feedback
+/// respond   estimate, prediction over the delays, feedback: a Responded
 /// told      the command, for the actuators
 /// prepare   the next sample, after the command has been sent
 /// ```
@@ -37,36 +39,36 @@ pub struct Driver {
     tip_law: Option<TipLaw>,
     fallback: Fallback,
     inbox: Inbox,
-    /// Commands that acted or will act, by the instant from which they do, the earliest first; the first acts for ever before.
+    /// Commands by the time from which they act, the earliest first; the first one also acts at all times before.
     sent: VecDeque<Command>,
     told: Command,
-    /// Memory for a command that acts later than it was sent to.
+    /// Memory for a command shifted by the actuators' delay.
     late: Command,
     measurement: Measurement,
     state: State,
     disturbance: Disturbance,
     deviation: Disturbance,
-    /// Time to which the estimate has come, s, and that of the last measurement that it has used.
+    /// Time of the estimate, s, and time of the last measurement that it has used.
     known_at: f64,
     corrected_at: f64,
-    /// Failures of the estimator since the last measurement that it used.
+    /// Number of failures of the estimator since the last measurement that it used.
     failures: usize,
     index: usize,
     begin: Instant,
-    /// Time that the sample before took to its command, s.
+    /// Time that the computation of the last command took, s.
     computing: f64,
-    /// Whether the controller waits for a restart.
+    /// Tells whether the controller needs a restart.
     is_lost: bool,
 }
 
-/// What is known when a sample begins.
+/// State of knowledge at the beginning of a sample.
 #[derive(Clone, Copy, Debug)]
 pub enum Known<'a> {
-    /// The whole state on the nodes of the model at the time of the sample.
+    /// The whole state at the time of the sample, on the nodes of the model.
     State(&'a State),
-    /// What the estimator makes of the measurements that were [put](Driver::put).
+    /// The measurements that were [put](Driver::put), for the estimator.
     Measurements,
-    /// Nothing, and why.
+    /// No state and no measurement, for the given reason.
     Nothing(Cause),
 }
 
@@ -80,13 +82,13 @@ impl std::fmt::Debug for Driver {
 }
 
 impl Driver {
-    /// A driver whose first sample is at time 0. The controller's first command must act from when computing and actuators allow:
-    /// [`MpcSettings::start`](crate::mpc::MpcSettings) is [`LoopSettings::lead`]. An estimator is at time 0, in the state in which the task
-    /// begins; `lag` (s) is how late a measurement is known at the most.
+    /// Creates a driver whose first sample is at time 0. The controller's first command must act from the time that computing and actuators
+    /// allow: [`MpcSettings::start`](crate::mpc::MpcSettings) is [`LoopSettings::lead`]. An estimator must be at time 0, in the state in
+    /// which the task begins; `lag` (s) is the largest age of a measurement.
     ///
     /// # Errors
-    /// [`MpcError::Setting`] for settings out of range, and for a controller that starts at another time; [`MpcError`] of a tip law without a
-    /// reference.
+    /// Returns [`MpcError::Setting`] for settings out of range and for a controller that starts at another time, and [`MpcError`] for a tip
+    /// law without a reference.
     pub fn new(
         controller: Controller,
         estimator: Option<Box<dyn Estimator>>,
@@ -141,55 +143,55 @@ impl Driver {
         })
     }
 
-    /// The controller.
+    /// Returns the controller.
     #[must_use]
     pub fn controller(&self) -> &Controller {
         &self.controller
     }
 
-    /// How it works.
+    /// Returns the settings of the loop.
     #[must_use]
     pub fn settings(&self) -> &LoopSettings {
         &self.settings
     }
 
-    /// Whether an estimator makes the state of measurements.
+    /// Tells whether an estimator computes the state from measurements.
     #[must_use]
     pub fn estimates(&self) -> bool {
         self.estimator.is_some()
     }
 
-    /// Time of what was last known, s: of the state, or of the last measurement that the estimator has used.
+    /// Returns the time of the last knowledge, s: of the state, or of the last measurement that the estimator has used.
     #[must_use]
     pub fn known_at(&self) -> f64 {
         self.known_at
     }
 
-    /// What the estimator takes to disturb the arm.
+    /// Returns the estimated disturbance.
     #[must_use]
     pub fn disturbance(&self) -> &Disturbance {
         &self.disturbance
     }
 
-    /// Number of the next sample.
+    /// Returns the index of the next sample.
     #[must_use]
     pub fn next_sample(&self) -> usize {
         self.index
     }
 
-    /// The last command, with the instants at which it begins to act and the next one should.
+    /// Returns the last command, with the times at which it begins to act and the next one should.
     #[must_use]
     pub fn sent(&self) -> &Command {
         &self.sent[self.sent.len() - 1]
     }
 
-    /// The last command as the actuators are told it: earlier by the delay that is known of them.
+    /// Returns the last command as it is sent to the actuators: earlier by their known delay.
     #[must_use]
     pub fn told(&self) -> &Command {
         &self.told
     }
 
-    /// Gives the tip another path to follow, see [`Controller::follow`].
+    /// Replaces the path of the tip, see [`Controller::follow`].
     ///
     /// # Errors
     /// As [`Controller::follow`].
@@ -197,7 +199,7 @@ impl Driver {
         self.controller.follow(path)
     }
 
-    /// Gives the tip other rotations to follow, see [`Controller::turn`].
+    /// Replaces the rotations of the tip's track, see [`Controller::turn`].
     ///
     /// # Errors
     /// As [`Controller::turn`].
@@ -205,7 +207,7 @@ impl Driver {
         self.controller.turn(rotations)
     }
 
-    /// Moves obstacles of a name, see [`Controller::move_obstacle`].
+    /// Moves the obstacles of a name, see [`Controller::move_obstacle`].
     ///
     /// # Errors
     /// As [`Controller::move_obstacle`].
@@ -219,17 +221,17 @@ impl Driver {
         self.controller.move_obstacle(name, t, by, velocity)
     }
 
-    /// Takes a measurement that has become known, for the estimator.
+    /// Stores a measurement that has become known, for the estimator.
     pub fn put(&mut self, measurement: &Measurement) {
         self.inbox.put(measurement);
     }
 
-    /// The sample at time `t` (s), which is that of the [next](Self::next_sample) one or later. Samples that are left out are counted in
-    /// [`next_sample`](Self::next_sample): the last command acts meanwhile, constant after its end, and the controller starts anew.
+    /// Computes the sample at time `t` (s), which must be that of the [next](Self::next_sample) one or later. Samples that are left out are
+    /// counted in [`next_sample`](Self::next_sample): the last command acts meanwhile, constant after its end, and the controller restarts.
     ///
-    /// The tip of the sample is that of what is known, at [`known_at`](Self::known_at), and so is its reference, which is `None` where nothing is.
-    /// [`Sample::prepare_s`] is left to [`prepare`](Self::prepare).
-    pub fn respond(&mut self, t: f64, known: Known) -> Sample {
+    /// The tip of the sample and its reference belong to the time of the last knowledge, [`known_at`](Self::known_at); the reference is
+    /// `None` if nothing is known. [`Sample::prepare_s`] is set by [`Responded::prepare`].
+    pub fn respond(&mut self, t: f64, known: Known) -> Responded<'_> {
         self.begin = Instant::now();
         let period = self.controller.settings().period;
         let index = (t / period).round() as usize;
@@ -271,7 +273,7 @@ impl Driver {
         let clock = Instant::now();
         let outcome = match (cause, self.settings.law) {
             (_, Law::OpenLoop) => {
-                // The plan goes on as if the model's own motion were measured.
+                // The plan continues as if the model's own motion had been measured.
                 self.state.clone_from(self.controller.expected());
                 self.controlled(acts_from)
             }
@@ -290,7 +292,7 @@ impl Driver {
             let action =
                 (self.fallback).command(&mut self.controller, &self.state, acts_from, cause);
             sample.fallback = Some((cause, action));
-            // The controller does not know what acts instead of its plan.
+            // Another command than that of the plan acts, which the controller does not know.
             self.is_lost |= action != Action::Plan;
         } else {
             self.fallback.succeed();
@@ -298,7 +300,7 @@ impl Driver {
         sample.feedback_s = clock.elapsed().as_secs_f64();
         self.computing = self.begin.elapsed().as_secs_f64();
         sample.acts_from = if self.settings.computing == Computing::Measured {
-            // Whoever is still computing the command before does not overtake it.
+            // A command that is computed later does not act before the one before it.
             let own = beginning + self.computing + self.settings.actuator_delay;
             own.max(self.sent().start)
         } else {
@@ -306,13 +308,15 @@ impl Driver {
         };
         self.send(sample.acts_from);
         sample.note_command(&self.sent[self.sent.len() - 1], self.controller.record());
-        sample
+        Responded {
+            driver: self,
+            sample,
+        }
     }
 
-    /// Where the tip of the model is at the end of the last command, m, from the state of which it was computed; `None` where that is not known
-    /// or breaks down.
-    #[must_use]
-    pub fn predicted_tip(&mut self, sample: &Sample) -> Option<Vector3<f64>> {
+    /// Returns the predicted position of the model's tip at the end of the last command, m, from the state for which it was computed;
+    /// `None` if that state is unknown or the motion breaks down.
+    pub(super) fn predicted_tip(&mut self, sample: &Sample) -> Option<Vector3<f64>> {
         if sample.fallback.is_some() {
             return None;
         }
@@ -326,8 +330,8 @@ impl Driver {
         moved.ok().map(|()| tip)
     }
 
-    /// Prepares the next sample, and notes how long all of this one took.
-    pub fn prepare(&mut self, sample: &mut Sample) {
+    /// Prepares the next sample, and stores the duration of the whole present one.
+    pub(super) fn prepare(&mut self, sample: &mut Sample) {
         let clock = Instant::now();
         self.prepare_controller();
         sample.prepare_s = clock.elapsed().as_secs_f64();
@@ -338,7 +342,7 @@ impl Driver {
         self.index = self.index.saturating_add(1);
     }
 
-    /// From the beginning of a sample to when its command acts, s.
+    /// Returns the time from the beginning of a sample until its command acts, s.
     fn lead(&self) -> f64 {
         match self.settings.computing {
             Computing::Measured => self.settings.actuator_delay + self.computing,
@@ -346,7 +350,7 @@ impl Driver {
         }
     }
 
-    /// Takes in what is known at `t`.
+    /// Updates the estimate with all measurements that are known at `t`; returns the cause if the estimate cannot be used.
     fn estimate(&mut self, t: f64, sample: &mut Sample) -> Option<Cause> {
         let Some(estimator) = &mut self.estimator else {
             return Some(Cause::NoMeasurement);
@@ -374,7 +378,7 @@ impl Driver {
                 }
             }
             if self.failures == MOST_FAILURES {
-                // An estimate that is wrong enough for the model to break down does not come back by itself.
+                // An estimate with which the model's motion breaks down does not recover by itself.
                 let start = self.controller.initial();
                 if estimator.restart(self.measurement.time, start).is_ok() {
                     self.failures = 0;
@@ -387,7 +391,7 @@ impl Driver {
         self.state.clone_from(&estimate.state);
         self.disturbance = estimate.disturbance;
         self.deviation = estimate.deviation;
-        // The last good estimate is predicted further for as long as the fall-back's patience.
+        // The last good estimate is predicted further within the patience of the fallbacks.
         let is_old = sample.age > self.settings.fallback.patience();
         match cause {
             Some(cause) if n_used == 0 && is_old => Some(cause),
@@ -396,7 +400,7 @@ impl Driver {
         }
     }
 
-    /// The disturbance that predictions count with.
+    /// Returns the disturbance for predictions.
     fn compensated(&self) -> Disturbance {
         if self.settings.compensates {
             self.disturbance
@@ -405,11 +409,11 @@ impl Driver {
         }
     }
 
-    /// Moves the known state on to `until` under the commands that act meanwhile.
+    /// Predicts the known state until `until` under the commands that act meanwhile.
     fn predict(&mut self, until: f64) -> Option<Cause> {
         let disturbance = self.compensated();
         let mut from = self.known_at;
-        // The command acts later by the delay that has been found, and so does every one before it.
+        // The estimated delay applies to this command and to every one before it.
         let until = until + disturbance.delay;
         while from < until - 1e-9 {
             let end = late_at(&self.sent, disturbance.delay, [from, until], &mut self.late);
@@ -423,22 +427,24 @@ impl Driver {
         None
     }
 
-    /// Makes the controller issue its command for the present state; after failures it starts anew.
+    /// Lets the controller issue its command for the present state; after failures it restarts.
     fn controlled(&mut self, acts_from: f64) -> Result<(), Cause> {
         self.find_again(acts_from)?;
         let issued = self.controller.feedback(&self.state);
-        issued.map_err(|error| Cause::of_controller(&error))?;
-        Ok(())
+        // The sample is prepared once its command has been sent.
+        issued
+            .map(|_| ())
+            .map_err(|error| Cause::of_controller(&error))
     }
 
-    /// Makes it issue what the regulator about the plan's own motion answers to the present state.
+    /// Lets the controller issue the response of the regulator about the plan's own motion to the present state.
     fn regulated(&mut self, acts_from: f64) -> Result<(), Cause> {
         self.find_again(acts_from)?;
         let response = self.controller.regulate(&self.state);
         response.map_err(|error| Cause::of_controller(&error))
     }
 
-    /// Starts a lost controller anew.
+    /// Restarts a lost controller.
     fn find_again(&mut self, acts_from: f64) -> Result<(), Cause> {
         if !self.is_lost {
             return Ok(());
@@ -453,7 +459,7 @@ impl Driver {
         Ok(())
     }
 
-    /// Sends the controller's last command from `acts_from` on, and keeps it for the estimates to come.
+    /// Sends the controller's last command from `acts_from` on, and keeps it for later estimates.
     fn send(&mut self, acts_from: f64) {
         let command = self.controller.release(acts_from);
         self.told.clone_from(&command);
@@ -461,7 +467,7 @@ impl Driver {
         self.told.end -= self.settings.actuator_delay;
         self.sent.retain(|other| other.start < acts_from);
         self.sent.push_back(command);
-        // Nothing asks for what acted before the oldest estimate.
+        // Commands that ended before the oldest estimate are no longer needed.
         let oldest =
             self.known_at - self.disturbance.delay.max(0.0) - self.controller.settings().period;
         while (self.sent.get(1)).is_some_and(|next| next.start < oldest) {
@@ -485,7 +491,7 @@ impl Driver {
     }
 }
 
-/// The command that acts at `from`, and until when it does, at most `until`.
+/// Returns the command that acts at `from`, and the end of its action, at most `until`.
 fn acting_at(sent: &VecDeque<Command>, from: f64, until: f64) -> (&Command, f64) {
     let next = sent.partition_point(|command| command.start <= from + 1e-9);
     let command = &sent[next.saturating_sub(1)];
@@ -493,7 +499,7 @@ fn acting_at(sent: &VecDeque<Command>, from: f64, until: f64) -> (&Command, f64)
     (command, end)
 }
 
-/// Writes the command that acts at `from` where all are late by `delay` (s) to `late`, and returns until when it does, at most `until`.
+/// Writes the command that acts at `from`, if all act later by `delay` (s), to `late`; returns the end of its action, at most `until`.
 fn late_at(
     sent: &VecDeque<Command>,
     delay: f64,
@@ -508,7 +514,7 @@ fn late_at(
     (end + delay).min(until)
 }
 
-/// Moves an estimator on under the commands that acted, as late as it finds them; `late` is memory.
+/// Advances an estimator under the commands that acted, shifted by the delay that it estimates; `late` is memory.
 fn advance(
     estimator: &mut dyn Estimator,
     sent: &VecDeque<Command>,

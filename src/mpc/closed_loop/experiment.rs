@@ -1,4 +1,4 @@
-//! One scene, several laws, and the parts that may be wrong taken away one at a time.
+//! One closed loop under several laws, and with its imperfections removed one at a time.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -19,52 +19,52 @@ use crate::mpc::transfer::Transfer;
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Task};
 
-/// A closed loop to be: everything that it is made of, before anything is discretized.
+/// The description of a closed loop: all of its parts before anything is discretized.
 #[derive(Clone, Debug)]
 pub struct Experiment {
-    /// The arm as the controller knows it.
+    /// The arm that the controller assumes.
     pub arm: Arm,
-    /// What it is to do.
+    /// The task.
     pub task: Task,
     /// Elements, step and hold of the controller's model.
     pub discretization: Discretization,
-    /// The controller.
+    /// Settings of the controller.
     pub mpc: MpcSettings,
-    /// The arm as it is.
+    /// The arm of the plant.
     pub plant: Arm,
-    /// Elements and step of the arm as it is.
+    /// Elements and step of the plant.
     pub plant_discretization: Discretization,
-    /// Changes of the rod of the arm as it is that no [`Arm`] describes, such as one soft element.
+    /// A change of the plant's rod that an [`Arm`] cannot describe, such as one soft element.
     pub adjust: Option<fn(&mut Rod)>,
-    /// What lies between commands and wrenches.
+    /// Dynamics of the actuators between commands and wrenches.
     pub actuators: ActuatorDynamics,
-    /// What is measured.
+    /// Sensing of the state.
     pub sensing: Sensing,
-    /// The loop.
+    /// Settings of the loop.
     pub settings: LoopSettings,
-    /// How long it runs, s.
+    /// Duration of a run, s.
     pub duration: f64,
-    /// From which time on errors count, s.
+    /// Time from which errors count, s.
     pub counted_from: f64,
-    /// What ends the making of plants and controllers before they are made. The samples of a run are ended by its observer.
+    /// Signal that ends the construction of plants and controllers early. The samples of a run are ended by its observer.
     pub stop: StopSignal,
 }
 
-/// How the state becomes known.
+/// Source of the controller's knowledge of the state.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Sensing {
-    /// It is known.
+    /// The true state.
     #[default]
     Everything,
-    /// By an estimator.
+    /// An estimate from the measurements of sensors.
     Estimated {
         /// The sensors.
         sensors: Vec<SensorChoice>,
         /// The estimator.
         estimator: EstimatorChoice,
-        /// Elements of the estimator's own model; those of the controller's where there is no number.
+        /// Elements of the estimator's own model; `None` for those of the controller's.
         elements: Option<usize>,
-        /// Seed of the noise; every sensor has its own from it.
+        /// Seed of the noise, from which every sensor derives its own.
         seed: u64,
     },
 }
@@ -72,9 +72,9 @@ pub enum Sensing {
 /// A sensor.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SensorChoice {
-    /// As usual.
+    /// A common kind of sensor.
     Preset(SensorPreset),
-    /// Of one's own.
+    /// A sensor with the given settings.
     Own(SensorSettings),
 }
 
@@ -83,7 +83,7 @@ pub enum SensorChoice {
 pub enum EstimatorChoice {
     /// A boundary observer.
     Observer {
-        /// Whether what it injects becomes a disturbance at the tip in time.
+        /// Tells whether the injected wrench becomes a disturbance at the tip over time.
         estimates_wrench: bool,
     },
     /// An extended Kalman filter.
@@ -91,7 +91,7 @@ pub enum EstimatorChoice {
 }
 
 impl EstimatorChoice {
-    /// One of this kind that is at time 0 in a state of a model.
+    /// Creates an estimator of this kind, at time 0 in a state of a model.
     fn start(self, model: &Rod, start: &State) -> Result<Box<dyn Estimator>, MpcError> {
         Ok(match self {
             Self::Observer { estimates_wrench } => {
@@ -110,7 +110,7 @@ impl EstimatorChoice {
     }
 }
 
-/// What a Kalman filter estimates besides the state.
+/// Quantities that a Kalman filter estimates besides the state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unknowns {
     /// A force at the tip.
@@ -127,10 +127,10 @@ pub struct Unknowns {
     pub viscous: bool,
     /// Internal damping, of a model with implicit steps.
     pub internal: bool,
-    /// By how much later commands act than they are said to.
+    /// Delay of the commands beyond their known delay.
     pub delay: bool,
-    /// How fast unknown wrenches change: the deflection over the length that they cause more or less within a second. Larger, pushes are
-    /// followed faster, and the noise of sensors with them.
+    /// Rate of change of unknown wrenches: the standard deviation of the deflection that they cause within one second, divided by the
+    /// length. With a larger value, pushes are followed faster, and so is the noise of sensors.
     pub wrench_change: f64,
 }
 
@@ -141,7 +141,7 @@ impl Default for Unknowns {
 }
 
 impl Unknowns {
-    /// None of them, and wrenches that change slowly.
+    /// No unknowns, and the default rate of change of wrenches.
     pub const NONE: Self = Self {
         tip_force: false,
         tip_moment: false,
@@ -153,7 +153,7 @@ impl Unknowns {
         delay: false,
         wrench_change: 0.007,
     };
-    /// All of them.
+    /// All unknowns.
     pub const ALL: Self = Self {
         tip_force: true,
         tip_moment: true,
@@ -167,30 +167,34 @@ impl Unknowns {
     };
 }
 
-/// Deflection over the length that an unknown wrench is expected to cause.
+/// Prior standard deviation of an unknown wrench, as the deflection that it causes divided by the length.
 const EXPECTED_DEFLECTION: f64 = 0.05;
-/// Expected factor on the stiffness beyond 1.
+/// Prior standard deviation of the factor on the stiffness.
 const EXPECTED_STIFFNESS: f64 = 0.3;
-/// Expected payload over the mass of the arm.
+/// Prior standard deviation of the payload, divided by the mass of the arm.
 const EXPECTED_PAYLOAD: f64 = 0.1;
-/// Expected viscous damping over one by the time scale of the arm: a tenth of the critical damping of a cantilever's first motion.
+/// Prior standard deviation of the viscous damping times the time scale of the arm: a tenth of the critical damping of a cantilever's first
+/// mode.
 const EXPECTED_DAMPING: f64 = 0.7;
-/// Expected time of internal damping over the time scale of the arm: a cantilever's first motion is damped by a fiftieth of the critical damping.
+/// Prior standard deviation of the time of internal damping, divided by the time scale of the arm: a fiftieth of the critical damping of a
+/// cantilever's first mode.
 const EXPECTED_INTERNAL: f64 = 0.01;
-/// Expected delay over the time scale of the arm. With three times as much, a light arm that starts with a step of the force takes a payload for a delay.
+/// Prior standard deviation of the delay, divided by the time scale of the arm. With three times as much, the filter of a light arm that
+/// starts with a step of the force mistakes a payload for a delay and diverges (decision 79).
 const EXPECTED_DELAY: f64 = 0.003;
-/// Standard deviation of the change of a parameter of the arm within one second, over its expected size. One that may change faster takes for its own what the
-/// model has wrong otherwise; one that may change more slowly is given too small a standard deviation.
+/// Standard deviation of the change of a parameter within one second, divided by its prior standard deviation; measured (decision 75). A
+/// parameter that may change faster absorbs other errors of the model; for one that may change more slowly, the filter's standard deviation
+/// is too small.
 const PARAMETER_WALK: f64 = 0.05;
-/// Deflection over the length by what forces that nobody knows add within one second. More of it makes the filter take what it corrects for motions
-/// of the arm, from which parameters are learned wrong (Ljung 1979, on the bias of extended Kalman filters with a wrong noise); less of it
-/// leaves innovations of arms outside of the family unexplained.
+/// Standard deviation of the deflection that unknown forces on all nodes cause within one second, divided by the length; measured (decision
+/// 64). With more, the filter attributes its corrections to motions of the arm, from which it learns wrong parameters (Ljung 1979, on the
+/// bias of extended Kalman filters with a wrong noise); with less, the innovations of arms that differ in other ways stay unexplained.
 const UNKNOWN_FORCES: f64 = 0.005;
-/// Time over the arm's own in which an observer's injection becomes a disturbance.
+/// Time in which the injection of an observer becomes a disturbance, divided by the time scale of the arm.
 const OBSERVER_INTEGRAL: f64 = 1.0;
 
 impl Unknowns {
-    /// Names, as in scenes, of those that are not looked for.
+    /// Returns the names, as in scenes, of the quantities that are not estimated.
     #[must_use]
     pub fn missing(&self) -> Vec<&'static str> {
         let all = [
@@ -208,7 +212,8 @@ impl Unknowns {
             .collect()
     }
 
-    /// Deflection over the length by forces that nobody knows within one second. Where nothing else is looked for, they have to explain a wrong arm too.
+    /// Returns the standard deviation of the deflection by unknown forces within one second, divided by the length. If no other unknown is
+    /// estimated, these forces must also explain a wrong model.
     fn unknown_forces(self) -> f64 {
         let estimates_state_alone = self.missing().len() == Self::NONE.missing().len();
         if estimates_state_alone {
@@ -218,7 +223,7 @@ impl Unknowns {
         }
     }
 
-    /// Settings of a filter for this model.
+    /// Returns the settings of a filter for a model.
     #[must_use]
     pub fn settings(self, model: &Rod) -> KalmanSettings {
         let length = model.scales.length;
@@ -253,26 +258,26 @@ impl Unknowns {
     }
 }
 
-/// What is run.
+/// The controller or law of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Contender {
-    /// The scene as it is.
+    /// The controller with the scene as it is.
     Mpc,
     /// The controller's plan without any measurement.
     OpenLoop,
-    /// That plan with a linear-quadratic regulator about its motion.
+    /// The plan of [`OpenLoop`](Self::OpenLoop) with a linear-quadratic regulator about its motion.
     Regulator,
-    /// A spring and a damper at the tip, and what holds the model at the reference.
+    /// A spring and a damper at the tip, and the force that holds the model at the reference.
     TipPd,
-    /// The controller on an arm that is its model, with the true state at once.
+    /// The controller on a plant that is its model, with the true state at once.
     PlantIsModel,
-    /// The controller on the arm as it is, which waits for the commands: the true state, and no delay.
+    /// The controller on the plant of the scene, which waits for the commands: the true state, and no delay.
     PlantWaits,
 }
 
 impl Contender {
-    /// All of them.
+    /// All contenders.
     pub const ALL: [Self; 6] = [
         Self::Mpc,
         Self::OpenLoop,
@@ -282,7 +287,7 @@ impl Contender {
         Self::PlantWaits,
     ];
 
-    /// Its name in files.
+    /// Returns the name in files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -296,30 +301,30 @@ impl Contender {
     }
 }
 
-/// A run of a contender.
+/// The result of a run of a contender.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// Who ran.
+    /// The contender.
     pub contender: Contender,
-    /// Its samples; fewer than asked where it was ended.
+    /// Samples; fewer than requested if the run was ended.
     pub samples: Vec<Sample>,
     /// Distances from the reference.
     pub tip_error: TipError,
-    /// Angles from how the tip should be turned, rad; `None` where nothing asks for it.
+    /// Angles from the reference orientation, rad; `None` without one.
     pub tip_turn: Option<TipError>,
-    /// Times and fall-backs.
+    /// Times and fallbacks.
     pub tally: Tally,
-    /// Where the arm's motion broke down, if it did.
+    /// Error of the plant's motion, if it broke down.
     pub broke_down: Option<StepError>,
-    /// How far the model's nodes were from describing the arm's shape at the end, m.
+    /// Error of the arm's shape at the end on the model's nodes, m; see [`Transfer::error`](crate::mpc::Transfer::error).
     pub transfer_error: f64,
 }
 
-/// Sees a sample of a run, and may end it.
+/// Observer of the samples of a run, which may end it.
 pub type SampleObserver<'a> = dyn FnMut(&Sample, &ClosedLoop) -> ControlFlow<()> + 'a;
 
 impl Experiment {
-    /// A loop on the true state of an arm that is the model: change what is to be different.
+    /// Returns a loop with the true state of a plant that is the model, as a base for changes.
     #[must_use]
     pub fn new(arm: Arm, task: Task, discretization: Discretization, mpc: MpcSettings) -> Self {
         Self {
@@ -339,10 +344,10 @@ impl Experiment {
         }
     }
 
-    /// Runs one contender; `observer` sees every sample and may end the run.
+    /// Runs one contender; `observer` gets every sample and may end the run.
     ///
     /// # Errors
-    /// [`MpcError`] for what cannot be discretized, settings out of range, and what the controller does not know.
+    /// Returns [`MpcError`] for parts that cannot be discretized, settings out of range, and features that the controller does not support.
     pub fn run(
         &self,
         contender: Contender,
@@ -353,7 +358,7 @@ impl Experiment {
             Contender::Mpc => own.settings.law = Law::Mpc,
             Contender::OpenLoop => own.settings.law = Law::OpenLoop,
             Contender::Regulator => own.settings.law = Law::Regulator,
-            // Gains that the loop has are kept.
+            // Gains that the scene gives are kept.
             Contender::TipPd if matches!(self.settings.law, Law::Tip(_)) => {}
             Contender::TipPd => own.settings.law = Law::Tip(TipGains::default()),
             Contender::PlantIsModel => {
@@ -378,7 +383,7 @@ impl Experiment {
         };
     }
 
-    /// The controller, whose first command acts as soon as the loop allows.
+    /// Creates the controller, whose first command acts as soon as the loop allows.
     ///
     /// # Errors
     /// As [`Controller::new`].
@@ -445,7 +450,7 @@ impl Experiment {
         })
     }
 
-    /// What drives a plant that is not simulated here, in the place of [`ClosedLoop`].
+    /// Creates the driver of a plant that is not simulated here, in the place of a [`ClosedLoop`].
     ///
     /// # Errors
     /// As [`Self::run`].
@@ -461,7 +466,7 @@ impl Experiment {
         Driver::new(controller, estimator, lag, settings)
     }
 
-    /// Settings of the sensors, each with a seed of its own; none where no estimator asks for any.
+    /// Returns the settings of the sensors, each with a seed of its own; none without an estimator.
     pub(in crate::mpc) fn sensors(&self, model: &Rod) -> Vec<SensorSettings> {
         let Sensing::Estimated { sensors, seed, .. } = &self.sensing else {
             return Vec::new();

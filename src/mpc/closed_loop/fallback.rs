@@ -1,4 +1,4 @@
-//! What is done where no command can be computed: the plan as it is, then damping at the tip, then a ramp to zero.
+//! The fallbacks for a sample without a command: the plan as it is, then damping at the tip, then a ramp to zero.
 
 use nalgebra::Vector3;
 
@@ -8,21 +8,21 @@ use crate::mpc::error::MpcError;
 use crate::mpc::estimator::EstimateError;
 use crate::mpc::sensor::SensorSettings;
 
-/// Why a sample has no command of its own.
+/// The reason why a sample has no command of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Cause {
-    /// Nothing has been measured for longer than the fall-back's patience.
+    /// No measurement has arrived within the patience of the fallbacks.
     NoMeasurement,
-    /// Nothing usable has been, and the last measurement was not finite or not of the expected kind.
+    /// No usable measurement has arrived within the patience, and the last one was not finite or not of the expected kind.
     BadMeasurement,
     /// The estimate's motion broke down.
     Estimate,
-    /// The predicted motion to the instant at which the command acts broke down.
+    /// The motion predicted to the time at which the command acts broke down.
     Prediction,
     /// The controller's predicted motion broke down.
     Rollout,
-    /// The controller's subproblem has no solution that is finite.
+    /// The controller's subproblem has no finite solution.
     Subproblem,
 }
 
@@ -56,15 +56,15 @@ impl Cause {
     }
 }
 
-/// What was done instead of a command of its own.
+/// The replacement of a missing command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Action {
-    /// The rest of the plan, moved on.
+    /// The rest of the plan.
     Plan,
     /// A force against the velocity of the tip.
     Damping,
-    /// A ramp from the command before to zero.
+    /// A ramp from the last command to zero.
     Ramp,
 }
 
@@ -78,18 +78,19 @@ impl std::fmt::Display for Action {
     }
 }
 
-/// How long each fall-back is trusted.
+/// Durations of the fallbacks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FallbackSettings {
-    /// Age of an estimate that is still predicted from, s. `None`: what the sensors need, at least [`PATIENCE`](Self::PATIENCE).
+    /// Largest age of an estimate from which the state is predicted, s. `None`: the age that the sensors require, at least
+    /// [`PATIENCE`](Self::PATIENCE).
     pub patience: Option<f64>,
-    /// Samples in a row that follow the plan as it is; the plan says less and less about an arm that nobody measures.
+    /// Number of consecutive samples that follow the plan as it is, whose value for an arm without measurements decreases with time.
     pub plan_samples: usize,
-    /// Samples in a row after these that damp the tip, where its velocity is known.
+    /// Number of consecutive samples after these that damp the tip, if its velocity is known.
     pub damping_samples: usize,
-    /// Time in which a ramp goes to zero, s.
+    /// Duration of a ramp to zero, s.
     pub ramp: f64,
-    /// Damping of the tip's force over the critical one of a cantilever's first mode.
+    /// Damping of the tip's force divided by the critical damping of a cantilever's first mode.
     pub damping: f64,
 }
 
@@ -106,11 +107,11 @@ impl Default for FallbackSettings {
 }
 
 impl FallbackSettings {
-    /// Least age of an estimate that is still predicted from where nothing else is said, s.
+    /// Default of the largest age of an estimate from which the state is predicted, s.
     pub const PATIENCE: f64 = 0.1;
 
-    /// The same with the patience that sensors need. Between two readings an estimate grows as old as the reading's own age and the time between
-    /// two of them; one reading may be lost.
+    /// Returns the settings with the patience that sensors require. Between two readings, an estimate becomes as old as the age of a
+    /// reading plus the time between two of them; one reading may be lost.
     #[must_use]
     pub fn following<'a>(self, sensors: impl IntoIterator<Item = &'a SensorSettings>) -> Self {
         let needed = (sensors.into_iter())
@@ -122,7 +123,7 @@ impl FallbackSettings {
         }
     }
 
-    /// Age of an estimate that is still predicted from, s.
+    /// Returns the largest age of an estimate from which the state is predicted, s.
     #[must_use]
     pub fn patience(&self) -> f64 {
         self.patience.unwrap_or(Self::PATIENCE)
@@ -146,12 +147,12 @@ impl FallbackSettings {
     }
 }
 
-/// The fall-backs, and for how many samples they have been needed.
+/// The fallbacks, and the number of consecutive samples that have needed them.
 #[derive(Debug)]
 pub(super) struct Fallback {
     settings: FallbackSettings,
     in_a_row: usize,
-    /// `2 ζ sqrt(k m)` of a cantilever with tip stiffness `k = 3 EI/L³` and a quarter of its mass, kg/s.
+    /// Damping coefficient `2 ζ sqrt(k m)` of a cantilever with tip stiffness `k = 3 EI/L³` and a quarter of its mass, kg/s.
     damping: f64,
 }
 
@@ -169,18 +170,17 @@ impl Fallback {
         }
     }
 
-    /// A sample had a command of its own.
+    /// Records a sample with a command of its own.
     pub(super) fn succeed(&mut self) {
         self.in_a_row = 0;
     }
 
-    /// Samples have been left out, and the horizon of the plan has not moved meanwhile: what follows without a command of its own begins after
-    /// the plan.
+    /// Records that samples were left out while the horizon of the plan did not move: the next fallback is the one after the plan.
     pub(super) fn lose_plan(&mut self) {
         self.in_a_row = self.in_a_row.max(self.settings.plan_samples);
     }
 
-    /// Makes the controller issue a command from the time `start` on.
+    /// Lets the controller issue a command from the time `start` on.
     pub(super) fn command(
         &mut self,
         controller: &mut Controller,
@@ -195,7 +195,7 @@ impl Fallback {
             Cause::NoMeasurement | Cause::BadMeasurement | Cause::Estimate
         );
         if self.in_a_row <= plan {
-            controller.plan_alone(start);
+            let _ = controller.plan_alone(start);
             Action::Plan
         } else if knows_velocity && self.in_a_row <= plan + self.settings.damping_samples {
             controller.steer(start, Aim::Tip(self.damped(controller.rod(), state)));
@@ -207,7 +207,7 @@ impl Fallback {
         }
     }
 
-    /// A force against the velocity of the tip.
+    /// Returns a force against the velocity of the tip.
     fn damped(&self, rod: &Rod, state: &State) -> Wrench {
         let tip = rod.tip();
         let velocity = state.linear_momentum[tip] / rod.nodes[tip].mass;

@@ -1,4 +1,4 @@
-//! Laws that a controller is compared with.
+//! Control laws for comparison with the controller.
 
 use std::f64::consts::TAU;
 use std::ops::ControlFlow;
@@ -12,27 +12,28 @@ use crate::mpc::error::MpcError;
 use crate::mpc::holding::{Along, Holding};
 use crate::task::DiscretizeError;
 
-/// What computes the commands of a loop.
+/// The law that computes the commands of a loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Law {
-    /// The controller.
+    /// The model-predictive controller.
     #[default]
     Mpc,
-    /// The controller's own plan for its undisturbed model, without any measurement.
+    /// The controller's plan for its undisturbed model, without any measurement.
     OpenLoop,
-    /// The same plan, and a linear law on the deviation from the motion that it is for: the first command of the linear-quadratic regulator over
-    /// the horizon (the controller's quadratic program with the measured deviation, about a plan that no measurement changes).
+    /// The plan of [`OpenLoop`](Self::OpenLoop) with a linear law on the deviation from its motion: the first command of the
+    /// linear-quadratic regulator over the horizon (the controller's quadratic program with the measured deviation, about a plan that no
+    /// measurement changes).
     Regulator,
-    /// A force at the tip: that which holds the model at the reference, and a spring and a damper towards it.
+    /// A force at the tip: the force that holds the model at the reference, plus a spring and a damper towards the reference.
     Tip(TipGains),
 }
 
 /// Gains of [`Law::Tip`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TipGains {
-    /// Stiffness of the spring over that of a cantilever's tip, `3 EI/L³`.
+    /// Stiffness of the spring divided by that of a cantilever's tip, `3 EI/L³`.
     pub stiffness: f64,
-    /// Damping ratio of the arm's first mode with both.
+    /// Damping ratio of the arm's first mode with spring and damper.
     pub damping: f64,
 }
 
@@ -46,18 +47,18 @@ impl Default for TipGains {
 }
 
 impl TipGains {
-    /// Values of [`stiffness`](Self::stiffness) and [`damping`](Self::damping) of which [`Experiment::tuned_tip_gains`] tries all pairs.
+    /// Values of [`stiffness`](Self::stiffness) and [`damping`](Self::damping), all pairs of which [`Experiment::tuned_tip_gains`] tries.
     pub const TRIED: ([f64; 6], [f64; 4]) =
         ([1.0, 3.0, 10.0, 30.0, 60.0, 100.0], [0.25, 0.5, 1.0, 2.0]);
-    /// Natural periods of a cantilever over which a pair is tried, after the time from which errors count.
+    /// Duration of the trial of a pair after the time from which errors count, in natural periods of a cantilever.
     const PERIODS: f64 = 2.0;
-    /// First natural frequency of a cantilever times its time scale `L² sqrt(ρA/EI)`: the square of the first root of `cos β cosh β = -1`.
+    /// First angular frequency of a cantilever times its time scale `L² sqrt(ρA/EI)`: the square of the first root of `cos β cosh β = -1`.
     const FIRST_FREQUENCY: f64 = 3.516_015_269;
 }
 
 impl Experiment {
-    /// Gains of [`Law::Tip`] with the smallest root mean square error on this scene, among all pairs of [`TipGains::TRIED`], as an engineer finds
-    /// them on the arm: in the first part of the run, with its sensors and delays.
+    /// Finds the gains of [`Law::Tip`] with the smallest root mean square error in this scene, among all pairs of [`TipGains::TRIED`], as
+    /// an engineer would on the arm: in the first part of the run, with its sensors and delays.
     ///
     /// # Errors
     /// As [`Experiment::run`], and [`MpcError::Stopped`].
@@ -123,7 +124,7 @@ impl TipLaw {
         })
     }
 
-    /// Makes the controller issue the command from `start` on, constant over a period as far as rates allow.
+    /// Lets the controller issue the command from `start` on, constant over a period as far as rates allow.
     pub(super) fn command(&self, controller: &mut Controller, state: &State, start: f64) {
         let rod = controller.rod();
         let tip = rod.tip();

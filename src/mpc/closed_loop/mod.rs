@@ -1,6 +1,6 @@
-//! The loop: a controller, a simulated arm that is not its model, sensors, an estimator, and time told truly.
+//! The closed loop in simulation: a controller, a simulated arm that differs from its model, sensors, an estimator, with realistic timing.
 //!
-//! One sample at `t_k = k T`, each of its parts timed:
+//! One sample at `t_k = k T`, each part of which is timed:
 //!
 //! ```text
 //! estimate   every measurement that is known by t_k corrects the estimate at the time at which it was true, under the commands that acted
@@ -10,13 +10,14 @@
 //! prepare    the next sample: disturbance, horizon, roll-out, linearization, Hessian
 //! ```
 //!
-//! Meanwhile the arm moves on under what was sent before. All but the arm and its sensors is a [`Driver`]. [`Experiment`] runs the same scene with other laws, and with the parts that may be
-//! wrong taken away one at a time.
+//! The arm moves meanwhile under the commands sent before. All but the arm and its sensors is a [`Driver`]. [`Experiment`] runs the same
+//! scene with other laws, and with its imperfections removed one at a time.
 
 mod driver;
 mod experiment;
 mod fallback;
 mod law;
+mod responded;
 mod sample;
 #[cfg(test)]
 mod tests;
@@ -33,6 +34,7 @@ pub use self::experiment::{
 };
 pub use self::fallback::{Action, Cause, FallbackSettings};
 pub use self::law::{Law, TipGains};
+pub use self::responded::Responded;
 pub use self::sample::{Innovations, Percentiles, Sample, Tally, TipError};
 use super::controller::{Command, Controller};
 use super::error::MpcError;
@@ -42,33 +44,34 @@ use super::signal::Measurement;
 use super::simulated_arm::SimulatedArm;
 use crate::mechanics::StepError;
 
-/// How long computing takes, in the loop's own time.
+/// Computing time in the loop's own time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Computing {
-    /// No time: the command of a sample acts from its beginning.
+    /// Zero: the command of a sample acts from its beginning.
     #[default]
     Instant,
-    /// A fixed time, s, which the loop waits for and predicts over.
+    /// A fixed time, s, after which the command acts and over which the loop predicts.
     Fixed(f64),
-    /// What estimation, prediction and feedback have taken on this machine. It is not known in advance: the loop predicts over what the sample
-    /// before has taken.
+    /// The time that estimation, prediction and feedback take on this machine. It is not known in advance: the loop predicts over the time
+    /// that the sample before has taken.
     Measured,
 }
 
-/// What a [`ClosedLoop`] does besides what its parts do.
+/// Settings of a [`ClosedLoop`] besides those of its parts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoopSettings {
-    /// Time that a command takes to be computed.
+    /// Computing time of a command.
     pub computing: Computing,
-    /// Whether the state is predicted over all delays; if not, the last estimate stands for the state in which the command begins to act.
+    /// Tells whether the state is predicted over all delays; otherwise the last estimate replaces the state at which the command begins to
+    /// act.
     pub predicts: bool,
-    /// Whether the controller's model takes over the estimated disturbance.
+    /// Tells whether the controller's model includes the estimated disturbance.
     pub compensates: bool,
-    /// Delay of the actuators that the loop knows of and predicts over, s.
+    /// Known delay of the actuators, over which the loop predicts, s.
     pub actuator_delay: f64,
-    /// What computes the commands.
+    /// Law that computes the commands.
     pub law: Law,
-    /// What is done where no command can be computed.
+    /// Fallbacks for samples without a command.
     pub fallback: FallbackSettings,
 }
 
@@ -85,11 +88,11 @@ impl Default for LoopSettings {
     }
 }
 
-/// What a controller knows of its arm.
+/// Source of a controller's knowledge of its arm.
 pub enum Knowledge {
     /// The true state on the nodes of its model, at once.
     Everything,
-    /// What an estimator makes of sensors.
+    /// An estimate from the measurements of sensors.
     Sensors {
         /// The sensors.
         sensors: Vec<Sensor>,
@@ -110,7 +113,7 @@ impl std::fmt::Debug for Knowledge {
     }
 }
 
-/// A change of what a measurement says, before it is used: for tests of what a loop survives.
+/// A change of measurements before they are used, for robustness tests; `false` drops the measurement.
 pub type Tamper = Box<dyn FnMut(&mut Measurement) -> bool>;
 
 /// A closed loop in simulation.
@@ -118,7 +121,7 @@ pub struct ClosedLoop<'a> {
     driver: Driver,
     arm: SimulatedArm<'a>,
     sensors: Vec<Sensor>,
-    /// Measurements that are true already and not known yet, with the time at which they will be.
+    /// Measurements that have been taken and are not known yet, with the time at which they will be.
     on_the_way: VecDeque<(f64, Measurement)>,
     tamper: Option<Tamper>,
 }
@@ -132,7 +135,7 @@ impl std::fmt::Debug for ClosedLoop<'_> {
 }
 
 impl<'a> ClosedLoop<'a> {
-    /// A loop that begins at time 0. The controller's first command must act from when computing and actuators allow:
+    /// Creates a loop that begins at time 0. The controller's first command must act from the time that computing and actuators allow:
     /// [`MpcSettings::start`](super::MpcSettings) is [`LoopSettings::lead`].
     ///
     /// # Errors
@@ -161,33 +164,33 @@ impl<'a> ClosedLoop<'a> {
         })
     }
 
-    /// Changes every measurement before it is used; one for which the function says no is lost.
+    /// Applies `tamper` to every measurement before it is used; a measurement for which it returns `false` is lost.
     pub fn tamper(&mut self, tamper: Tamper) {
         self.tamper = Some(tamper);
     }
 
-    /// The arm.
+    /// Returns the simulated arm.
     #[must_use]
     pub fn arm(&self) -> &SimulatedArm<'a> {
         &self.arm
     }
 
-    /// The controller.
+    /// Returns the controller.
     #[must_use]
     pub fn controller(&self) -> &Controller {
         self.driver.controller()
     }
 
-    /// The command that was sent last, with the instants at which it begins to act and the next one should.
+    /// Returns the last command, with the times at which it begins to act and the next one should.
     #[must_use]
     pub fn sent(&self) -> &Command {
         self.driver.sent()
     }
 
-    /// Runs `n` samples; `observer` sees each and may end the run. Returns those that ran.
+    /// Runs `n` samples; `observer` gets each and may end the run. Returns the samples that ran.
     ///
     /// # Errors
-    /// [`StepError`] where the simulated arm's motion breaks down.
+    /// Returns [`StepError`] if the simulated arm's motion breaks down.
     pub fn run(
         &mut self,
         n: usize,
@@ -205,34 +208,39 @@ impl<'a> ClosedLoop<'a> {
         Ok(samples)
     }
 
-    /// One sample, and the arm's motion until the next one.
+    /// Runs one sample, and the arm's motion until the next one.
     ///
     /// # Errors
-    /// [`StepError`] where the simulated arm's motion breaks down.
+    /// Returns [`StepError`] if the simulated arm's motion breaks down.
     pub fn sample(&mut self) -> Result<Sample, StepError> {
         let period = self.controller().settings().period;
         let t = self.driver.next_sample() as f64 * period;
         let tip = self.arm.tip();
         let turns = self.controller().reference_rotation(t).is_some();
         let rotation = turns.then(|| self.arm.tip_rotation());
-        let mut sample = if self.driver.estimates() {
+        let responded = if self.driver.estimates() {
             self.deliver(t);
             self.driver.respond(t, Known::Measurements)
         } else {
             let state = self.arm.state_on_model();
             self.driver.respond(t, Known::State(&state))
         };
-        sample.tip = tip.into();
-        sample.reference = self.controller().reference(t);
-        sample.turn =
-            rotation.and_then(|rotation| self.controller().turn_from_reference(t, &rotation));
-        self.arm.send(self.driver.told());
-        self.driver.prepare(&mut sample);
+        let controller = responded.controller();
+        let reference = controller.reference(t);
+        let turn = rotation.and_then(|rotation| controller.turn_from_reference(t, &rotation));
+        self.arm.send(responded.told());
+        // A simulated arm knows where its tip really is.
+        let sample = Sample {
+            tip: tip.into(),
+            reference,
+            turn,
+            ..responded.prepare()
+        };
         self.move_on(self.driver.next_sample() as f64 * period)?;
         Ok(sample)
     }
 
-    /// Gives the driver what has become known by `t`.
+    /// Gives the driver the measurements that have become known by `t`.
     fn deliver(&mut self, t: f64) {
         while (self.on_the_way.front()).is_some_and(|(known, _)| *known <= t + 1e-9) {
             let Some((_, mut measurement)) = self.on_the_way.pop_front() else {
@@ -271,7 +279,8 @@ impl<'a> ClosedLoop<'a> {
 }
 
 impl LoopSettings {
-    /// From the beginning of a sample to when its command acts, s; for measured computing, what is assumed of the first sample.
+    /// Returns the time from the beginning of a sample until its command acts, s; for measured computing, the assumption for the first
+    /// sample.
     #[must_use]
     pub fn lead(&self) -> f64 {
         self.actuator_delay
@@ -294,7 +303,7 @@ impl LoopSettings {
     }
 }
 
-/// Distance of a point from a reference, m; NaN without one.
+/// Returns the distance of a point from a reference, m; NaN without one.
 fn distance(tip: [f64; 3], reference: Option<[f64; 3]>) -> f64 {
     reference.map_or(f64::NAN, |reference| {
         (Vector3::from(tip) - Vector3::from(reference)).norm()

@@ -1,4 +1,4 @@
-//! What a sample was, and what a run amounts to.
+//! The record of a sample, and the statistics of a run.
 
 use std::collections::BTreeMap;
 
@@ -8,48 +8,48 @@ use crate::mpc::controller::{Command, SampleRecord};
 use crate::mpc::estimator::{Disturbance, Innovation};
 use crate::mpc::subproblem::SubproblemEnd;
 
-/// One sample of a closed loop. Times of day are those of the loop, s; durations are those of this machine, s.
+/// One sample of a closed loop. Times are those of the loop, s; durations are those of this machine, s.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
-    /// When it began.
+    /// Time at which the sample began.
     pub t: f64,
-    /// When its command began to act.
+    /// Time at which its command began to act.
     pub acts_from: f64,
-    /// Age of what the estimate rests on.
+    /// Age of the last measurement in the estimate.
     pub age: f64,
-    /// True position of the tip when it began, m.
+    /// True position of the tip at the beginning, m.
     pub tip: [f64; 3],
-    /// Where the tip should have been, m.
+    /// Reference position of the tip, m.
     pub reference: Option<[f64; 3]>,
-    /// Angle between the tip's true orientation and how it should have been turned, rad.
+    /// Angle between the true orientation of the tip and its reference, rad.
     pub turn: Option<f64>,
-    /// The last measurement beside what was expected.
+    /// Innovation of the last measurement.
     pub innovation: Option<Innovation>,
-    /// `½ |r|²` of tracks and targets that the controller predicted.
+    /// `½ |r|²` of tracks and targets, as predicted by the controller.
     pub predicted_cost: f64,
-    /// Gauss-Newton iterations from the estimate to the command; 0 where there was no command of its own.
+    /// Gauss-Newton iterations from the estimate to the command; 0 without a command of its own.
     pub iterations: usize,
-    /// How the subproblem ended.
+    /// End of the subproblem.
     pub subproblem: SubproblemEnd,
-    /// First wrench of the command: force (spatial, N) and moment (body frame, N m) when it begins to act.
+    /// First wrench of the command at the time at which it begins to act: force (spatial frame, N) and moment (body frame, N m).
     pub wrench: Wrench,
-    /// Seconds of estimation, of prediction over the delays, of the feedback, of the preparation of the next sample, and of all together.
+    /// Seconds of estimation.
     pub estimate_s: f64,
-    /// See [`estimate_s`](Self::estimate_s).
+    /// Seconds of the prediction over the delays.
     pub predict_s: f64,
-    /// See [`estimate_s`](Self::estimate_s).
+    /// Seconds of the feedback.
     pub feedback_s: f64,
-    /// See [`estimate_s`](Self::estimate_s).
+    /// Seconds of the preparation of the next sample.
     pub prepare_s: f64,
-    /// See [`estimate_s`](Self::estimate_s).
+    /// Seconds of the whole sample.
     pub sample_s: f64,
-    /// Whether the whole took longer than the period.
+    /// Tells whether the whole sample took longer than the period.
     pub is_overrun: bool,
-    /// Why no command could be computed, and what was done instead.
+    /// Cause and replacement of a missing command.
     pub fallback: Option<(Cause, Action)>,
     /// The estimated disturbance.
     pub disturbance: Disturbance,
-    /// Its standard deviations.
+    /// Standard deviations of the estimated disturbance.
     pub deviation: Disturbance,
 }
 
@@ -89,7 +89,7 @@ impl Sample {
         self.subproblem = record.subproblem;
     }
 
-    /// Distance of the tip from its reference when the sample began, m; NaN without a reference.
+    /// Returns the distance of the tip from its reference at the beginning of the sample, m; NaN without a reference.
     #[must_use]
     pub fn tip_error(&self) -> f64 {
         super::distance(self.tip, self.reference)
@@ -99,18 +99,18 @@ impl Sample {
 /// Percentiles of a set of numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Percentiles {
-    /// Half of them are no larger.
+    /// Median.
     pub p50: f64,
-    /// 95 of 100 are no larger.
+    /// 95th percentile.
     pub p95: f64,
-    /// 99 of 100 are no larger.
+    /// 99th percentile.
     pub p99: f64,
-    /// The largest.
+    /// Maximum.
     pub max: f64,
 }
 
 impl Percentiles {
-    /// Of any numbers; all 0 of none.
+    /// Computes the percentiles of any numbers; all 0 if there are none.
     #[must_use]
     pub fn of(numbers: impl IntoIterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = numbers.into_iter().collect();
@@ -134,26 +134,26 @@ impl Percentiles {
 /// Distances of the tip from its reference, m, or angles, rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct TipError {
-    /// At the last sample.
+    /// Value at the last sample.
     #[serde(rename = "final")]
     pub last: f64,
     /// Root mean square.
     pub rms: f64,
-    /// 95 of 100 samples are no farther off.
+    /// 95th percentile.
     pub p95: f64,
     /// Largest.
     pub max: f64,
 }
 
 impl TipError {
-    /// Of the samples from `after` (s) on.
+    /// Computes the errors of the samples from `after` (s) on.
     #[must_use]
     pub fn of(samples: &[Sample], after: f64) -> Self {
         let counted = samples.iter().filter(|sample| sample.t >= after);
         Self::of_distances(&counted.map(Sample::tip_error).collect::<Vec<f64>>())
     }
 
-    /// Of the orientation, rad; `None` where nothing asks for one.
+    /// Computes the errors of the orientation, rad; `None` without a reference orientation.
     #[must_use]
     pub fn of_turns(samples: &[Sample], after: f64) -> Option<Self> {
         let counted = samples.iter().filter(|sample| sample.t >= after);
@@ -161,7 +161,7 @@ impl TipError {
         (!turns.is_empty()).then(|| Self::of_distances(&turns))
     }
 
-    /// Of distances in the order of time, m; NaN and 0 of none.
+    /// Computes the errors from distances in the order of time, m; NaN and 0 if there are none.
     pub(in crate::mpc) fn of_distances(errors: &[f64]) -> Self {
         let squares: f64 = errors.iter().map(|e| e * e).sum();
         let percentiles = Percentiles::of(errors.iter().copied());
@@ -174,12 +174,12 @@ impl TipError {
     }
 }
 
-/// What a run amounts to. The first sample is not among the times: it has no one before it.
+/// Statistics of a run. Times do not include the first sample, which has no predecessor.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Tally {
-    /// Samples.
+    /// Number of samples.
     pub samples: usize,
-    /// Whole samples that took longer than the period.
+    /// Number of samples that took longer than the period.
     pub overruns: usize,
     /// Seconds of whole samples.
     pub sample_s: Percentiles,
@@ -191,37 +191,38 @@ pub struct Tally {
     pub prepare_s: Percentiles,
     /// Seconds of the first sample.
     pub first_s: f64,
-    /// Simulated seconds over computed seconds.
+    /// Simulated seconds divided by computed seconds.
     pub real_time_factor: f64,
-    /// Samples whose subproblem had active bounds.
+    /// Number of samples whose subproblem had active bounds.
     pub bounded: usize,
-    /// Fall-backs by their cause.
+    /// Number of fallbacks by cause.
     pub fallbacks: BTreeMap<String, usize>,
-    /// What was measured beside what was expected; `None` without an estimator that knows what to expect.
+    /// Innovations; `None` without an estimator that predicts its measurements.
     pub innovations: Option<Innovations>,
 }
 
-/// Innovations of a run: whether measurements are as far from what an estimator expects as it says.
+/// Innovations of a run, as a test of consistency: the distances of measurements from their predictions beside those that the estimator
+/// expects.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Innovations {
-    /// Numbers that were used, of the last measurement of every sample.
+    /// Number of values used from the last measurement of every sample.
     pub numbers: usize,
-    /// Sum of all `eᵀ S⁻¹ e` over these numbers: 1 where the estimator is consistent, less where it trusts its model less than it might.
+    /// Sum of all `eᵀ S⁻¹ e` divided by this number: 1 for a consistent estimator, less for one that trusts its model less than it could.
     pub per_number: f64,
-    /// What `per_number` stays below in all but one of 30 000 runs of a consistent estimator: `1 + 4 sqrt(2/n)`, the normal approximation of
+    /// Upper limit of `per_number` for a consistent estimator, exceeded once in 30 000 runs: `1 + 4 sqrt(2/n)`, the normal approximation of
     /// chi-square.
     pub at_most: f64,
-    /// Whether measurements are farther off than the estimator can explain: its state, what it finds and how well are then in doubt.
+    /// Tells whether innovations are larger than the estimator can explain: its state, its unknowns and their accuracy are then doubtful.
     pub is_off: bool,
-    /// Signals that were refused because they cannot be true.
+    /// Number of signals that were refused as impossible.
     pub refused: usize,
 }
 
-/// Standard deviations of a sum of squares.
+/// Number of standard deviations of the sum of squares in this limit.
 const FAR_OFF: f64 = 4.0;
 
 impl Innovations {
-    /// Of samples.
+    /// Collects the innovations of samples; `None` if there are none.
     #[must_use]
     pub fn of(samples: &[Sample]) -> Option<Self> {
         let (mut numbers, mut sum, mut refused) = (0, 0.0, 0);
@@ -245,7 +246,7 @@ impl Innovations {
 }
 
 impl Tally {
-    /// Of a run with this period, s.
+    /// Computes the statistics of a run with this period, s.
     #[must_use]
     pub fn of(samples: &[Sample], period: f64) -> Self {
         let timed = samples.get(1..).unwrap_or(&[]);

@@ -1,4 +1,4 @@
-//! What a loop does where its controller fails by itself.
+//! Tests of a loop whose controller fails by itself.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -15,11 +15,11 @@ use crate::task::{
 };
 
 const FORCE: f64 = 3.0;
-/// N/s: all of the force within a tenth of a second.
+/// Rate, N/s, at which the force reaches its limit within a tenth of a second.
 const RATE: f64 = 30.0;
 const SAMPLES: usize = 10_000;
 
-/// A soft arm whose tip is to be held a tenth of its length aside, pushed once a second.
+/// A soft arm whose tip is to be held a tenth of its length aside, and which is pushed once a second.
 fn scene() -> Experiment {
     let arm = Arm {
         gravity: Vector3::zeros(),
@@ -68,8 +68,9 @@ fn scene() -> Experiment {
     scene
 }
 
-/// Ten thousand samples in which factorizations fail one at a time and in bursts that outlast the plan: every command is finite, within its bound, and
-/// goes on from the one before at no more than its rate, every fall-back has its cause, a restart follows each burst, and the tip is where it should be once the controller works again.
+/// Ten thousand samples in which factorizations fail singly and in bursts that outlast the plan: every command is finite, within its bound,
+/// and continues from the one before at no more than its rate; every fallback has its cause, a restart follows each burst, and the tip is
+/// at its reference once the controller works again.
 #[test]
 fn forced_failures_are_survived() {
     let scene = scene();
@@ -85,7 +86,7 @@ fn forced_failures_are_survived() {
         };
         burst > 0
     });
-    // The first plan is made with a controller that works.
+    // The first plan is made without failures.
     let mut forced = Some(forced);
     let mut causes = BTreeMap::new();
     let (mut n, mut since, mut worst) = (0, 0, 0.0f64);
@@ -111,7 +112,7 @@ fn forced_failures_are_survived() {
             }
             None => since + 1,
         };
-        // A push is over after a tenth of a second, and the arm back after another half.
+        // A push ends after a tenth of a second, and the arm has recovered after another half.
         let is_quiet = sample.t % 1.0 > 0.95 && since > 60;
         if is_quiet {
             worst = worst.max(sample.tip_error());

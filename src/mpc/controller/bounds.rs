@@ -1,7 +1,8 @@
 //! Bounds on the coefficients of the plan and on their rates, as rows and sets of the subproblem, and a plan that is strictly within all of them.
 //!
-//! A rate is that from the command that acts. A linear course does not jump, so that its first coefficient is what acts; the first of a
-//! constant course differs from it by at most the rate times a period, as one command differs from the next.
+//! A rate is measured from the command that acts. A linear course does not jump, so that its first coefficient equals the control that
+//! acts; the first coefficient of a constant course differs from it by at most the rate times a period, as one command differs from the
+//! next.
 
 use std::ops::Range;
 
@@ -12,10 +13,10 @@ use super::super::subproblem::{Set, Subproblem};
 use super::Controller;
 use crate::control::{Bound, Channel, Hold};
 
-/// Part of the fastest way to zero that the inner plan takes.
+/// Speed of the inner plan's way to zero, as a fraction of the fastest.
 const SLOWER: f64 = 0.5;
 
-/// The components of every vector that bounds are on, with its channel.
+/// Returns the components of every bounded vector, with its channel.
 pub(super) fn channels(horizon: &Horizon) -> impl Iterator<Item = (Range<usize>, Channel)> {
     let components = &horizon.components;
     let mut start = 0;
@@ -32,7 +33,7 @@ pub(super) fn channels(horizon: &Horizon) -> impl Iterator<Item = (Range<usize>,
     })
 }
 
-/// The vector of one channel, in its unit, of scaled components.
+/// Returns the vector of one channel, in its unit, from scaled components.
 pub(super) fn vector(
     horizon: &Horizon,
     range: &Range<usize>,
@@ -46,7 +47,7 @@ pub(super) fn vector(
     out
 }
 
-/// Whether any rate of a channel is bounded.
+/// Tells whether the rate of any component of a channel is bounded.
 pub(super) fn is_slow(channel: &Channel) -> bool {
     match channel.rate_bound {
         None => false,
@@ -55,7 +56,7 @@ pub(super) fn is_slow(channel: &Channel) -> bool {
     }
 }
 
-/// Part of the way `change` that is within `limit` times `factor`.
+/// Returns the largest fraction of the step `change` that is within `limit` times `factor`.
 pub(super) fn part_within(limit: &Bound, factor: f64, change: &Vector3<f64>) -> f64 {
     let part = |size: f64, most: f64| {
         if size > most * factor {
@@ -73,7 +74,7 @@ pub(super) fn part_within(limit: &Bound, factor: f64, change: &Vector3<f64>) -> 
 }
 
 impl Controller {
-    /// Rows and sets of the bounds on coefficients, and on their rates, and which variables are fixed.
+    /// Writes the rows and sets of the bounds on coefficients and on their rates, and marks the fixed variables.
     pub(super) fn constrain(&mut self) {
         let Self {
             subproblem,
@@ -124,7 +125,7 @@ impl Controller {
         }
     }
 
-    /// Values of the rows of [`constrain`](Self::constrain) at the present plan, with what acts.
+    /// Writes the values of the rows of [`constrain`](Self::constrain) at the present plan and the control that acts.
     pub(super) fn write_offsets(&mut self) {
         for (i, row) in self.subproblem.rows.iter().enumerate() {
             self.offsets[i] = row.iter().map(|&(j, w)| w * self.plan[j]).sum();
@@ -135,8 +136,8 @@ impl Controller {
         }
     }
 
-    /// Writes the way from the present plan to one that is strictly within all bounds: from what acts towards zero at half of the rates; zero
-    /// where only magnitudes are bounded, and the present plan where nothing is.
+    /// Writes the step from the present plan to one that is strictly within all bounds: a ramp from the control that acts to zero at half
+    /// of the rates; zero if only magnitudes are bounded, and the present plan if nothing is.
     pub(super) fn write_inside(&mut self) {
         let Self {
             horizon,
@@ -165,14 +166,14 @@ impl Controller {
                     None if is_constant => settings.period,
                     None => 0.0,
                 };
-                // What is fixed stays.
+                // Fixed coefficients keep their value.
                 let rate = channel.rate_bound.filter(|_| is_slow && time > 0.0);
                 at = match rate {
                     None => at,
                     Some(bound @ Bound::Norm(_)) => {
                         at * (1.0 - part_within(&bound, SLOWER * time, &at))
                     }
-                    // Every axis takes its own time.
+                    // Every axis reaches zero in its own time.
                     Some(Bound::PerAxis(most)) => at.zip_map(&most, |at, most| {
                         let most = SLOWER * most * time;
                         at - at.clamp(-most, most)
@@ -187,7 +188,7 @@ impl Controller {
     }
 }
 
-/// One set, or one for each axis, of the rows of components in `range`.
+/// Adds one set, or one for each axis, of the rows of components in `range`.
 fn bounded(
     subproblem: &mut Subproblem,
     horizon: &Horizon,
@@ -209,7 +210,7 @@ fn bounded(
         Some(Bound::PerAxis(limits)) => {
             for c in range.clone() {
                 let limit = limits[horizon.components[c].axis % 3] * unit;
-                // Neither an axis without a bound nor one that is fixed has a row.
+                // An axis without a bound has no row, nor has a fixed one.
                 if limit > 0.0 && limit.is_finite() {
                     subproblem.rows.push(row(c));
                     subproblem.sets.push(Set::Interval { limit });

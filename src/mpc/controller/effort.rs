@@ -1,4 +1,4 @@
-//! Where the tip should be, and the control from which effort is counted.
+//! The reference of the tip, and the control from which effort is measured.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -8,38 +8,38 @@ use crate::mechanics::Wrench;
 use crate::mechanics::rotation::log;
 use crate::mpc::holding::{Along, Holding, TipPose};
 
-/// What holds the tip of the model at its reference, and moves the mass of the arm along, at the time at which that takes most.
+/// The wrench that holds the model's tip at its reference and accelerates the arm's mass along it, at the time at which it is largest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceNeed {
-    /// When, s.
+    /// Time, s.
     pub t: f64,
-    /// Spatial force (N) and moment in the body frame (N m) on the tip.
+    /// Force (spatial frame, N) and moment (body frame, N m) on the tip.
     pub wrench: Wrench,
-    /// By how much force (N) and moment (N m) exceed their bounds; 0 within.
+    /// Excess of force (N) and moment (N m) over their bounds; 0 within.
     pub excess: [f64; 2],
 }
 
-/// Statics along the reference are computed once in so many samples.
+/// Number of samples between two computations of the statics along the reference.
 const SAMPLES_A_HOLD: f64 = 5.0;
 
-/// The tracks of the tip.
+/// Returns the tracks of the tip.
 fn tip_tracks(problem: &OptimalControlProblem) -> impl Iterator<Item = &Tracking> {
     let tip = problem.rod.tip();
     (problem.objective.tracking.iter()).filter(move |track| track.node == tip)
 }
 
-/// The path that the tip follows.
+/// Returns the track that prescribes the tip's position.
 fn tip_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
     tip_tracks(problem).find(|track| !track.path.is_empty())
 }
 
-/// How the tip is to be turned.
+/// Returns the track that prescribes the tip's orientation.
 fn tip_turns(problem: &OptimalControlProblem) -> Option<&Tracking> {
     tip_tracks(problem).find(|track| !track.rotations.is_empty())
 }
 
 impl Controller {
-    /// Until when the reference changes, s.
+    /// Returns the time until which the reference changes, s.
     pub(in crate::mpc) fn reference_end(&self) -> f64 {
         let problem = &self.horizon.problem;
         let place = tip_track(problem).and_then(|track| Some(track.path.last()?.0));
@@ -47,7 +47,7 @@ impl Controller {
         place.unwrap_or(0.0).max(turn.unwrap_or(0.0))
     }
 
-    /// Where the tip should be at time `t` (s), by the first track of the tip or else its first target's position, m.
+    /// Returns the reference position of the tip at time `t` (s), m: that of the first track of the tip, or else of its first target.
     #[must_use]
     pub fn reference(&self, t: f64) -> Option<[f64; 3]> {
         let problem = &self.horizon.problem;
@@ -59,8 +59,8 @@ impl Controller {
         (track.and_then(|track| track.position(t)).or_else(goal)).map(Into::into)
     }
 
-    /// How the tip should be turned at time `t` (s), by the first track of the tip that says so or else its first target's orientation, body to
-    /// space.
+    /// Returns the reference orientation of the tip at time `t` (s), body to space: that of the first track of the tip that has one, or
+    /// else of its first target.
     #[must_use]
     pub fn reference_rotation(&self, t: f64) -> Option<Matrix3<f64>> {
         let problem = &self.horizon.problem;
@@ -72,13 +72,13 @@ impl Controller {
         track.and_then(|track| track.rotation(t)).or_else(goal)
     }
 
-    /// Angle between a rotation of the tip and [how it should be turned](Self::reference_rotation) at time `t` (s), rad.
+    /// Returns the angle between a rotation of the tip and its [reference](Self::reference_rotation) at time `t` (s), rad.
     pub(in crate::mpc) fn turn_from_reference(&self, t: f64, r: &Matrix3<f64>) -> Option<f64> {
         (self.reference_rotation(t)).map(|should| log(&(should.transpose() * r)).norm())
     }
 
-    /// What holds the tip along its reference; `None` without one, where it goes on for more than ten minutes, and where
-    /// the making of the controller is stopped.
+    /// Returns the wrenches that hold the tip along its reference; `None` without a reference, if it lasts more than ten minutes, and after
+    /// a stop signal.
     pub(in crate::mpc) fn holding(&self, along: Along) -> Option<Holding> {
         let tip = self.horizon.problem.rod.tip();
         let mut effects = self.horizon.effects.iter().flatten();
@@ -96,8 +96,8 @@ impl Controller {
         Holding::along(self.rod(), start, reference, times, along, stop)
     }
 
-    /// The [need](ReferenceNeed) that exceeds the bounds by most, or, within the bounds, the largest; `None` without a reference of at most ten minutes,
-    /// and where no force acts on the tip.
+    /// Returns the [need](ReferenceNeed) with the largest excess over the bounds, or within the bounds the largest need; `None` without a
+    /// reference of at most ten minutes, and if no force acts on the tip.
     #[must_use]
     pub fn reference_need(&self) -> Option<ReferenceNeed> {
         let problem = &self.horizon.problem;
@@ -130,14 +130,15 @@ impl Controller {
             })
     }
 
-    /// Whether the tip is to be at one place and turned in one way for ever.
+    /// Tells whether the reference of the tip is one position and one orientation for ever.
     pub(super) fn is_reference_at_rest(&self) -> bool {
         let problem = &self.horizon.problem;
         tip_track(problem).is_none_or(|track| track.path.len() <= 1)
             && tip_turns(problem).is_none_or(|track| track.rotations.len() <= 1)
     }
 
-    /// When the path of the tip ends on its way, s; `None` where there is none, or where it has come to rest by then.
+    /// Returns the time at which the path of the tip ends while it still moves, s; `None` without a path, and if it has come to rest by
+    /// then.
     pub(in crate::mpc) fn path_breaks_off(&self) -> Option<f64> {
         match &tip_track(&self.horizon.problem)?.path[..] {
             [.., (_, before), (end, last)] if before != last => Some(*end),
@@ -145,7 +146,7 @@ impl Controller {
         }
     }
 
-    /// Notes the wrench from which effort counts along the reference.
+    /// Stores the wrench along the reference from which effort is measured.
     pub(super) fn count_from_holding(&mut self) {
         let along = match self.settings.effort {
             _ if self.settings.due.is_some() => None,
@@ -156,14 +157,14 @@ impl Controller {
         self.holding = along.and_then(|along| self.holding(along));
     }
 
-    /// Writes what costs no effort at the coefficients of the present plan.
+    /// Writes the control that costs no effort at the coefficients of the present plan.
     pub(super) fn note_free(&mut self) {
         let horizon = &self.horizon;
         let (tip, n_components) = (horizon.problem.rod.tip(), horizon.components.len());
         let tracks = [tip_track(&horizon.problem), tip_turns(&horizon.problem)];
         for coefficient in 0..horizon.knots.len() {
             let t = horizon.knots.time(coefficient) + horizon.delay();
-            // Before it is to be there, nothing holds the tip.
+            // Before the track begins to count, no wrench holds the tip.
             let wrench = (self.holding.as_ref())
                 .filter(|_| (tracks.iter().flatten()).all(|track| track.counts(t)))
                 .map(|holding| holding.wrench(t, self.stiffness).to_array());

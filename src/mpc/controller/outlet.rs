@@ -1,8 +1,8 @@
-//! The way of every command out of a controller.
+//! The outlet of all commands of a controller.
 //!
-//! Whatever wants to act, a plan, a regulator, a law at the tip, or a fall-back, is brought within the bounds on magnitudes, and to where the rates
-//! allow from the command that acts. Magnitudes and reachable controls are convex sets that hold what acts, so that a part of the way from
-//! there to what is wanted is in both.
+//! Every requested control, of a plan, a regulator, a law at the tip, or a fallback, is moved within the bounds on magnitudes, and to
+//! values that the rates allow from the command that acts. Magnitudes and reachable controls are convex sets that contain the control that
+//! acts, so that a fraction of the step from there to the requested control is in both.
 
 use super::super::horizon::{Horizon, add_effects};
 use super::Command;
@@ -29,7 +29,7 @@ impl Course {
         }
     }
 
-    /// The same function of time as that of a [`Command`].
+    /// Writes the controls at time `t`, as [`Command::at`] writes wrenches.
     fn write_at(&self, t: f64, out: &mut [f64]) {
         let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
         for ((out, from), to) in out.iter_mut().zip(&self.from).zip(&self.to) {
@@ -38,18 +38,18 @@ impl Course {
     }
 }
 
-/// What was asked for last, what acts until then, and what is sent.
+/// The last requested control, the control that acts until then, and the control that is sent.
 #[derive(Clone, Debug)]
 pub(super) struct Outlet {
     pub wanted: Course,
     before: Course,
     sent: Course,
-    /// What acts when the command begins.
+    /// Control that acts at the beginning of the command.
     acting: Vec<f64>,
 }
 
 impl Outlet {
-    /// Nothing acts until `start` (s).
+    /// Returns an outlet with no control until `start` (s).
     pub fn new(start: f64, period: f64, n: usize) -> Self {
         let none = Course::none(start - period, start, n);
         Self {
@@ -60,18 +60,18 @@ impl Outlet {
         }
     }
 
-    /// Writes what acts at time `t` (s).
+    /// Writes the control that acts at time `t` (s).
     pub fn write_acting(&self, t: f64, out: &mut [f64]) {
         self.sent.write_at(t, out);
     }
 
-    /// Sends what is wanted, as far as it may be, and writes the command.
+    /// Sends the requested control as far as the bounds allow, and writes the command.
     pub fn send(&mut self, horizon: &Horizon, period: f64, command: &mut Command) {
         std::mem::swap(&mut self.before, &mut self.sent);
         self.reach(horizon, period, command);
     }
 
-    /// Sends the last command anew, from `start` (s) on, in the place of what was sent.
+    /// Replaces the last command by the same request from `start` (s) on.
     pub fn postpone(&mut self, start: f64, horizon: &Horizon, period: f64, command: &mut Command) {
         let shift = start - self.wanted.start;
         if shift != 0.0 {
@@ -91,7 +91,7 @@ impl Outlet {
         (sent.start, sent.end) = (wanted.start, wanted.end);
         before.write_at(wanted.start, acting);
         let is_constant = horizon.knots.hold() == Hold::Constant;
-        // Constant commands differ by what the rate allows from the beginning of one to that of the next.
+        // Commands of a constant course differ by what the rate allows between their beginnings.
         let time = if is_constant {
             (wanted.start - before.start).clamp(0.0, period)
         } else {
@@ -127,7 +127,7 @@ impl Outlet {
         self.write(horizon, command);
     }
 
-    /// Writes what was sent.
+    /// Writes the control that was sent as a command.
     pub fn write(&self, horizon: &Horizon, command: &mut Command) {
         let Course {
             start,

@@ -2,60 +2,64 @@
 
 use super::super::error::MpcError;
 
-/// The control that costs no effort.
+/// Control that costs no effort.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum EffortFrom {
-    /// None at all, as in an optimal-control problem: a tip that is held by force stays off its reference by what its weight allows.
+    /// The zero control, as in an optimal-control problem: a tip that is held by force stays off its reference by an
+    /// amount that depends on its weight.
     Zero,
-    /// The force at the tip that holds the model at the reference, its mass moved along, as far as it is actuated: no offset remains for the sake of
-    /// effort. Along a path it may lean on the arm with most of what makes it buckle.
+    /// The force at the tip, as far as it is actuated, that holds the model at the reference and moves its mass along:
+    /// effort then leaves no offset. Along a path this force may be most of the buckling load of the arm.
     Holding,
-    /// Where the reference rests, the force at the tip that holds the model there, if the arm is stable under that force; none where the reference
-    /// moves.
+    /// While the reference rests, the force at the tip (and the moment, if the tip is to be turned as well) that holds
+    /// the model there, if the arm is stable under it, so that effort leaves no offset; zero while the reference moves.
     #[default]
     Auto,
 }
 
-/// How a [`Controller`](super::Controller) works. Times in s.
+/// Settings of a [`Controller`](super::Controller). Times in s.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MpcSettings {
     /// Time between two samples.
     pub period: f64,
-    /// When the first command begins to act; the motion before it is none.
+    /// Time at which the first command begins to act; nothing moves before.
     pub start: f64,
     /// Length of the horizon, a multiple of the model's step to rounding.
     pub horizon: f64,
-    /// Where the horizon ends at the latest, from which on it shrinks; `None`: it recedes for ever.
+    /// Latest end of the horizon, before which the horizon shrinks; `None` for a horizon that always recedes.
     pub due: Option<f64>,
     /// Length of a block of the control.
     pub block: f64,
-    /// After so many blocks of one length the next ones are twice as long: near decisions are fine, far ones coarse. `None`: all are equal.
+    /// Number of blocks of one length, after which the next ones are twice as long: near decisions are fine, far ones coarse. `None` for
+    /// equal blocks.
     pub equal_blocks: Option<usize>,
-    /// Weight `w` of `½ w |u - a|²` on the jump from the control `a` that acts when a sample begins, in scaled controls.
+    /// Weight `w` of `½ w |u - a|²` on the jump from the control `a` that acts at the beginning of a sample, in scaled controls.
     pub jump: f64,
-    /// Where effort counts from, while the horizon recedes; where it has an end, from zero.
+    /// Control from which effort is measured while the horizon recedes; a horizon with an end measures it from zero.
     pub effort: EffortFrom,
     /// Weight of the squared scaled residuals of targets, halved: targets are soft.
     pub target_weight: f64,
-    /// Price of a unit of the violation of a limit that is to be kept, in its scale, for a second, and of half of its square. Limits are kept
-    /// as long as nothing is worth more: no plan fails for their sake. A price far above what keeps them, the weight of a track times the
-    /// distance over the length by which they hold its node back, makes commands jump for the sake of violations that are next to nothing.
+    /// Price `w` of the penalty `w (σ + ½ σ²)` per second on the violation `σ` of a limit, in the limit's scale. Limits are soft: the
+    /// controller may violate them if the cost saved exceeds the price, so that no plan fails because of them. A price far above the
+    /// multipliers of the limits (the weight of a track times the distance, divided by the length, by which a limit holds the track's node
+    /// back) makes commands jump for tiny violations.
     pub limit_price: f64,
-    /// Gauss-Newton iterations a sample, at least 1; they end before where the plan does not change any more.
+    /// Gauss-Newton iterations per sample, at least 1; fewer if the plan no longer changes.
     pub iterations: usize,
-    /// Time after which [feedback](super::Controller::feedback) is to have its command: of several iterations none is begun that would end later if
-    /// it took as long as the one before. The first is always made. `None`: all are made. Commands depend on the machine with it.
+    /// Time after which [feedback](super::Controller::feedback) should have its command: no further iteration begins that would end later
+    /// if it took as long as the one before. The first is always made. `None`: all are made. With a deadline, commands depend on the
+    /// machine.
     pub deadline: Option<f64>,
-    /// Most iterations of the subproblem.
+    /// Cap on the iterations of the subproblem.
     pub subproblem_iterations: usize,
-    /// Duality gap of the subproblem, over the decrease that it promises without bounds.
+    /// Duality gap of the subproblem, divided by the decrease that it would bring without bounds.
     pub subproblem_tolerance: f64,
 }
 
 impl MpcSettings {
-    /// A receding horizon of ten blocks, 100 samples a second.
+    /// Returns the settings of a receding horizon of ten blocks, with 100 samples per second.
     #[must_use]
     pub fn receding(horizon: f64) -> Self {
         Self {

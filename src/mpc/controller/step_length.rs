@@ -1,26 +1,27 @@
-//! Steps of a plan that are too long for the linearized motion that they come from.
+//! The length of steps for which the linearized motion is a poor model.
 //!
-//! A correction takes the full step of its quadratic program. Where the motion bends (a tip that is to be turned far), the simulated motion may
-//! cost more than the one before, or break down. The step is then halved (Nocedal and Wright 2006, section 3.1): towards the plan before, along
-//! a line that stays within the bounds.
+//! A correction takes the full step of its quadratic program. If the motion is strongly curved (a tip with a prescribed large turn), the
+//! simulated motion may cost more than the one before, or break down. The step is then halved (Nocedal and Wright 2006, section 3.1) toward
+//! the plan before, along a line that stays within the bounds.
 
 use super::Controller;
 use crate::mpc::error::MpcError;
 
-/// Part of a cost that is rounding, and part of a full step below which it is not tried.
+/// Fraction of a cost that counts as rounding.
 const COST_ROUNDING: f64 = 1e-12;
+/// Fraction of a full step below which no shorter one is tried.
 const SHORTEST: f64 = 1e-3;
-/// A plan that costs more than this many times the one before is not what the linearized motion promised. Less says nothing: the measured state
-/// and the end of the horizon are new.
+/// A plan is rejected if it costs more than this multiple of the expected cost, which is that of the plan before. Smaller increases are
+/// expected, because the measured state and the horizon end changed.
 const SURPRISE: f64 = 2.0;
-/// A sample waits: its step is halved so often at most.
+/// Cap on the halvings of a sample's step, each of which simulates the horizon while the plant waits.
 const HALVINGS: usize = 3;
 
 impl Controller {
-    /// Simulates the plan, or where it is much dearer than the one before, one in between.
+    /// Simulates the plan. If it costs much more than the plan before, replaces it by one in between.
     ///
     /// # Errors
-    /// [`MpcError::Rollout`] where the motion breaks down.
+    /// Returns [`MpcError::Rollout`] if the motion breaks down.
     pub(super) fn roll_out(&mut self) -> Result<(), MpcError> {
         let most = SURPRISE * self.expected + self.negligible;
         let mut outcome = self.horizon.roll_out(&self.plan);
@@ -36,7 +37,7 @@ impl Controller {
         outcome
     }
 
-    /// Iterates until the plan does not change any more, at most so many times. Every step is halved until it makes the plan cheaper.
+    /// Iterates until the plan no longer changes, at most `most` times. Every step is halved until it reduces the cost.
     ///
     /// # Errors
     /// As [`feedback`](Self::feedback), and [`MpcError::Rollout`].
@@ -74,7 +75,7 @@ impl Controller {
         Ok(())
     }
 
-    /// What the plan costs whose motion was simulated last from the expected start, without the jump from what acts.
+    /// Returns the cost of the plan whose motion was simulated last from the expected start, without the jump from the control that acts.
     fn cost(&mut self) -> f64 {
         self.note_free();
         let along = self.horizon.cost();
@@ -82,7 +83,7 @@ impl Controller {
         along + self.control_cost() + self.subproblem.soft.cost()
     }
 
-    /// Effort and rate of the plan.
+    /// Returns the cost of the plan's effort and rate.
     pub(super) fn control_cost(&self) -> f64 {
         let n_components = self.horizon.components.len();
         let off = |i: usize| self.plan[i] - self.free[i];

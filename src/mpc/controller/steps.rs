@@ -1,16 +1,17 @@
-//! Time steps of a controller's model.
+//! The time steps of a controller's model.
 
 use super::settings::MpcSettings;
 use crate::mechanics::stability::{automatic_step, bent_step};
 use crate::mechanics::{Rod, RodModel, TimeScheme};
 use crate::task::Discretization;
 
-/// An implicit step takes as much of a sample as at most so many explicit ones, without and with internal damping (`softarm mpc` with both).
+/// Largest cost of an implicit step within a sample, in explicit steps, without and with internal damping; measured on one machine by
+/// `softarm mpc` with both.
 const AS_LONG_AS: [f64; 2] = [5.0, 2.0];
-/// Implicit steps in a block of the plan, at least: within one, it has no more to say.
+/// Lower limit of implicit steps in a block of the plan: within a block the plan cannot control the motion.
 const STEPS_A_BLOCK: f64 = 2.0;
 
-/// Steps of one length, s, that divide a time.
+/// Equal steps, s, that divide a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Divided {
     pub n: usize,
@@ -18,7 +19,7 @@ pub(super) struct Divided {
 }
 
 impl Divided {
-    /// The fewest that are no longer than `longest` (s), but for rounding.
+    /// Returns the fewest steps that are no longer than `longest` (s) up to rounding.
     fn new(time: f64, longest: f64) -> Self {
         let n = (time / longest * (1.0 - 1e-9)).ceil().max(1.0);
         Self {
@@ -28,8 +29,8 @@ impl Divided {
     }
 }
 
-/// Steps of the sample period and of the horizon, of which none is longer than `chosen` (s). They are the same, but for implicit ones of a horizon
-/// that recedes: what is due ends on a time node wherever the horizon begins.
+/// Returns the steps of the sample period and of the horizon, none of which is longer than `chosen` (s). They are equal except for implicit
+/// steps of a receding horizon: a horizon with a due time must end on a time node wherever it begins.
 pub(super) fn period_and_horizon(
     chosen: f64,
     scheme: TimeScheme,
@@ -47,9 +48,9 @@ pub(super) fn period_and_horizon(
     [period, horizon]
 }
 
-/// The discretization with the steps that suit a receding horizon, where it leaves integrator and step open: implicit ones of half a block, or less
-/// if the arm must be able to bend into a circle, where they are so much longer than explicit ones that they are faster. What a plan cannot
-/// control need not be resolved.
+/// Returns the discretization with steps for a receding horizon, if integrator and step are left open: implicit steps of half a block, or
+/// less if the arm must be able to bend into a circle, provided that they are enough longer than explicit ones to be faster. Motions that a
+/// plan cannot control need not be resolved.
 pub(crate) fn with_long_steps(
     model: &Rod,
     discretization: &Discretization,

@@ -1,12 +1,16 @@
-//! Tests of the module above.
+//! Tests of the controller's model of the measured state.
 
 use nalgebra::Vector3;
 
 use super::*;
-use crate::mechanics::Material;
-use crate::task::{ChannelLimits, Cost, Place, Track, WrenchActuator};
+use crate::control::{
+    NodeForm, PathEnforcement, Shape, SharedTerm, StateCost, StateTerm, StateView,
+};
+use crate::mechanics::{Material, Rod};
+use crate::mpc::soft_rows::SoftRows;
+use crate::task::{ChannelLimits, Cost, Limit, PathLimit, Place, Target, Track, WrenchActuator};
 
-/// A bent arm whose tip is to stay, still, where it rests: residuals and plan are zero, so that the Gauss-Newton model is exact to first
+/// A bent arm at rest whose tip is to stay where it is: residuals and plan are zero, so that the Gauss-Newton model is exact to first
 /// order.
 fn controller(bound: f64) -> Controller {
     let arm = Arm {
@@ -46,8 +50,8 @@ fn controller(bound: f64) -> Controller {
     Controller::new(&arm, &task, &discretization, &settings).unwrap()
 }
 
-/// What the next iteration makes of a start that deviates by `s` times a tangent: by the linear term of the prepared model, and by a
-/// model that is simulated and linearized anew from there.
+/// The next iteration for a start that deviates by `s` times a tangent: by the linear term of the prepared model, and by a model that is
+/// simulated and linearized anew from there.
 fn both_ways(controller: &mut Controller, tangent: &StateTangent, s: f64) -> [Vec<f64>; 2] {
     let times = |v: &[Vector3<f64>]| v.iter().map(|v| v * s).collect();
     let deviation = StateTangent {
@@ -70,9 +74,9 @@ fn both_ways(controller: &mut Controller, tangent: &StateTangent, s: f64) -> [Ve
     [linear, anew]
 }
 
-/// The update of the controls by the condensed linear term of the measured state, configuration and momentum, is that of a problem
-/// transcribed anew from that state, to second order in the deviation: halving it divides the difference by four. Residuals are zero
-/// without it, so that the curvature that Gauss-Newton leaves out is of second order as well.
+/// The change of the controls by the condensed linear term of the measured state, configuration and momentum, is that of a problem
+/// transcribed anew from that state, to second order in the deviation: halving the deviation divides the difference by four. Without a
+/// deviation residuals are zero, so that the curvature that Gauss-Newton omits is of second order as well.
 #[test]
 fn measured_states_are_a_parameter() {
     let mut controller = controller(f64::INFINITY);
@@ -106,4 +110,158 @@ fn measured_states_are_a_parameter() {
     assert!(moved > 20.0 * far, "{moved:e} {far:e}");
     let ratio = far / near;
     assert!((3.6..4.4).contains(&ratio), "{ratio}");
+}
+
+/// The turn of the tip against the vertical.
+#[derive(Debug)]
+struct TipTilt;
+
+impl StateTerm for TipTilt {
+    fn nodes(&self, rod: &Rod, _: usize) -> Vec<usize> {
+        vec![rod.tip()]
+    }
+
+    fn value(&self, at: &StateView, _: usize) -> f64 {
+        (at.rotations[at.rod.tip()] * Vector3::z()).x
+    }
+
+    // δ(R e₃)·e₁ = ζ · (e₃ × Rᵀ e₁)
+    fn gradient(&self, at: &StateView, _: usize) -> NodeForm {
+        let row = at.rotations[at.rod.tip()].transpose() * Vector3::x();
+        NodeForm::default().along_rotation(at.rod.tip(), &Vector3::z().cross(&row))
+    }
+}
+
+/// The slopes of every kind of row along the plan are those of central differences of its values over roll-outs.
+#[test]
+fn slopes_of_all_rows_agree_with_differences() {
+    let arm = Arm {
+        viscous_damping: 1.0,
+        rest_curvature: Vector3::new(0.8, -0.5, 0.3),
+        ..Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05)
+    };
+    let discretization = Discretization {
+        samples: 4,
+        ..Discretization::with_elements(4)
+    };
+    let path = vec![
+        (0.0, Vector3::new(0.1, 0.2, 0.9)),
+        (0.2, Vector3::new(0.2, 0.1, 0.8)),
+    ];
+    let limit = |kind: PathLimit| Limit {
+        name: "limit".into(),
+        kind,
+        rate: None,
+        enforcement: PathEnforcement::Soft {
+            linear: 1.0,
+            quadratic: 0.0,
+        },
+    };
+    let shape = Shape::Sphere {
+        center: Vector3::new(0.3, 0.3, 0.5),
+        radius: 0.1,
+    };
+    let (velocity, margin) = (Vector3::new(-0.2, 0.0, 0.1), 0.01);
+    let task = Task {
+        targets: vec![Target {
+            position: Some(Vector3::new(0.2, 0.1, 0.8)),
+            rotation: Some(crate::mechanics::rotation::exp(&Vector3::new(
+                0.1, 0.3, -0.2,
+            ))),
+            rest: Rest::Instant,
+            ..Target::default()
+        }],
+        limits: vec![
+            limit(PathLimit::Clearance {
+                shape,
+                velocity,
+                margin,
+                points: None,
+            }),
+            limit(PathLimit::Stretch {
+                least: 0.9,
+                largest: 1.1,
+            }),
+            limit(PathLimit::Curvature { largest: 1.5 }),
+            limit(PathLimit::Twist { largest: 0.5 }),
+            limit(PathLimit::Speed {
+                at: Place::Tip,
+                largest: 0.1,
+            }),
+            limit(PathLimit::Term(SharedTerm::new(TipTilt))),
+        ],
+        actuators: vec![WrenchActuator {
+            at: Place::Tip,
+            force: ChannelLimits::at_most(5.0),
+            moment: ChannelLimits::at_most(1.0),
+        }],
+        cost: Cost {
+            tracks: vec![Track {
+                path,
+                weight: Some(1e2),
+                rotations: vec![(0.0, nalgebra::Matrix3::identity())],
+                rotation_weight: Some(10.0),
+                speed_weight: 3.0,
+                ..Track::default()
+            }],
+            terms: vec![StateCost {
+                term: SharedTerm::new(TipTilt),
+                weight: 2.0,
+            }],
+            energy: 5.0,
+            ..Cost::default()
+        },
+        ..Task::reach(Vector3::new(0.0, 0.0, 1.0), 0.2, 5.0)
+    };
+    let settings = MpcSettings {
+        block: 0.05,
+        due: Some(0.2),
+        ..MpcSettings::receding(0.2)
+    };
+    let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+    let n = controller.horizon.n_present();
+    let plan: Vec<f64> = (0..n).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
+    controller.horizon.roll_out(&plan).unwrap();
+    controller.horizon.linearize().unwrap();
+    let still = StateTangent::zeros(controller.horizon.problem.rod.n_nodes());
+    let n_limits = controller.horizon.n_limit_rows();
+    let mut soft = SoftRows::new(n, n_limits);
+    controller.horizon.write_limits(&mut soft);
+    let values = |controller: &mut Controller, plan: &[f64]| {
+        controller.horizon.roll_out(plan).unwrap();
+        let mut limits = vec![0.0; n_limits];
+        controller.horizon.write_limit_values(&still, &mut limits);
+        (controller.horizon.residuals().to_vec(), limits)
+    };
+    const STEP: f64 = 1e-5;
+    for j in 0..n {
+        let mut at = |s: f64| {
+            let mut moved = plan.clone();
+            moved[j] += s;
+            values(&mut controller, &moved)
+        };
+        let (plus, minus) = (at(STEP), at(-STEP));
+        let slopes = |plus: &[f64], minus: &[f64]| -> Vec<f64> {
+            (plus.iter().zip(minus))
+                .map(|(a, b)| (a - b) / (2.0 * STEP))
+                .collect()
+        };
+        let of_residuals = slopes(&plus.0, &minus.0);
+        let of_limits = slopes(&plus.1, &minus.1);
+        let largest = of_residuals.iter().fold(1e-3, |a: f64, b| a.max(b.abs()));
+        for (row, expected) in of_residuals.iter().enumerate() {
+            let found = controller.horizon.slope(row, j);
+            assert!(
+                (found - expected).abs() < 1e-6 * largest,
+                "row {row}, {j}: {found} {expected}"
+            );
+        }
+        for (row, expected) in of_limits.iter().enumerate() {
+            let found = soft.slopes[(j, row)];
+            assert!(
+                (found - expected).abs() < 1e-6,
+                "limit {row}, {j}: {found} {expected}"
+            );
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! A measurement against what is expected.
+//! The comparison of a measurement with its prediction.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,22 +10,22 @@ use super::covariance::{Row, Rows};
 use super::readings::{Kind, Layout, Reader};
 use super::{Estimate, EstimateError, Innovation};
 
-/// Standard deviation over the arm's own scales of length, time and force, up to which a signal counts as exact, and what is then taken for it.
+/// A standard deviation of 0, or below this multiple of the arm's own scale, is replaced by the multiple.
 const EXACT: f64 = 1e-6;
-/// What is taken for it of velocities: they hold the fast waves of an arm, which no model of some elements has right. Taken for exact, they would
-/// be explained by a wrong stiffness, another one at every sample.
+/// Replacement of the standard deviation of exact velocities, in the arm's own scales: velocities contain the fast waves of an arm, in
+/// which a model of few elements is wrong. As exact values they would be explained by a wrong stiffness, a different one at every sample.
 const EXACT_VELOCITY: f64 = 1e-2;
-/// `|RᵀR - I|` of a measured rotation, at most; what is below is taken to the nearest rotation.
+/// Largest `|RᵀR - I|` of a measured rotation; up to there it is projected to the nearest rotation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-3;
 
-/// Distance of a measured position from the base, over the arm's length, at most.
+/// Largest distance of a measured position from the base, divided by the arm's length.
 const FARTHEST: f64 = 2.0;
 
-/// Compares measurements with estimates, in memory that is kept.
+/// Compares measurements with estimates, in memory that is reused.
 #[derive(Debug)]
 pub(super) struct Comparison {
     reader: Reader,
-    /// What the last comparison found.
+    /// Signals of the last comparison.
     pub rows: Rows,
     /// Place and size of the innovation of the position nearest to the tip.
     nearest: Option<(f64, f64)>,
@@ -40,7 +40,7 @@ impl Comparison {
         }
     }
 
-    /// Distance of the innovations from `expected`, over their standard deviations, at most; no number where one is none.
+    /// Returns the largest distance of the innovations from `expected`, divided by their standard deviations; NaN if one is NaN.
     pub fn distance(&self, expected: &[Vector3<f64>]) -> f64 {
         (self.rows.signals.iter().zip(expected)).fold(0.0, |most, (row, expected)| {
             let distance = (row.residual - expected).norm() / row.sigma;
@@ -49,11 +49,11 @@ impl Comparison {
         })
     }
 
-    /// Measured minus expected of every signal that `of_use` lets pass, with its derivatives where a layout is given. `rod` has the stiffness
-    /// of the estimate.
+    /// Computes measured minus expected for every signal that `of_use` accepts, with its derivatives if a layout is given. `rod` has the
+    /// stiffness of the estimate.
     ///
     /// # Errors
-    /// [`EstimateError::NotFinite`] and [`EstimateError::Signal`].
+    /// Returns [`EstimateError::NotFinite`] and [`EstimateError::Signal`].
     pub fn compare(
         &mut self,
         rod: &Rod,
@@ -105,7 +105,7 @@ impl Comparison {
         Ok(())
     }
 
-    /// The last comparison in numbers, without what needs a covariance.
+    /// Returns the last comparison without the values that need a covariance.
     pub fn innovation(&self) -> Innovation {
         let signals = &self.rows.signals;
         let n = 3 * signals.len();
@@ -152,7 +152,8 @@ fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
     Ok(())
 }
 
-/// The standard deviation of a reading: that of the sensor, or where the sensor says that it is exact, the least that a filter can make use of.
+/// Returns the standard deviation of a reading: that of the sensor, or the smallest that the filter accepts if the sensor claims to be
+/// exact.
 fn believable(sigma: f64, kind: Kind, unit: f64) -> f64 {
     if sigma > EXACT * unit {
         return sigma;
@@ -163,7 +164,7 @@ fn believable(sigma: f64, kind: Kind, unit: f64) -> f64 {
     }
 }
 
-/// The unit of a kind of reading.
+/// Returns the unit of a kind of reading.
 fn scale(kind: Kind, rod: &Rod) -> f64 {
     let scales = &rod.scales;
     match kind {
@@ -177,8 +178,8 @@ fn scale(kind: Kind, rod: &Rod) -> f64 {
     }
 }
 
-/// Measured minus expected; of rotations, the turn in the expected body frame that leads to the measured one. Zero for readings of different
-/// kinds, which nobody compares.
+/// Returns measured minus expected; for rotations, the turn in the expected body frame that leads to the measured one. Zero for readings of
+/// different kinds, which are never compared.
 fn difference(measured: &Reading, expected: &Reading) -> Vector3<f64> {
     match (measured, expected) {
         (Reading::Rotation(measured), Reading::Rotation(expected)) => {

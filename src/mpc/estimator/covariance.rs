@@ -1,9 +1,10 @@
-//! The dense algebra of a Kalman filter, in memory that is kept.
+//! The dense algebra of a Kalman filter, in memory that is reused.
 //!
-//! The error is a state and disturbances that change at random. With `A` and `B` the derivatives of a motion's end along its start and along
-//! the disturbances, and `Q` the covariance of what nobody knows, a motion takes `P` to `F P Fᵀ + Q`, `F = [A B; 0 I]`. A measurement with
-//! derivatives `H`, noise `R` and innovation `e` corrects an error of mean `ξ` to `ξ + K (e - H ξ)`, `K = P Hᵀ S⁻¹`, `S = H P Hᵀ + R`, and
-//! leaves Joseph's form `(I - K H) P (I - K H)ᵀ + K R Kᵀ`, which stays positive semidefinite whatever `K` is rounded to.
+//! The error has a state and disturbances that change at random. With `A` and `B` the derivatives of a motion's end along its start and
+//! along the disturbances, and `Q` the covariance of unknown forces and random changes, a motion maps `P` to `F P Fᵀ + Q`, `F = [A B; 0
+//! I]`. A measurement with derivatives `H`, noise `R` and innovation `e` corrects an error of mean `ξ` to `ξ + K (e - H ξ)`, `K = P Hᵀ
+//! S⁻¹`, `S = H P Hᵀ + R`, and leaves Joseph's form `(I - K H) P (I - K H)ᵀ + K R Kᵀ`, which stays positive semidefinite for any rounding
+//! of `K`.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{
@@ -25,7 +26,7 @@ use super::EstimateError;
 use super::node_frames::POSE;
 use super::readings::Terms;
 
-/// What signals say: three rows each.
+/// Rows of a measurement, three for each signal.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     /// Derivatives of all signals, one signal after the other.
@@ -33,7 +34,7 @@ pub(super) struct Rows {
     pub signals: Vec<Row>,
 }
 
-/// One signal.
+/// Rows of one signal.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Row {
     /// End of its terms.
@@ -45,7 +46,7 @@ pub(super) struct Row {
 }
 
 impl Rows {
-    /// `H` times an error, of every signal.
+    /// Returns `H` times an error, for every signal.
     pub fn times<'a>(&'a self, error: &'a [f64]) -> impl Iterator<Item = Vector3<f64>> + 'a {
         self.iter().map(|(_, terms)| {
             (terms.iter())
@@ -59,7 +60,7 @@ impl Rows {
         self.signals.clear();
     }
 
-    /// Leaves out the signals that are marked; there are as many marks, or none.
+    /// Removes the signals that are marked; there is one mark for each signal, or none at all.
     pub fn retain(&mut self, refused: &[bool]) {
         if !refused.contains(&true) {
             return;
@@ -79,7 +80,7 @@ impl Rows {
         self.terms.truncate(end);
     }
 
-    /// Every signal with its terms.
+    /// Returns every signal with its terms.
     fn iter(&self) -> impl Iterator<Item = (&Row, &[(usize, Vector3<f64>)])> {
         let mut start = 0;
         self.signals.iter().map(move |row| {
@@ -90,25 +91,25 @@ impl Rows {
     }
 }
 
-/// A covariance, and the memory to change it.
+/// A covariance, and the memory for its changes.
 pub(super) struct Covariance {
     /// `P`, symmetric.
     pub matrix: Mat<f64>,
-    /// The same in the tangent of another state, and the mean of the error there: what a correction starts from.
+    /// `P` in the tangent of another state, and the mean of the error there: the start of a correction.
     prior: Mat<f64>,
     pub mean: Vec<f64>,
     n_state: usize,
-    /// What becomes of it.
+    /// Covariance that is being computed.
     next: Mat<f64>,
     /// `[A B] P`
     moved: Mat<f64>,
-    /// Six columns each, of a transport.
+    /// Six columns each, for a transport.
     columns: [Mat<f64>; 2],
-    /// `P Hᵀ`, and the same of the covariance without its last correction.
+    /// `P Hᵀ`, and `P Hᵀ` of the covariance without its last correction.
     cross: Mat<f64>,
-    /// `L⁻¹ H P`, and then `Kᵀ`.
+    /// `L⁻¹ H P`, later `Kᵀ`.
     solved: Mat<f64>,
-    /// `S`, and then its factor `L`.
+    /// `S`, later its factor `L`.
     inner: Mat<f64>,
     scratch: MemBuffer,
     /// `L⁻¹ e`
@@ -118,7 +119,7 @@ pub(super) struct Covariance {
 }
 
 impl Covariance {
-    /// Of so many components, the first of them those of the state.
+    /// Creates a covariance of `n` components, the first `n_state` of which are those of the state.
     pub fn new(n: usize, n_state: usize) -> Self {
         let mut out = Self {
             matrix: Mat::zeros(n, n),
@@ -186,18 +187,18 @@ impl Covariance {
         mirror(&mut self.next);
     }
 
-    /// The matrix that a motion leads to, for noise to be added to.
+    /// Returns the matrix after a motion, to which noise is added.
     pub fn next_mut(&mut self) -> &mut Mat<f64> {
         &mut self.next
     }
 
-    /// A correction starts from the present matrix, and from no error.
+    /// Starts a correction from the present matrix and a zero mean error.
     pub fn begin_correction(&mut self) {
         self.prior.copy_from(&self.matrix);
         self.mean.fill(0.0);
     }
 
-    /// `eᵀ S⁻¹ e` of every signal by itself, with the covariance that a correction starts from; infinite where `S` has no inverse.
+    /// Returns `eᵀ S⁻¹ e` of every signal by itself, with the covariance from which a correction starts; infinite if `S` has no inverse.
     pub fn squares<'a>(&'a self, rows: &'a Rows) -> impl Iterator<Item = f64> + 'a {
         rows.iter().map(|(row, terms)| {
             let mut inner = Matrix3::from_diagonal_element(row.sigma * row.sigma);
@@ -213,7 +214,7 @@ impl Covariance {
         })
     }
 
-    /// Changes a component of the correction, and the others by what goes with it in the corrected covariance.
+    /// Changes a component of the correction, and the others by their regression on it in the corrected covariance.
     pub fn shift(&mut self, at: usize, change: f64) {
         let own = self.next[(at, at)];
         if change == 0.0 {
@@ -228,18 +229,18 @@ impl Covariance {
         }
     }
 
-    /// A correction starts from the present matrix, taken to another shape, and from what is written to [`mean`](Self::mean). The components of
-    /// the state are those of the nodes from `first` on.
+    /// Starts a correction from the present matrix, carried to another shape, and from the mean that is written to [`mean`](Self::mean).
+    /// The components of the state are those of the nodes from `first` on.
     pub fn move_prior(&mut self, transport: &ShapeTransport, first: usize) {
         self.prior.copy_from(&self.matrix);
         congruence(&mut self.prior, &mut self.columns, transport, first);
     }
 
-    /// Writes the corrected covariance to the next matrix, and the corrected error to [`correction`](Self::correction); returns the square of
-    /// the innovation, `eᵀ S⁻¹ e` with `e - H ξ` for `e`.
+    /// Writes the corrected covariance to the next matrix, and the corrected error to [`correction`](Self::correction); returns the square
+    /// of the innovation, `eᵀ S⁻¹ e` with `e - H ξ` in the place of `e`.
     ///
     /// # Errors
-    /// [`EstimateError::Singular`] where `S` has no factor.
+    /// Returns [`EstimateError::Singular`] if `S` has no factor.
     pub fn correct(&mut self, rows: &Rows) -> Result<f64, EstimateError> {
         let n = self.matrix.nrows();
         let m = 3 * rows.signals.len();
@@ -291,7 +292,7 @@ impl Covariance {
                 .map(|i| solved[(i, j)] * innovation[(i, 0)])
                 .sum::<f64>();
         }
-        // Without Joseph's last term, which is rounding.
+        // Joseph's last term is rounding here and left out.
         self.next.copy_from(&self.prior);
         lower_product(
             self.next.as_mut(),
@@ -328,17 +329,17 @@ impl Covariance {
         }
     }
 
-    /// Takes the next matrix to another shape.
+    /// Carries the next matrix to another shape.
     pub fn transport(&mut self, transport: &ShapeTransport, first: usize) {
         congruence(&mut self.next, &mut self.columns, transport, first);
     }
 
-    /// The next matrix becomes the present one.
+    /// Makes the next matrix the present one.
     pub fn commit(&mut self) {
         std::mem::swap(&mut self.matrix, &mut self.next);
     }
 
-    /// For so many rows, at least.
+    /// Allocates memory for at least `m` rows.
     fn make_room(&mut self, m: usize) {
         if m <= self.inner.nrows() {
             return;
@@ -353,7 +354,7 @@ impl Covariance {
     }
 }
 
-/// `P Hᵀ` to the first columns of `out`.
+/// Writes `P Hᵀ` to the first columns of `out`.
 fn times_rows(p: &Mat<f64>, rows: &Rows, out: &mut Mat<f64>) {
     for (signal, (_, terms)) in rows.iter().enumerate() {
         for axis in 0..3 {
@@ -371,7 +372,7 @@ fn times_rows(p: &Mat<f64>, rows: &Rows, out: &mut Mat<f64>) {
     }
 }
 
-/// The lower half of a product that is symmetric.
+/// Computes the lower half of a symmetric product.
 fn lower_product(
     out: faer::MatMut<f64>,
     accum: Accum,
@@ -392,7 +393,7 @@ fn lower_product(
     );
 }
 
-/// `J P Jᵀ` for `P`, `J` the transport over the poses of the nodes from `first` on.
+/// Replaces `P` by `J P Jᵀ`, with `J` the transport of the poses of the nodes from `first` on.
 fn congruence(
     matrix: &mut Mat<f64>,
     columns: &mut [Mat<f64>; 2],
@@ -412,7 +413,7 @@ fn congruence(
     make_symmetric(matrix);
 }
 
-/// `P Jᵀ` for `P`, six columns at a time.
+/// Replaces `P` by `P Jᵀ`, six columns at a time.
 fn times_transposed(
     matrix: &mut Mat<f64>,
     [before, made]: &mut [Mat<f64>; 2],
@@ -442,7 +443,7 @@ fn times_transposed(
     }
 }
 
-/// Takes off what rounding leaves.
+/// Removes the asymmetry of rounding.
 fn make_symmetric(matrix: &mut Mat<f64>) {
     for j in 0..matrix.ncols() {
         for i in 0..j {

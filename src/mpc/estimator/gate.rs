@@ -1,30 +1,31 @@
-//! Signals that cannot be true.
+//! The refusal of impossible signals.
 
 use crate::mpc::signal::Measurement;
 
 use super::readings::Kind;
 
-/// The sum of three squares of independent standard normal numbers is larger once in 10⁹ times.
+/// Sum of three squares of independent standard normal numbers that is exceeded once in 10⁹ times.
 const LARGEST_SQUARE: f64 = 44.841_275;
-/// The median of such sums.
+/// Median of such sums.
 const MEDIAN: f64 = 2.365_974;
-/// Signals whose squares tell whether the model is wrong.
+/// Number of recent signals from whose squares the gate decides whether the model is wrong.
 const RECENT: usize = 30;
-/// Refusals of a signal in a row after which it is believed.
+/// Number of consecutive refusals of a signal, after which it is accepted.
 const MOST_REFUSALS: usize = 3;
 
-/// Refuses signals that cannot be true: farther off than chi-square allows, by as much more as the median of the last signals is.
+/// Refuses impossible signals: their squares exceed the limit of chi-square, multiplied by the ratio of the median of recent squares to its
+/// expected value.
 ///
-/// A signal that is wrong by itself is an outlier among its neighbors. Where most signals are off, as after a jump of the command that excites waves a
-/// coarse model does not have, they say that the model is wrong, and refusing them would leave it wrong. The median stays that of the right signals
-/// as long as fewer than half are wrong (the identifier of Hampel 1974).
+/// A single wrong signal is an outlier among its neighbors. If most signals are off, as after a jump of the command that excites waves a
+/// coarse model does not have, the model is wrong, and refusing the signals would leave it wrong. The median remains that of the right
+/// signals as long as fewer than half are wrong (the identifier of Hampel 1974).
 #[derive(Debug)]
 pub(super) struct Gate {
-    /// Tells of every signal of the last measurement whether it is refused; empty where all are used.
+    /// Marks for the refused signals of the last measurement; empty if all are used.
     refused: Vec<bool>,
-    /// Signals that were refused, and how many times in a row.
+    /// Signals that were refused, and how many consecutive times.
     in_a_row: Vec<(Kind, f64, usize)>,
-    /// Squares of the last [`RECENT`] signals; the oldest is at `oldest` once there are so many.
+    /// Squares of the last [`RECENT`] signals; the oldest is at `oldest` once there are as many.
     recent: Vec<f64>,
     oldest: usize,
     sorted: Vec<f64>,
@@ -41,17 +42,17 @@ impl Gate {
         }
     }
 
-    /// Uses all signals of the next measurement.
+    /// Accepts all signals of the next measurement.
     pub fn clear(&mut self) {
         self.refused.clear();
     }
 
-    /// Tells of every signal of the last measurement whether it is refused; empty where all are used.
+    /// Returns marks for the refused signals of the last measurement; empty if all are used.
     pub fn refused(&self) -> &[bool] {
         &self.refused
     }
 
-    /// Judges the signals of a measurement by the normalized squares of their innovations; returns the number of those that are refused.
+    /// Judges the signals of a measurement by the normalized squares of their innovations; returns the number of refused ones.
     pub fn judge(
         &mut self,
         measurement: &Measurement,
@@ -79,7 +80,7 @@ impl Gate {
         self.refused.iter().filter(|refused| **refused).count()
     }
 
-    /// Factor by which the squares of the last signals are larger than expected, at least 1; 1 until there are enough of them.
+    /// Returns the ratio of the median of recent squares to its expected value, at least 1; 1 until there are enough of them.
     fn excess(&mut self) -> f64 {
         if self.recent.len() < RECENT {
             return 1.0;
@@ -105,7 +106,7 @@ mod tests {
     use crate::mpc::signal::{Reading, Signal};
     use nalgebra::Vector3;
 
-    /// Numbers refused of measurements of five signals with these squares, one after the other.
+    /// Numbers of refused signals for successive measurements of five signals with these squares.
     fn judged(squares: &[[f64; 5]]) -> Vec<usize> {
         let measurement = Measurement {
             time: 0.0,
@@ -123,7 +124,7 @@ mod tests {
             .collect()
     }
 
-    /// One signal that is off is refused three times; where most of them are off, those that are as far off as the others are used.
+    /// A single signal that is off is refused three times; if most of them are off, those that are as far off as the others are used.
     #[test]
     fn outliers_are_refused_and_wrong_models_are_not() {
         let right = [3.0; 5];
@@ -131,7 +132,7 @@ mod tests {
         let mut squares = vec![right; 10];
         squares.extend([one, one, one, one, right, one]);
         assert_eq!(judged(&squares)[10..], [1, 1, 1, 0, 0, 1]);
-        // Ten times farther off than expected, and one of them a hundred times more than that.
+        // All signals are ten times farther off than expected, and one of them far more.
         let off = [240.0; 5];
         let mut squares = vec![off; 10];
         let one = [240.0, 240.0, 240.0, 240.0, 1e5];

@@ -1,14 +1,15 @@
-//! Measurements of several sensors in the order in which they were true.
+//! Measurements of several sensors in the order of their times.
 
 use crate::mpc::signal::Measurement;
 
-/// Part of the lag by which a measurement may be early, for rounding.
+/// Fraction of the lag by which a measurement may be early, for rounding.
 const EARLY: f64 = 1e-9;
 
-/// Holds back measurements until nothing older can arrive.
+/// Holds measurements back until nothing older can arrive.
 ///
-/// A measurement of time `t` from a sensor of age `a` is known at `t + a`. With `lag` the largest age of all sensors, everything true until
-/// `now - lag` is known at `now`, and is handed out in the order of its time; of the same instant, in the order of its arrival.
+/// A measurement of time `t` from a sensor of age `a` is known at `t + a`. With `lag` the largest age of all sensors, everything measured
+/// until `now - lag` is known at `now`, and is returned in the order of its time; measurements of the same time in the order of their
+/// arrival.
 #[derive(Clone, Debug)]
 pub struct Inbox {
     lag: f64,
@@ -18,7 +19,7 @@ pub struct Inbox {
 }
 
 impl Inbox {
-    /// For sensors of at most this age, s.
+    /// Creates an inbox for sensors of at most this age, s.
     #[must_use]
     pub fn new(lag: f64) -> Self {
         Self {
@@ -28,7 +29,7 @@ impl Inbox {
         }
     }
 
-    /// Takes a copy of a measurement that has just become known. One whose time is no number is dropped.
+    /// Stores a copy of a measurement that has just become known. A measurement whose time is not finite is dropped.
     pub fn put(&mut self, measurement: &Measurement) {
         if measurement.time.is_nan() {
             return;
@@ -44,7 +45,7 @@ impl Inbox {
         self.n += 1;
     }
 
-    /// The oldest measurement that was true until `now - lag`; to be called until there is none.
+    /// Returns the oldest measurement of a time until `now - lag`; to be called until there is none.
     pub fn take(&mut self, now: f64) -> Option<&Measurement> {
         let oldest = self.n.checked_sub(1)?;
         let rounding = EARLY * (1.0 + now.abs());
@@ -55,7 +56,7 @@ impl Inbox {
         Some(&self.store[oldest])
     }
 
-    /// Forgets all that waits.
+    /// Removes all stored measurements.
     pub fn clear(&mut self) {
         self.n = 0;
     }
@@ -72,7 +73,7 @@ mod tests {
         }
     }
 
-    /// Whatever the order of arrival, measurements come out in the order of their time, none before all older ones can be known.
+    /// Whatever the order of arrival, measurements are returned in the order of their time, and none before all older ones can be known.
     #[test]
     fn measurements_come_in_their_order() {
         let mut inbox = Inbox::new(0.03);
@@ -92,7 +93,7 @@ mod tests {
         assert_eq!(inbox.take(1.0), None);
     }
 
-    /// Of the same instant, what arrived first comes first.
+    /// Measurements of the same time are returned in the order of their arrival.
     #[test]
     fn equal_times_keep_their_order() {
         let mut inbox = Inbox::new(0.0);

@@ -26,23 +26,24 @@ use super::unknown_forces::UnknownForces;
 use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation, Parameter};
 use super::{check_start, check_time, setting};
 
-/// A quantity that changes at random: each of its components.
+/// A quantity whose components change as random walks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RandomWalk {
     /// Standard deviation at the start, in the unit of the quantity.
     pub initial: f64,
-    /// Standard deviation of its change within one second; 0: a constant.
+    /// Standard deviation of its change within one second; 0 for a constant.
     pub change: f64,
 }
 
-/// What a [`KalmanFilter`] expects. A disturbance that is `None` is not estimated.
+/// Settings of a [`KalmanFilter`]. A disturbance that is `None` is not estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KalmanSettings {
-    /// Deviation of the state at the start, as a standard deviation of the tip's position, m. Every motion has the same energy, that of a
-    /// cantilever whose tip is off by as much: the covariance is `3 EI/L³ σ²` times the inverse of the Hessian of the energy.
+    /// Uncertainty of the state at the start, as a standard deviation of the tip's position, m. Every mode of motion has the same energy,
+    /// that of a cantilever with this deflection of its tip: the covariance is `3 EI/L³ σ²` times the inverse of the Hessian of the energy.
     pub initial: f64,
-    /// Strength of unknown forces, as a standard deviation of the tip's position that they add within one second, m: white noise in time on the momenta,
-    /// mostly smooth along the arm. A motion of frequency `ν` gains `3 EI/L³ σ² ((ω₁/ν)² + 0.1)`, `ω₁` that of the first bending mode.
+    /// Strength of unknown forces, as the standard deviation of the tip's position that they cause within one second, m: white noise in
+    /// time on the momenta, mostly smooth along the arm. A mode of frequency `ν` gains `3 EI/L³ σ² ((ω₁/ν)² + 0.1)`, with `ω₁` the
+    /// frequency of the first bending mode.
     pub change: f64,
     /// Force at the tip, N.
     pub tip_force: Option<RandomWalk>,
@@ -50,29 +51,30 @@ pub struct KalmanSettings {
     pub tip_moment: Option<RandomWalk>,
     /// Distributed force, N/m.
     pub distributed: Option<RandomWalk>,
-    /// Factor on the elastic moduli. Estimates stay between 0.1 and 1.6, where the explicit scheme with the automatic step is stable.
+    /// Factor on the elastic moduli. Estimates are limited to 0.1 to 1.6, where the explicit scheme with the automatic step is stable.
     pub stiffness: Option<RandomWalk>,
-    /// Mass at the tip beyond the model's, kg. The payload stays between nothing and ten times the mass of the arm.
+    /// Mass at the tip beyond the model's, kg. The payload is limited to between nothing and ten times the mass of the arm.
     pub payload: Option<RandomWalk>,
-    /// Viscous damping beyond the model's, 1/s. The damping stays between none and 50 over the time scale of the arm, `L² sqrt(ρA/EI)`.
+    /// Viscous damping beyond the model's, 1/s. The damping is limited to between none and 50 divided by the time scale of the arm, `L²
+    /// sqrt(ρA/EI)`.
     pub viscous: Option<RandomWalk>,
-    /// Time of the internal damping beyond the model's, s; of a model with implicit steps, and of another one not. The damping stays between none
-    /// and a tenth of the time scale of the arm.
+    /// Time of the internal damping beyond the model's, s; only for a model with implicit steps. The damping time is limited to between
+    /// zero and a tenth of the time scale of the arm.
     pub internal: Option<RandomWalk>,
-    /// Time by which commands act later than they say, s. It stays below a tenth of the time scale of the arm.
+    /// Delay of commands beyond their known delay, s. It is limited to a tenth of the time scale of the arm.
     pub delay: Option<RandomWalk>,
-    /// Tells whether signals are refused that cannot be true: whose innovation has a square, over the covariance that the filter expects of it, that is
-    /// larger than of all but one in 10⁹ (chi-square, three degrees of freedom; Bar-Shalom, Li and Kirubarajan 2001, section 5.4). Where the last
-    /// signals are all farther off than expected, by their median (Hampel 1974), it is the model that is wrong, and the threshold is larger by as much.
-    /// A signal that is refused three times in a row is believed: then it is the estimate that is wrong.
+    /// Tells whether impossible signals are refused: those whose squared innovation, normalized by the covariance that the filter expects,
+    /// exceeds that of all but one in 10⁹ (chi-square, three degrees of freedom; Bar-Shalom, Li and Kirubarajan 2001, section 5.4). If
+    /// recent signals are all farther off than expected, by their median (Hampel 1974), the model is wrong, and the threshold is multiplied
+    /// by as much. A signal that is refused three consecutive times is accepted afterwards: then the estimate is wrong.
     pub refuses: bool,
     /// Longest time step of the model, s.
     pub longest_step: f64,
 }
 
 impl KalmanSettings {
-    /// Estimates the state only: the tip is within a twentieth of the length at the start, and unknown forces take it off by 3 thousandths
-    /// within a second, which is as much as ten elements do not know of a swinging arm.
+    /// Returns settings that estimate the state only: the tip is within a twentieth of the length at the start, and unknown forces deflect
+    /// it by 3 thousandths within a second, which is about the error of ten elements for a swinging arm.
     #[must_use]
     pub fn of(model: &Rod) -> Self {
         Self {
@@ -91,12 +93,12 @@ impl KalmanSettings {
         }
     }
 
-    /// Of tip force, tip moment and distributed force.
+    /// Returns the random walks of tip force, tip moment and distributed force.
     fn wrench_walks(&self) -> [Option<RandomWalk>; 3] {
         [self.tip_force, self.tip_moment, self.distributed]
     }
 
-    /// Of [`Parameter::ALL`].
+    /// Returns the random walks of [`Parameter::ALL`].
     fn parameter_walks(&self) -> [Option<RandomWalk>; N_PARAMETERS] {
         [
             self.stiffness,
@@ -136,35 +138,37 @@ impl KalmanSettings {
     }
 }
 
-/// Change of a parameter, in its unit, in the differences of two motions along it: their error is its square.
+/// Change of a parameter, in its unit, in central differences of two motions, whose relative error is the square of it.
 const PARAMETER_CHANGE: f64 = 1e-4;
-/// Linearizations of a measurement, at most.
+/// Cap on the linearizations of a measurement.
 const MOST_ITERATIONS: usize = 10;
-/// Difference of an innovation from its linearization, over the standard deviation of the noise, below which that is good enough.
+/// Largest difference of an innovation from its linearization, in standard deviations of the noise, at which iterations end.
 const LINEAR: f64 = 0.5;
-/// Angle by which an element is bent or twisted by one linearization of a measurement, rad, at most.
+/// Largest angle, rad, by which one linearization of a measurement may bend or twist an element.
 const FARTHEST_TURN: f64 = 0.5;
 /// Steps that are linearized together: with the last time node they fill the vectors of the kernels.
 const MOST_STEPS: usize = 15;
 
 /// An extended Kalman filter whose error is `(δx, ζ, δp, δπ)` of every free node, and that of the disturbances.
 ///
-/// To first order the error is the [difference](State::difference) of states. Corrections that are not small follow the strains: they move
-/// the strains of the elements linearly ([`retract_shape`]), so that an arm that is found bent is not found stretched, and take the covariance
-/// to the tangent of the corrected shape along with it. Deviations of stiff strains, which are known best, stay small that way. A correction
-/// after which the measurement is not where its linearization says is repeated from there (the iterated filter, Gauss and Newton's method for the
-/// most likely state; Bell and Cathey 1993), so that the arm is found from far as well.
+/// To first order the error is the [difference](State::difference) of states. Finite corrections follow the strains: they move the strains
+/// of the elements linearly ([`retract_shape`]), so that an arm that is found bent is not found stretched, and carry the covariance to the
+/// tangent of the corrected shape. Deviations of stiff strains, which are known best, stay small that way. A correction after which the
+/// measurement differs from its linearization is repeated from there (the iterated filter, a Gauss-Newton method for the most likely state;
+/// Bell and Cathey 1993), so that the arm is found from far as well.
 ///
-/// The error is carried by the exact linearization of the integrator's own steps, those along stiffness, payload and damping by differences of
-/// two motions, of which the slow part counts: what a wrong parameter does to motions up to the fifth bending mode. Every disturbance is a random walk. Signals that are told to be exact count as good to a millionth of the arm's own scales.
+/// The error is propagated by the exact linearization of the integrator's own steps, and along stiffness, payload, damping and delay by
+/// differences of two motions, of which the slow part is kept: the effect of a wrong parameter on modes up to the fifth bending mode. Every
+/// disturbance is a random walk. A standard deviation of 0 is replaced by 1e-6 of the arm's own scales.
 ///
+/// No call after the first of its kind allocates memory if steps are explicit.
 /// No call after the first of its kind asks for memory, where steps are explicit.
 pub struct KalmanFilter {
     settings: KalmanSettings,
     estimate: Estimate,
     layout: Layout,
     covariance: Covariance,
-    /// That at the start, about the stress-free shape.
+    /// Covariance of the start, about the stress-free shape.
     at_rest: Mat<f64>,
     predictor: Predictor,
     sweep: RepeatedForward,
@@ -175,14 +179,14 @@ pub struct KalmanFilter {
     transport: ShapeTransport,
     slow: SlowPart,
     unknown_forces: UnknownForces,
-    /// Where the measurement is linearized, and where the next state is made.
+    /// Point of linearization of a measurement; also memory for the next state.
     point: Estimate,
     next: State,
     acting: Acting,
     gate: Gate,
-    /// Innovations at the point, from the linearization at the point before.
+    /// Innovations expected at the point, from the linearization at the point before.
     expected: Vec<Vector3<f64>>,
-    /// What one may have to go back to.
+    /// Estimate and covariance to which a failed correction returns.
     before: (Estimate, Mat<f64>),
     tangent: StateTangent,
 }
@@ -197,11 +201,11 @@ impl std::fmt::Debug for KalmanFilter {
 }
 
 impl KalmanFilter {
-    /// A filter that is at `time` (s) in `state`, on the nodes of `model`.
+    /// Creates a filter at `time` (s) in `state`, on the nodes of `model`.
     ///
     /// # Errors
-    /// [`MpcError::Setting`] for a setting out of range, [`MpcError::Measurement`] for a state of another size or that is not finite,
-    /// [`MpcError::Unsupported`] for a model whose elastic energy is not positive definite about its stress-free shape.
+    /// Returns [`MpcError::Setting`] for a setting out of range, [`MpcError::Measurement`] for a state of another size or that is not
+    /// finite, [`MpcError::Unsupported`] for a model whose elastic energy is not positive definite about its stress-free shape.
     pub fn new(
         model: &Rod,
         time: f64,
@@ -264,24 +268,25 @@ impl KalmanFilter {
         Ok(filter)
     }
 
-    /// Covariance of the error: of `(δx, ζ, δp, δπ)` of every free node, node by node, then of those disturbances that are estimated: tip force,
-    /// tip moment, distributed force, stiffness, payload, viscous damping.
+    /// Returns the covariance of the error: of `(δx, ζ, δp, δπ)` of every free node, node by node, then of the estimated disturbances: tip
+    /// force, tip moment, distributed force, stiffness, payload, viscous damping, internal damping, delay.
     #[must_use]
     pub fn covariance(&self) -> &Mat<f64> {
         &self.covariance.matrix
     }
 
-    /// Derivatives of the last motion's end along its start, and along the disturbances, over the components of the covariance; of its last
-    /// 15 steps.
+    /// Returns the derivatives of the last motion's end along its start, and along the disturbances, with respect to the components of the
+    /// covariance; of its last 15 steps.
     #[must_use]
     pub fn transition(&self) -> &[Mat<f64>; 2] {
         &self.transition
     }
 
-    /// Derivatives of a reading at a place along the components of the covariance, three rows; only the kind of the reading counts.
+    /// Returns the derivatives of a reading at a place along the components of the covariance, three rows; of `reading` only the kind is
+    /// used.
     ///
     /// # Errors
-    /// [`EstimateError`] for a place that is none.
+    /// Returns [`EstimateError`] for an invalid place.
     pub fn derivative(&mut self, place: f64, reading: Reading) -> Result<Mat<f64>, EstimateError> {
         let measurement = Measurement {
             time: self.estimate.time,
@@ -303,7 +308,7 @@ impl KalmanFilter {
         Ok(out)
     }
 
-    /// Some steps, at most [`MOST_STEPS`].
+    /// Propagates the estimate over some steps, at most [`MOST_STEPS`].
     fn carry(&mut self, steps: Steps, command: &Command) -> Result<(), EstimateError> {
         let Self {
             estimate,
@@ -344,7 +349,7 @@ impl KalmanFilter {
         Ok(())
     }
 
-    /// Adds to the next covariance what unknown forces and the walks of the disturbances add within `duration` (s), at the state there.
+    /// Adds to the next covariance the noise of unknown forces and random walks within `duration` (s), at the present state.
     fn add_noise(&mut self, duration: f64) {
         let energy = energy(self.predictor.model(), self.settings.change) * duration;
         let covariance = self.covariance.next_mut();
@@ -356,9 +361,9 @@ impl KalmanFilter {
         }
     }
 
-    /// The columns of the parameters, by the difference of two motions, of which the slow part is left. For a payload `m` these are motions with the
-    /// same velocity `v` of the tip, whose momentum is `p = m v`: with `A` the derivative of the end along the start, the column is
-    /// `B = S(dz/dm - v' e_p) + v' e_p - A v e_p`, `v'` at the end.
+    /// Computes the columns of the parameters by differences of two motions, of which the slow part `S` is kept. For a payload `m` both
+    /// motions have the same velocity `v` of the tip, whose momentum is `p = m v`: with `A` the derivative of the end along the start, the
+    /// column is `B = S(dz/dm - v' e_p) + v' e_p - A v e_p`, with `v'` the velocity at the end.
     fn derive_parameters(&mut self, steps: Steps, command: &Command) -> Result<(), EstimateError> {
         for parameter in Parameter::ALL {
             let Some(at) = self.layout.parameter(parameter) else {
@@ -372,7 +377,7 @@ impl KalmanFilter {
             let out = along_disturbance.col_as_slice_mut(column);
             let change = PARAMETER_CHANGE * parameter.unit(self.predictor.model());
             let tip = self.predictor.model().tip();
-            // A mass is learned at the velocity that is known, and not at the momentum: that of a heavier tip is larger.
+            // A mass is estimated at the known velocity, not at the known momentum, which is larger for a heavier tip (decision 78).
             let velocities = (parameter == Parameter::Payload).then(|| {
                 let mass = self.predictor.changed(disturbance).nodes[tip].mass;
                 [&*state, &self.next].map(|state| state.linear_momentum[tip] / mass)
@@ -428,7 +433,7 @@ impl KalmanFilter {
         Ok(())
     }
 
-    /// The prior in the tangent of the point, which is not that of the estimate.
+    /// Carries the prior to the tangent of the point, which is not that of the estimate.
     fn move_prior(&mut self) {
         let (there, here) = (&self.estimate, &self.point);
         let first = self.layout.first_free_node;
@@ -473,9 +478,9 @@ impl KalmanFilter {
         self.covariance.move_prior(transport, first);
     }
 
-    /// Keeps the parameters where they can be: a correction that leads beyond goes to the likeliest errors at the bound, by the corrected covariance
-    /// (projection of the estimate; Simon 2010, section 2.3). A parameter that is cut off on its own would leave the errors that go with
-    /// it, and bias them at every measurement.
+    /// Keeps the parameters within their ranges: a correction that leads beyond is replaced by the most likely errors at the bound, by the
+    /// corrected covariance (projection of the estimate; Simon 2010, section 2.3). Clamping a parameter alone would leave the correlated
+    /// errors unchanged, and bias them at every measurement.
     fn stay_in_range(&mut self) {
         let model = self.predictor.model();
         for _ in 0..N_PARAMETERS {
@@ -491,8 +496,8 @@ impl KalmanFilter {
         }
     }
 
-    /// Moves the point along the correction, by a part of it where it would turn elements far; the part, and what the innovations are then
-    /// to first order, go to `expected`. The point before is `next`.
+    /// Moves the point along the correction, by a fraction of it if it would turn elements far; returns the fraction, and writes the
+    /// innovations to first order to `expected`. The point before is in `next`.
     fn move_point(&mut self) -> f64 {
         self.stay_in_range();
         let correction = &mut self.covariance.correction;
@@ -540,7 +545,7 @@ impl KalmanFilter {
         for rotation in &mut there.rotations[first..] {
             *rotation = orthonormalized(rotation);
         }
-        // What is held is not moved by rounding either.
+        // Held nodes are not moved by rounding either.
         there.positions[..first].copy_from_slice(&here.positions[..first]);
         there.rotations[..first].copy_from_slice(&here.rotations[..first]);
         let vectors = [
@@ -564,7 +569,7 @@ impl KalmanFilter {
         part
     }
 
-    /// The point becomes the estimate, and the covariance goes to its tangent from that of the point before.
+    /// Makes the point the estimate, and carries the covariance to its tangent from that of the point before.
     fn accept_point(&mut self) {
         let (here, there) = (&self.next.configuration, &self.point.state.configuration);
         let transport = &mut self.transport;
@@ -575,7 +580,7 @@ impl KalmanFilter {
         self.estimate.disturbance = self.point.disturbance;
     }
 
-    /// Reads the deviations of the disturbances off the covariance.
+    /// Writes the standard deviations of the disturbances from the covariance.
     fn write_deviation(&mut self) {
         let sigma = |at: usize| self.covariance.matrix[(at, at)].max(0.0).sqrt();
         let vector = |at: Option<usize>| {
@@ -695,21 +700,21 @@ impl Estimator for KalmanFilter {
     }
 }
 
-/// The command that acts, where the one before ended, and the same command later.
+/// The present command, the end of the one before, and the present command shifted by a delay.
 #[derive(Debug, Default)]
 struct Acting {
-    /// Start and end, nodes, and wrenches when it begins and ends.
+    /// Start and end of the command, its nodes, and its wrenches at both ends.
     span: [f64; 2],
     nodes: Vec<usize>,
     from: Vec<Wrench>,
     to: Vec<Wrench>,
-    /// Where the command before ended, on the nodes of this one.
+    /// Wrenches at the end of the command before, on the nodes of this one.
     before: Vec<Wrench>,
     later: Option<Command>,
 }
 
 impl Acting {
-    /// A command acts, be it the same one.
+    /// Stores a command that acts; it may be the present one again.
     fn take(&mut self, command: &Command) {
         self.span = [command.start, command.end];
         if (&self.nodes, &self.from, &self.to) == (&command.nodes, &command.from, &command.to) {
@@ -725,8 +730,8 @@ impl Acting {
         self.to.clone_from(&command.to);
     }
 
-    /// The command by `delay` (s) later, from `start` (s) on until its end: less by what it changes by meanwhile. A jump from where the command
-    /// before ended counts as if it were spread over the command: its impulse is the same.
+    /// Returns the command shifted by `delay` (s), from `start` (s) on until its end: reduced by its change meanwhile. A jump from the end
+    /// of the command before counts as if it were spread over the command, with the same impulse.
     fn later(&mut self, start: f64, delay: f64) -> &Command {
         let [begin, end] = self.span;
         let part = if start < end {
@@ -767,7 +772,7 @@ fn motion<'a>(rod: &'a Rod, grid: TimeGrid, initial: &'a State) -> Motion<'a> {
     }
 }
 
-/// Calls `visit` with the disturbance, the node, the component and the weight of all that wrenches of unit size do.
+/// Calls `visit` with disturbance, node, component and weight for all effects of wrenches of unit size.
 fn visit_disturbances(layout: &Layout, rod: &Rod, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
     let tip = rod.tip();
     for (at, part) in [(layout.tip_force, 0), (layout.tip_moment, 3)] {
@@ -789,12 +794,12 @@ fn visit_disturbances(layout: &Layout, rod: &Rod, visit: &mut dyn FnMut(usize, u
     }
 }
 
-/// The mean energy of a motion of a cantilever whose tip is off by a standard deviation: `3 EI/L³ σ²`, J, half of it in its bending.
+/// Returns the mean energy of a mode of a cantilever whose tip has this standard deviation: `3 EI/L³ σ²`, J, half of it in its bending.
 fn energy(model: &Rod, deviation: f64) -> f64 {
     3.0 * model.scales.force / model.scales.length * deviation * deviation
 }
 
-/// The inverse of the Hessian of the energy at a shape: a covariance in which every motion has the mean energy ½.
+/// Returns the inverse of the Hessian of the energy at a shape: a covariance in which every mode has the mean energy ½.
 fn equal_energies(rod: &Rod, shape: &Configuration, layout: &Layout) -> Option<Mat<f64>> {
     let norm = EnergyNorm::at(rod, shape)?;
     let root = norm.columns_over(Mat::identity(layout.n_state, layout.n_state));
@@ -802,7 +807,7 @@ fn equal_energies(rod: &Rod, shape: &Configuration, layout: &Layout) -> Option<M
     covariance.norm_max().is_finite().then_some(covariance)
 }
 
-/// The random walk of a component of the error, where it is one of a disturbance.
+/// Returns the random walk of a component of the error, if it belongs to a disturbance.
 fn walk_of(settings: &KalmanSettings, layout: &Layout, i: usize) -> Option<RandomWalk> {
     let wrenches = [layout.tip_force, layout.tip_moment, layout.distributed].map(|at| (at, 3));
     let starts = (wrenches.into_iter()).chain(layout.parameters.map(|at| (at, 1)));

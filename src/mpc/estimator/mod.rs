@@ -1,6 +1,6 @@
-//! Estimators: the state of the model, and what disturbs it, from what sensors say.
+//! Estimators: the state of the model and its disturbances, from the measurements of sensors.
 //!
-//! An estimator lives at the time of the last measurement that it has used. A sample of the loop goes
+//! The time of an estimator is that of the last measurement that it has used. A sample of the loop runs
 //!
 //! ```text
 //! until the time at which the measurement was true:   advance(command, min(command.end, time))    for every command that acted since
@@ -8,12 +8,12 @@
 //! until the instant at which the next command acts:   a Predictor, from the estimate, under the commands that were sent
 //! ```
 //!
-//! so that a measurement that is known late corrects the state at the time at which it was true.
+//! so that a measurement that is known late corrects the state at its own time.
 //!
-//! **Order.** A measurement must be of the time at which the estimator is. One that is older than what the estimator has used is refused with
+//! **Order.** The time of a measurement must be that of the estimator. A measurement older than the estimator is refused with
 //! [`EstimateError::Late`], and one to whose time the estimator has not been advanced with [`EstimateError::Ahead`]; both leave the
-//! estimator as it was. Where several sensors have different ages, hold back what is known early until nothing older can arrive: an
-//! [`Inbox`] does that. Measurements of the same instant may be used one after the other.
+//! estimator unchanged. If several sensors have different ages, early measurements must wait until nothing older can arrive; an [`Inbox`]
+//! does that. Measurements of the same time may be used one after the other.
 
 use nalgebra::Vector3;
 
@@ -46,27 +46,27 @@ pub use self::prediction::Predictor;
 pub(super) use self::readings::{Kind, Reader};
 pub use self::regridded::Regridded;
 
-/// What acts on the arm, or is wrong with its model, beyond what the model knows.
+/// Loads on the arm and errors of its model, beyond those in the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Disturbance {
-    /// At the tip: force (spatial, N) and moment (body frame, N m).
+    /// Wrench at the tip: force (spatial frame, N) and moment (body frame, N m).
     pub tip: Wrench,
-    /// Force per rest length all along the arm, spatial, N/m.
+    /// Force per rest length all along the arm, spatial frame, N/m.
     pub distributed: Vector3<f64>,
-    /// Factor on the model's elastic moduli; 1: those of the model.
+    /// Factor on the model's elastic moduli; 1 for those of the model.
     pub stiffness: f64,
-    /// Mass at the tip beyond the model's own, kg: it has weight and inertia, and no rotary inertia.
+    /// Mass at the tip beyond the model's, kg, with weight and inertia, without rotary inertia.
     pub payload: f64,
-    /// Viscous damping beyond the model's own, 1/s.
+    /// Viscous damping beyond the model's, 1/s.
     pub viscous: f64,
-    /// Time of the internal damping beyond the model's own, s.
+    /// Time of the internal damping beyond the model's, s.
     pub internal: f64,
-    /// By how much later commands act than they are said to, s.
+    /// Delay of commands beyond their known delay, s.
     pub delay: f64,
 }
 
 impl Disturbance {
-    /// An undisturbed arm that is its model.
+    /// No disturbance: the arm equals its model.
     pub const NONE: Self = Self {
         tip: Wrench {
             force: Vector3::new(0.0, 0.0, 0.0),
@@ -80,8 +80,8 @@ impl Disturbance {
         delay: 0.0,
     };
 
-    /// Adds its wrenches to `wrenches`, one a node of the rod: that at the tip, and of the distributed force what acts on a node's halves of
-    /// the elements beside it.
+    /// Adds the wrenches of the disturbance to `wrenches`, one for each node of the rod: the wrench at the tip, and the distributed force
+    /// on a node's halves of the elements beside it.
     pub fn add_to(&self, rod: &Rod, wrenches: &mut [Wrench]) {
         for (q, element) in rod.elements.iter().enumerate() {
             let share = self.distributed * (0.5 * element.length);
@@ -93,7 +93,7 @@ impl Disturbance {
         tip.moment += self.tip.moment;
     }
 
-    /// Gives `rod`, a copy of `model`, what is wrong with the model: the stiffness times its factor, the payload and both kinds of damping.
+    /// Writes to `rod`, a copy of `model`, the errors of the model: the factor on the stiffness, the payload and both kinds of damping.
     pub fn change_model(&self, model: &Rod, rod: &mut Rod) {
         rod.take_stiffness(model, self.stiffness);
         let tip = model.tip();
@@ -102,7 +102,7 @@ impl Disturbance {
         rod.internal_damping = model.internal_damping + self.internal;
     }
 
-    /// What [`change_model`](Self::change_model) takes from it: equal numbers make equal models.
+    /// Returns the values that [`change_model`](Self::change_model) uses: equal values give equal models.
     pub(in crate::mpc) fn parameters(&self) -> ModelParameters {
         Parameter::OF_THE_MODEL.map(|parameter| parameter.of(self))
     }
@@ -114,97 +114,97 @@ impl Default for Disturbance {
     }
 }
 
-/// What is known at one instant.
+/// The estimate at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
-    /// The instant, s: that of the last measurement used, or where the estimator has been advanced to since.
+    /// Time, s: that of the last measurement used, or the later one to which the estimator has been advanced.
     pub time: f64,
-    /// On the nodes of the model.
+    /// State on the nodes of the model.
     pub state: State,
-    /// What disturbs the arm; [`Disturbance::NONE`] in what is not estimated.
+    /// Disturbance; the values of [`Disturbance::NONE`] where it is not estimated.
     pub disturbance: Disturbance,
-    /// Standard deviation of every component of the disturbance, in its unit; 0 in what is not estimated.
+    /// Standard deviation of every component of the disturbance, in its unit; 0 where it is not estimated.
     pub deviation: Disturbance,
 }
 
-/// How a measurement compared with what was expected.
+/// Result of the comparison of a measurement with its prediction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Innovation {
-    /// Numbers that were used, three a signal.
+    /// Number of values used, three for each signal.
     pub n: usize,
-    /// Root of the mean square of measured minus expected, each over its own standard deviation; 0 where nothing was used.
+    /// Root mean square of measured minus expected, each divided by its standard deviation; 0 if no signal was used.
     pub rms: f64,
-    /// `eᵀ S⁻¹ e`, `S` the covariance that the estimator expects of the innovation `e`: distributed as chi-square with `n` degrees of freedom
-    /// where the estimator is consistent. `None` for an estimator without covariance.
+    /// `eᵀ S⁻¹ e`, with `S` the expected covariance of the innovation `e`: distributed as chi-square with `n` degrees of freedom if the
+    /// estimator is consistent. `None` for an estimator without covariance.
     pub normalized: Option<f64>,
-    /// Distance of the measured from the expected position nearest to the tip, m; `None` where no position was measured.
+    /// Distance between the measured and the expected position nearest to the tip, m; `None` without a measured position.
     pub distance: Option<f64>,
-    /// Signals that were refused because they cannot be true, and are not among the `n` numbers.
+    /// Number of signals that were refused as impossible and do not count in `n`.
     pub refused: usize,
 }
 
-/// Why an estimator refuses something; it is left as it was.
+/// The reason why an estimator refuses a call, after which it is unchanged.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EstimateError {
-    /// A number that is not finite.
+    /// A number is not finite.
     #[error("{what} is not finite; leave it out")]
     NotFinite {
-        /// What it is part of.
+        /// Quantity of the number.
         what: String,
     },
-    /// A signal that cannot be.
+    /// A signal is impossible.
     #[error("signal {index}: {name} is {value}, not {expected}")]
     Signal {
-        /// Its place among the signals of the measurement.
+        /// Index of the signal in the measurement.
         index: usize,
-        /// What of it.
+        /// Property of the signal.
         name: &'static str,
-        /// Its value.
+        /// Value of the property.
         value: f64,
-        /// What it must be.
+        /// Allowed values.
         expected: &'static str,
     },
-    /// A measurement older than what has been used.
+    /// The measurement is older than one that was used.
     #[error(
-        "a measurement of t = {time} s came after the estimate had gone to {estimate} s; hold back what is known early (Inbox) or drop it"
+        "a measurement of t = {time} s came after the estimate had gone to {estimate} s; hold early measurements back (Inbox) or drop this one"
     )]
     Late {
-        /// When it was true, s.
+        /// Time of the measurement, s.
         time: f64,
-        /// Where the estimator is, s.
+        /// Time of the estimate, s.
         estimate: f64,
     },
-    /// A measurement to whose time the estimator has not been advanced, or an advance that would go back.
+    /// The estimator has not been advanced to the time of the measurement, or an advance would go back in time.
     #[error(
         "t = {time} s is not where the estimate is, {estimate} s; advance it with the commands that were sent"
     )]
     Ahead {
-        /// When it was true, s.
+        /// Time of the measurement, s.
         time: f64,
-        /// Where the estimator is, s.
+        /// Time of the estimate, s.
         estimate: f64,
     },
-    /// A command that ends before it starts, or at once.
+    /// A command does not end after its start.
     #[error("the command ends at {end} s, and that is not after its start at {start} s")]
     Span {
-        /// Its start, s.
+        /// Start of the command, s.
         start: f64,
-        /// Its end, s.
+        /// End of the command, s.
         end: f64,
     },
-    /// A command on a node that the model does not have.
+    /// A command acts on a node that the model does not have.
     #[error("the command acts on node {node}, and the model has nodes 0 to {}", n_nodes - 1)]
     Node {
-        /// The node.
+        /// Index of the node.
         node: usize,
-        /// Nodes of the model.
+        /// Number of nodes of the model.
         n_nodes: usize,
     },
-    /// Signals of which the estimator can use none.
+    /// The estimator can use none of the signals.
     #[error("the estimator can use none of the signals: {expected}")]
     Unusable {
-        /// What it can use.
+        /// Signals that it can use.
         expected: &'static str,
     },
     /// The model's motion breaks down.
@@ -215,39 +215,38 @@ pub enum EstimateError {
     Singular,
 }
 
-/// Keeps an estimate of the arm's state, and of what disturbs it.
+/// An estimator of the arm's state and of its disturbances.
 ///
-/// After an error the estimate is the one before the call.
+/// After an error the estimate is that before the call.
 pub trait Estimator {
-    /// Goes on to `until` (s) under a command that acts from the estimate's time to then; a command is constant before its start and after its
-    /// end. Call it once for every command that acted. Nothing happens where the estimate is there already, to rounding.
+    /// Advances to `until` (s) under a command that acts from the estimate's time to then; a command is constant before its start and after
+    /// its end. Call it once for every command that acted. It does nothing if the estimate is at that time already, up to rounding.
     ///
     /// # Errors
-    /// [`EstimateError::Ahead`] where `until` lies before the estimate's time, [`EstimateError::NotFinite`], [`EstimateError::Span`] and
-    /// [`EstimateError::Node`] for a command that is none, and [`EstimateError::Motion`].
+    /// Returns [`EstimateError::Ahead`] if `until` is before the estimate's time, [`EstimateError::NotFinite`], [`EstimateError::Span`] and
+    /// [`EstimateError::Node`] for an invalid command, and [`EstimateError::Motion`].
     fn advance(&mut self, command: &Command, until: f64) -> Result<(), EstimateError>;
 
     /// Corrects the estimate by a measurement of its time.
     ///
     /// # Errors
-    /// [`EstimateError`] for a measurement that is not finite, of another time, or of no use.
+    /// Returns [`EstimateError`] for a measurement that is not finite, of another time, or of no use.
     fn correct(&mut self, measurement: &Measurement) -> Result<Innovation, EstimateError>;
 
-    /// The present estimate.
+    /// Returns the present estimate.
     fn estimate(&self) -> &Estimate;
 
-    /// Forgets everything, and starts anew at `time` (s) from `state`, on the nodes of the model: what follows is the same as with a new
-    /// estimator.
+    /// Discards everything and restarts at `time` (s) from `state`, on the nodes of the model, as a new estimator would.
     ///
     /// # Errors
-    /// [`MpcError::Measurement`] for a state that is not finite or of another size, and [`MpcError::Setting`] for such a time.
+    /// Returns [`MpcError::Measurement`] for a state that is not finite or of another size, and [`MpcError::Setting`] for such a time.
     fn restart(&mut self, time: f64, state: &State) -> Result<(), MpcError>;
 }
 
-/// Part of a second by which times that are the same may differ.
+/// Times are equal if they differ by less than this fraction of a second, or of the time itself.
 const SAME_TIME: f64 = 1e-9;
 
-/// Whether a measurement is of the time at which an estimate is.
+/// Checks that the time of a measurement is that of an estimate.
 fn check_time(time: f64, estimate: f64) -> Result<(), EstimateError> {
     let ahead = time - estimate;
     if !ahead.is_finite() {
@@ -262,7 +261,7 @@ fn check_time(time: f64, estimate: f64) -> Result<(), EstimateError> {
     }
 }
 
-/// Whether an estimate may start from a state.
+/// Checks that an estimate may start from a state.
 fn check_start(model: &Rod, time: f64, state: &State) -> Result<(), MpcError> {
     setting("time", time, true, "a finite number")?;
     state_fits(state, model)?;

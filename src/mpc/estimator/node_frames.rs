@@ -1,4 +1,4 @@
-//! Compliance and inertia of an arm at rest in the frames of its nodes, in which they turn with the arm.
+//! Compliance and inertia of an arm at rest in the frames of its nodes, which turn with the arm.
 
 use faer::Mat;
 use nalgebra::Vector3;
@@ -6,21 +6,23 @@ use nalgebra::Vector3;
 use crate::mechanics::Rod;
 use crate::mechanics::forms::NODE_COMPONENTS;
 
-/// Components of a pose, and of the momenta of a node.
+/// Number of components of a pose, and of the momenta of a node.
 pub(super) const POSE: usize = 6;
 
-/// The compliance `K⁻¹` of the free nodes about the stress-free shape, and their inertia `M`, both over position and rotation of each node in its own frame.
+/// The compliance `K⁻¹` of the free nodes about the stress-free shape, and their inertia `M`, both with respect to position and rotation of
+/// each node in its own frame.
 #[derive(Debug)]
 pub(super) struct NodeFrames {
     pub first_free_node: usize,
     /// `K⁻¹ M`.
     pub compliance_times_inertia: Mat<f64>,
-    /// The diagonal of `M`: of every node three times its mass, kg, and its rotary inertia, kg m².
+    /// Diagonal of `M`: for every node three times its mass, kg, and its rotary inertia, kg m².
     pub inertia: Vec<f64>,
 }
 
 impl NodeFrames {
-    /// `at_rest` is the inverse of the Hessian of the energy over the components of the state, about the stress-free shape.
+    /// Computes both from `at_rest`, the inverse of the Hessian of the energy with respect to the components of the state, about the
+    /// stress-free shape.
     pub fn new(model: &Rod, at_rest: &Mat<f64>) -> Self {
         let first_free_node = model.first_free_node();
         let n = POSE * (model.n_nodes() - first_free_node);

@@ -1,4 +1,4 @@
-//! A boundary observer: the model, with a wrench at the tip that damps its deviation from what is measured there.
+//! A boundary observer: the model with an additional wrench at the tip that damps its deviation from the measurements there.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -17,19 +17,19 @@ use super::{check_start, check_time, setting};
 /// Gains of a [`BoundaryObserver`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObserverSettings {
-    /// Gain on velocities over the matched impedance of the arm's waves: `sqrt(ρA GA)` across, `sqrt(ρA EA)` along, `sqrt(ρI EI)` for bending,
-    /// `sqrt(ρJ GJ)` for twist. There is an optimum: a tip that is held too hard reflects waves as a clamp does.
+    /// Gain on velocities, divided by the matched impedance of the arm's waves: `sqrt(ρA GA)` across, `sqrt(ρA EA)` along, `sqrt(ρI EI)`
+    /// for bending, `sqrt(ρJ GJ)` for twist. The gain has an optimum: a tip that is held too firmly reflects waves as a clamp does.
     pub gain: f64,
-    /// Time constant with which the tip would follow the measured pose by itself, s: the gain on poses is that on velocities over it.
+    /// Time constant with which the tip alone would follow the measured pose, s: the gain on velocities divided by the gain on poses.
     pub follow_time: f64,
-    /// Time in which the injected wrench becomes a disturbance at the tip, s; `None`: no disturbance is estimated.
+    /// Time in which the injected wrench becomes a disturbance at the tip, s; `None` estimates no disturbance.
     pub integral_time: Option<f64>,
     /// Longest time step of the model, s.
     pub longest_step: f64,
 }
 
 impl ObserverSettings {
-    /// A tenth of the matched impedance, and no disturbance.
+    /// Returns a gain of a tenth of the matched impedance, without a disturbance.
     #[must_use]
     pub fn of(model: &Rod) -> Self {
         Self {
@@ -58,9 +58,9 @@ impl ObserverSettings {
 struct Gains {
     linear: Vector3<f64>,
     angular: Vector3<f64>,
-    /// Gain on a pose over that on its rate, 1/s.
+    /// Gain on a pose divided by that on its rate, 1/s.
     rate: f64,
-    /// Part of an injected wrench that becomes a disturbance, 1/s.
+    /// Fraction of an injected wrench that becomes a disturbance within a second, 1/s.
     integral: f64,
 }
 
@@ -83,18 +83,18 @@ impl Gains {
     }
 }
 
-/// What is known of the tip at one instant.
+/// Knowledge of the tip at one time.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tip {
     time: f64,
     position: Option<Vector3<f64>>,
     rotation: Option<Matrix3<f64>>,
     velocity: Option<Vector3<f64>>,
-    /// Body frame.
+    /// Angular velocity, body frame, rad/s.
     spin: Option<Vector3<f64>>,
 }
 
-/// Nearer to the tip than this part of the length is the tip.
+/// A place nearer to the tip than this fraction of the length counts as the tip.
 const AT_TIP: f64 = 1e-9;
 
 impl Tip {
@@ -116,7 +116,7 @@ impl Tip {
         tip
     }
 
-    /// With what another one knows besides.
+    /// Returns this knowledge, completed by that of another measurement.
     fn or(self, other: &Self) -> Self {
         Self {
             time: self.time,
@@ -127,10 +127,10 @@ impl Tip {
         }
     }
 
-    /// Between the instant before and this one: poses move evenly, rates that were not measured follow from them.
+    /// Interpolates between the time before and this one: poses move evenly, and rates that were not measured follow from them.
     fn between(&self, before: &Self, t: f64) -> Self {
         let duration = self.time - before.time;
-        // From this instant on back.
+        // The interpolation begins at the later time.
         let left = self.time - t;
         let moved =
             |from: Option<Vector3<f64>>, to: Option<Vector3<f64>>| Some((to? - from?) / duration);
@@ -161,33 +161,32 @@ struct Piece {
     until: f64,
 }
 
-/// Pieces between two measurements, at most: of a tip that was not seen for longer, the motion until then counts as known.
+/// Cap on the pieces between two measurements: if the tip was not measured for longer, the motion until then is taken as it is.
 const MOST_PIECES: usize = 64;
 
-/// The boundary observer of Zheng et al. (arXiv 2303.06130): a copy of the model with one more tip wrench, in the body frame of the tip
+/// The boundary observer of Zheng et al. (arXiv 2303.06130): a copy of the model with an additional wrench at the tip, in the body frame of
+/// the tip,
 ///
-/// ```text
-/// -Gv (twist_hat - twist) - Gp log(pose⁻¹ pose_hat)
-/// ```
 ///
 /// It damps the deviation from the true motion as a matched end of a line absorbs its waves; it has no covariance and is the same on every
-/// grid. It uses positions, rotations and velocities that were measured at the tip; what is not measured of a pose is left alone, and rates
-/// that are not measured follow from the poses of two measurements.
+/// grid. It uses positions, rotations and velocities that were measured at the tip; components of a pose that are not measured are not
+/// corrected, and rates that are not measured follow from the poses of two measurements.
 ///
-/// The wrench acts over the time between two measurements, towards the pose between them: that time is simulated once more when it is known.
-/// After every step the tip's momenta take its impulse, implicitly: with `v_free` the tip's velocity without it and `m` the mass of the node,
-/// `v⁺ = v_free + h (Gv (v - v⁺) + Gp (x - x_hat - h (v⁺ - v_free)))/m`, so that no gain is too large for the step.
+/// The wrench acts over the time between two measurements, toward the pose between them: that time is simulated once more when the second
+/// one is known. After every step the tip's momenta take the impulse of the wrench, implicitly: with `v_free` the tip's velocity without it
+/// and `m` the mass of the node, `v⁺ = v_free + h (Gv (v - v⁺) + Gp (x - x_hat - h (v⁺ - v_free)))/m`, so that no gain is too large for the
+/// step.
 ///
-/// No call after the first of its kind asks for memory, where steps are explicit.
+/// No call after the first of its kind allocates memory if steps are explicit.
 #[derive(Debug)]
 pub struct BoundaryObserver {
     settings: ObserverSettings,
     gains: Gains,
     estimate: Estimate,
-    /// The corrected estimate at the last measurement, and what was known of the tip then.
+    /// The corrected estimate at the last measurement, and the knowledge of the tip at that time.
     anchor: Estimate,
     tip: Option<Tip>,
-    /// Commands since; the first `n_pieces` of them.
+    /// Commands since that time; the first `n_pieces` of them are in use.
     pieces: Vec<Piece>,
     n_pieces: usize,
     predictor: Predictor,
@@ -196,10 +195,11 @@ pub struct BoundaryObserver {
 }
 
 impl BoundaryObserver {
-    /// An observer that is at `time` (s) in `state`, on the nodes of `model`.
+    /// Creates an observer at `time` (s) in `state`, on the nodes of `model`.
     ///
     /// # Errors
-    /// [`MpcError::Setting`] for a gain or a time out of range, [`MpcError::Measurement`] for a state of another size or that is not finite.
+    /// Returns [`MpcError::Setting`] for a gain or a time out of range, [`MpcError::Measurement`] for a state of another size or that is
+    /// not finite.
     pub fn new(
         model: &Rod,
         time: f64,
@@ -231,13 +231,13 @@ impl BoundaryObserver {
         })
     }
 
-    /// What it was made with.
+    /// Returns the settings.
     #[must_use]
     pub fn settings(&self) -> &ObserverSettings {
         &self.settings
     }
 
-    /// The present estimate is where the next correction starts.
+    /// Makes the present estimate the start of the next correction.
     fn drop_anchor(&mut self) {
         self.anchor.time = self.estimate.time;
         self.anchor.state.clone_from(&self.estimate.state);
@@ -245,7 +245,7 @@ impl BoundaryObserver {
         self.n_pieces = 0;
     }
 
-    /// Remembers a command that acted.
+    /// Stores a command that acted.
     fn remember(&mut self, command: &Command, until: f64) {
         if self.n_pieces == self.pieces.len() {
             self.pieces.push(Piece {
@@ -264,7 +264,7 @@ impl BoundaryObserver {
         self.n_pieces += 1;
     }
 
-    /// Simulates the time since the anchor with the wrench that draws the tip to `target`; leaves the state in `next`.
+    /// Simulates the time since the anchor with the wrench that pulls the tip to `target`; leaves the state in `next`.
     fn replay(&mut self, target: &Tip) -> Result<Disturbance, EstimateError> {
         let (gains, tip) = (self.gains, self.predictor.model().tip());
         let (mass, rotary) = {
@@ -301,7 +301,7 @@ impl BoundaryObserver {
 }
 
 impl Gains {
-    /// Impulses on the tip's momenta after a step of length `h`: linear (spatial) and angular (body frame).
+    /// Returns the impulses on the tip's momenta after a step of length `h`: linear (spatial frame) and angular (body frame).
     fn impulse(
         &self,
         state: &State,
@@ -316,7 +316,7 @@ impl Gains {
         let velocity = state.linear_momentum[tip] / mass;
         let spin = state.angular_momentum[tip].component_div(rotary);
         let zero = Vector3::zeros();
-        // What is not known does not pull, neither by its value nor through the denominator.
+        // Unknown values do not pull, neither by themselves nor through the denominator.
         let pull = |gain: &Vector3<f64>,
                     inertia: &Vector3<f64>,
                     rate: Option<Vector3<f64>>,
@@ -339,7 +339,7 @@ impl Gains {
         let angular = pull(
             &self.angular,
             rotary,
-            // An angular velocity is that of the measured body frame, where there is one.
+            // An angular velocity belongs to the measured body frame, if there is one.
             to.spin
                 .map(|w| relative.map_or(w, |relative| relative * w) - spin),
             relative.map(|relative| log(&relative)),
@@ -392,7 +392,7 @@ impl Estimator for BoundaryObserver {
         }
         let target = Tip::of(measurement);
         if self.n_pieces == 0 {
-            // Of the same instant as the last one.
+            // The measurement belongs to the time of the last one.
             let before = self.tip.filter(|_| self.anchor.time == self.estimate.time);
             self.tip = Some(before.map_or(target, |before| target.or(&before)));
             self.drop_anchor();

@@ -1,9 +1,9 @@
-//! Numbers that an estimator may find wrong, as against wrenches that act.
+//! Parameters of the model and of the commands that an estimator may correct, as opposed to wrenches.
 
 use super::Disturbance;
 use crate::mechanics::{Rod, TimeScheme};
 
-/// A number of a [`Disturbance`] that makes the model another one, or its commands late.
+/// A value of a [`Disturbance`] that changes the model, or delays its commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Parameter {
     /// Factor on the elastic moduli.
@@ -21,11 +21,11 @@ pub(super) enum Parameter {
 /// Number of [`Parameter`]s.
 pub(super) const N_PARAMETERS: usize = Parameter::ALL.len();
 
-/// Those of [`Parameter::OF_THE_MODEL`].
+/// Values of [`Parameter::OF_THE_MODEL`].
 pub(in crate::mpc) type ModelParameters = [f64; Parameter::OF_THE_MODEL.len()];
 
 impl Parameter {
-    /// All of them, in the order of the components of a covariance.
+    /// All parameters, in the order of the components of a covariance.
     pub const ALL: [Self; 5] = [
         Self::Stiffness,
         Self::Payload,
@@ -34,7 +34,7 @@ impl Parameter {
         Self::Delay,
     ];
 
-    /// Those that make the model another one.
+    /// Parameters that change the model.
     pub const OF_THE_MODEL: [Self; 4] = [
         Self::Stiffness,
         Self::Payload,
@@ -62,13 +62,14 @@ impl Parameter {
         }
     }
 
-    /// Tells whether a model can have another one of it: explicit steps without internal damping solve no equations, and with it they would
-    /// have to be shorter.
+    /// Tells whether a parameter can be estimated for a model. Internal damping needs implicit steps: explicit steps without it solve no
+    /// equations, and with it they would have to be shorter.
     pub fn applies(self, model: &Rod) -> bool {
         self != Self::Internal || model.scheme == TimeScheme::Implicit
     }
 
-    /// What counts as a change by one: the model's own stiffness, the mass of its tip's node, and one over its time scale or that.
+    /// Returns the unit of a parameter: the model's own stiffness, the mass of its tip's node, and the reciprocal of its time scale or the
+    /// time scale.
     pub fn unit(self, model: &Rod) -> f64 {
         match self {
             Self::Stiffness => 1.0,
@@ -78,8 +79,8 @@ impl Parameter {
         }
     }
 
-    /// Where an estimate stays. Explicit steps of a length that is stable for the model still are, the tip has a mass, and there is no damping
-    /// that adds energy. A payload may be a little less than none: what is estimated within bounds that are as near as the truth is wrong on average.
+    /// Returns the range of estimates. Within it, explicit steps of a length that is stable for the model remain stable, the tip has a
+    /// positive mass, and no damping adds energy. A payload may be slightly negative: an estimate with a bound at the true value is biased.
     pub fn range(self, model: &Rod) -> [f64; 2] {
         match self {
             Self::Stiffness => [0.1, 1.6],
@@ -94,11 +95,11 @@ impl Parameter {
     }
 }
 
-/// Part of the mass of the tip's node that it may not have.
+/// Largest fraction of the mass of the tip's node that a negative payload may remove.
 const LIGHTEST_TIP: f64 = 0.5;
-/// Largest payload that is looked for, over the mass of the arm.
+/// Largest payload, divided by the mass of the arm; a cap.
 const LARGEST_PAYLOAD: f64 = 10.0;
-/// Largest viscous damping that is looked for, over one by the time scale; a cantilever's first motion is critically damped at 7.
+/// Largest viscous damping times the time scale, a cap; the first mode of a cantilever is critically damped at 7.
 const LARGEST_DAMPING: f64 = 50.0;
-/// Largest time of internal damping and largest delay that are looked for, over the time scale.
+/// Largest time of internal damping and largest delay, divided by the time scale; a cap.
 const LARGEST_TIME: f64 = 0.1;

@@ -1,29 +1,28 @@
-//! Motions of the model from an estimate on.
+//! Motions of the model that begin at an estimate.
 
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, Wrench};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
 use crate::mpc::controller::Command;
+use crate::mpc::motions::Motions;
 
 use super::{Disturbance, EstimateError, ModelParameters};
 
-/// Moves a state of the model under commands and a disturbance. It asks for no memory after it is made, where steps are explicit.
+/// Moves a state of the model under commands and a disturbance. After its creation it allocates no memory if steps are explicit.
 #[derive(Clone, Debug)]
 pub struct Predictor {
     model: Rod,
-    /// The model with what is wrong with it, and the parameters that say so.
+    /// The model with the corrections of a disturbance, and their values.
     rod: Rod,
     parameters: ModelParameters,
     longest_step: f64,
-    memory: Option<StepperMemory>,
-    /// Step length and parameters that the memory is for.
-    tuned: (f64, ModelParameters),
+    motions: Motions,
     nodes: Vec<usize>,
-    /// One a node, of the two ends of a step.
+    /// Wrenches at both ends of a step, one for each node.
     wrenches: [Vec<Wrench>; 2],
-    /// Where the last motion ended.
+    /// State at the end of the last motion.
     end: State,
 }
 
-/// Equal steps from a time on.
+/// Equal steps from a given time on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Steps {
     pub start: f64,
@@ -32,7 +31,7 @@ pub(super) struct Steps {
 }
 
 impl Steps {
-    /// At most `most` of them from step `first` on.
+    /// Returns at most `most` of the steps, from step `first` on.
     pub fn part(&self, first: usize, most: usize) -> Self {
         Self {
             start: self.start + first as f64 * self.step,
@@ -43,13 +42,12 @@ impl Steps {
 }
 
 impl Predictor {
-    /// For motions of `model` with steps of at most `longest_step` (s).
+    /// Creates a predictor of motions of `model` with steps of at most `longest_step` (s).
     #[must_use]
     pub fn new(model: &Rod, longest_step: f64) -> Self {
         let n = model.n_nodes();
         Self {
-            memory: Some(StepperMemory::new(model, longest_step)),
-            tuned: (longest_step, Disturbance::NONE.parameters()),
+            motions: Motions::new(model, longest_step, Disturbance::NONE.parameters()),
             rod: model.clone(),
             parameters: Disturbance::NONE.parameters(),
             model: model.clone(),
@@ -60,10 +58,10 @@ impl Predictor {
         }
     }
 
-    /// Moves `state` from `start` to `end` (s) in equal steps, under a command that acts all along and a constant disturbance.
+    /// Moves `state` from `start` to `end` (s) in equal steps, under a command that acts all the time and a constant disturbance.
     ///
     /// # Errors
-    /// [`EstimateError`] as [`Estimator::advance`](super::Estimator::advance); `state` is then as it was.
+    /// Returns [`EstimateError`] as [`Estimator::advance`](super::Estimator::advance) does; `state` is then unchanged.
     pub fn advance(
         &mut self,
         state: &mut State,
@@ -79,12 +77,12 @@ impl Predictor {
         Ok(())
     }
 
-    /// The model.
+    /// Returns the model.
     pub(super) fn model(&self) -> &Rod {
         &self.model
     }
 
-    /// The model with what is wrong with it.
+    /// Returns the model with the corrections of a disturbance.
     pub(super) fn changed(&mut self, disturbance: &Disturbance) -> &Rod {
         let parameters = disturbance.parameters();
         if self.parameters != parameters {
@@ -94,14 +92,14 @@ impl Predictor {
         &self.rod
     }
 
-    /// The state in which the last motion ended.
+    /// Returns the state at the end of the last motion.
     pub(super) fn end(&self) -> &State {
         &self.end
     }
 
-    /// The steps from one time to another; none where these are the same to rounding.
+    /// Returns the steps from one time to another; none if these are equal up to rounding.
     pub(super) fn steps(&self, start: f64, end: f64) -> Result<Option<Steps>, EstimateError> {
-        /// Part of a step that is none.
+        /// Fraction of a step that counts as rounding.
         const NOTHING: f64 = 1e-6;
         let n = (end - start) / self.longest_step;
         if n.abs() <= NOTHING {
@@ -125,7 +123,7 @@ impl Predictor {
         }))
     }
 
-    /// Whether a command is one for this model.
+    /// Checks that a command is valid for this model.
     pub(super) fn check(&self, command: &Command) -> Result<(), EstimateError> {
         let n_nodes = self.model.n_nodes();
         if let Some(&node) = command.nodes.iter().find(|node| **node >= n_nodes) {
@@ -148,8 +146,7 @@ impl Predictor {
         })
     }
 
-    /// Simulates steps from a state on, shows every time node after the first to `visit`, and leaves the last state in
-    /// [`end`](Self::end).
+    /// Simulates steps from a state, calls `visit` at every time node after the first, and leaves the last state in [`end`](Self::end).
     pub(super) fn roll_out(
         &mut self,
         from: &State,
@@ -158,28 +155,37 @@ impl Predictor {
         disturbance: &Disturbance,
         mut visit: impl FnMut(&Stepper),
     ) -> Result<(), StepError> {
-        let memory = self.memory_for(steps.step, disturbance);
-        let mut stepper = memory.begin(&self.rod, steps.start, from);
-        let [now, next] = &mut self.wrenches;
+        self.changed(disturbance);
+        let Self {
+            rod,
+            parameters,
+            motions,
+            nodes,
+            wrenches: [now, next],
+            end,
+            ..
+        } = self;
         let at = |k: usize| steps.start + k as f64 * steps.step;
-        write_wrenches(&self.rod, command, at(0), disturbance, now);
-        let mut outcome = Ok(());
-        for k in 0..steps.n {
-            write_wrenches(&self.rod, command, at(k + 1), disturbance, next);
-            let on = |wrenches| NodeWrenches::on(&self.nodes, wrenches);
-            outcome = stepper.advance([on(now), on(next)]);
-            if outcome.is_err() {
-                break;
+        end.clone_from(from);
+        let model = (&*rod, *parameters);
+        motions.run(model, steps.step, (steps.start, end), |stepper| {
+            write_wrenches(rod, command, at(0), disturbance, now);
+            let mut outcome = Ok(());
+            for k in 0..steps.n {
+                write_wrenches(rod, command, at(k + 1), disturbance, next);
+                let on = |wrenches| NodeWrenches::on(nodes, wrenches);
+                outcome = stepper.advance([on(now), on(next)]);
+                if outcome.is_err() {
+                    break;
+                }
+                visit(stepper);
+                std::mem::swap(now, next);
             }
-            visit(&stepper);
-            std::mem::swap(now, next);
-        }
-        stepper.write_state(&mut self.end);
-        self.memory = Some(stepper.into_memory());
-        outcome
+            outcome
+        })
     }
 
-    /// Simulates steps from a state on, which `visit` may change after each of them: it is given the time and the length of the step before.
+    /// Simulates steps from a state, which `visit` may change after each of them; it is given the time and the length of the last step.
     /// Leaves the last state in [`end`](Self::end).
     pub(super) fn roll_out_changing(
         &mut self,
@@ -191,36 +197,31 @@ impl Predictor {
     ) -> Result<(), StepError> {
         self.end.clone_from(from);
         for k in 0..steps.n {
-            let memory = self.memory_for(steps.step, disturbance);
-            let at = |k: usize| steps.start + k as f64 * steps.step;
-            let mut stepper = memory.begin(&self.rod, at(k), &self.end);
-            let [now, next] = &mut self.wrenches;
-            write_wrenches(&self.rod, command, at(k), disturbance, now);
-            write_wrenches(&self.rod, command, at(k + 1), disturbance, next);
-            let on = |wrenches| NodeWrenches::on(&self.nodes, wrenches);
-            let outcome = stepper.advance([on(now), on(next)]);
-            stepper.write_state(&mut self.end);
-            self.memory = Some(stepper.into_memory());
-            outcome?;
-            visit(at(k + 1), &mut self.end, disturbance);
+            self.changed(disturbance);
+            let Self {
+                rod,
+                parameters,
+                motions,
+                nodes,
+                wrenches: [now, next],
+                end,
+                ..
+            } = self;
+            let [start, stop] = [k, k + 1].map(|k| steps.start + k as f64 * steps.step);
+            write_wrenches(rod, command, start, disturbance, now);
+            write_wrenches(rod, command, stop, disturbance, next);
+            let on = |wrenches| NodeWrenches::on(nodes, wrenches);
+            let model = (&*rod, *parameters);
+            motions.run(model, steps.step, (start, end), |stepper| {
+                stepper.advance([on(now), on(next)])
+            })?;
+            visit(stop, &mut self.end, disturbance);
         }
         Ok(())
     }
-
-    /// Memory for steps of this length and the model with what is wrong with it.
-    fn memory_for(&mut self, step: f64, disturbance: &Disturbance) -> StepperMemory {
-        self.changed(disturbance);
-        let memory = self.memory.take();
-        let mut memory = memory.unwrap_or_else(|| StepperMemory::new(&self.rod, step));
-        if self.tuned != (step, self.parameters) {
-            memory.retune(&self.rod, step);
-            self.tuned = (step, self.parameters);
-        }
-        memory
-    }
 }
 
-/// What a command and a disturbance do at time `t`, one wrench a node.
+/// Writes the wrenches of a command and a disturbance at time `t`, one for each node.
 fn write_wrenches(
     rod: &Rod,
     command: &Command,

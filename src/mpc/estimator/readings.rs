@@ -1,4 +1,4 @@
-//! What sensors would read of a state, and its derivatives.
+//! The readings of sensors for a given state, and their derivatives.
 //!
 //! A derivative is a row of three numbers for every component of the error that matters: `(δx, ζ, δp, δπ)` of the free nodes and the
 //! disturbances, in the order of [`Layout`]. Between two nodes, with `ψ = log(R_aᵀ R_b)`, `S` the inverse tangent of the exponential,
@@ -28,25 +28,25 @@ const ROTATION: usize = 3;
 pub(super) const LINEAR: usize = 6;
 const ANGULAR: usize = 9;
 
-/// Where the components of the error are.
+/// Order of the components of the error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Layout {
-    /// First node that has any.
+    /// First node that has components.
     pub first_free_node: usize,
-    /// Components of the state.
+    /// Number of components of the state.
     pub n_state: usize,
-    /// First component of each disturbance that is estimated.
+    /// First component of each estimated disturbance.
     pub tip_force: Option<usize>,
     pub tip_moment: Option<usize>,
     pub distributed: Option<usize>,
     /// First component of each of [`Parameter::ALL`].
     pub parameters: [Option<usize>; N_PARAMETERS],
-    /// All components.
+    /// Number of all components.
     pub n: usize,
 }
 
 impl Layout {
-    /// With the disturbances that are there: tip force, tip moment, distributed force, and [`Parameter::ALL`].
+    /// Creates the layout with the marked disturbances: tip force, tip moment, distributed force, and [`Parameter::ALL`].
     pub fn new(rod: &Rod, wrenches: [bool; 3], parameters: [bool; N_PARAMETERS]) -> Self {
         let first_free_node = rod.first_free_node();
         let n_state = NODE_COMPONENTS * (rod.n_nodes() - first_free_node);
@@ -73,12 +73,12 @@ impl Layout {
         }
     }
 
-    /// Component of a parameter, where it is estimated.
+    /// Returns the component of a parameter, if it is estimated.
     pub fn parameter(&self, parameter: Parameter) -> Option<usize> {
         self.parameters[parameter as usize]
     }
 
-    /// Number of disturbances' components.
+    /// Returns the number of components of disturbances.
     pub fn n_disturbances(&self) -> usize {
         self.n - self.n_state
     }
@@ -88,10 +88,10 @@ impl Layout {
     }
 }
 
-/// Derivatives of readings: a component of the error, and what a unit of it changes the three numbers by.
+/// Derivatives of a reading: components of the error, and the changes of the three numbers per unit of each.
 pub(super) type Terms = Vec<(usize, Vector3<f64>)>;
 
-/// What of a state is read.
+/// Kind of a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::mpc) enum Kind {
     Position,
@@ -117,10 +117,10 @@ impl Kind {
     }
 }
 
-/// Reads states of one rod.
+/// Computes readings of states of one rod.
 #[derive(Clone, Debug)]
 pub(in crate::mpc) struct Reader {
-    /// Arc length of the nodes, and of the middles of the elements, over the rod's length.
+    /// Arc lengths of the nodes, and of the middles of the elements, divided by the rod's length.
     nodes: Vec<f64>,
     middles: Vec<f64>,
 }
@@ -135,7 +135,7 @@ impl Reader {
         }
     }
 
-    /// What is read at a place at time `t`, s.
+    /// Returns the reading at a place at time `t`, s.
     pub fn read(
         &self,
         rod: &Rod,
@@ -251,7 +251,7 @@ impl Reader {
             }
             Kind::BaseForce | Kind::BaseMoment => {
                 let element = BaseElement::at(rod, state);
-                // Rows of (F, M_a), and their sign.
+                // Rows of `(F, M_a)`, and their sign.
                 let (row, sign) = if kind == Kind::BaseForce {
                     (0, 1.0)
                 } else {
@@ -301,7 +301,7 @@ impl Reader {
         }
     }
 
-    /// The elements that a curvature is read from, with their weights.
+    /// Returns the elements from which a curvature is interpolated, with their weights.
     fn elements(&self, place: f64) -> [(usize, f64); 2] {
         if self.middles.len() == 1 {
             return [(0, 1.0), (0, 0.0)];
@@ -313,7 +313,7 @@ impl Reader {
     }
 }
 
-/// Angular velocity of a node in its body frame.
+/// Returns the angular velocity of a node in its body frame, rad/s.
 fn spin(rod: &Rod, state: &State, q: usize) -> Vector3<f64> {
     state.angular_momentum[q].component_div(&rod.nodes[q].rotary)
 }
@@ -344,13 +344,13 @@ impl Helix {
         }
     }
 
-    /// Of the position, along `δx_b - δx_a`, `ζ_a` and `ζ_b`.
+    /// Returns the derivatives of the position along `δx_b - δx_a`, `ζ_a` and `ζ_b`.
     fn position(&self, s: f64) -> [Matrix3<f64>; 3] {
         let tangent = &self.inverse_tangent;
         let turn = self.psi * s;
         let spread = exp_tangent(&-turn);
         let z = spread * (tangent * self.y);
-        // Along δψ and along δw.
+        // Derivatives along `δψ` and along `δw`.
         let along_turn = self.bend - tangent_derivative(&turn, &z, -1.0) * s;
         let outer = self.rotation_a * spread * s;
         [
@@ -360,7 +360,7 @@ impl Helix {
         ]
     }
 
-    /// Of the rotation, along `ζ_a` and `ζ_b`.
+    /// Returns the derivatives of the rotation along `ζ_a` and `ζ_b`.
     fn rotation(&self, s: f64) -> [Matrix3<f64>; 2] {
         let turn = self.psi * s;
         let along_turn = exp_tangent(&turn) * s;
@@ -371,7 +371,7 @@ impl Helix {
     }
 }
 
-/// `(v_b - v_a, ω_a, ω_b)` of the element at the clamp.
+/// Returns `(v_b - v_a, ω_a, ω_b)` of the element at the clamp.
 fn rate_of(rod: &Rod, state: &State) -> SVector<f64, 9> {
     let velocity = |q: usize| state.linear_momentum[q] / rod.nodes[q].mass;
     let mut rate = SVector::<f64, 9>::zeros();
@@ -390,7 +390,7 @@ fn rate_of(rod: &Rod, state: &State) -> SVector<f64, 9> {
 struct BaseElement<'a> {
     rod: &'a Rod,
     pose: ElementPose<'a>,
-    /// `(v_b - v_a, ω_a, ω_b)` where the rod has internal damping.
+    /// `(v_b - v_a, ω_a, ω_b)` if the rod has internal damping.
     rate: Option<SVector<f64, 9>>,
 }
 
@@ -402,7 +402,7 @@ impl<'a> BaseElement<'a> {
         Self { rod, pose, rate }
     }
 
-    /// Strain, and `τ` times its rate, above what is free of stress.
+    /// Returns the strain plus `τ` times its rate, minus the stress-free strain.
     fn strain(&self, rate: &SVector<f64, 9>) -> ElementStrain {
         let element = &self.rod.elements[0];
         let (strain, slope) = (self.rod.strain_rule).strain_derivative(element.length, &self.pose);
@@ -414,7 +414,7 @@ impl<'a> BaseElement<'a> {
         }
     }
 
-    /// `F` (spatial) and `M_a` (body frame of node 0) of the element.
+    /// Returns `F` (spatial frame) and `M_a` (body frame of node 0) of the element.
     fn gradient(&self) -> [Vector3<f64>; 2] {
         let (element, rule) = (&self.rod.elements[0], self.rod.strain_rule);
         let gradient = match &self.rate {
@@ -427,7 +427,7 @@ impl<'a> BaseElement<'a> {
         [gradient.force, gradient.moment_a]
     }
 
-    /// What `F` and `M_a` gain by a second of internal damping, in which they are linear.
+    /// Returns the derivatives of `F` and `M_a` along the time of internal damping, in which they are linear.
     fn per_damping_time(&self, rate: &SVector<f64, 9>) -> [Vector3<f64>; 2] {
         let (element, rule) = (&self.rod.elements[0], self.rod.strain_rule);
         let (_, slope) = rule.strain_derivative(element.length, &self.pose);
@@ -442,7 +442,7 @@ impl<'a> BaseElement<'a> {
         [gradient.force, gradient.moment_a]
     }
 
-    /// Derivatives of `(F, M_a, M_b)` along the pose and, under internal damping, along `(v_b - v_a, ω_a, ω_b)`.
+    /// Returns the derivatives of `(F, M_a, M_b)` along the pose and, under internal damping, along `(v_b - v_a, ω_a, ω_b)`.
     fn derivatives(&self) -> (SMatrix<f64, 9, 9>, Option<SMatrix<f64, 9, 9>>) {
         let (element, rule) = (&self.rod.elements[0], self.rod.strain_rule);
         let Some(rate) = &self.rate else {
@@ -456,8 +456,8 @@ impl<'a> BaseElement<'a> {
         (along_pose, Some(per_rate))
     }
 
-    /// Derivative of the strain's rate along the pose at given velocities, which is their product with a second derivative that nothing
-    /// else needs: by central differences, whose error is of the tenth digit.
+    /// Returns the derivative of the strain's rate along the pose at given velocities: a product with a second derivative that is needed
+    /// nowhere else, and therefore computed by central differences, with an error in the tenth digit.
     fn rate_slope(&self, rate: &SVector<f64, 9>) -> SMatrix<f64, 9, 9> {
         const STEP: f64 = 1e-5;
         let length = self.rod.elements[0].length;

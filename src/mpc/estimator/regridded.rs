@@ -10,19 +10,19 @@ use super::{Estimate, EstimateError, Estimator, Innovation, check_start};
 
 /// An estimator of an arm with fewer (or more) nodes than the model that uses the estimate.
 ///
-/// What a [`KalmanFilter`](super::KalmanFilter) costs grows with the third power of its nodes, and what sensors can tell of an arm seldom needs
-/// as many as a plan does. Its estimate is carried to the nodes of the model ([`Transfer`]); commands on nodes that it does not have act on the
-/// two ends of the element there, in proportion to how near they are, with the work that they do on positions and rotations that are
-/// linear in between. Signals have places, not nodes, and need no change.
+/// The cost of a [`KalmanFilter`](super::KalmanFilter) grows with the third power of its nodes, and the information of sensors seldom needs
+/// as many as a plan does. The estimate is carried to the nodes of the model ([`Transfer`]). Commands on nodes that the estimator does not
+/// have act on both ends of the element there, with weights that preserve their work on positions and rotations that are linear in between.
+/// Signals have places, not nodes, and need no change.
 pub struct Regridded {
     own: Box<dyn Estimator>,
-    /// From the nodes of the model to those of the estimator, and back.
+    /// Transfer from the nodes of the model to those of the estimator, and back.
     there: Transfer,
     back: Transfer,
-    /// On the estimator's nodes.
+    /// Command on the estimator's nodes.
     command: Command,
     state: State,
-    /// On the model's nodes.
+    /// Estimate on the model's nodes.
     estimate: Estimate,
     model: Rod,
 }
@@ -36,7 +36,7 @@ impl std::fmt::Debug for Regridded {
 }
 
 impl Regridded {
-    /// Shows `estimator`, which is on the nodes of `own`, on those of `model`, another rod of the same arm.
+    /// Wraps `estimator`, which is on the nodes of `own`, for the nodes of `model`, another rod of the same arm.
     #[must_use]
     pub fn new(model: &Rod, own: &Rod, estimator: Box<dyn Estimator>) -> Self {
         let there = Transfer::new(model, own);
@@ -63,7 +63,7 @@ impl Regridded {
         }
     }
 
-    /// Writes what the estimator has found on the nodes of the model.
+    /// Writes the estimate on the nodes of the model.
     fn show(&mut self) {
         let found = self.own.estimate();
         let shown = &mut self.estimate;

@@ -1,14 +1,15 @@
 //! The slow part of a change of the state.
 //!
-//! A wrong stiffness detunes all motions of an arm; the phases of the fast ones, which hardly anything damps, become unknown within a few of
-//! their periods. A filter that carries this to first order finds itself ever less certain of motions that do not matter, and disturbs them by
-//! its own corrections. What the stiffness does to slow motions is enough to find it: of a change `u` of the poses and `m` of the momenta
+//! A wrong stiffness detunes all modes of an arm; the phases of the fast ones, which are hardly damped, become unknown within a few of
+//! their periods. A filter that propagates this to first order becomes ever less certain of modes that do not matter, and excites them by
+//! its own corrections. The effect of the stiffness on slow modes is enough to find it: of a change `u` of the poses and `m` of the momenta
+//! only
 //!
 //! ```text
 //! (M + θ K)⁻¹ M u     and     M (M + θ K)⁻¹ m,     θ = 1/ω²
 //! ```
 //!
-//! are left, that is of a motion of frequency `ν` the part `1/(1 + (ν/ω)²)`. `K` is the stiffness of the rod at rest, in the frames of the
+//! are kept, that is a fraction `1/(1 + (ν/ω)²)` of a mode of frequency `ν`. `K` is the stiffness of the rod at rest, in the frames of the
 //! nodes, so that it turns with the arm; `ω` is the frequency of the fifth bending mode of a cantilever.
 
 use faer::Mat;
@@ -23,7 +24,7 @@ use super::node_frames::{NodeFrames, POSE};
 /// `(β₅ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: the frequency in units of the rod's own time.
 const FIFTH_BENDING_MODE: f64 = 199.859_530;
 
-/// Leaves the slow part of changes of a rod's state.
+/// Projects changes of a rod's state to their slow part.
 #[derive(Debug)]
 pub(super) struct SlowPart {
     first_free_node: usize,
@@ -49,7 +50,7 @@ impl SlowPart {
         }
     }
 
-    /// Leaves the slow part of a change `(δx, ζ, δp, δπ)` of every free node.
+    /// Replaces a change `(δx, ζ, δp, δπ)` of every free node by its slow part.
     pub fn leave(&mut self, shape: &Configuration, change: &mut [f64]) {
         let rotations = &shape.rotations[self.first_free_node..];
         for (part, map) in self.maps.iter().enumerate() {

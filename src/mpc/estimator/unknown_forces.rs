@@ -1,19 +1,20 @@
 //! The noise of unknown forces on the momenta: white in time, mostly smooth along the arm.
 //!
-//! A wrong load or a wrong stiffness moves an arm slowly and smoothly: its error is large in the slow motions and small in the fast ones. The fast
-//! waves of a model of few elements are wrong by themselves, by less energy. Within one second unknown forces add to the momenta, in the frames of the nodes,
-//! the covariance
+//! A wrong load or a wrong stiffness moves an arm slowly and smoothly: its error is large in the slow modes and small in the fast ones. The
+//! fast waves of a model of few elements are wrong by themselves, by less energy. Within one second unknown forces add to the momenta, in
+//! the frames of the nodes, the covariance
 //!
 //! ```text
 //! Q = 2 e (ω₁² M K⁻¹ M + ε M),     e = 3 EI/L³ σ²,     ε = 0.1
 //! ```
 //!
-//! with the stiffness `K` and the inertia `M` at rest. A motion of frequency `ν` gains the mean energy `e ((ω₁/ν)² + ε)`. `e` is the mean energy of the
-//! first bending mode of a cantilever whose tip is off by a standard deviation `σ`. A covariance that is the inverse of an elastic operator is that of a
-//! random field that is as smooth as what bends (Whittle 1954; Lindgren, Rue and Lindström 2011).
+//! with the stiffness `K` and the inertia `M` at rest. A mode of frequency `ν` gains the mean energy `e ((ω₁/ν)² + ε)`. `e` is the mean
+//! energy of the first bending mode of a cantilever whose tip has a standard deviation `σ`. A covariance that is the inverse of an elastic
+//! operator is that of a random field as smooth as the bending of the arm (Whittle 1954; Lindgren, Rue and Lindström 2011).
 //!
-//! With the same energy for all motions, `Q = 2 e M`, a filter explains the noise of its sensors by fast motions, which then must be damped: the
-//! bias of an extended Kalman filter whose noise is too large (Ljung 1979). With none for the fast ones a gyroscope, which sees them, misleads it.
+//! With the same energy for all modes, `Q = 2 e M`, a filter explains the noise of its sensors by fast modes, which then must be damped:
+//! the bias of an extended Kalman filter whose noise is too large (Ljung 1979). With none for the fast modes, a gyroscope, which measures
+//! them, misleads it.
 
 use faer::Mat;
 use nalgebra::Matrix3;
@@ -25,10 +26,10 @@ use super::node_frames::{NodeFrames, POSE};
 
 /// `(β₁ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: the frequency in units of the rod's own time.
 const FIRST_BENDING_MODE: f64 = 3.516_015;
-/// `ε`: energy that every motion gains, over that of the first bending mode.
+/// `ε`: energy that every mode gains, divided by that of the first bending mode; measured (decision 49).
 const ROUGH: f64 = 0.1;
 
-/// Covariance of what unknown forces add to the momenta.
+/// The covariance that unknown forces add to the momenta.
 #[derive(Debug)]
 pub(super) struct UnknownForces {
     first_free_node: usize,
@@ -43,7 +44,7 @@ impl UnknownForces {
         let smooth = |i: usize, j: usize| {
             squared * frames.inertia[i] * frames.compliance_times_inertia[(i, j)]
         };
-        // Rounding makes the triangles differ: the lower one counts.
+        // Rounding makes the triangles differ; the lower one is used.
         let covariance = Mat::from_fn(n, n, |i, j| {
             let rough = if i == j {
                 ROUGH * frames.inertia[i]
@@ -58,7 +59,7 @@ impl UnknownForces {
         }
     }
 
-    /// Adds `2 e` times the covariance to one of all components, at a shape; the sum is symmetric to the last bit if that one is.
+    /// Adds `2 e` times the covariance to one of all components, at a shape; the sum is exactly symmetric if that one is.
     pub fn add(&self, energy: f64, shape: &Configuration, covariance: &mut Mat<f64>) {
         let rotations = &shape.rotations[self.first_free_node..];
         for (a, left) in rotations.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What a plant says, as a state of the model or as signals of sensors.
+//! Conversion of a plant's lines to states of the model or signals of sensors.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -10,7 +10,7 @@ use crate::mechanics::{Configuration, Rod, State};
 use crate::mpc::sensor::SensorSettings;
 use crate::mpc::signal::{Measurement, Reading, Signal};
 
-/// Why something is refused: where it stands, what is wrong with it, and what to do.
+/// The reason why a value is refused: its place, its fault, and a remedy.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Refusal {
     pub place: String,
@@ -32,28 +32,29 @@ impl Refusal {
     }
 }
 
-/// `|RᵀR - 1|` of a matrix that is taken for a rotation at the most: more is no rounding. The steps to the nearest rotation converge below 1.
+/// Largest `|RᵀR - 1|` of a matrix that is accepted as a rotation: a larger one is not rounding. The steps to the nearest rotation converge
+/// below 1.
 const LARGEST_EXCESS: f64 = 0.2;
-/// Steps, each of which squares the excess: 0.2 is below the rounding of numbers after six.
+/// Number of steps to the nearest rotation, each of which squares the excess: from 0.2, six steps end below rounding.
 const STEPS: usize = 6;
-/// Mean cosine by which transposed rotations must fit the axis of the arm better than those that are given.
+/// Rotations are refused as transposed if their transposes fit the axis of the arm better by this mean cosine.
 const BETTER_FIT: f64 = 0.05;
-/// Distance of the base from the clamp of the model over the length at the most.
+/// Largest distance of the base from the clamp of the model, divided by the length.
 const FARTHEST_BASE: f64 = 0.01;
 
-/// How all nodes move: momenta, or velocities.
+/// The motion of all nodes: momenta, or velocities.
 struct Moving {
     vectors: Vec<Vector3<f64>>,
     is_momentum: bool,
 }
 
-/// Readings of one line at the most. An estimator looks at each of them before the plant has its answer.
+/// Cap on the readings of one line: an estimator processes each of them before the plant has its answer.
 pub(super) const MOST_READINGS: usize = 1000;
-/// Signals of one instant that an estimator looks at together. It factors a matrix of three times as many rows; blocks one after the other say the
-/// same, and their time grows with their number alone.
+/// Number of signals of one time that an estimator processes together. It factors a matrix of three times as many rows; successive blocks
+/// give the same result in a time proportional to their number.
 const BLOCK: usize = 128;
 
-/// Makes states and signals of lines.
+/// Converts lines to states and signals.
 #[derive(Debug)]
 pub(super) struct Intake {
     rod: Rod,
@@ -61,7 +62,7 @@ pub(super) struct Intake {
     sensors: Vec<SensorSettings>,
     /// Time and configuration of the last state, for velocities by differences.
     before: Option<(f64, Configuration)>,
-    /// How far the rotations of the present line were from the nearest ones, at most; `None` without any.
+    /// Largest distance of the present line's rotations from the nearest ones; `None` without rotations.
     pub rotation_change: Option<f64>,
 }
 
@@ -80,7 +81,7 @@ impl Intake {
         &self.sensors
     }
 
-    /// The state that a line gives of all nodes at time `t`; `None` where it gives none.
+    /// Returns the state of all nodes that a line gives at time `t`; `None` if it gives none.
     pub fn state(&mut self, t: f64, line: &Line) -> Result<Option<State>, Refusal> {
         let Some(configuration) = self.configuration(line)? else {
             return Ok(None);
@@ -139,8 +140,8 @@ impl Intake {
         }))
     }
 
-    /// The signals of a line at time `t`, for an estimator that has come to `known_at` (s), in the order of their times; and what of them cannot
-    /// be used.
+    /// Returns the signals of a line at time `t`, for an estimator that is at `known_at` (s), in the order of their times, and the refusals
+    /// of unusable values.
     pub fn signals(
         &mut self,
         t: f64,
@@ -152,7 +153,7 @@ impl Intake {
             return Err(Refusal::new(
                 "readings",
                 format!("{n} of them, and a line may have {MOST_READINGS}"),
-                "give fewer places, or what a sensor reads between two samples as its mean",
+                "give fewer places, or one mean of the readings of a sensor between two samples",
             ));
         }
         let mut readings: Vec<(String, ReadingLine)> = (line.readings.iter().flatten().enumerate())
@@ -174,7 +175,7 @@ impl Intake {
             if time < known_at - 1e-9 {
                 refusals.push(Refusal::new(
                     format!("{name}.time_s"),
-                    format!("{time} s lies before what the estimate has used already, {known_at} s"),
+                    format!("{time} s lies before the last measurement that the estimate has used, {known_at} s"),
                     "the reading is dropped; give age_s of its sensor in the scene, so that nothing newer is used before it",
                 ));
                 continue;
@@ -201,7 +202,7 @@ impl Intake {
         Ok((blocks.collect(), refusals))
     }
 
-    /// Positions and rotations of all nodes.
+    /// Returns positions and rotations of all nodes.
     fn configuration(&mut self, line: &Line) -> Result<Option<Configuration>, Refusal> {
         let others = [
             line.velocities_m_s.is_some(),
@@ -252,7 +253,7 @@ impl Intake {
         ))
     }
 
-    /// A plant elsewhere than the model is one in another frame.
+    /// Refuses a base away from the clamp of the model, because the plant's frame is then another one.
     fn at_the_clamp(&self, configuration: &Configuration) -> Result<(), Refusal> {
         if !matches!(self.rod.base, BaseCondition::Clamped) {
             return Ok(());
@@ -269,7 +270,7 @@ impl Intake {
         ))
     }
 
-    /// The nearest rotation; notes how far it is.
+    /// Returns the nearest rotation, and stores its distance.
     fn rotation(&mut self, place: &str, given: &Rows) -> Result<Matrix3<f64>, Refusal> {
         let given = Matrix3::from_fn(|i, j| given[i][j]);
         let excess = (given.tr_mul(&given) - Matrix3::identity()).norm();
@@ -286,7 +287,7 @@ impl Intake {
             return refuse("a reflection: its determinant is negative".into());
         }
         let mut nearest = given;
-        // What is a rotation to rounding stays as it is.
+        // A matrix that is a rotation up to rounding is left unchanged.
         if excess > 4.0 * f64::EPSILON {
             for _ in 0..STEPS {
                 nearest = orthonormalized(&nearest);
@@ -298,7 +299,7 @@ impl Intake {
         Ok(nearest)
     }
 
-    /// Momenta or velocities of all nodes, whichever are given.
+    /// Returns momenta or velocities of all nodes, whichever are given.
     fn channel(
         &self,
         (first, second): (&Option<Vec<Vector>>, &Option<Vec<Vector>>),
@@ -323,7 +324,7 @@ impl Intake {
         }))
     }
 
-    /// A state as readings at the free nodes.
+    /// Returns a state as readings at the free nodes.
     fn readings_at_nodes(
         &self,
         line: &Line,
@@ -351,7 +352,7 @@ impl Intake {
                 own.vectors[q]
             })
         };
-        // What of a state counts is what the sensors of the scene measure.
+        // Only those quantities of a state are used that a sensor of the scene measures.
         let sees = |sigma: fn(&SensorSettings) -> Option<f64>| {
             self.sensors.iter().any(|own| sigma(own).is_some())
         };
@@ -457,7 +458,8 @@ impl Intake {
     }
 }
 
-/// The third director of a section lies along the arm, but for a little shear. Where that of the transposed matrix fits better, rows are columns.
+/// Refuses transposed rotations. The third director of a section points along the arm, up to a small shear; if that of the transposed
+/// matrices fits better, rows and columns were exchanged.
 fn not_transposed(at: &Configuration) -> Result<(), Refusal> {
     let n = at.positions.len() - 1;
     let mut fits = [0.0; 2];
@@ -470,7 +472,7 @@ fn not_transposed(at: &Configuration) -> Result<(), Refusal> {
         ];
         for (fit, axis) in fits.iter_mut().zip(axes) {
             let cosine = axis.dot(&chord) / (axis.norm() * chord.norm());
-            // Nodes in one point say nothing of their direction.
+            // Coinciding nodes have no direction.
             if cosine.is_finite() {
                 *fit += cosine / n as f64;
             }

@@ -1,4 +1,4 @@
-//! The lines of a served loop, as they are written: one JSON object each. `docs/serving.md` explains every field.
+//! The lines of a served loop: one JSON object each. `docs/serving.md` explains every field.
 
 use std::collections::BTreeMap;
 
@@ -15,12 +15,12 @@ use crate::mpc::sensor::SensorSettings;
 pub(super) type Vector = [f64; 3];
 pub(super) type Rows = [[f64; 3]; 3];
 
-/// The rows of a matrix.
+/// Returns the rows of a matrix.
 pub(super) fn rows(matrix: &Matrix3<f64>) -> Rows {
     std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)]))
 }
 
-/// What a plant says.
+/// Kind of a line of the plant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Kind {
@@ -28,7 +28,7 @@ pub(super) enum Kind {
     Bye,
 }
 
-/// A line of the plant. What is absent or null is not measured.
+/// A line of the plant. An absent or null field is not measured.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Line {
@@ -43,14 +43,14 @@ pub(super) struct Line {
     pub linear_momenta_kg_m_s: Option<Vec<Vector>>,
     pub angular_momenta_kg_m2_s: Option<Vec<Vector>>,
     pub readings: Option<Vec<ReadingLine>>,
-    /// Rows of a time and a position.
+    /// Rows of a time, s, and a position, m.
     pub reference_m: Option<Vec<[f64; 4]>>,
-    /// Rows of a time and a quaternion.
+    /// Rows of a time, s, and a quaternion.
     pub reference_wxyz: Option<Vec<[f64; 5]>>,
     pub obstacles: Option<Vec<ObstacleLine>>,
 }
 
-/// Where an obstacle is at the time of the sample, from where the scene has it.
+/// The displacement of an obstacle at the time of the sample from its place in the scene.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ObstacleLine {
@@ -59,7 +59,7 @@ pub(super) struct ObstacleLine {
     pub velocity_m_s: Option<Vector>,
 }
 
-/// What one sensor reads at one place.
+/// A reading of one sensor at one place.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ReadingLine {
@@ -74,7 +74,7 @@ pub(super) struct ReadingLine {
     pub base_moment_n_m: Option<Vector>,
 }
 
-/// The first line.
+/// The first line of the server.
 #[derive(Debug, Serialize)]
 pub(super) struct Hello<'a> {
     #[serde(rename = "type")]
@@ -115,7 +115,7 @@ pub(super) struct ActuatorLine {
     pub moment: Option<ChannelLine>,
 }
 
-/// Limits of a force or moment; `null`: unbounded.
+/// Limits of a force or moment; `null` means unbounded.
 #[derive(Debug, Serialize)]
 pub(super) struct ChannelLine {
     pub unit: &'static str,
@@ -136,7 +136,7 @@ impl ActuatorLine {
         }
     }
 
-    /// Forces and moments that follow from other controls.
+    /// Returns a line without limits, for a node whose forces and moments follow from other controls.
     pub fn unbounded(node: usize) -> Self {
         let free = Channel::new(1.0, None);
         Self {
@@ -202,7 +202,7 @@ impl SensorLine {
     }
 }
 
-/// What is wrong with a line of the plant, and what to do.
+/// A fault in a line of the plant, and its remedy.
 #[derive(Debug, Serialize)]
 pub(super) struct ErrorLine<'a> {
     #[serde(rename = "type")]
@@ -214,7 +214,7 @@ pub(super) struct ErrorLine<'a> {
     pub help: &'a str,
 }
 
-/// The answer to a measurement.
+/// The response to a measurement.
 #[derive(Debug, Serialize)]
 pub(super) struct CommandLine {
     #[serde(rename = "type")]
@@ -283,7 +283,7 @@ impl DisturbanceLine {
     }
 }
 
-/// Seconds on this machine.
+/// Durations on this machine, s.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(super) struct Phases {
     pub read: f64,
@@ -293,7 +293,7 @@ pub(super) struct Phases {
     pub prepare_before: f64,
 }
 
-/// What a served loop amounts to, and its last line.
+/// Statistics of a served loop, which are its last line.
 #[derive(Clone, Debug, Serialize)]
 pub struct Served {
     /// `summary`
@@ -301,19 +301,19 @@ pub struct Served {
     pub kind: &'static str,
     /// `bye`, `end-of-input` or `stopped`.
     pub status: &'static str,
-    /// Samples with a command.
+    /// Number of samples with a command.
     pub samples: usize,
-    /// Samples that the plant left out.
+    /// Number of samples that the plant left out.
     pub skipped_samples: usize,
-    /// Lines or parts of lines that were refused.
+    /// Number of lines or parts of lines that were refused.
     pub errors: usize,
     /// Time between two samples, s.
     pub period_s: f64,
-    /// Samples that took longer than the period, preparation included.
+    /// Number of samples that took longer than the period, including the preparation.
     pub overruns: usize,
     /// Seconds from a line to the command that answers it.
     pub response_s: Percentiles,
-    /// Seconds of a whole sample, preparation included.
+    /// Seconds of a whole sample, including the preparation.
     pub sample_s: Percentiles,
     /// Seconds of estimation and prediction.
     pub estimate_s: Percentiles,
@@ -321,19 +321,19 @@ pub struct Served {
     pub feedback_s: Percentiles,
     /// Seconds of the preparation.
     pub prepare_s: Percentiles,
-    /// From when on distances of the tip from its reference count, s.
+    /// Time from which distances of the tip from its reference count, s.
     pub counted_from_s: f64,
     /// Distance of the known tip from its reference, m.
     pub tip_error_m: TipError,
-    /// The same over the length of the arm.
+    /// Distance of the known tip from its reference, divided by the length of the arm.
     pub tip_error_over_length: TipError,
-    /// Samples without a command of their own, by the cause.
+    /// Number of samples without a command of their own, by cause.
     pub fallbacks: BTreeMap<String, usize>,
-    /// Largest distance of a rotation as given from the nearest one, Frobenius norm.
+    /// Largest Frobenius distance of a given rotation from the nearest one.
     pub rotation_change: f64,
 }
 
-/// Why the version of a line is none.
+/// Describes an unsupported version of a line.
 pub(super) fn version_message(found: u64) -> String {
     format!("version {found} is not {SERVING_VERSION}")
 }

@@ -9,8 +9,8 @@
 //! server   summary
 //! ```
 //!
-//! Every measurement is answered by one command. Where something is wrong with a line, an `error` line goes before the command, which is then that
-//! of the [fall-back](super::FallbackSettings). `docs/serving.md` has every field.
+//! Every measurement is answered by one command. If a line is faulty, an `error` line precedes the command, which is then that of the
+//! [fallback](super::FallbackSettings). `docs/serving.md` explains every field.
 
 mod intake;
 mod message;
@@ -31,22 +31,21 @@ use super::closed_loop::{Cause, Driver, Experiment, Known, Percentiles, Sample, 
 use super::error::MpcError;
 use crate::mechanics::place::node_places;
 use crate::mechanics::rotation::from_quaternion;
-use crate::output::summary::TOOL;
 
 pub use self::message::Served;
 
-/// Version of the lines. It changes when a field of theirs changes its meaning.
+/// Version of the lines. It changes when the meaning of a field changes.
 pub const SERVING_VERSION: u64 = 1;
-/// Longest line that is read, bytes.
+/// Cap on the length of a line, bytes.
 pub const LONGEST_LINE: usize = 1 << 24;
-/// Samples that a plant may leave out at once: an estimate is simulated over them before the plant has its answer.
+/// Cap on the samples that a plant may leave out at once: an estimate is simulated over them before the plant has its answer.
 const MOST_SKIPPED: f64 = 100.0;
 
-/// Why a loop cannot be served.
+/// The reason why a loop cannot be served.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServeError {
-    /// There is no controller.
+    /// The controller could not be created.
     #[error(transparent)]
     Mpc(#[from] MpcError),
     /// A line could not be read or written.
@@ -54,21 +53,22 @@ pub enum ServeError {
     Io(#[from] io::Error),
 }
 
-/// How a served loop ends.
+/// The end of a served loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ServingEnd {
-    /// The plant said so.
+    /// The plant said goodbye.
     Bye,
-    /// There is no more input.
+    /// The input ended.
     EndOfInput,
-    /// Whoever serves was told to stop.
+    /// A stop signal ended the server.
     Stopped,
 }
 
-/// Serves one plant until it says goodbye or its lines end; `scene` is the name that it is told.
+/// Serves one plant until it says goodbye or its lines end; `scene` is the name of the scene in the first line.
 ///
 /// # Errors
-/// [`ServeError`] where the controller cannot be made, and where lines cannot be read or written. What is wrong with a line is told to the plant.
+/// Returns [`ServeError`] if the controller cannot be created, or lines cannot be read or written. Faults of a line are reported to the
+/// plant instead.
 pub fn serve(
     experiment: &Experiment,
     scene: &str,
@@ -85,11 +85,11 @@ pub fn serve(
     Ok(server.finish(ServingEnd::EndOfInput)?)
 }
 
-/// Reads a line without its end; one that is longer than [`LONGEST_LINE`] is cut off after the first byte beyond. `false` at the end of the
-/// input.
+/// Reads a line without its end; a line longer than [`LONGEST_LINE`] is cut off after the first excess byte. Returns `false` at the end of
+/// the input.
 ///
 /// # Errors
-/// Those of the input.
+/// Returns errors of the input.
 pub fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<bool> {
     line.clear();
     loop {
@@ -120,9 +120,9 @@ pub struct Server<W> {
     output: W,
     n_lines: usize,
     record: Record,
-    /// From when on distances of the tip count, s.
+    /// Time from which distances of the tip count, s.
     counted_from: f64,
-    /// When the path of the scene ends on its way, s, if the plant was not told so yet.
+    /// Time at which the path of the scene ends while it still moves, s, if the plant has not been told yet.
     path_ends: Option<f64>,
     /// Length of the arm, m.
     length: f64,
@@ -130,7 +130,7 @@ pub struct Server<W> {
     prepared_in: f64,
 }
 
-/// What a summary is made of.
+/// Data for a summary.
 #[derive(Debug, Default)]
 struct Record {
     n_samples: usize,
@@ -139,13 +139,13 @@ struct Record {
     n_overruns: usize,
     /// Seconds of every sample but the first: answer, whole, estimate, feedback, preparation.
     seconds: [Vec<f64>; 5],
-    /// Distances that count, m.
+    /// Distances of the tip that count, m.
     distances: Vec<f64>,
     fallbacks: BTreeMap<String, usize>,
     rotation_change: f64,
 }
 
-/// What a line makes of a sample.
+/// Use of a line in a sample.
 enum Taken {
     State(crate::mechanics::State),
     Measured,
@@ -153,17 +153,17 @@ enum Taken {
 }
 
 impl<W: Write> Server<W> {
-    /// The controller of an experiment, whose arm as it is, actuators and duration play no part, and which greets its plant at once.
+    /// Creates the controller of an experiment, whose plant, actuators and duration are not used, and writes the first line.
     ///
     /// # Errors
-    /// [`ServeError`].
+    /// Returns [`ServeError`] as [`serve`] does.
     pub fn new(experiment: &Experiment, scene: &str, output: W) -> Result<Self, ServeError> {
         let driver = experiment.driver()?;
         let model = driver.controller().rod();
         let mut server = Self {
             intake: Intake::new(model, experiment.sensors(model)),
             counted_from: experiment.counted_from,
-            // One that ends within the loop of the scene is a way to where the tip is then kept.
+            // A path that ends within the loop of the scene leads to a place where the tip then stays.
             path_ends: (driver.controller().path_breaks_off())
                 .filter(|end| *end >= experiment.duration),
             length: model.scales.length,
@@ -200,7 +200,7 @@ impl<W: Write> Server<W> {
         let mut actuators: Vec<_> = (controller.actuators().iter())
             .map(ActuatorLine::of)
             .collect();
-        // What actuators of one's own do to other nodes.
+        // Nodes on which user-defined actuators act.
         for &node in &controller.command().nodes {
             if !actuators.iter().any(|own| own.node == node) {
                 actuators.push(ActuatorLine::unbounded(node));
@@ -209,7 +209,7 @@ impl<W: Write> Server<W> {
         let hello = Hello {
             kind: "hello",
             version: SERVING_VERSION,
-            tool: TOOL,
+            tool: crate::TOOL,
             scene,
             period_s: settings.period,
             first_command_from_s: self.driver.settings().lead(),
@@ -228,10 +228,10 @@ impl<W: Write> Server<W> {
         write(&mut self.output, &hello)
     }
 
-    /// Takes one line of the plant, answers it, and prepares the next sample. Breaks off where the plant says goodbye.
+    /// Takes one line of the plant, answers it, and prepares the next sample. Returns `Break` if the plant says goodbye.
     ///
     /// # Errors
-    /// Where the answer cannot be written.
+    /// Returns an error if the answer cannot be written.
     pub fn take(&mut self, line: &[u8]) -> io::Result<ControlFlow<()>> {
         let begin = Instant::now();
         self.n_lines += 1;
@@ -293,10 +293,10 @@ impl<W: Write> Server<W> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Says what the loop amounts to.
+    /// Writes the statistics of the loop.
     ///
     /// # Errors
-    /// Where that cannot be written.
+    /// Returns an error if they cannot be written.
     pub fn finish(mut self, end: ServingEnd) -> io::Result<Served> {
         let record = &self.record;
         let of = |phase: usize| Percentiles::of(record.seconds[phase].iter().copied());
@@ -347,7 +347,7 @@ impl<W: Write> Server<W> {
         self.driver.controller().settings().period
     }
 
-    /// The time of a line that the driver can go on to.
+    /// Returns the time of a line to which the driver can go on.
     fn time(&self, line: &Line) -> Result<f64, Refusal> {
         if let Some(version) = line.version.filter(|version| *version != SERVING_VERSION) {
             let help = "leave it out, or speak the version of the hello line";
@@ -369,7 +369,7 @@ impl<W: Write> Server<W> {
         Ok(t)
     }
 
-    /// Takes over the references and obstacles of a line at time `t`, as far as it gives some; what of them cannot be used.
+    /// Applies the references and obstacles of a line at time `t`, if there are any; returns refusals of those that cannot be used.
     fn follow(&mut self, t: f64, line: &Line) -> Vec<Refusal> {
         let mut refusals = Vec::new();
         let refusal = |field: &str, error: &MpcError, help: &str| {
@@ -390,7 +390,7 @@ impl<W: Write> Server<W> {
             }
         }
         if let Some(rows) = &line.reference_wxyz {
-            // A quaternion of no length is no rotation, and its matrix is not finite.
+            // A zero quaternion is not a rotation, and its matrix is not finite.
             let rotation = |q: [f64; 4]| {
                 if q == [0.0; 4] {
                     Matrix3::from_element(f64::NAN)
@@ -419,7 +419,7 @@ impl<W: Write> Server<W> {
         refusals
     }
 
-    /// What a line says of the arm at time `t`, and what of it cannot be used.
+    /// Returns the use of a line about the arm at time `t`, and refusals of its unusable values.
     fn known(&mut self, t: f64, line: &Line) -> Result<(Taken, Vec<Refusal>), Refusal> {
         if self.driver.estimates() {
             let (measurements, refusals) =
@@ -455,11 +455,11 @@ impl<W: Write> Server<W> {
         write(&mut self.output, &error)
     }
 
-    /// The command of the sample at time `t`, and the preparation of the next.
+    /// Answers with the command of the sample at time `t`, and prepares the next one.
     fn answer(&mut self, begin: Instant, t: f64, taken: Taken) -> io::Result<()> {
         let read = begin.elapsed().as_secs_f64();
         let expected = self.driver.next_sample();
-        let mut sample = match &taken {
+        let mut responded = match &taken {
             Taken::State(state) => self.driver.respond(t, Known::State(state)),
             Taken::Measured => self.driver.respond(t, Known::Measurements),
             Taken::Unusable if self.driver.estimates() => {
@@ -470,11 +470,12 @@ impl<W: Write> Server<W> {
                 self.driver.respond(t, why)
             }
         };
-        let n_skipped = self.driver.next_sample() - expected;
+        let n_skipped = responded.next_sample() - expected;
         self.record.n_skipped += n_skipped;
+        let sample = responded.sample();
         let is_known = sample.fallback.is_none() || !matches!(taken, Taken::Unusable);
         let tip = is_known.then(|| TipLine {
-            time_s: self.driver.known_at(),
+            time_s: responded.known_at(),
             position_m: sample.tip,
             reference_m: sample.reference,
         });
@@ -483,8 +484,9 @@ impl<W: Write> Server<W> {
             action: action.to_string(),
         });
         let disturbance =
-            (self.driver.estimates()).then(|| DisturbanceLine::of(self.driver.disturbance()));
-        let predicted_tip_m = self.driver.predicted_tip(&sample).map(Into::into);
+            (responded.estimates()).then(|| DisturbanceLine::of(responded.disturbance()));
+        let predicted_tip_m = responded.predicted_tip().map(Into::into);
+        let sample = responded.sample();
         let phases_s = Phases {
             read,
             estimate: sample.estimate_s,
@@ -499,17 +501,17 @@ impl<W: Write> Server<W> {
             skipped_samples: n_skipped,
             disturbance,
             phases_s,
-            ..self.command(sample.t)
+            ..command(&responded, sample.t, self.intake.rotation_change)
         };
         write(&mut self.output, &line)?;
         let answered = begin.elapsed().as_secs_f64();
-        self.driver.prepare(&mut sample);
+        let sample = responded.prepare();
         self.prepared_in = sample.prepare_s;
         self.note(&sample, answered);
         Ok(())
     }
 
-    /// The last command again.
+    /// Answers with the last command again.
     fn repeat(&mut self, begin: Instant, t: f64) -> io::Result<()> {
         let line = CommandLine {
             sample: self.driver.next_sample().saturating_sub(1),
@@ -521,38 +523,9 @@ impl<W: Write> Server<W> {
                 read: begin.elapsed().as_secs_f64(),
                 ..Phases::default()
             },
-            ..self.command(t)
+            ..command(&self.driver, t, self.intake.rotation_change)
         };
         write(&mut self.output, &line)
-    }
-
-    /// The last command, and nothing of how it came to be.
-    fn command(&self, time_s: f64) -> CommandLine {
-        let told = self.driver.told();
-        let wrenches = (told.nodes.iter().zip(told.from.iter().zip(&told.to)))
-            .map(|(&node, (from, to))| WrenchLine {
-                node,
-                force_from_n: from.force.into(),
-                force_to_n: to.force.into(),
-                moment_from_n_m: from.moment.into(),
-                moment_to_n_m: to.moment.into(),
-            })
-            .collect();
-        CommandLine {
-            kind: "command",
-            sample: self.driver.next_sample(),
-            time_s,
-            from_s: told.start,
-            to_s: told.end,
-            wrenches,
-            fallback: None,
-            tip: None,
-            predicted_tip_m: None,
-            rotation_change: self.intake.rotation_change,
-            skipped_samples: 0,
-            disturbance: None,
-            phases_s: Phases::default(),
-        }
     }
 
     fn note(&mut self, sample: &Sample, answered: f64) {
@@ -583,7 +556,7 @@ impl<W: Write> Server<W> {
     }
 }
 
-/// A line of the plant.
+/// Parses a line of the plant.
 fn parse(line: &[u8]) -> Result<Line, Refusal> {
     if line.len() > LONGEST_LINE {
         return Err(Refusal::new(
@@ -607,10 +580,39 @@ fn parse(line: &[u8]) -> Result<Line, Refusal> {
     })
 }
 
-/// Writes a line, at once.
+/// Writes a line at once.
 fn write(output: &mut impl Write, line: &impl serde::Serialize) -> io::Result<()> {
     let mut text = serde_json::to_vec(line)?;
     text.push(b'\n');
     output.write_all(&text)?;
     output.flush()
+}
+
+/// Returns the last command without the data of a sample.
+fn command(driver: &Driver, time_s: f64, rotation_change: Option<f64>) -> CommandLine {
+    let told = driver.told();
+    let wrenches = (told.nodes.iter().zip(told.from.iter().zip(&told.to)))
+        .map(|(&node, (from, to))| WrenchLine {
+            node,
+            force_from_n: from.force.into(),
+            force_to_n: to.force.into(),
+            moment_from_n_m: from.moment.into(),
+            moment_to_n_m: to.moment.into(),
+        })
+        .collect();
+    CommandLine {
+        kind: "command",
+        sample: driver.next_sample(),
+        time_s,
+        from_s: told.start,
+        to_s: told.end,
+        wrenches,
+        fallback: None,
+        tip: None,
+        predicted_tip_m: None,
+        rotation_change,
+        skipped_samples: 0,
+        disturbance: None,
+        phases_s: Phases::default(),
+    }
 }

@@ -113,49 +113,27 @@ mod tests {
 
     fn data() -> ReportData {
         let motion = record(5, 3);
-        ReportData {
-            title: "reach".into(),
-            command: ReportCommand::Solve,
-            verdict: ReportVerdict {
-                text: "certified".into(),
-                ok: true,
-                checked: true,
-            },
+        let words = Words {
             lead: "The tip moves.".into(),
-            trust: "Nobody checked.".into(),
-            arm_facts: vec![],
-            acting: vec![],
             facts: vec![("elements".into(), "2".into())],
-            summary: serde_json::json!({"schema_version": 1}),
-            arm: ReportArm {
-                radius: vec![0.01; 3],
-                base: Some([0.0; 3]),
-                gravity: [0.0, 0.0, -9.81],
-                length: 1.0,
-                payload: 0.0,
-            },
-            motion: ReportMotion::thinned(&motion, 240),
-            clock: ReportClock::time(),
+            ..Words::default()
+        };
+        let arm = ReportArm {
+            radius: vec![0.01; 3],
+            base: Some([0.0; 3]),
+            gravity: [0.0, 0.0, -9.81],
+            length: 1.0,
+            payload: 0.0,
+        };
+        let summary = serde_json::json!({"schema_version": 1, "scene": "reach"});
+        let frames = ReportMotion::thinned(&motion, 240);
+        ReportData {
             target: Some(ReportTarget {
                 position: Some([0.3, 0.0, 0.1]),
                 directions: None,
             }),
-            via: vec![],
-            paths: vec![],
-            arrows: vec![],
-            fields: None,
-            obstacles: None,
-            controls: None,
             energy: Some(ReportEnergy::thinned(&motion, 240)),
-            sensitivity: None,
-            bars: Vec::new(),
-            tables: Vec::new(),
-            advice: Vec::new(),
-            charts: Vec::new(),
-            iterations: vec![],
-            attempts: vec![],
-            kinds: vec![],
-            checks: vec![],
+            ..ReportData::of(ReportCommand::Solve, &summary, words, arm, frames)
         }
     }
 
@@ -174,8 +152,8 @@ mod tests {
                        & \u{2028} {{title}} {{data}} ]]> \" ' \\";
         let mut spoiled = data();
         spoiled.title = hostile.into();
-        spoiled.verdict.text = hostile.into();
-        spoiled.facts = vec![(hostile.into(), hostile.into())];
+        spoiled.words.verdict.text = hostile.into();
+        spoiled.words.facts = vec![(hostile.into(), hostile.into())];
         spoiled.summary = serde_json::json!({ hostile: hostile });
         spoiled.obstacles = Some(ReportObstacles {
             t: vec![0.0],
@@ -295,25 +273,5 @@ mod tests {
         }
         let noise = vec![vec![1e-12, -1e-13]];
         assert!(ReportField::of("twist", "1/m", false, Some(0.0), 1e-9, &noise).is_none());
-    }
-
-    /// Blocks become edges and values: one edge more than values.
-    #[test]
-    fn rows_become_blocks() {
-        let row = |t_start, fx| ControlRow {
-            t_start,
-            t_end: t_start + 0.5,
-            fx,
-            fy: 0.0,
-            fz: 0.0,
-            mx: 0.0,
-            my: 0.0,
-            mz: 1.0,
-            node: 4,
-        };
-        let controls = ReportControls::held(&[row(0.0, 1.0), row(0.5, 2.0)]);
-        assert_eq!(controls.t, [0.0, 0.5, 1.0]);
-        assert_eq!(controls.force, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
-        assert_eq!(controls.moment, [[0.0, 0.0, 1.0]; 2]);
     }
 }

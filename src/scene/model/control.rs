@@ -4,29 +4,36 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::values::{self, NonNegative, Positive, known};
-use crate::control::Hold;
+use super::super::check::LARGEST_COUNT;
+use super::super::describe::DescribeError;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, NonNegative, Number, Positive, known};
+use super::{BaseKind, Scene};
+use crate::control::{self, Hold};
+use crate::task::{
+    self, ChannelLimits, DistributedCouple, OwnActuator, Place, Problem, WrenchActuator,
+};
 
-/// The tip force and moment that the optimizer may choose, and those on other nodes, on blocks of equal duration. A force or moment that
-/// is not named does not act.
+/// Force and moment on the tip, and wrenches on other nodes, as functions of time on blocks of equal duration. A force
+/// or moment that is not named does not act.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Control {
-    /// Number of blocks, at least 1, default 20.
+    /// Number of blocks into which the horizon of the controls is divided, at least 1, default 20.
     #[serde(default = "twenty")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub blocks: usize,
-    /// The course of the controls within a block.
+    /// Course of the controls within a block.
     #[serde(default)]
     pub hold: Hold,
-    /// Largest tip force in N; `inf` is unbounded. Absent, or 0: there is no tip force.
+    /// Largest tip force in N; `inf` is unbounded, and 0 is no force. Absent: there is no tip force.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
-    /// Components of that force (x, y, z) that act, under a bound on the norm as well. Absent: all.
+    /// Components (x, y, z) of that force that act, under a bound on the norm as well. Absent: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_axes: Option<[bool; 3]>,
-    /// Largest tip moment in N m; `inf` is unbounded. Absent, or 0: there is no tip moment.
+    /// Largest tip moment in N m; `inf` is unbounded, and 0 is no moment. Absent: there is no tip moment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
     /// Components of that moment (body frame; the third is twist) that act. Absent: all.
@@ -44,13 +51,15 @@ pub struct Control {
     /// Couples along the arm. Absent: there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub distributed: Option<Distributed>,
-    /// Weights of the feedback gains along the solution. Absent: no gains.
+    /// Weights of the regulator along the solution; the table may be empty. Absent: no gains are computed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feedback: Option<Feedback>,
 }
 
-/// A couple per length along the arm, in the body frame of every section: a cubic spline through points at equal distances, whose values may be
-/// chosen, and through 0 at both ends.
+/// A couple per length along the arm, in the body frame of every section, as muscles exert it: a cubic spline through
+/// points at equal distances, whose values are controls, and through 0 at both ends. It does not go with
+/// `[task.free_duration]` or with `solver.qp = "sparse"`. If it is the only actuator, give every `[[objective.track]]`
+/// a weight.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -65,7 +74,7 @@ pub struct Distributed {
     pub moment_scale_n_m_per_m: Option<Positive<values::CoupleDensity>>,
 }
 
-/// What the regulator around the solution weighs.
+/// Weights of the regulator along the solution.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -96,13 +105,13 @@ impl Default for Feedback {
 pub struct Actuator {
     /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
     pub node: usize,
-    /// Largest force in N; `inf` is unbounded. Absent, or 0: there is no force.
+    /// Largest force in N; `inf` is unbounded, and 0 is no force. Absent: there is no force.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
     /// Components of that force (x, y, z) that act, under a bound on the norm as well. Absent: all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_axes: Option<[bool; 3]>,
-    /// Largest moment in N m; `inf` is unbounded. Absent, or 0: there is no moment.
+    /// Largest moment in N m; `inf` is unbounded, and 0 is no moment. Absent: there is no moment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
     /// Components of that moment (body frame; the third is twist) that act. Absent: all.
@@ -136,4 +145,272 @@ impl Bound {
 
 fn twenty() -> usize {
     20
+}
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_control(&self, control: &Control, scene: &Scene) -> Checked {
+        self.count("control.blocks", control.blocks, LARGEST_COUNT)?;
+        self.check_bounds(
+            "control",
+            [
+                (control.force_max_n, control.force_axes),
+                (control.moment_max_n_m, control.moment_axes),
+            ],
+        )?;
+        for (key, bound, unit) in [
+            (
+                "control.force_rate_max_n_s",
+                control.force_rate_max_n_s,
+                "N/s",
+            ),
+            (
+                "control.moment_rate_max_n_m_s",
+                control.moment_rate_max_n_m_s,
+                "N m/s",
+            ),
+        ] {
+            match bound {
+                None => {}
+                Some(Bound::Norm(norm)) => self.positive(key, norm, "rate", unit)?,
+                Some(Bound::PerAxis(bounds)) => {
+                    for (axis, bound) in bounds.into_iter().enumerate() {
+                        self.positive(&format!("{key}.{axis}"), bound, "rate", unit)?;
+                    }
+                }
+            }
+        }
+        let acts =
+            |parts: [Option<Bound>; 2]| parts.into_iter().flatten().any(|part| !part.is_zero());
+        let mut nothing = !acts([control.force_max_n, control.moment_max_n_m]);
+        let elements = scene.rod.elements;
+        for (index, actuator) in control.actuator.iter().enumerate() {
+            let key = format!("control.actuator.{index}");
+            let held = scene.base.kind != BaseKind::Free && actuator.node == 0;
+            let earlier = &control.actuator[..index];
+            let message = if actuator.node > elements {
+                format!("there is no node {}", actuator.node)
+            } else if actuator.node == elements {
+                "the tip has the control's own force and moment".to_string()
+            } else if held {
+                "a held or driven base does not answer to forces".to_string()
+            } else if earlier.iter().any(|other| other.node == actuator.node) {
+                format!("node {} is given twice", actuator.node)
+            } else {
+                self.check_bounds(
+                    &key,
+                    [
+                        (actuator.force_max_n, actuator.force_axes),
+                        (actuator.moment_max_n_m, actuator.moment_axes),
+                    ],
+                )?;
+                let parts = [actuator.force_max_n, actuator.moment_max_n_m];
+                if parts == [None; 2] {
+                    return Err(self.source.error_at(
+                        &key,
+                        "names neither force_max_n nor moment_max_n_m, so that nothing acts on this node",
+                        Some(NAME_A_PART.into()),
+                    ));
+                }
+                nothing &= !acts(parts);
+                continue;
+            };
+            return Err(self
+                .source
+                .error_at(&format!("{key}.node"), message, None)
+                .expecting(format!(
+                    "expected another node, below the tip's index {elements}"
+                )));
+        }
+        if let Some(distributed) = &control.distributed {
+            self.check_distributed(distributed, scene)?;
+            nothing = false;
+        }
+        if nothing {
+            let message = "force_max_n and moment_max_n_m are 0 or not named, so that there is nothing to control with";
+            return Err((self.source).error_at("control", message, Some(NAME_A_PART.into())));
+        }
+        Ok(())
+    }
+
+    fn check_distributed(&self, distributed: &Distributed, scene: &Scene) -> Checked {
+        const MOST_POINTS: usize = 100;
+        self.count(
+            "control.distributed.points",
+            distributed.points,
+            MOST_POINTS,
+        )?;
+        let key = "control.distributed.moment_max_n_m_per_m";
+        let bounds = match distributed.moment_max_n_m_per_m {
+            Bound::Norm(norm) => vec![(key.to_string(), norm)],
+            Bound::PerAxis(bounds) => (0..3)
+                .map(|axis| (format!("{key}.{axis}"), bounds[axis]))
+                .collect(),
+        };
+        for (key, bound) in bounds {
+            self.finite_number(&key, bound)?;
+            self.not_below_zero(&key, bound, "bound", "N m/m")?;
+        }
+        let (key, message, help) = if distributed.moment_max_n_m_per_m.is_zero() {
+            (key, "nothing acts", "leave [control.distributed] out")
+        } else if scene.rod.elements < 2 {
+            let message = "couples act on the nodes between the ends, and one element has none";
+            (
+                "control.distributed",
+                message,
+                "give rod.elements of 2 or more",
+            )
+        } else {
+            return Ok(());
+        };
+        Err((self.source).error_at(key, message, Some(help.into())))
+    }
+
+    fn check_bounds(
+        &self,
+        section: &str,
+        parts: [(Option<Bound>, Option<[bool; 3]>); 2],
+    ) -> Checked {
+        let names = [
+            ("force_max_n", "force_axes", "N"),
+            ("moment_max_n_m", "moment_axes", "N m"),
+        ];
+        for ((name, axes_name, unit), (bound, axes)) in names.into_iter().zip(parts) {
+            let key = format!("{section}.{name}");
+            match bound {
+                None => {}
+                Some(Bound::Norm(norm)) => self.not_below_zero(&key, norm, "bound", unit)?,
+                Some(Bound::PerAxis(bounds)) => {
+                    for (axis, bound) in bounds.into_iter().enumerate() {
+                        self.not_below_zero(&format!("{key}.{axis}"), bound, "bound", unit)?;
+                    }
+                }
+            }
+            let message = match axes {
+                Some(_) if bound.is_none() => {
+                    format!("there is no {name} that could act along them")
+                }
+                Some([false, false, false]) => "nothing acts along no axis".into(),
+                _ => continue,
+            };
+            let help = format!("leave {axes_name} out, or {name} where nothing is to act");
+            let key = format!("{section}.{axes_name}");
+            return Err((self.source).error_at(&key, message, Some(help)));
+        }
+        Ok(())
+    }
+}
+
+/// What to do where no part of a wrench acts.
+const NAME_A_PART: &str = "a force or moment acts only where it is named; give its largest magnitude, or `inf` for no bound: \
+force_max_n = inf";
+
+/// A bound; `None` where all of it is infinite.
+pub(in crate::scene) fn bound_of(bound: Bound) -> Option<control::Bound> {
+    match bound {
+        Bound::Norm(limit) => limit.is_finite().then_some(control::Bound::Norm(limit)),
+        Bound::PerAxis(limits) => (limits.iter())
+            .any(|limit| limit.is_finite())
+            .then(|| control::Bound::PerAxis(limits.into())),
+    }
+}
+
+/// `None` is what does not act, in a scene.
+fn bound(bound: Option<control::Bound>) -> Option<Bound> {
+    match bound {
+        None => Some(Bound::Norm(f64::INFINITY)),
+        Some(control::Bound::Norm(0.0)) => None,
+        Some(control::Bound::Norm(limit)) => Some(Bound::Norm(limit)),
+        Some(control::Bound::PerAxis(limits)) => Some(Bound::PerAxis(limits.into())),
+    }
+}
+
+fn axes(limits: &ChannelLimits) -> Option<[bool; 3]> {
+    (limits.off != [false; 3]).then(|| limits.off.map(|is_off| !is_off))
+}
+
+pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, DescribeError> {
+    let chosen = &problem.discretization;
+    if !problem.task.own_actuators.is_empty() {
+        return Err(DescribeError("it has an actuator of one's own"));
+    }
+    let Some((tip, others)) = problem.task.actuators.split_first() else {
+        return Err(DescribeError("it has no actuator"));
+    };
+    if tip.at.node(chosen.elements) != chosen.elements {
+        return Err(DescribeError("its first actuator is not on the tip"));
+    }
+    let rates = |limits: &ChannelLimits| limits.rate_bound;
+    let same = |other: &task::WrenchActuator| {
+        rates(&other.force) == rates(&tip.force) && rates(&other.moment) == rates(&tip.moment)
+    };
+    if !others.iter().all(same) {
+        return Err(DescribeError("the rates of its actuators differ"));
+    }
+    let rate = |limits: &ChannelLimits| limits.rate_bound.and_then(|rate| bound(Some(rate)));
+    Ok(Control {
+        blocks: chosen.blocks,
+        hold: chosen.hold,
+        force_max_n: bound(tip.force.bound),
+        force_axes: axes(&tip.force),
+        moment_max_n_m: bound(tip.moment.bound),
+        moment_axes: axes(&tip.moment),
+        force_rate_max_n_s: rate(&tip.force),
+        moment_rate_max_n_m_s: rate(&tip.moment),
+        actuator: (others.iter())
+            .map(|other| Actuator {
+                node: other.at.node(chosen.elements),
+                force_max_n: bound(other.force.bound),
+                force_axes: axes(&other.force),
+                moment_max_n_m: bound(other.moment.bound),
+                moment_axes: axes(&other.moment),
+            })
+            .collect(),
+        distributed: None,
+        feedback: None,
+    })
+}
+
+impl Control {
+    /// The actuators of a task of an arm that is written with so many elements; that of the tip is the first.
+    pub(in crate::scene) fn of_task(&self, elements: usize) -> Vec<WrenchActuator> {
+        type Part = (Option<Bound>, Option<[bool; 3]>);
+        let limits = |(limit, axes): Part, rate: Option<Bound>| ChannelLimits {
+            bound: limit.map_or(ChannelLimits::NONE.bound, bound_of),
+            rate_bound: rate.and_then(bound_of),
+            off: axes.unwrap_or([true; 3]).map(|acts| !acts),
+        };
+        let actuator = |at, force, moment| WrenchActuator {
+            at,
+            force: limits(force, self.force_rate_max_n_s),
+            moment: limits(moment, self.moment_rate_max_n_m_s),
+        };
+        let mut actuators = vec![actuator(
+            Place::Tip,
+            (self.force_max_n, self.force_axes),
+            (self.moment_max_n_m, self.moment_axes),
+        )];
+        actuators.extend((self.actuator.iter()).map(|definition| {
+            actuator(
+                Place::of_node(definition.node, elements),
+                (definition.force_max_n, definition.force_axes),
+                (definition.moment_max_n_m, definition.moment_axes),
+            )
+        }));
+        actuators
+    }
+}
+
+impl Distributed {
+    /// Couples along the arm as an actuator.
+    pub(in crate::scene) fn of_task(&self) -> OwnActuator {
+        let (bound, largest) = match self.moment_max_n_m_per_m {
+            Bound::Norm(most) => (control::Bound::Norm(most), most),
+            Bound::PerAxis(most) => (
+                control::Bound::PerAxis(most.into()),
+                most.into_iter().fold(0.0, f64::max),
+            ),
+        };
+        let scale = self.moment_scale_n_m_per_m.map_or(largest, Number::get);
+        DistributedCouple::bounded(self.points, bound, scale)
+    }
 }

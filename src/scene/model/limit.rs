@@ -1,11 +1,17 @@
-//! What the arm keeps clear of, and the limits on its strains and speeds.
+//! Obstacles, and limits on strains and speeds: their keys, the limits of a task that they mean, and the keys that describe such a limit.
 
+use nalgebra::{Matrix3, Vector3};
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::values::{self, NonNegative, Positive};
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::LoadNode;
+use super::geometry::wxyz;
+use crate::control::{PathEnforcement, PathLimit, Shape};
+use crate::mechanics::rotation::{from_quaternion, unit};
+use crate::task;
 
 /// A body that the arm stays clear of, with its own radius around its center line: exactly one of the four shapes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,22 +33,22 @@ pub struct Obstacle {
     /// A box.
     #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
     pub cuboid: Option<Cuboid>,
-    /// How the obstacle moves, in m/s: what is given is where it is at t = 0. Absent: it stays there.
+    /// Velocity of the obstacle in m/s; its shape is that at t = 0. Absent: it does not move.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity_m_s: Option<[f64; 3]>,
     /// Clearance in m between the arm's surface and the body, not negative, default 0.
     #[serde(default)]
     pub margin_m: NonNegative<values::Clearance>,
-    /// The price of coming closer. Absent: never.
+    /// Price of a violation. Absent: the constraint is hard.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
-    /// Times per second at which the clearance is kept, positive. Absent: at every time step, or at about
-    /// 1000 times of a longer motion; the check looks between them.
+    /// Times per second at which the clearance is enforced, positive; the check looks between them. Absent: every time
+    /// step, or about 1000 times of a longer motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
 }
 
-/// A sphere.
+/// All points within a distance of a center.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -53,7 +59,7 @@ pub struct Sphere {
     pub radius_m: Positive<values::Radius>,
 }
 
-/// A cylinder with round ends.
+/// All points within a distance of a segment: a cylinder with round ends.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -91,17 +97,17 @@ pub struct Cuboid {
     pub orientation_wxyz: Option<[f64; 4]>,
 }
 
-/// The price of a violation, in the units of the objective: per second and per violation over the rod's length (strains and
-/// angles as they are, speeds over the rod's length per its time scale), `linear` times it and half of `quadratic` times its square. A linear price above
-/// the constraint's multiplier keeps it exactly.
+/// Price of a violation d, in the units of the objective: `linear` times d and `quadratic` times d²/2, per second.
+/// Distances are divided by the length of the arm, curvatures multiplied by it, and speeds divided by length over time
+/// scale; stretch counts as it is. A linear price above the constraint's multiplier enforces the constraint exactly.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Price {
-    /// Not negative, default 0.
+    /// Price of a violation of 1 for a second; not negative, default 0.
     #[serde(default)]
     pub linear: NonNegative<values::PriceOfViolation>,
-    /// Not negative, default 0; one of the two is positive.
+    /// Price of half of its square; not negative, default 0; one of the two is positive.
     #[serde(default)]
     pub quadratic: NonNegative<values::PriceOfViolation>,
 }
@@ -114,7 +120,8 @@ pub struct Limit {
     /// Name in reports. Default: the key of what is limited.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Least and largest length of an element over its length at rest. The model of the section holds for about [0.7, 1.3].
+    /// Smallest and largest length of an element, over its length at rest. The model of the section holds for about
+    /// [0.7, 1.3].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stretch: Option<[f64; 2]>,
     /// Largest bending curvature in 1/m, positive.
@@ -126,43 +133,117 @@ pub struct Limit {
     /// Largest speed of a node in m/s, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_max_m_s: Option<Positive<values::LargestSpeed>>,
-    /// The node whose speed is limited; only with `speed_max_m_s`. Default: "tip".
+    /// Node whose speed is limited; only with `speed_max_m_s`. Absent: "tip".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub node: Option<LoadNode>,
-    /// The price of a violation. Absent: never.
+    /// Price of a violation. Absent: the constraint is hard.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
-    /// Times per second at which the limit is kept, positive. Absent: at every time step, or at about
-    /// 1000 times of a longer motion; the check looks between them.
+    /// Times per second at which the limit is enforced, positive; the check looks between them. Absent: every time
+    /// step, or about 1000 times of a longer motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
 }
 
 impl Limit {
-    /// Name in reports and errors: its own, or the key of what is limited.
+    /// The keys of which a limit has exactly one, with the words in its default name.
+    const KINDS: [(&'static str, &'static str); 4] = [
+        ("stretch", "stretch"),
+        ("curvature_max_1_m", "curvature"),
+        ("twist_max_1_m", "twist"),
+        ("speed_max_m_s", "speed"),
+    ];
+
+    /// Those keys, with whether each is given.
+    fn given(&self) -> [(&'static str, bool); 4] {
+        let given = [
+            self.stretch.is_some(),
+            self.curvature_max_1_m.is_some(),
+            self.twist_max_1_m.is_some(),
+            self.speed_max_m_s.is_some(),
+        ];
+        std::array::from_fn(|kind| (Self::KINDS[kind].0, given[kind]))
+    }
+
+    /// Name in reports and errors: its own, or the word of the key that it has.
     #[must_use]
     pub fn name(&self) -> String {
-        limit_name(self.name.as_deref(), |key| match key {
-            "stretch" => self.stretch.is_some(),
-            "curvature_max_1_m" => self.curvature_max_1_m.is_some(),
-            "twist_max_1_m" => self.twist_max_1_m.is_some(),
-            _ => self.speed_max_m_s.is_some(),
+        let given = self.given();
+        Self::name_by(self.name.as_deref(), |key| given.contains(&(key, true)))
+    }
+
+    /// [`Self::name`] of a limit of which no more is known than its own name and its keys.
+    pub(in crate::scene) fn name_by(own: Option<&str>, is_given: impl Fn(&str) -> bool) -> String {
+        let kind = || Self::KINDS.iter().find(|(key, _)| is_given(key));
+        own.or_else(|| kind().map(|(_, name)| *name))
+            .unwrap_or("without a kind")
+            .to_string()
+    }
+
+    /// The limit of a task, in an arm that is written with so many elements; `None` without a kind.
+    pub(in crate::scene) fn of_task(&self, elements: usize) -> Option<task::Limit> {
+        let at = self.node.unwrap_or_default().place(elements);
+        let kind = if let Some([least, largest]) = self.stretch {
+            PathLimit::Stretch { least, largest }
+        } else if let Some(largest) = self.curvature_max_1_m.map(Number::get) {
+            PathLimit::Curvature { largest }
+        } else if let Some(largest) = self.twist_max_1_m.map(Number::get) {
+            PathLimit::Twist { largest }
+        } else {
+            let largest = self.speed_max_m_s?.get();
+            PathLimit::Speed { at, largest }
+        };
+        Some(task::Limit {
+            name: self.name(),
+            kind,
+            rate: self.rate_hz.map(Number::get),
+            enforcement: enforcement(self.soft),
         })
+    }
+
+    /// The keys of a limit that is no obstacle and no term of one's own.
+    pub(in crate::scene) fn describing(limit: &task::Limit, elements: usize) -> Self {
+        let mut out = Self {
+            name: Some(limit.name.clone()),
+            stretch: None,
+            curvature_max_1_m: None,
+            twist_max_1_m: None,
+            speed_max_m_s: None,
+            node: None,
+            soft: price(limit.enforcement),
+            rate_hz: limit.rate.map(known),
+        };
+        match limit.kind {
+            PathLimit::Clearance { .. } | PathLimit::Term(_) => {}
+            PathLimit::Stretch { least, largest } => out.stretch = Some([least, largest]),
+            PathLimit::Curvature { largest } => out.curvature_max_1_m = Some(known(largest)),
+            PathLimit::Twist { largest } => out.twist_max_1_m = Some(known(largest)),
+            PathLimit::Speed { at, largest } => {
+                out.speed_max_m_s = Some(known(largest));
+                out.node = Some(LoadNode::of(at, elements));
+            }
+        }
+        out
     }
 }
 
-/// Name of a limit: its own, or the first word of the first key that is given.
-pub(in crate::scene) fn limit_name(own: Option<&str>, is_given: impl Fn(&str) -> bool) -> String {
-    const KINDS: [(&str, &str); 4] = [
-        ("stretch", "stretch"),
-        ("curvature", "curvature_max_1_m"),
-        ("twist", "twist_max_1_m"),
-        ("speed", "speed_max_m_s"),
-    ];
-    let kind = || KINDS.iter().find(|(_, key)| is_given(key));
-    own.or_else(|| kind().map(|(name, _)| *name))
-        .unwrap_or("without a kind")
-        .to_string()
+/// The enforcement of a limit with this price; hard without one.
+fn enforcement(soft: Option<Price>) -> PathEnforcement {
+    soft.map_or(PathEnforcement::Hard, |price| PathEnforcement::Soft {
+        linear: price.linear.get(),
+        quadratic: price.quadratic.get(),
+    })
+}
+
+/// The price of a limit that may be violated.
+fn price(enforcement: PathEnforcement) -> Option<Price> {
+    match enforcement {
+        PathEnforcement::Hard => None,
+        PathEnforcement::Soft { linear, quadratic } => Some(Price {
+            linear: known(linear),
+            quadratic: known(quadratic),
+        }),
+    }
 }
 
 /// Name of an obstacle: its own, or its place in the list.
@@ -175,5 +256,193 @@ impl Obstacle {
     #[must_use]
     pub fn name(&self, index: usize) -> String {
         obstacle_name(self.name.as_deref(), index)
+    }
+
+    /// The limit of a task that keeps the arm clear of it; `None` without a shape.
+    pub(in crate::scene) fn of_task(&self, index: usize) -> Option<task::Limit> {
+        Some(task::Limit {
+            name: self.name(index),
+            kind: PathLimit::Clearance {
+                shape: shape(self)?,
+                velocity: (self.velocity_m_s).map_or_else(Vector3::zeros, Vector3::from),
+                margin: self.margin_m.get(),
+                points: None,
+            },
+            rate: self.rate_hz.map(Number::get),
+            enforcement: enforcement(self.soft),
+        })
+    }
+
+    /// The keys of a limit that is an obstacle.
+    pub(in crate::scene) fn describing(limit: &task::Limit) -> Self {
+        let mut out = Self {
+            name: Some(limit.name.clone()),
+            sphere: None,
+            capsule: None,
+            half_space: None,
+            cuboid: None,
+            velocity_m_s: None,
+            margin_m: known(0.0),
+            soft: price(limit.enforcement),
+            rate_hz: limit.rate.map(known),
+        };
+        if let PathLimit::Clearance {
+            shape,
+            velocity,
+            margin,
+            ..
+        } = limit.kind
+        {
+            out.margin_m = known(margin);
+            out.velocity_m_s = (velocity != Vector3::zeros()).then(|| velocity.into());
+            match shape {
+                Shape::Sphere { center, radius } => {
+                    out.sphere = Some(Sphere {
+                        center_m: center.into(),
+                        radius_m: known(radius),
+                    });
+                }
+                Shape::Capsule { from, to, radius } => {
+                    out.capsule = Some(Capsule {
+                        from_m: from.into(),
+                        to_m: to.into(),
+                        radius_m: known(radius),
+                    });
+                }
+                Shape::HalfSpace { point, normal } => {
+                    out.half_space = Some(HalfSpace {
+                        point_m: point.into(),
+                        normal: normal.into(),
+                    });
+                }
+                Shape::Cuboid {
+                    center,
+                    rotation,
+                    half_size,
+                } => {
+                    out.cuboid = Some(Cuboid {
+                        center_m: center.into(),
+                        size_m: <[f64; 3]>::from(half_size * 2.0).map(known),
+                        orientation_wxyz: Some(wxyz(&rotation)),
+                    });
+                }
+            }
+        }
+        out
+    }
+}
+
+fn shape(obstacle: &Obstacle) -> Option<Shape> {
+    if let Some(sphere) = &obstacle.sphere {
+        return Some(Shape::Sphere {
+            center: sphere.center_m.into(),
+            radius: sphere.radius_m.get(),
+        });
+    }
+    if let Some(capsule) = &obstacle.capsule {
+        return Some(Shape::Capsule {
+            from: capsule.from_m.into(),
+            to: capsule.to_m.into(),
+            radius: capsule.radius_m.get(),
+        });
+    }
+    if let Some(half_space) = &obstacle.half_space {
+        return Some(Shape::HalfSpace {
+            point: half_space.point_m.into(),
+            normal: Vector3::from(unit(half_space.normal)),
+        });
+    }
+    obstacle.cuboid.as_ref().map(|cuboid| Shape::Cuboid {
+        center: cuboid.center_m.into(),
+        rotation: cuboid
+            .orientation_wxyz
+            .map_or_else(Matrix3::identity, from_quaternion),
+        half_size: Vector3::from(cuboid.size_m.map(Number::get)) * 0.5,
+    })
+}
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_obstacle(&self, obstacle: &Obstacle, index: usize) -> Checked {
+        self.check_numbers_of_obstacle(obstacle, index)
+            .map_err(|error| error.of_item("obstacle", &obstacle.name(index)))
+    }
+
+    fn check_numbers_of_obstacle(&self, obstacle: &Obstacle, index: usize) -> Checked {
+        let key = |name: &str| format!("obstacle.{index}.{name}");
+        let shapes = [
+            ("sphere", obstacle.sphere.is_some()),
+            ("capsule", obstacle.capsule.is_some()),
+            ("half_space", obstacle.half_space.is_some()),
+            ("box", obstacle.cuboid.is_some()),
+        ];
+        self.exactly_one(&format!("obstacle.{index}"), &shapes)?;
+        if let Some(velocity) = &obstacle.velocity_m_s {
+            self.finite(&key("velocity_m_s"), velocity)?;
+        }
+        if let Some(sphere) = &obstacle.sphere {
+            self.finite(&key("sphere.center_m"), &sphere.center_m)?;
+        }
+        if let Some(capsule) = &obstacle.capsule {
+            self.finite(&key("capsule.from_m"), &capsule.from_m)?;
+            self.finite(&key("capsule.to_m"), &capsule.to_m)?;
+        }
+        if let Some(half_space) = &obstacle.half_space {
+            self.finite(&key("half_space.point_m"), &half_space.point_m)?;
+            self.nonzero(&key("half_space.normal"), &half_space.normal)?;
+        }
+        if let Some(cuboid) = &obstacle.cuboid {
+            self.finite(&key("box.center_m"), &cuboid.center_m)?;
+            if let Some(orientation) = &cuboid.orientation_wxyz {
+                self.nonzero(&key("box.orientation_wxyz"), orientation)?;
+            }
+        }
+        self.check_price(&key("soft"), obstacle.soft)
+    }
+
+    /// Errors say which limit they mean by its name as well: indices count from 0, and readers from 1.
+    pub(in crate::scene) fn check_limit(
+        &self,
+        limit: &Limit,
+        index: usize,
+        elements: usize,
+    ) -> Checked {
+        self.check_numbers_of_limit(limit, index, elements)
+            .map_err(|error| error.of_item("limit", &limit.name()))
+    }
+
+    fn check_numbers_of_limit(&self, limit: &Limit, index: usize, elements: usize) -> Checked {
+        let key = |name: &str| format!("limit.{index}.{name}");
+        self.exactly_one(&format!("limit.{index}"), &limit.given())?;
+        if let Some([least, largest]) = limit.stretch {
+            if !(least.is_finite() && least >= 0.0) {
+                let key = key("stretch.0");
+                return Err(self.out_of_range(&key, least, "non-negative stretch", ""));
+            }
+            self.positive(&key("stretch.1"), largest, "stretch", "")?;
+            if largest <= least {
+                let message = format!("{} is not above {}", digits(largest), digits(least));
+                return Err(self.source.error_at(&key("stretch.1"), message, None));
+            }
+        }
+        if let Some(node) = limit.node {
+            self.node(&key("node"), node, elements)?;
+            if limit.speed_max_m_s.is_none() {
+                return Err(self.missing(&key("speed_max_m_s"), "goes with node"));
+            }
+        }
+        self.check_price(&key("soft"), limit.soft)
+    }
+
+    fn check_price(&self, key: &str, price: Option<Price>) -> Checked {
+        let Some(price) = price else {
+            return Ok(());
+        };
+        if price.linear.get() == 0.0 && price.quadratic.get() == 0.0 {
+            return Err(self
+                .source
+                .error_at(key, "a violation that costs nothing", None)
+                .expecting("expected linear or quadratic above 0"));
+        }
+        Ok(())
     }
 }

@@ -4,9 +4,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::values::{self, Fraction, NonNegative};
-use crate::mechanics::LoadFrame;
-use crate::task::Place;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, Fraction, NonNegative, Number, digits, known};
+use crate::mechanics::{self, LoadFrame, NodeInertia};
+use crate::task::{Place, PointLoad};
 
 /// Uniform gravity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,12 +23,12 @@ pub struct Gravity {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Damping {
-    /// Rate c in 1/s, not negative, default 0: a force -c m v on every node, and likewise a moment, -c times its
-    /// angular momentum. A velocity that nothing else changes falls as exp(-c t); the amplitude of a swing, whose energy is kinetic
-    /// only half of the time, as exp(-c t/2).
+    /// Rate α in 1/s, not negative, default 0: the force on every node is -α times mass times velocity, and the moment
+    /// is -α times its angular momentum. A free velocity decays as exp(-α t), and the amplitude of a swing, whose
+    /// energy is kinetic only half of the time, as exp(-α t/2).
     pub viscous_1_s: NonNegative<values::DampingRate>,
-    /// Kelvin-Voigt time τ in s, not negative, default 0: stress in proportion to the rate of strain, τ times the stiffness.
-    /// It damps a mode of angular frequency ω with the ratio τω/2.
+    /// Kelvin-Voigt time β in s, not negative, default 0: the stress has a term β times stiffness times rate of strain.
+    /// A mode of angular frequency ω then has the damping ratio βω/2.
     pub internal_s: NonNegative<values::Time>,
 }
 
@@ -44,15 +45,15 @@ pub struct Payload {
     pub inertia_kg_m2: [NonNegative<values::MomentOfInertia>; 3],
 }
 
-/// A prescribed force and moment per rest length on a part of the arm.
+/// A prescribed force and moment per rest length on a section of the arm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DistributedLoad {
-    /// Start of the loaded part, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+    /// Start of the loaded section, as a fraction of `rod.length_m` from the base. Default: 0, the base.
     #[serde(default)]
     pub from: Fraction,
-    /// End of the loaded part, as a fraction, after `from`. Default: 1, the tip.
+    /// End of the loaded section, as a fraction, after `from`. Default: 1, the tip.
     #[serde(default = "Fraction::one")]
     pub to: Fraction,
     /// Force in N per m of the arm's rest length. Default: none.
@@ -61,10 +62,10 @@ pub struct DistributedLoad {
     /// Moment in N m per m of the arm's rest length. Default: none.
     #[serde(default)]
     pub moment_n_m_per_m: [f64; 3],
-    /// The frame that force and moment are given in.
+    /// Frame in which force and moment are given.
     #[serde(default)]
     pub frame: LoadFrame,
-    /// Factor on force and moment over time, as in `[[load]]`.
+    /// Factor on force and moment over time, as in `[[load]]`. Absent: always 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
 }
@@ -74,8 +75,8 @@ pub struct DistributedLoad {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Load {
-    /// The node that is loaded: "tip", "base", an index that counts from 0 at the base, or, with a decimal point, the node nearest to a fraction of
-    /// the length.
+    /// Node that is loaded: "tip", "base", an index that counts from 0 at the base, or, with a decimal point, the node
+    /// nearest to a fraction of the length.
     pub node: LoadNode,
     /// Force in N. Default: none.
     #[serde(default)]
@@ -83,7 +84,7 @@ pub struct Load {
     /// Moment in N m. Default: none.
     #[serde(default)]
     pub moment_n_m: [f64; 3],
-    /// The frame that `force_n` and `moment_n_m` are given in.
+    /// Frame in which `force_n` and `moment_n_m` are given.
     #[serde(default)]
     pub frame: LoadFrame,
     /// Factor on force and moment over time, as [t in s, factor] with increasing t; linear in between and 0 outside.
@@ -132,6 +133,25 @@ enum RodEnd {
 }
 
 impl LoadNode {
+    /// The place of the node in an arm that is written with so many elements.
+    pub(in crate::scene) fn place(self, elements: usize) -> Place {
+        match self {
+            Self::Tip => Place::Tip,
+            Self::Base => Place::Base,
+            Self::Index(node) => Place::of_node(node, elements),
+            Self::Fraction(fraction) => Place::Fraction(fraction.get()),
+        }
+    }
+
+    /// The node of a rod of so many elements that is nearest to a place.
+    pub(in crate::scene) fn of(place: Place, elements: usize) -> Self {
+        match place.node(elements) {
+            0 => Self::Base,
+            tip if tip == elements => Self::Tip,
+            node => Self::Index(node),
+        }
+    }
+
     /// Index of the node in a rod of `elements`.
     pub fn index(self, elements: usize) -> usize {
         match self {
@@ -163,4 +183,123 @@ impl From<LoadNode> for LoadNodeKey {
             LoadNode::Fraction(fraction) => LoadNodeKey::Fraction(fraction),
         }
     }
+}
+
+impl Keys<'_> {
+    /// `list` is the section's name.
+    pub(in crate::scene) fn check_load(
+        &self,
+        list: &str,
+        load: &Load,
+        index: usize,
+        elements: usize,
+    ) -> Checked {
+        let key = |name: &str| format!("{list}.{index}.{name}");
+        self.node(&key("node"), load.node, elements)?;
+        self.finite(&key("force_n"), &load.force_n)?;
+        self.finite(&key("moment_n_m"), &load.moment_n_m)?;
+        load.profile.as_ref().map_or(Ok(()), |profile| {
+            self.table(&key("profile"), profile, "a constant load")
+        })
+    }
+
+    pub(in crate::scene) fn check_distributed_load(
+        &self,
+        load: &DistributedLoad,
+        index: usize,
+    ) -> Checked {
+        let key = |name: &str| format!("distributed_load.{index}.{name}");
+        let (from, to) = (load.from.get(), load.to.get());
+        if to <= from {
+            let message = format!("{} does not come after from, {}", digits(to), digits(from));
+            return Err(self
+                .source
+                .error_at(&key("to"), message, None)
+                .expecting("expected a larger fraction, up to 1 (tip)"));
+        }
+        self.finite(&key("force_n_per_m"), &load.force_n_per_m)?;
+        self.finite(&key("moment_n_m_per_m"), &load.moment_n_m_per_m)?;
+        load.profile.as_ref().map_or(Ok(()), |profile| {
+            self.table(&key("profile"), profile, "a constant load")
+        })
+    }
+}
+
+impl Load {
+    /// The load of an arm that is written with so many elements.
+    pub(in crate::scene) fn of_arm(&self, elements: usize) -> PointLoad {
+        PointLoad {
+            at: self.node.place(elements),
+            force: self.force_n.into(),
+            moment: self.moment_n_m.into(),
+            frame: self.frame,
+            profile: points(&self.profile),
+        }
+    }
+
+    /// The keys of a load.
+    pub(in crate::scene) fn describing(load: &PointLoad, elements: usize) -> Self {
+        Self {
+            node: LoadNode::of(load.at, elements),
+            force_n: load.force.into(),
+            moment_n_m: load.moment.into(),
+            frame: load.frame,
+            profile: rows(&load.profile),
+        }
+    }
+}
+
+impl DistributedLoad {
+    /// The load of an arm.
+    pub(in crate::scene) fn of_arm(&self) -> mechanics::DistributedLoad {
+        mechanics::DistributedLoad {
+            from: self.from.get(),
+            to: self.to.get(),
+            force: self.force_n_per_m.into(),
+            moment: self.moment_n_m_per_m.into(),
+            frame: self.frame,
+            profile: points(&self.profile),
+        }
+    }
+
+    /// The keys of a load.
+    pub(in crate::scene) fn describing(load: &mechanics::DistributedLoad) -> Self {
+        Self {
+            from: known(load.from),
+            to: known(load.to),
+            force_n_per_m: load.force.into(),
+            moment_n_m_per_m: load.moment.into(),
+            frame: load.frame,
+            profile: rows(&load.profile),
+        }
+    }
+}
+
+impl Payload {
+    /// The inertia of the tip.
+    pub(in crate::scene) fn of_arm(&self) -> NodeInertia {
+        NodeInertia {
+            mass: self.mass_kg.get(),
+            rotary: self.inertia_kg_m2.map(Number::get).into(),
+        }
+    }
+
+    /// The keys of an inertia of the tip.
+    pub(in crate::scene) fn describing(payload: NodeInertia) -> Self {
+        Self {
+            mass_kg: known(payload.mass),
+            inertia_kg_m2: <[f64; 3]>::from(payload.rotary).map(known),
+        }
+    }
+}
+
+/// Points of a profile.
+fn points(profile: &Option<Vec<[f64; 2]>>) -> Vec<(f64, f64)> {
+    let points = profile.iter().flatten();
+    points.map(|&[t, factor]| (t, factor)).collect()
+}
+
+/// Rows of a profile; `None` where it is constant.
+fn rows(points: &[(f64, f64)]) -> Option<Vec<[f64; 2]>> {
+    (!points.is_empty()).then(|| points.iter().map(|&(t, factor)| [t, factor]).collect())
 }

@@ -1,27 +1,33 @@
 //! The sections and keys of a scene. Doc comments are the descriptions in the JSON Schema.
 
 mod base;
-mod closed_loop;
 mod control;
+mod estimator;
+pub(super) mod geometry;
 mod limit;
 mod load;
+mod mpc;
+mod objective;
+mod plant;
 mod rod;
+mod sensor;
 mod solver;
 mod task;
 mod time;
 
-pub use self::base::{Base, BaseKind, BaseMotion, Oscillation};
-pub use self::closed_loop::{
-    Computing, Estimator, EstimatorKind, Fallback, Mpc, Plant, PlantActuator, Sensor, Unknown,
-};
-pub use self::control::{Actuator, Bound, Control, Distributed, Feedback};
-pub use self::limit::{Capsule, Cuboid, HalfSpace, Limit, Obstacle, Price, Sphere};
-pub(super) use self::limit::{limit_name, obstacle_name};
-pub use self::load::{Damping, DistributedLoad, Gravity, Load, LoadNode, Payload};
-pub use self::rod::{Inertia, Material, Reference, Rod, RotaryInertia, Section, Stiffness};
-pub use self::solver::{Circle, Continuation, FigureEight, Guess, Objective, Qp, Solver, Track};
-pub use self::task::{AtRest, FreeDuration, Task, Via};
-pub use self::time::{Initial, Output, Time, TimeScheme, TimeStep};
+pub use self::base::*;
+pub use self::control::*;
+pub use self::estimator::*;
+pub use self::limit::*;
+pub use self::load::*;
+pub use self::mpc::*;
+pub use self::objective::*;
+pub use self::plant::*;
+pub use self::rod::*;
+pub use self::sensor::*;
+pub use self::solver::*;
+pub use self::task::*;
+pub use self::time::*;
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -34,7 +40,7 @@ use serde::{Deserialize, Serialize};
 pub struct Scene {
     /// The arm.
     pub rod: Rod,
-    /// Where the first node is, and whether it is held. Default: clamped at the origin, the arm along +z.
+    /// Pose of the first node, and whether it is held. Default: clamped at the origin, the arm along +z.
     #[serde(default)]
     pub base: Base,
     /// Uniform gravity. Absent: none.
@@ -52,15 +58,15 @@ pub struct Scene {
     /// Prescribed forces and moments along the arm.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub distributed_load: Vec<DistributedLoad>,
-    /// State at t = 0. Absent: in the stress-free shape, at rest or moving with a driven base.
+    /// State at t = 0. Absent: the stress-free shape, at rest or moving with a driven base.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub initial: Option<Initial>,
     /// Duration and time step.
     pub time: Time,
-    /// Where the tip should be, and when. Absent: there is nothing to reach.
+    /// Target of the tip. Absent: there is nothing to reach.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub task: Option<Task>,
-    /// The forces and moments that the optimizer may choose. Absent: none.
+    /// Forces and moments that the optimizer or the controller chooses. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub control: Option<Control>,
     /// Bodies that the arm stays clear of.
@@ -69,28 +75,28 @@ pub struct Scene {
     /// Limits on strain and speed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub limit: Vec<Limit>,
-    /// What the optimizer makes small. Absent: the defaults.
+    /// Terms that the optimizer minimizes, with their weights. Absent: the defaults.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub objective: Option<Objective>,
-    /// How the optimizer works. Absent: the defaults.
+    /// Settings of the optimizer. Absent: the defaults.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub solver: Option<Solver>,
-    /// What is written. Absent: every time step.
+    /// Contents of the result files. Absent: the defaults.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub output: Option<Output>,
-    /// Closed-loop control in simulation. Absent: there is none.
+    /// Model-predictive controller of a closed loop. Absent: there is no loop.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mpc: Option<Mpc>,
-    /// The arm as it is in the loop. Absent: it is the rod of the scene.
+    /// Plant of the loop: the arm that the controller acts on. Absent: the rod of the scene.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub plant: Option<Plant>,
-    /// What is measured in the loop; goes with `estimator`. Absent: the true state is known at once.
+    /// Sensors of the loop; they go with `estimator`. Absent: the true state is known at once.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensor: Vec<Sensor>,
-    /// How the state becomes known from sensors.
+    /// Estimator of the state from sensors.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub estimator: Option<Estimator>,
-    /// Forces and moments on the arm as it is in the loop, which the controller does not know; nodes are counted as in `[rod]`.
+    /// Forces and moments on the plant that the controller does not know; nodes are counted as in `[rod]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub disturbance: Vec<Load>,
 }

@@ -4,171 +4,42 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::values::{self, NonNegative, Positive, known};
-use super::LoadNode;
+use super::super::check::LARGEST_COUNT;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, Positive, known};
 use crate::sqp::{HessianChoice, SqpSettings};
 
-/// What the optimizer makes small.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields, default)]
-pub struct Objective {
-    /// Weight of the squared controls, integrated over time; not negative, default 1. 0 with a `rate`, or with a price of the duration.
-    pub effort: NonNegative<values::Weight>,
-    /// Weight of the squared changes of the controls from block to block; not negative, default 0, in the place of which a loop whose horizon
-    /// recedes has 4 `effort` `mpc.block_s`².
-    pub rate: NonNegative<values::Weight>,
-    /// Weight of the elastic energy over E I/L, integrated over time; not negative, default 0. Not for models with dilatation.
-    pub energy: NonNegative<values::Weight>,
-    /// Nodes that should follow a path.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub track: Vec<Track>,
-    /// Samples of energy and paths over the horizon, at least 1, default 100.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
-    pub samples: usize,
-    /// Force in N that counts as 1, positive. Absent: EI/L² of the arm's harmonic mean EI, the force at the tip that bends the whole arm
-    /// by an angle of about 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub force_scale_n: Option<Positive<values::Force>>,
-    /// Moment in N m that counts as 1, positive. Absent: EI/L of the weakest section that a moment acts on, which would bend an arm of that
-    /// section by an angle of 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub moment_scale_n_m: Option<Positive<values::Moment>>,
-}
-
-/// A node that should follow a path: `weight` times half the squared distance over the rod's length squared, integrated over time, and
-/// `orientation_weight` times half the squared angle from how it should be turned, and `speed_weight` times half the squared difference of its
-/// velocity from that of the path.
-///
-/// With `[control]` it makes an optimal-control problem, with or without a `[task]`; without one, the horizon ends at `time.end_s`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Track {
-    /// Which node. Default: "tip".
-    #[serde(default)]
-    pub node: LoadNode,
-    /// Where it should be, as [t in s, x, y, z in m] with increasing t: linear in between, constant before and after.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub path_m: Vec<[f64; 4]>,
-    /// Whether the place of a row of `path_m` holds until the time of the next one, which the node is then to switch to. Default: false.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub switches: bool,
-    /// A CSV file with the rows of `path_m`, relative to the folder of the scene, instead of them; a first row of names and lines that begin
-    /// with # are passed over. Rows of eight numbers have the quaternion of `orientations_wxyz` after the position.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub path_csv: Option<String>,
-    /// A circle, instead of `path_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub circle: Option<Circle>,
-    /// A figure eight, instead of `path_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub figure_eight: Option<FigureEight>,
-    /// Weight, positive. Absent: the one at which a displacement of the tip that is held statically is missed by one part in 10 000 of
-    /// itself: 10⁴ `effort` / (a² + b²), where a = `force_scale_n` L²/(3 E I) and b = `moment_scale_n_m` L/(2 E I) are the displacements
-    /// over L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub weight: Option<Positive<values::Weight>>,
-    /// How it should be turned, as [t in s, w, x, y, z] with increasing t, quaternions of any length but zero, scalar first: at constant
-    /// speed about one axis in between, constant before and after. A row alone holds at all times. With a path or without.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub orientations_wxyz: Vec<[f64; 5]>,
-    /// Weight of the orientation, positive. Absent: the one at which a turn of the tip that is held statically is missed by one part in
-    /// 10 000 of itself, as of `weight` with a = `force_scale_n` L²/(2 E I) and b = `moment_scale_n_m` L/(E I).
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub orientation_weight: Option<Positive<values::Weight>>,
-    /// Weight of the difference of the node's velocity from that along the path, or of its velocity where there is no path; positive. A speed of the
-    /// length over the time scale, sqrt(rho A L^4/(E I)), counts as 1. Absent: any velocity.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub speed_weight: Option<Positive<values::Weight>>,
-    /// Time in s from which on the node should be there, not negative: it meets what moves along the path, and goes along with it. Absent: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub from_s: Option<NonNegative<values::Time>>,
-}
-
-/// Turns on a circle, from t = 0 for as long as the scene lasts: c + r (cos φ a + sin φ b), φ = 2π t over `turn_s`, where a and b are the
-/// first two axes of the frame whose third one is `normal`, after the shortest rotation from the spatial frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Circle {
-    /// Center c in m.
-    pub center_m: [f64; 3],
-    /// Radius r in m, positive.
-    pub radius_m: Positive<values::Radius>,
-    /// Normal of its plane, of any length but zero. Default: [0, 0, 1].
-    #[serde(default = "upward")]
-    pub normal: [f64; 3],
-    /// Duration of a turn in s, positive.
-    pub turn_s: Positive<values::Duration>,
-    /// Where the path begins, in m: it goes over into the circle within `ramp_s`, with the weight 3 p² - 2 p³ of the circle at the part p of
-    /// that time. Absent: on the circle.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub from_m: Option<[f64; 3]>,
-    /// Time in s in which the path goes over into the circle, positive; only with `from_m`. Absent: one turn.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ramp_s: Option<Positive<values::Duration>>,
-}
-
-fn upward() -> [f64; 3] {
-    [0.0, 0.0, 1.0]
-}
-
-/// Turns on a figure eight, the lemniscate of Gerono, from t = 0 for as long as the scene lasts: c + a (sin φ e₁ + sin φ cos φ e₂),
-/// φ = 2π t over `turn_s`, where e₁ and e₂ are the first two axes of the frame whose third one is `normal`, after the shortest rotation from
-/// the spatial frame. It begins in its center.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct FigureEight {
-    /// Center c in m.
-    pub center_m: [f64; 3],
-    /// Half of its length a in m, positive.
-    pub half_length_m: Positive<values::Radius>,
-    /// Normal of its plane, of any length but zero. Default: [0, 0, 1].
-    #[serde(default = "upward")]
-    pub normal: [f64; 3],
-    /// Duration of a turn in s, positive.
-    pub turn_s: Positive<values::Duration>,
-    /// Where the path begins, in m: it goes over into the figure within `ramp_s`, with the weight 3 p² - 2 p³ of the figure at the part p of
-    /// that time. Absent: on the figure.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub from_m: Option<[f64; 3]>,
-    /// Time in s in which the path goes over into the figure, positive; only with `from_m`. Absent: one turn.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub ramp_s: Option<Positive<values::Duration>>,
-}
-
-/// How the optimizer works.
+/// Settings of the optimizer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Solver {
-    /// The largest residual of the optimality conditions that counts as solved; positive, default 1e-6.
+    /// Largest residual of the optimality conditions at which a solve has converged; positive, default 1e-6.
     pub tolerance: Positive<values::Tolerance>,
-    /// Iterations after which to give up, those of all solves of a start together: its first points, the stages of a continuation, and the solves
-    /// that hold a free duration; at least 1, default 600.
+    /// Limit on the iterations of all solves of a start together: from every initial guess, of the stages of a
+    /// continuation, and at the durations tried for a free final time; at least 1, default 600. A solve that reaches it
+    /// ends as `iteration-limit`.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub max_iterations: usize,
-    /// Part of the objective that passing a saddle must gain; positive, at most 0.1, default 0.01. A saddle with less to gain is a result, and says
-    /// how much is left.
+    /// Fraction of the objective that passing a saddle must gain; positive, at most 0.1, default 0.01. A saddle with
+    /// less to gain is a result, and the certificate says how much is left.
     pub saddle_gain: Positive<values::GainedPart>,
-    /// The second derivatives that the quadratic model uses.
+    /// Second derivatives in the quadratic model.
     pub hessian: HessianChoice,
-    /// How the quadratic subproblems are solved.
+    /// Variables of the quadratic subproblems.
     pub qp: Qp,
-    /// Where the iteration starts.
+    /// Initial guess.
     pub guess: Guess,
-    /// Solve easier problems first, and start each from the one before. Absent: no.
+    /// Easier problems that are solved first, each from the solution of the one before. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub continuation: Option<Continuation>,
-    /// Wall-clock time in s, counted from the start of the command, after which all work ends, the check with it, and the best iterate
-    /// is written, positive. Absent: no limit.
+    /// Wall-clock time in s from the start of the command, positive. Then all work ends, the check included, and the
+    /// best iterate is written; a simulation and a loop write the rows that they have. Absent: no limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_s: Option<Positive<values::Duration>>,
 }
 
-/// How the quadratic subproblems are solved; the step is the same.
+/// Variables of the quadratic subproblems; the step is the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -180,46 +51,32 @@ pub enum Qp {
     Sparse,
 }
 
-/// Where the iteration starts.
+/// Initial guess of a solve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Guess {
-    /// From rest, then, until a solve converges, from static shapes by detours (with obstacles), from those on the way to the task, by a
-    /// detour (without obstacles), and last as `"slow"`.
+    /// The arm at rest; then, until a solve converges, detours through static shapes (with obstacles), static shapes on
+    /// the way to the task, a detour (without obstacles), and last the slow motion.
     #[default]
     Auto,
-    /// From static shapes on the way to the task.
+    /// Static shapes on the way to the task.
     Static,
-    /// From the motion under the forces that would hold these shapes.
+    /// The motion under the forces that hold these shapes.
     Slow,
-    /// From the arm at rest and no controls.
+    /// The arm at rest, without controls.
     Rest,
 }
 
-/// What is made easier at first, and the number of problems, the last one included.
+/// Kind of continuation, and the number of problems, the last one included.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Continuation {
-    /// The task moves from where the arm starts to where it is.
+    /// The target moves from the initial position of the tip to its own.
     Target(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
     /// Gravity and loads grow from nothing.
     Load(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
-}
-
-impl Default for Objective {
-    fn default() -> Objective {
-        Objective {
-            effort: known(1.0),
-            rate: known(0.0),
-            energy: known(0.0),
-            track: Vec::new(),
-            samples: 100,
-            force_scale_n: None,
-            moment_scale_n_m: None,
-        }
-    }
 }
 
 impl Default for Solver {
@@ -237,3 +94,38 @@ impl Default for Solver {
         }
     }
 }
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_solver(&self, solver: &Solver) -> Checked {
+        let gain = solver.saddle_gain.get();
+        if gain > MOST_SADDLE_GAIN {
+            return Err(self.out_of_range(
+                "solver.saddle_gain",
+                gain,
+                "part up to 0.1 of the objective",
+                "",
+            ));
+        }
+        self.count(
+            "solver.max_iterations",
+            solver.max_iterations,
+            LARGEST_COUNT,
+        )?;
+        match solver.continuation {
+            None => {}
+            Some(Continuation::Target(stages)) => {
+                self.count("solver.continuation.target", stages, MOST_STAGES)?;
+            }
+            Some(Continuation::Load(stages)) => {
+                self.count("solver.continuation.load", stages, MOST_STAGES)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Stages of a continuation beyond this number are a typing error rather than a wish.
+const MOST_STAGES: usize = 1000;
+
+/// A saddle with more to gain than this part of the objective is no result.
+const MOST_SADDLE_GAIN: f64 = 0.1;

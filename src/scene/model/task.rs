@@ -1,13 +1,20 @@
 //! Where the tip should be, when, and what it passes on the way.
 
+use nalgebra::Vector3;
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::values::{self, NonNegative, Number, Positive};
-use super::LoadNode;
+use super::super::describe::DescribeError;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, NonNegative, Number, Positive, digits, known};
+use super::geometry::wxyz;
+use super::{BaseKind, LoadNode, Scene};
+use crate::control::{self, Enforcement, Goal};
+use crate::mechanics::rotation::from_quaternion;
+use crate::task::{self, Hardness, Place, Problem, Rest, Staying, Target, Tolerances};
 
-/// Where the tip should be: a position, an orientation, or both.
+/// Target of the tip: a position, an orientation, or both.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -15,36 +22,42 @@ pub struct Task {
     /// Position of the tip in m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
-    /// Orientation of the tip as a quaternion, scalar first, of any length but zero.
+    /// Orientation of the tip as a quaternion, scalar first, of any length but zero. The arm reaches it by more than
+    /// half a turn if rows of a track or waypoints lead there so, or if that bends the arm less.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
-    /// When, in s; above 0 and up to `time.end_s`, which is the default.
+    /// Time in s at which the target is due, above 0 and up to `time.end_s`; the horizon of a solve ends then. Absent:
+    /// `time.end_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_s: Option<Positive<values::Instant>>,
-    /// Choose the duration of the task as well; `at_s` is where the search begins. Absent: the task is due at `at_s`.
+    /// Free final time: the duration of the task is chosen too, and `at_s` is its initial guess. Absent: the task is
+    /// due at `at_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub free_duration: Option<FreeDuration>,
-    /// The motion then: true (the default), the whole arm comes to rest and stays there with the last wrench held; "tip", the tip has
-    /// neither velocity nor angular velocity for an instant; false, it passes.
+    /// Motion at `at_s`: with true, the whole arm comes to rest and stays there with the last wrench held; with "tip",
+    /// the tip has neither velocity nor angular velocity at that instant; with false, the tip passes.
     #[serde(default)]
     pub at_rest: AtRest,
-    /// How long the arm stays, in s, positive. Only with `at_rest = true`. Absent: one first period of the held arm.
+    /// Time in s for which the arm stays, positive. Only with `at_rest = true`. Absent: one first period of the held
+    /// arm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_s: Option<Positive<values::Duration>>,
     /// Largest distance of the tip from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a hundredth of
     /// `rod.length_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_m: Option<Positive<values::Distance>>,
-    /// Whether the task is a constraint (true, the default) or a term of the objective.
+    /// Whether the target is a constraint (true) or a term of the objective (false).
     #[serde(default = "yes")]
     pub hard: bool,
-    /// Weight of that term, positive; only with `hard = false`. Default: one that reaches, so that about a thousandth of the way is missed.
+    /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the target by about a
+    /// thousandth of the way.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
-    /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.
+    /// Tolerance in m of the distance from `position_m`, positive. Absent: the position is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m: Option<Positive<values::Distance>>,
-    /// Angle in rad from `orientation_wxyz` that is near enough, positive and below π. Absent: the orientation is met exactly.
+    /// Tolerance in rad of the angle from `orientation_wxyz`, positive and below π. Absent: the orientation is met
+    /// exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad: Option<Positive<values::Angle>>,
     /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and `hard`. Absent:
@@ -55,7 +68,7 @@ pub struct Task {
     /// Absent: a tenth of a radian per duration of the task.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad_s: Option<NonNegative<values::AngularSpeed>>,
-    /// Points to pass through on the way.
+    /// Waypoints that the arm passes on the way.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub via: Vec<Via>,
 }
@@ -112,31 +125,32 @@ impl From<AtRest> for AtRestKey {
     }
 }
 
-/// A duration that the optimizer chooses. Blocks of the control, points on the way and samples stretch with it; loads and paths to
-/// follow keep to the clock.
+/// Free final time. Blocks of the control, waypoints and samples scale with the duration; loads and paths to follow
+/// keep to the clock.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FreeDuration {
-    /// Shortest, s; positive.
+    /// Shortest duration in s, positive.
     pub shortest_s: Positive<values::Duration>,
-    /// Longest, s; not below `shortest_s`. The time step is chosen for this one.
+    /// Longest duration in s, not below `shortest_s`. The time step is chosen for this one.
     pub longest_s: Positive<values::Duration>,
-    /// What a second costs, a pure number like the effort's: as much as a control of the size sqrt(2 price/effort) costs that is held for a
-    /// second, in units of `objective.force_scale_n` or `moment_scale_n_m`. Not negative, default 1. With `objective.effort = 0` (and
-    /// `rate = 0`) only time counts, whatever its price: minimum time, for which the controls need bounds.
+    /// Cost of a second in 1/s, not negative, default 1: as much as a control of the size sqrt(2 price/effort) costs
+    /// that is held for a second, in units of `objective.force_scale_n` or `moment_scale_n_m`. With `objective.effort =
+    /// 0` and `rate = 0` only time counts, whatever its price: this is minimum time, for which the controls need
+    /// bounds.
     #[serde(default = "NonNegative::<values::PriceOfTime>::one")]
     pub price: NonNegative<values::PriceOfTime>,
 }
 
-/// A point to pass through: a position, an orientation, or both.
+/// A waypoint: a position, an orientation, or both.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Via {
-    /// When, in s; above 0 and before the task's own time. The nearest time node counts.
+    /// Time of passage in s, above 0 and before the task's own time. The nearest time node counts.
     pub at_s: Positive<values::Instant>,
-    /// Which node passes. Default: "tip".
+    /// Node that passes. Default: "tip".
     #[serde(default)]
     pub node: LoadNode,
     /// Position in m.
@@ -145,16 +159,18 @@ pub struct Via {
     /// Orientation as a quaternion, scalar first, of any length but zero.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
-    /// Whether it is a constraint (true, the default) or a term of the objective.
+    /// Whether the waypoint is a constraint (true) or a term of the objective (false).
     #[serde(default = "yes")]
     pub hard: bool,
-    /// Weight of that term, positive; only with `hard = false`. Default: one that reaches, so that about a thousandth of the way is missed.
+    /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the waypoint by about a
+    /// thousandth of the way.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
-    /// Distance in m from `position_m` that is near enough, positive. Absent: the position is met exactly.
+    /// Tolerance in m of the distance from `position_m`, positive. Absent: the position is met exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m: Option<Positive<values::Distance>>,
-    /// Angle in rad from `orientation_wxyz` that is near enough, positive and below π. Absent: the orientation is met exactly.
+    /// Tolerance in rad of the angle from `orientation_wxyz`, positive and below π. Absent: the orientation is met
+    /// exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad: Option<Positive<values::Angle>>,
 }
@@ -168,4 +184,394 @@ impl Task {
 
 fn yes() -> bool {
     true
+}
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_task(&self, task: &Task, scene: &Scene) -> Checked {
+        if task.position_m.is_none() && task.orientation_wxyz.is_none() {
+            return Err(self.missing(
+                "task.position_m",
+                "or else, or as well, give task.orientation_wxyz",
+            ));
+        }
+        if let Some(position) = &task.position_m {
+            self.finite("task.position_m", position)?;
+            self.check_reach("task.position_m", position, LoadNode::default(), scene)?;
+        }
+        if let Some(orientation) = &task.orientation_wxyz {
+            self.nonzero("task.orientation_wxyz", orientation)?;
+        }
+        let end = scene.time.end_s.get();
+        if let Some(instant) = task.at_s.map(Positive::get) {
+            if instant > end {
+                let message = format!("{} s is after the end of the scene", digits(instant));
+                return Err(self
+                    .source
+                    .error_at("task.at_s", message, None)
+                    .expecting(format!("expected at most time.end_s, {}", digits(end))));
+            }
+        } else if end == 0.0 {
+            let message = "a task cannot be reached in no time";
+            return Err(self
+                .source
+                .error_at("time.end_s", message, None)
+                .expecting("expected a positive duration"));
+        }
+        if let Some(free) = &task.free_duration {
+            self.check_free_duration(free, task.instant(end))?;
+        }
+        self.check_enforcement(
+            "task",
+            task.hard,
+            task.weight.is_some(),
+            (task.tolerance_m.is_some(), task.position_m.is_some()),
+            (task.tolerance_rad, task.orientation_wxyz.is_some()),
+        )?;
+        for (key, is_given) in [
+            ("task.tolerance_m_s", task.tolerance_m_s.is_some()),
+            ("task.tolerance_rad_s", task.tolerance_rad_s.is_some()),
+        ] {
+            if is_given && task.at_rest != AtRest::Tip {
+                return Err(self.contradiction(key, "task.at_rest"));
+            }
+            if is_given && !task.hard {
+                return Err(self.contradiction(key, "task.hard"));
+            }
+        }
+        for (key, is_given) in [
+            ("task.stays_s", task.stays_s.is_some()),
+            ("task.stays_m", task.stays_m.is_some()),
+        ] {
+            if is_given && task.at_rest != AtRest::Staying {
+                return Err(self.contradiction(key, "task.at_rest"));
+            }
+        }
+        for (index, via) in task.via.iter().enumerate() {
+            self.check_via(via, index, task.instant(end), scene)?;
+        }
+        Ok(())
+    }
+
+    fn check_free_duration(&self, free: &FreeDuration, start: f64) -> Checked {
+        let key = |name: &str| format!("task.free_duration.{name}");
+        let (shortest, longest) = (free.shortest_s.get(), free.longest_s.get());
+        if longest < shortest {
+            let message = format!("{} s is below shortest_s", digits(longest));
+            return Err(self.source.error_at(&key("longest_s"), message, None));
+        }
+        if !(shortest..=longest).contains(&start) {
+            let message = format!("the search begins at {} s, outside", digits(start));
+            return Err(self
+                .source
+                .error_at("task.free_duration", message, None)
+                .expecting("expected shortest_s and longest_s around task.at_s (or time.end_s)"));
+        }
+        Ok(())
+    }
+
+    fn check_via(&self, via: &Via, index: usize, end: f64, scene: &Scene) -> Checked {
+        let key = |name: &str| format!("task.via.{index}.{name}");
+        if via.position_m.is_none() && via.orientation_wxyz.is_none() {
+            return Err(self.missing(
+                &key("position_m"),
+                &format!("or else, or as well, give {}", key("orientation_wxyz")),
+            ));
+        }
+        if let Some(orientation) = &via.orientation_wxyz {
+            self.nonzero(&key("orientation_wxyz"), orientation)?;
+        }
+        self.node(&key("node"), via.node, scene.rod.elements)?;
+        if let Some(position) = &via.position_m {
+            self.finite(&key("position_m"), position)?;
+            self.check_reach(&key("position_m"), position, via.node, scene)?;
+        }
+        if via.at_s.get() >= end {
+            let message = format!(
+                "{} s is not before the task's own time",
+                digits(via.at_s.get())
+            );
+            return Err(self
+                .source
+                .error_at(&key("at_s"), message, None)
+                .expecting(format!("expected less than {}", digits(end))));
+        }
+        self.check_enforcement(
+            &format!("task.via.{index}"),
+            via.hard,
+            via.weight.is_some(),
+            (via.tolerance_m.is_some(), via.position_m.is_some()),
+            (via.tolerance_rad, via.orientation_wxyz.is_some()),
+        )
+    }
+
+    /// `tolerances` to a position and to an orientation, each with whether there is one.
+    fn check_enforcement(
+        &self,
+        section: &str,
+        hard: bool,
+        has_weight: bool,
+        distance: (bool, bool),
+        angle: (Option<Positive<values::Angle>>, bool),
+    ) -> Checked {
+        let key = |name: &str| format!("{section}.{name}");
+        if hard && has_weight {
+            let help = format!(
+                "set {} = false to make it a term of the objective",
+                key("hard")
+            );
+            return Err(self.source.error_at(
+                &key("weight"),
+                "what is hard has no weight",
+                Some(help),
+            ));
+        }
+        let (has_distance, has_position) = distance;
+        let (angle, has_orientation) = angle;
+        for (name, is_given, owner, owned) in [
+            ("tolerance_m", has_distance, "position_m", has_position),
+            (
+                "tolerance_rad",
+                angle.is_some(),
+                "orientation_wxyz",
+                has_orientation,
+            ),
+        ] {
+            if is_given && !owned {
+                return Err(self.missing(&key(owner), &format!("goes with {}", key(name))));
+            }
+            if is_given && !hard {
+                return Err(self.contradiction(&key(name), &key("hard")));
+            }
+        }
+        if let Some(angle) = angle.map(Positive::get)
+            && angle >= std::f64::consts::PI
+        {
+            return Err(self.out_of_range(
+                &key("tolerance_rad"),
+                angle,
+                "angle below π",
+                "radians",
+            ));
+        }
+        Ok(())
+    }
+
+    fn check_reach(
+        &self,
+        key: &str,
+        position: &[f64; 3],
+        node: LoadNode,
+        scene: &Scene,
+    ) -> Checked {
+        let elements = scene.rod.elements;
+        let fraction = node.index(elements) as f64 / elements as f64;
+        let stretch = scene
+            .rod
+            .reference
+            .as_ref()
+            .map_or(1.0, |reference| reference.stretch.get().max(1.0));
+        let reach = LARGEST_STRETCH * stretch * fraction * scene.rod.length_m.get();
+        let [x, y, z] = std::array::from_fn(|axis| position[axis] - scene.base.position_m[axis]);
+        let distance = x.hypot(y).hypot(z);
+        if scene.base.kind == BaseKind::Clamped && distance > reach {
+            let message = format!("{} m from the base is out of reach", rounded(distance));
+            let help = format!(
+                "rod.length_m is {} and base.position_m is the clamped end",
+                digits(scene.rod.length_m.get())
+            );
+            return Err(self
+                .source
+                .error_at(key, message, Some(help))
+                .expecting(format!(
+                    "expected at most {} m, the largest reach of {}",
+                    rounded(reach),
+                    match node.index(elements) {
+                        tip if tip == elements => "this arm".to_string(),
+                        node => format!("node {node}"),
+                    }
+                )));
+        }
+        Ok(())
+    }
+}
+
+/// Four significant digits or so, for derived lengths.
+fn rounded(value: f64) -> String {
+    if (0.1..1e4).contains(&value) {
+        format!("{value:.3}")
+    } else {
+        format!("{value:.3e}")
+    }
+}
+
+impl Task {
+    /// Writes out the weights of soft goals, which a discretization chooses where they are not given.
+    pub(in crate::scene) fn take_weights(&mut self, goals: &[Goal]) {
+        let weight = |name: &str| {
+            (goals.iter().filter(|goal| goal.name == name)).find_map(|goal| {
+                match goal.enforcement {
+                    Enforcement::Soft { weight } => Some(known(weight)),
+                    Enforcement::Hard | Enforcement::Within { .. } => None,
+                }
+            })
+        };
+        self.weight = weight("task").or(self.weight);
+        for (index, via) in self.via.iter_mut().enumerate() {
+            via.weight = weight(&format!("task.via.{index}")).or(via.weight);
+        }
+    }
+
+    pub(in crate::scene) fn tolerances(&self) -> Tolerances {
+        Tolerances {
+            distance: self.tolerance_m.map(Number::get),
+            angle: self.tolerance_rad.map(Number::get),
+            speed: self.tolerance_m_s.map(Number::get),
+            spin: self.tolerance_rad_s.map(Number::get),
+        }
+    }
+
+    pub(in crate::scene) fn rest(&self) -> Rest {
+        match self.at_rest {
+            AtRest::Passing => Rest::Passing,
+            AtRest::Tip => Rest::Instant,
+            AtRest::Staying => Rest::Staying(Staying {
+                seconds: self.stays_s.map(Number::get),
+                distance: self.stays_m.map(Number::get),
+            }),
+        }
+    }
+
+    /// The points on the way, then the task itself.
+    pub(in crate::scene) fn targets(&self, elements: usize) -> Vec<Target> {
+        let via = self.via.iter().enumerate().map(|(index, via)| Target {
+            name: format!("task.via.{index}"),
+            at: via.node.place(elements),
+            time: Some(via.at_s.get()),
+            position: via.position_m.map(Vector3::from),
+            rotation: via.orientation_wxyz.map(from_quaternion),
+            rest: Rest::Passing,
+            hardness: hardness(via.hard, via.weight.map(Number::get)),
+            tolerances: Tolerances {
+                distance: via.tolerance_m.map(Number::get),
+                angle: via.tolerance_rad.map(Number::get),
+                ..Tolerances::default()
+            },
+        });
+        let goal = Target {
+            name: "task".into(),
+            at: Place::Tip,
+            time: None,
+            position: self.position_m.map(Vector3::from),
+            rotation: self.orientation_wxyz.map(from_quaternion),
+            rest: self.rest(),
+            hardness: hardness(self.hard, self.weight.map(Number::get)),
+            tolerances: self.tolerances(),
+        };
+        via.chain([goal]).collect()
+    }
+}
+
+fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
+    if hard {
+        Hardness::Hard
+    } else {
+        Hardness::Soft { weight }
+    }
+}
+
+/// The points on the way, and the goal of the tip at the end where there is one.
+pub(in crate::scene) fn described_targets<'a>(
+    task: &'a task::Task,
+    elements: usize,
+) -> Result<(Vec<Via>, Option<&'a Target>), DescribeError> {
+    let (last, before) = match task.targets.split_last() {
+        Some((last, before)) if last.time.is_none() => (Some(last), before),
+        _ => (None, &task.targets[..]),
+    };
+    if last.is_some_and(|goal| LoadNode::of(goal.at, elements) != LoadNode::Tip) {
+        return Err(DescribeError("its goal at the end is not one of the tip"));
+    }
+    if last.is_none() && !before.is_empty() {
+        return Err(DescribeError(
+            "it has points on the way, and behind them no goal of the tip at the end",
+        ));
+    }
+    let via = (before.iter())
+        .map(|target| {
+            let at_s = target
+                .time
+                .ok_or(DescribeError("it has several goals at the end"))?;
+            let (hard, weight) = described_hardness(target.hardness);
+            Ok(Via {
+                at_s: known(at_s),
+                node: LoadNode::of(target.at, elements),
+                position_m: target.position.map(Into::into),
+                orientation_wxyz: target.rotation.as_ref().map(wxyz),
+                hard,
+                weight,
+                tolerance_m: target.tolerances.distance.map(known),
+                tolerance_rad: target.tolerances.angle.map(known),
+            })
+        })
+        .collect::<Result<_, _>>()?;
+    Ok((via, last))
+}
+
+fn described_hardness(hardness: Hardness) -> (bool, Option<Positive<values::Weight>>) {
+    match hardness {
+        Hardness::Hard => (true, None),
+        Hardness::Soft { weight } => (false, weight.map(known)),
+    }
+}
+
+pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Vec<Via>) -> Task {
+    let (hard, weight) = described_hardness(goal.hardness);
+    let stay = problem.discrete.stay.as_deref();
+    let [speed, spin] = goal
+        .tolerances
+        .rest(problem.arm.length, problem.task.horizon);
+    let with_rest = goal.rest == Rest::Instant && hard;
+    Task {
+        position_m: goal.position.map(Into::into),
+        orientation_wxyz: goal.rotation.as_ref().map(wxyz),
+        at_s: Some(known(problem.task.horizon)),
+        free_duration: problem.task.free_duration.map(FreeDuration::describing),
+        at_rest: match goal.rest {
+            Rest::Passing => AtRest::Passing,
+            Rest::Instant => AtRest::Tip,
+            Rest::Staying(_) => AtRest::Staying,
+        },
+        stays_s: stay.map(|stay| known(stay.seconds)),
+        stays_m: stay.map(|stay| known(stay.distance)),
+        hard,
+        weight,
+        tolerance_m: goal.tolerances.distance.map(known),
+        tolerance_rad: goal.tolerances.angle.map(known),
+        tolerance_m_s: with_rest.then(|| known(speed)),
+        tolerance_rad_s: with_rest.then(|| known(spin)),
+        via,
+    }
+}
+
+/// A clamped rod may stretch on its way to a target; a strain beyond this is outside what the rod models.
+const LARGEST_STRETCH: f64 = 1.3;
+
+impl FreeDuration {
+    /// The free final time of a task.
+    pub(in crate::scene) fn of_task(self) -> control::FreeDuration {
+        control::FreeDuration {
+            shortest: self.shortest_s.get(),
+            longest: self.longest_s.get(),
+            price: self.price.get(),
+        }
+    }
+
+    /// The keys of a free final time.
+    fn describing(free: control::FreeDuration) -> Self {
+        Self {
+            shortest_s: known(free.shortest),
+            longest_s: known(free.longest),
+            price: known(free.price),
+        }
+    }
 }

@@ -4,32 +4,39 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::values::{self, NonNegative, Positive};
-use crate::task::StartShape;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, NonNegative, Positive, digits};
+use super::BaseKind;
+use crate::mechanics;
+use crate::task::{MOST_STEPS, StartShape};
 
 /// Duration and time step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Time {
-    /// Duration in s, from t = 0; not negative.
+    /// Duration of a simulation in s, from t = 0; not negative. A solve ends at `task.at_s`, which is this time by
+    /// default.
     pub end_s: NonNegative<values::Duration>,
-    /// Time step in s, or "auto". Default: "auto", which is a step that is stable for this rod, and for the implicit
-    /// integrator 1/40 of the period of the third bending mode, or less if the arm must be able to bend into a circle.
+    /// Time step in s, or "auto": a stable step for this rod and the explicit integrator; for the implicit one 1/40 of
+    /// the period of the third bending mode, or less if the arm must be able to bend into a circle. In a closed loop it
+    /// is the step of the controller's model and may be longer than a sample period; "auto" takes implicit steps of
+    /// half a block, or of less under strong bending, if the horizon recedes and they are faster than explicit ones.
+    /// Default: "auto".
     #[serde(default)]
     pub step_s: TimeStep,
-    /// How a step is taken. Default: "auto".
+    /// Kind of time step. Default: "auto".
     #[serde(default)]
     pub integrator: TimeScheme,
 }
 
-/// How a time step is taken.
+/// Kind of time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeScheme {
-    /// The one that is predicted to be faster: implicit only where explicit steps take more than a second, and ten times as long; explicit with a
-    /// step_s that it can take. `softarm check` shows both predictions.
+    /// The kind that is predicted to be faster: implicit only if explicit steps would take more than a second and ten
+    /// times as long; explicit if `step_s` is stable for it. `softarm check` shows both predictions.
     #[default]
     Auto,
     /// Cheap steps that must resolve the fastest elastic wave of an element.
@@ -86,9 +93,10 @@ impl From<TimeStep> for TimeStepKey {
     }
 }
 
-/// State at t = 0: a shape, and a velocity as of a rigid body.
+/// State at t = 0: a shape, and the velocity of a rigid body.
 ///
-/// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with its base's.
+/// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with the velocity
+/// of its base.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -101,16 +109,96 @@ pub struct Initial {
     pub angular_velocity_rad_s: [f64; 3],
 }
 
-/// What is written.
+/// Contents of the result files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Output {
-    /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until it divides the
-    /// interval between rows; with a given one rows fall on the nearest multiple. Absent: every time step.
+    /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until
+    /// it divides the interval between rows; with a given step, rows fall on the nearest multiple. Absent: every time
+    /// step.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
-    /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction at the base, balances
-    /// of momentum and power, of a solve with its controls among the loads. Default: false.
+    /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction of
+    /// the base, balances of momentum and power; the controls of a solve count among the loads. Default: false.
     pub diagnostics: bool,
 }
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_initial(&self, initial: &Initial, base: BaseKind) -> Checked {
+        for (name, velocity) in [
+            ("initial.velocity_m_s", &initial.velocity_m_s),
+            (
+                "initial.angular_velocity_rad_s",
+                &initial.angular_velocity_rad_s,
+            ),
+        ] {
+            self.finite(name, velocity)?;
+            if *velocity == [0.0; 3] {
+                continue;
+            }
+            let (message, help) = match base {
+                BaseKind::Free => continue,
+                BaseKind::Clamped => (
+                    "a clamped arm cannot start as a moving rigid body",
+                    "set base.kind = \"free\", or \"driven\" with a base.motion",
+                ),
+                BaseKind::Driven => (
+                    "an arm on a driven base starts with the velocity of its base",
+                    "give the velocity in base.motion",
+                ),
+            };
+            return Err(self.source.error_at(name, message, Some(help.to_string())));
+        }
+        Ok(())
+    }
+
+    pub(in crate::scene) fn check_time(&self, time: &Time) -> Checked {
+        let end = time.end_s.get();
+        let is_long_enough = |key: &'static str, seconds: f64| {
+            if seconds == 0.0 || seconds >= SHORTEST_TIME {
+                return Ok(());
+            }
+            let message = format!("{} s is too short a time for a step", digits(seconds));
+            let expected = format!("expected at least {} s", digits(SHORTEST_TIME));
+            Err((self.source.error_at(key, message, None)).expecting(expected))
+        };
+        is_long_enough("time.end_s", end)?;
+        let TimeStep::Seconds(step) = time.step_s else {
+            return Ok(());
+        };
+        self.positive("time.step_s", step, "time step", "seconds")?;
+        is_long_enough("time.step_s", step)?;
+        if end > 0.0 && step > end {
+            let message = format!(
+                "a step of {} s is longer than time.end_s, {} s",
+                digits(step),
+                digits(end)
+            );
+            return Err(self.source.error_at("time.step_s", message, None));
+        }
+        if end / step > MOST_STEPS {
+            let message = format!(
+                "makes {} steps up to time.end_s, {} s",
+                digits(end / step),
+                digits(end)
+            );
+            return Err(self
+                .source
+                .error_at("time.step_s", message, None)
+                .expecting(format!("expected at most {} steps", digits(MOST_STEPS))));
+        }
+        Ok(())
+    }
+}
+
+/// The rod's integrator, by its name in scenes.
+pub(in crate::scene) fn integrator(scheme: mechanics::TimeScheme) -> TimeScheme {
+    match scheme {
+        mechanics::TimeScheme::Explicit => TimeScheme::Explicit,
+        mechanics::TimeScheme::Implicit => TimeScheme::Implicit,
+    }
+}
+
+/// Times shorter than this, s, are typing errors rather than wishes: momenta of a step overflow.
+const SHORTEST_TIME: f64 = 1e-200;

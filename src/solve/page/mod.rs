@@ -1,14 +1,16 @@
 //! The contents of report pages: of a solve, a simulation, a closed loop, and of the files of any of them.
+//!
+//! What a page says stands in the templates beside this file; the code gathers what they speak of, and the arrays that are drawn.
 
+mod arm;
 mod arrows;
 #[cfg(feature = "cli")]
 mod closed_loop;
 #[cfg(feature = "cli")]
 mod equilibrium;
 mod fields;
-mod findings;
 #[cfg(feature = "cli")]
-mod loop_tables;
+mod findings;
 mod obstacles;
 mod reaction;
 #[cfg(feature = "cli")]
@@ -16,8 +18,6 @@ mod saved;
 #[cfg(feature = "cli")]
 mod simulation;
 mod solve;
-mod summary;
-mod words;
 
 pub(super) use self::solve::{SolvePage, iteration, sensitivity, solve_page};
 #[cfg(feature = "cli")]
@@ -29,8 +29,13 @@ pub(crate) use self::{
     simulation::simulation_page,
 };
 
+use std::path::Path;
+
+use nalgebra::Vector3;
+use serde_json::Value;
+
 use crate::mechanics::{BaseCondition, Rod};
-use crate::output::{ReportArm, ReportChart, ReportCurve};
+use crate::output::{Columns, OutputError, ReportArm, Words};
 use crate::task::Arm;
 
 /// Frames of the picture.
@@ -38,8 +43,38 @@ const FRAMES: usize = 240;
 /// Points of a curve over the rows of a motion.
 const ROWS: usize = 600;
 
-fn fact(label: &str, value: impl ToString) -> (String, String) {
-    (label.to_string(), value.to_string())
+/// The templates by their names.
+const TEMPLATES: [(&str, &str); 5] = [
+    ("arm.jinja", include_str!("arm.jinja")),
+    ("closed_loop.jinja", include_str!("closed_loop.jinja")),
+    ("equilibrium.jinja", include_str!("equilibrium.jinja")),
+    ("simulation.jinja", include_str!("simulation.jinja")),
+    ("solve.jinja", include_str!("solve.jinja")),
+];
+
+/// What a page says of `context` and `columns`; a context that a template cannot use is a summary that is none.
+fn words(template: &str, context: &Value, columns: &Columns) -> Result<Words, OutputError> {
+    Words::of(&TEMPLATES, template, context, columns)
+        .map_err(|error| OutputError::malformed(Path::new("summary.json"), format!("{error:#}")))
+}
+
+/// Adds the components of vectors, as columns `name_x`, `name_y`, `name_z`.
+fn add_components<'a>(
+    columns: &mut Columns,
+    name: &str,
+    vectors: impl Iterator<Item = &'a [f64; 3]> + Clone,
+) {
+    for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
+        let values = vectors.clone().map(|vector| vector[axis]).collect();
+        columns.insert(format!("{name}_{letter}"), values);
+    }
+}
+
+/// Euclidean norms.
+fn sizes(vectors: &[[f64; 3]]) -> Vec<f64> {
+    (vectors.iter())
+        .map(|vector| Vector3::from(*vector).norm())
+        .collect()
 }
 
 fn drawn_arm(arm: &Arm, rod: &Rod) -> ReportArm {
@@ -52,27 +87,42 @@ fn drawn_arm(arm: &Arm, rod: &Rod) -> ReportArm {
     }
 }
 
-/// A chart over time.
-fn over_time(section: &str, title: &str, unit: &str, series: Vec<ReportCurve>) -> ReportChart {
-    ReportChart {
-        section: section.into(),
-        title: title.into(),
-        unit: unit.into(),
-        x_name: "time".into(),
-        x_unit: "s".into(),
-        series,
-    }
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// A curve through points.
-fn curve(name: &str, color: &'static str, x: Vec<f64>, y: Vec<f64>) -> ReportCurve {
-    ReportCurve {
-        name: name.into(),
-        color,
-        x,
-        y,
-        hold: false,
-        band: Vec::new(),
-        dashed: false,
+    /// Every page can be made of an arm and a summary that lacks everything.
+    #[test]
+    fn pages_need_no_field() {
+        let names = [
+            "t",
+            "error",
+            "turn",
+            "tip_x",
+            "tip_y",
+            "tip_z",
+            "factor",
+            "way",
+            "way_x",
+            "way_y",
+            "way_z",
+            "sample_ms",
+            "estimate_and_predict_ms",
+            "feedback_ms",
+            "prepare_ms",
+            "period_ms",
+            "bin_edges_ms",
+            "bin_counts",
+            "bin_period_ms",
+            "bin_period",
+        ];
+        let columns = names.map(|name| (name.to_string(), Vec::new())).into();
+        for (name, _) in TEMPLATES {
+            let arm = serde_json::json!({ "loads": [], "distributed_loads": [], "length": 1.0 });
+            let context = serde_json::json!({ "arm": arm, "period_s": 1.0, "rounding_j": 0.0 });
+            if let Err(error) = words(name, &context, &columns) {
+                panic!("{name}: {error}");
+            }
+        }
     }
 }

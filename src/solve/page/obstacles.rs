@@ -7,7 +7,7 @@ use crate::control::{PathLimit, RodView, Shape};
 use crate::mechanics::{Rod, TimeGrid, Trajectory};
 use crate::output::{MotionRecord, ReportObstacle, ReportObstacles, ReportShape};
 use crate::scene::translate::directors;
-use crate::task::{Limit, LimitKind};
+use crate::task::Limit;
 
 /// The obstacles, and the arm's clearance of each; `None` where there are none.
 pub(super) fn obstacles(
@@ -17,7 +17,7 @@ pub(super) fn obstacles(
     record: &MotionRecord,
 ) -> Option<ReportObstacles> {
     let limits: Vec<(&str, PathLimit)> = (limits.iter())
-        .filter(|limit| matches!(limit.kind, LimitKind::Clearance { .. }))
+        .filter(|limit| matches!(limit.kind, PathLimit::Clearance { .. }))
         .map(|limit| (limit.name.as_str(), limit.kind.on(rod, radii)))
         .collect();
     if limits.is_empty() {

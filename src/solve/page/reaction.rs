@@ -1,79 +1,56 @@
-//! The reaction of the base over time.
-
-use nalgebra::Vector3;
+//! The reaction of the base over time, as columns.
 
 #[cfg(feature = "cli")]
 use super::fields::pose;
-use super::{ROWS, curve, over_time};
+use super::{ROWS, add_components, sizes};
 use crate::control::OptimalControlProblem;
 #[cfg(feature = "cli")]
 use crate::mechanics::Rod;
 use crate::mechanics::{BaseCondition, Wrench};
+use crate::output::Columns;
 #[cfg(feature = "cli")]
-use crate::output::MotionRecord;
-use crate::output::ReportChart;
+use crate::output::{BaseReaction, MotionRecord};
 use crate::solve::diagnostics::visit;
 
-/// Section of the page.
-const SECTION: &str = "Forces in the arm";
-
-/// Charts of the reaction along the motion that the controls make; none of a free base, and where the motion breaks down.
-pub(super) fn optimized(
-    problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
-) -> Vec<ReportChart> {
+/// The reaction along the motion that the controls make; nothing of a free base, and where the motion breaks down.
+pub(super) fn optimized(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Columns {
     if problem.rod.base == BaseCondition::Free {
-        return Vec::new();
+        return Columns::new();
     }
-    let [mut t, mut force, mut moment] = [const { Vec::new() }; 3];
+    let mut t = Vec::new();
+    let [mut force, mut moment] = [const { Vec::<[f64; 3]>::new() }; 2];
     let stride = (problem.grid.n_steps + 1).div_ceil(ROWS);
     let simulated = visit(problem, coefficients, stride, |time, found, _| {
         t.push(time);
-        force.extend(found.reaction.force.iter());
-        moment.extend(found.reaction.moment.iter());
+        force.push(found.reaction.force.into());
+        moment.push(found.reaction.moment.into());
     });
-    if simulated.is_err() {
-        return Vec::new();
+    match simulated {
+        Ok(_) => columns(t, &force, &moment),
+        Err(_) => Columns::new(),
     }
-    charts(&t, &force, &moment)
 }
 
-/// Charts of forces (N, spatial) and moments (N m, frame of the base), three numbers a time.
-pub(super) fn charts(t: &[f64], force: &[f64], moment: &[f64]) -> Vec<ReportChart> {
-    let rows = 0..t.len();
-    let series = |values: &[f64], letter: &str, names: [&str; 3]| {
-        let at = |row: usize| Vector3::from_column_slice(&values[3 * row..]);
-        let mut all = vec![curve(
-            &format!("|{letter}|"),
-            "norm",
-            t.to_vec(),
-            rows.clone().map(|row| at(row).norm()).collect(),
-        )];
-        for (axis, (name, color)) in names.into_iter().zip(["x", "y", "z"]).enumerate() {
-            let y = rows.clone().map(|row| at(row)[axis]).collect();
-            all.push(curve(&format!("{letter}{name}"), color, t.to_vec(), y));
-        }
-        all
-    };
-    vec![
-        over_time(
-            SECTION,
-            "Force of the base on the arm, spatial frame",
-            "N",
-            series(force, "f", ["\u{2009}x", "\u{2009}y", "\u{2009}z"]),
-        ),
-        over_time(
-            SECTION,
-            "Moment of the base on the arm, frame of the base",
-            "N\u{b7}m",
-            series(moment, "m", ["\u{2081}", "\u{2082}", "\u{2083}"]),
-        ),
-    ]
+/// Forces (N, spatial) and moments (N m, frame of the base).
+fn columns(t: Vec<f64>, force: &[[f64; 3]], moment: &[[f64; 3]]) -> Columns {
+    let mut out = Columns::from([("base_t".into(), t)]);
+    for (name, vectors) in [("base_force", force), ("base_moment", moment)] {
+        out.insert(name.into(), sizes(vectors));
+        add_components(&mut out, name, vectors.iter());
+    }
+    out
 }
 
-/// Curves of the elastic force and moment in the element nearest to the base, for a motion whose reaction is not known.
+/// The reaction of a file.
 #[cfg(feature = "cli")]
-pub(super) fn nearest_to_base(rod: &Rod, record: &MotionRecord) -> Vec<ReportChart> {
+pub(super) fn saved(base: &BaseReaction) -> Columns {
+    let [force, moment] = [&base.force, &base.moment].map(|values| values.as_chunks().0);
+    columns(base.t.clone(), force, moment)
+}
+
+/// Elastic force and moment in the element nearest to the base, of a motion whose reaction is not known.
+#[cfg(feature = "cli")]
+pub(super) fn nearest_to_base(rod: &Rod, record: &MotionRecord) -> Columns {
     let rows = record.thinned_rows(ROWS);
     let [mut force, mut moment] = [const { Vec::new() }; 2];
     for &row in &rows {
@@ -83,19 +60,13 @@ pub(super) fn nearest_to_base(rod: &Rod, record: &MotionRecord) -> Vec<ReportCha
         force.push(n.norm());
         moment.push(m.norm());
     }
-    let t: Vec<f64> = rows.iter().map(|&row| record.t[row]).collect();
-    vec![
-        over_time(
-            SECTION,
-            "Elastic force in the element at the base",
-            "N",
-            vec![curve("|n|", "norm", t.clone(), force)],
-        ),
-        over_time(
-            SECTION,
-            "Elastic moment in the element at the base",
-            "N\u{b7}m",
-            vec![curve("|m|", "norm", t, moment)],
-        ),
-    ]
+    let t = rows.iter().map(|&row| record.t[row]).collect();
+    Columns::from(
+        [
+            ("base_t", t),
+            ("elastic_force", force),
+            ("elastic_moment", moment),
+        ]
+        .map(|(name, values)| (name.to_string(), values)),
+    )
 }

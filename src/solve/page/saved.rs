@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use serde::Deserialize;
 use serde_json::Value;
 
 use super::{closed_loop_page, equilibrium_page, sensitivity, simulation_page, solve};
@@ -104,7 +103,7 @@ impl Files<'_> {
             summary: self.summary,
             iterations: read_iterations(&self.directory.join("iterations.csv"))?,
             sensitivity: growth,
-        }))
+        })?)
     }
 
     fn simulation(&self) -> Result<ReportData, SavedError> {
@@ -127,7 +126,7 @@ impl Files<'_> {
             &record,
             self.summary,
             base.as_ref(),
-        ))
+        )?)
     }
 
     fn closed_loop(&self) -> Result<ReportData, SavedError> {
@@ -138,7 +137,7 @@ impl Files<'_> {
         let nodes = setup.plant.n_nodes();
         let record = self.motion(n_samples + 1, nodes, ThinnedMotion::rows_of)?;
         let samples = read_samples(&self.directory.join("samples.csv"), n_samples)?;
-        Ok(closed_loop_page(&setup, &samples, &record, self.summary))
+        Ok(closed_loop_page(&setup, &samples, &record, self.summary)?)
     }
 
     fn equilibrium(&self) -> Result<ReportData, SavedError> {
@@ -153,7 +152,7 @@ impl Files<'_> {
             &rod,
             &record,
             self.summary,
-        ))
+        )?)
     }
 
     /// Some of at most so many rows of the motion of an arm of so many nodes.
@@ -177,19 +176,6 @@ impl Files<'_> {
     }
 }
 
-/// The columns of `iterations.csv` that a page shows.
-#[derive(Deserialize)]
-struct IterationRow {
-    attempt: usize,
-    iteration: usize,
-    objective: f64,
-    stationarity: f64,
-    feasibility: f64,
-    complementarity: f64,
-    step_norm: f64,
-    kind: String,
-}
-
 /// Bytes of the table of iterations, at most: of a hundred thousand.
 const LARGEST_TABLE: u64 = 1 << 25;
 
@@ -200,20 +186,8 @@ fn read_iterations(path: &Path) -> Result<Vec<ReportIteration>, OutputError> {
         line: error.position().map(csv::Position::line),
         reason: error.to_string(),
     };
-    let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let mut rows = Vec::new();
-    for row in reader.deserialize::<IterationRow>() {
-        let row = row.map_err(broken)?;
-        rows.push(ReportIteration {
-            attempt: row.attempt,
-            iteration: row.iteration,
-            objective: row.objective,
-            stationarity: row.stationarity,
-            feasibility: row.feasibility,
-            complementarity: row.complementarity,
-            step_norm: row.step_norm,
-            kind: row.kind,
-        });
-    }
-    Ok(rows)
+    csv::Reader::from_reader(text.as_bytes())
+        .into_deserialize()
+        .collect::<Result<_, _>>()
+        .map_err(broken)
 }

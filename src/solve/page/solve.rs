@@ -1,18 +1,15 @@
 //! The contents of the report page of a solve.
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use super::findings::saved_findings;
 use super::obstacles::obstacles;
-use super::summary::{Fields, counted, measure};
-use super::words::{acting_facts, arm_facts, solve_words};
-use super::{FRAMES, ROWS, arrows, drawn_arm, fact, fields, reaction};
-use crate::control::{Bound, Hold, OptimalControlProblem, Tracking};
+use super::{FRAMES, ROWS, arm, arrows, drawn_arm, fields, reaction, words};
+use crate::control::{Bound, Enforcement, Hold, OptimalControlProblem, Tracking};
 use crate::mechanics::Wrench;
 use crate::output::{
-    self, MotionRecord, ReportAttempt, ReportCheck, ReportClock, ReportCommand, ReportControls,
-    ReportData, ReportEnergy, ReportIteration, ReportMotion, ReportPath, ReportSensitivity,
-    ReportTarget, ReportVerdict, ReportVia, figure,
+    self, Columns, MotionRecord, OutputError, ReportCommand, ReportControls, ReportData,
+    ReportEnergy, ReportIteration, ReportMotion, ReportObstacles, ReportPath, ReportSensitivity,
+    ReportTarget, ReportVia,
 };
 use crate::scene::translate::directors;
 use crate::solve::step_kind::{MEANINGS, step_kind};
@@ -35,45 +32,31 @@ pub(in crate::solve) struct SolvePage<'a> {
     pub sensitivity: Option<ReportSensitivity>,
 }
 
-pub(in crate::solve) fn solve_page(page: SolvePage) -> ReportData {
+pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, OutputError> {
     let Problem {
-        arm,
+        arm: own,
         task,
         discrete,
         ..
     } = page.problem;
-    let (record, summary) = (page.record, Fields(page.summary));
-    let converged = summary.text("status") == "converged";
-    let verdict = match summary.text("check.verdict") {
-        _ if !converged => summary.text("status"),
-        "" => "not checked",
-        verdict => verdict,
-    };
-    let motion = ReportMotion::thinned(record, FRAMES);
+    let (record, summary) = (page.record, page.summary);
     let obstacles = obstacles(&task.limits, &discrete.rod, &discrete.radii, record);
-    let (lead, trust) = solve_words(page.problem, page.coefficients, summary, obstacles.as_ref());
-    ReportData {
-        title: summary.text("scene").into(),
-        command: ReportCommand::Solve,
-        verdict: ReportVerdict {
-            text: verdict.into(),
-            ok: verdict == "certified",
-            checked: true,
-        },
-        lead,
-        trust,
-        arm_facts: arm_facts(arm, &discrete.rod),
-        acting: acting_facts(arm, &task.limits, &task.actuators, [usize::MAX; 2])
-            .into_iter()
-            .chain((discrete.acting.iter()).map(|_| {
-                fact(
-                    "control along the arm",
-                    "an actuator that acts on many nodes",
-                )
-            }))
-            .collect(),
-        facts: facts(summary, discrete.final_goals().next().is_some()),
-        arm: drawn_arm(arm, &discrete.rod),
+    // Of a solve that was stopped nobody waits for another simulation.
+    let columns = match crate::output::summary::was_checked(summary) {
+        true => reaction::optimized(discrete, page.coefficients),
+        false => Columns::new(),
+    };
+    let context = json!({
+        "summary": summary,
+        "arm": arm::arm(own, &discrete.rod, [usize::MAX; 2]),
+        "actuators": arm::actuators(&task.actuators),
+        "limits": arm::names(&task.limits),
+        "posed": posed(discrete, page.coefficients),
+        "obstacles": obstacles.as_ref().map(nearest),
+    });
+    let words = words("solve.jinja", &context, &columns)?;
+    let motion = ReportMotion::thinned(record, FRAMES);
+    Ok(ReportData {
         target: target(discrete),
         via: via(discrete),
         paths: paths(discrete, record),
@@ -85,76 +68,67 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> ReportData {
         controls: Some(controls(discrete, page.coefficients)),
         energy: Some(ReportEnergy::thinned(record, ROWS)),
         sensitivity: page.sensitivity,
-        bars: Vec::new(),
-        tables: Vec::new(),
-        advice: Vec::new(),
-        charts: if crate::verify::files::summary::was_checked(page.summary) {
-            reaction::optimized(discrete, page.coefficients)
-        } else {
-            // Of a solve that was stopped nobody waits for another simulation.
-            Vec::new()
-        },
         iterations: page.iterations,
-        attempts: summary.list("attempts").map(attempt).collect(),
         kinds: (MEANINGS.iter())
             .map(|(sign, meaning)| ((*sign).into(), (*meaning).into()))
             .collect(),
-        checks: summary.list("check.criteria").map(check_row).collect(),
-        summary: page.summary.clone(),
-        motion,
-        clock: ReportClock::time(),
-    }
+        ..ReportData::of(
+            ReportCommand::Solve,
+            summary,
+            words,
+            drawn_arm(own, &discrete.rod),
+            motion,
+        )
+    })
 }
 
-fn facts(summary: Fields, has_target: bool) -> Vec<(String, String)> {
-    let mut facts = vec![
-        fact("status", summary.text("status")),
-        fact("iterations", summary.count("iterations")),
-        fact("objective", figure(summary.number("objective"), 6)),
-        fact("wall time", summary.measure("wall_s", "s")),
-    ];
-    if has_target {
-        facts.push(fact("tip error", summary.measure("tip_error_m", "m")));
-    }
-    for error in summary.list("tracking") {
-        let label = format!("path of node {}", error.count("node"));
-        let missed = format!(
-            "missed by {} rms, at most {} at t = {} s",
-            error.measure("rms_m", "m"),
-            error.measure("max_m", "m"),
-            figure(error.number("max_at_s"), 4)
-        );
-        facts.push(fact(&label, missed));
-    }
-    let step = summary.measure("step_s", "s");
-    facts.extend([
-        fact(
-            "tip speed at the end",
-            summary.measure("tip_speed_m_s", "m/s"),
-        ),
-        fact("steps", format!("{} of {step}", summary.count("steps"))),
-        fact(
-            "control",
-            format!(
-                "{}, {} variables",
-                counted(summary.count("control_blocks"), "block", "blocks"),
-                summary.count("variables")
-            ),
-        ),
-        fact("Hessian", summary.text("hessian")),
-        fact("start", summary.text("guess")),
-    ]);
-    if !summary.text("message").is_empty() {
-        facts.push(fact("message", summary.text("message")));
-    }
-    if summary.text("status") != "converged" {
-        for worst in summary.list("worst_constraints") {
-            let off = measure(worst.number("amount"), worst.text("unit"));
-            facts.push(fact(worst.text("name"), format!("off by {off}")));
-        }
-    }
-    facts.extend(saved_findings(Fields(summary.get("check"))));
-    facts
+/// What was asked, and the largest force (N) and moment (N m) of any actuator.
+fn posed(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Value {
+    let goals = || problem.final_goals();
+    let position = goals().find_map(|goal| Some((goal.position?, &goal.enforcement)));
+    let goal = goals().next().map(|_| {
+        json!({
+            "position": position.map(|(place, _)| <[f64; 3]>::from(place)),
+            "soft": position.is_some_and(|(_, how)| matches!(how, Enforcement::Soft { .. })),
+            "turned": goals().any(|goal| goal.rotation.is_some()),
+            "at_rest": goals().any(|goal| goal.at_rest),
+        })
+    });
+    let stay = problem.stay.as_ref().map(|stay| {
+        let largest = |part: fn(&Wrench) -> f64| {
+            let size = stay.wrenches.iter().map(part).fold(0.0, f64::max);
+            (size > 0.0).then_some(size)
+        };
+        json!({
+            "seconds": stay.seconds,
+            "force": largest(|u| u.force.norm()),
+            "moment": largest(|u| u.moment.norm()),
+        })
+    });
+    let largest = arrows::largest_controls(problem, coefficients);
+    let actuators = problem.wrench_actuators();
+    let peak = |part: usize, acts: bool| {
+        acts.then(|| largest.iter().map(|sizes| sizes[part]).fold(0.0, f64::max))
+    };
+    json!({
+        "start": <[f64; 3]>::from(problem.initial.configuration.positions[problem.rod.tip()]),
+        "goal": goal,
+        "on_the_way": via(problem).len(),
+        "tracks": problem.objective.tracking.len(),
+        "duration_s": problem.grid.duration(),
+        "duration_is_free": problem.duration.is_some(),
+        "stay": stay,
+        "force": peak(0, actuators.iter().any(|node| node.force.acts())),
+        "moment": peak(1, actuators.iter().any(|node| node.moment.acts())),
+        "own_actuators": problem.acting.len(),
+    })
+}
+
+/// The number of obstacles, and the least distance of the arm from any, m.
+fn nearest(obstacles: &ReportObstacles) -> Value {
+    let nearest = (obstacles.bodies.iter().flat_map(|body| &body.clearance))
+        .fold(f64::INFINITY, |nearest, c| nearest.min(f64::from(*c)));
+    json!({ "n": obstacles.bodies.len(), "nearest": nearest })
 }
 
 /// What the tip should reach at the end; `None` where there is nothing.
@@ -274,40 +248,10 @@ pub(in crate::solve) fn iteration(number: usize, row: &IterationRecord) -> Repor
         attempt: number + 1,
         iteration: row.iteration,
         objective: row.objective,
-        stationarity: row.residual.stationarity,
-        feasibility: row.residual.feasibility,
-        complementarity: row.residual.complementarity,
+        stationarity: row.stationarity,
+        feasibility: row.feasibility,
+        complementarity: row.complementarity,
         step_norm: row.step_norm,
         kind: step_kind(row),
-    }
-}
-
-fn attempt(attempt: Fields) -> ReportAttempt {
-    ReportAttempt {
-        from: attempt.text("from").into(),
-        iterations: attempt.count("iterations") as usize,
-        ended: attempt.text("ended").into(),
-        is_result: attempt.get("is_result") == &Value::Bool(true),
-    }
-}
-
-fn check_row(item: Fields) -> ReportCheck {
-    let (value, limit, unit) = (
-        item.number("value"),
-        item.number("limit"),
-        item.text("unit"),
-    );
-    ReportCheck {
-        name: item.text("name").into(),
-        // Of what is far below its limit, mostly rounding, the size counts.
-        value: format!(
-            "{} {unit}",
-            figure(value, if value > 1e-3 * limit { 3 } else { 1 })
-        )
-        .trim_end()
-        .into(),
-        limit: measure(limit, unit),
-        ok: item.get("holds") == &Value::Bool(true),
-        meaning: item.text("meaning").into(),
     }
 }

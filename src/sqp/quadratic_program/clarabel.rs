@@ -1,4 +1,4 @@
-//! The subproblem in Clarabel's form: one sparse matrix of rows and their cones, and the multipliers back in ours.
+//! The subproblem in Clarabel's form: one sparse matrix of rows with their cones, and the multipliers in the solver's own order and units.
 
 use std::collections::BTreeMap;
 use std::io::{Read as _, Seek as _};
@@ -16,29 +16,30 @@ use super::super::program::{ConvexSet, Softness, along};
 use super::super::settings::NEGLIGIBLE;
 use super::{QpError, QpSolution, QuadraticProgram};
 
-/// How Clarabel is run. What it cannot solve is tried again with the next of [`LADDER`].
+/// Settings of one attempt with Clarabel. If it fails, the next one of [`LADDER`] follows.
 #[derive(Clone, Copy, Debug)]
 struct Attempt {
-    /// Added to the diagonal of the Hessian, relative to its largest entry (Levenberg-Marquardt).
+    /// Shift of the Hessian's diagonal, relative to its largest entry (Levenberg-Marquardt).
     shift: f64,
     tolerance: f64,
-    /// What it must have reached when it stops early.
+    /// Residuals that are good enough if Clarabel stops early.
     reduced: f64,
-    /// Static regularization of the factorization; Clarabel's default is 1e-8.
+    /// Static regularization of the factorization (`static_regularization_constant`); Clarabel's default is 1e-8.
     regularization: f64,
-    /// Corrections of a linear solve, at most, and by what factor each must help.
+    /// Cap on the refinements of a linear solve, and the factor by which each must reduce the residual.
     refinements: u32,
     refinement_gain: f64,
 }
 
-/// Clarabel's own default tolerances leave up to 1e-2 in weakly determined controls. The last attempts: a rough step far
-/// from a solution beats none, and near one it would show.
+/// Attempts without states. Clarabel's own default tolerances (1e-8) leave up to 1e-2 in weakly determined controls. The last attempt
+/// accepts a rough step: far from a solution it is better than none, and near one the residual test would show it.
 const LADDER: [Attempt; 2] = [
     Attempt::condensed(0.0, 1e-11, 1e-7, 1e-8),
     Attempt::condensed(1e-8, 1e-9, 1e-5, 1e-8),
 ];
-/// With states: the factorization is far worse conditioned, by the square of the number of steps, and what regularization keeps it
-/// stable must be taken back by many refinements. Measured: costs over states need the second; less than the first is unstable.
+/// Attempts with states. The factorization is conditioned worse by the square of the number of steps, and many refinements must remove the
+/// effect of the regularization that keeps it stable. Measured: costs on states need the second attempt; less regularization than in the
+/// first is unstable.
 const STATES_LADDER: [Attempt; 3] = [
     Attempt::with_states(1e-8),
     Attempt::with_states(1e-7),
@@ -46,7 +47,7 @@ const STATES_LADDER: [Attempt; 3] = [
 ];
 
 impl Attempt {
-    /// With Clarabel's own refinement.
+    /// Returns settings with Clarabel's own defaults for refinement.
     const fn condensed(shift: f64, tolerance: f64, reduced: f64, regularization: f64) -> Self {
         Self {
             shift,
@@ -71,7 +72,7 @@ impl Attempt {
 }
 
 impl QuadraticProgram<'_> {
-    /// Down the ladder, until Clarabel is content; without the states if it is not with them.
+    /// Solves with one attempt after the other until one succeeds. If all attempts with states fail, solves without them.
     pub(super) fn solve_with(&self, working: &[usize]) -> Result<QpSolution, QpError> {
         if self.states.is_some() {
             let found = (STATES_LADDER.iter())
@@ -102,7 +103,7 @@ impl QuadraticProgram<'_> {
         }
         let n = self.gradient.len();
         let m = self.offset.len();
-        // An objective of order one, whatever the weights.
+        // Scales the objective to order one, whatever the weights are.
         let scale = 1.0
             / infinity_norm(self.gradient)
                 .max(self.elastic_weight * 1e-3)
@@ -134,7 +135,7 @@ impl QuadraticProgram<'_> {
             .map_err(|error| QpError::refused(error.to_string()))?;
         let stop = self.stop.cloned().unwrap_or_default();
         let signal = stop.clone();
-        // It looks at the signal between its iterations; one of them, and its setting up, may take long where rows or states are many.
+        // Clarabel reads the signal between its iterations; one iteration, and the setting up, may take long with many rows or states.
         let solver = stop.unless_raised(p.n, move || {
             let mut solver = DefaultSolver::new(&p, &q, &matrix, &right, &cones, settings)
                 .map_err(|error| QpError::refused(error.to_string()))?;
@@ -149,7 +150,7 @@ impl QuadraticProgram<'_> {
         let info = &solver.info;
         let usable = match solution.status {
             SolverStatus::Solved | SolverStatus::AlmostSolved => true,
-            // It stops a step after its best point, whose residuals may well be good enough.
+            // Clarabel stops a step after its best point, whose residuals may be good enough.
             SolverStatus::InsufficientProgress => {
                 info.res_primal <= attempt.reduced
                     && info.res_dual <= attempt.reduced
@@ -197,7 +198,7 @@ impl QuadraticProgram<'_> {
         })
     }
 
-    /// Clarabel's `P` and `q`.
+    /// Returns Clarabel's `P` and `q`.
     fn objective(&self, slacks: &Slacks, scale: f64, shift: f64) -> (CscMatrix<f64>, Vec<f64>) {
         let (n, m) = (self.gradient.len(), self.offset.len());
         let diagonal = (0..n)
@@ -226,14 +227,15 @@ impl QuadraticProgram<'_> {
 }
 
 impl StateRow {
-    /// Columns of the subproblem with their coefficients, ascending; the states begin at `first_state`, after the variables.
+    /// Returns the columns of the subproblem with their coefficients, ascending; the states begin at column `first_state`, after the
+    /// variables.
     fn columns(&self, first_state: usize) -> Vec<(usize, f64)> {
         let states = self.states.iter().map(|&(at, c)| (first_state + at, c));
         merged(self.variables.iter().copied().chain(states).collect())
     }
 }
 
-/// Entries in the order of their places, those of the same place added.
+/// Returns the entries in the order of their places, with those of equal places added.
 fn merged(mut entries: Vec<(usize, f64)>) -> Vec<(usize, f64)> {
     entries.sort_by_key(|entry| entry.0);
     entries.dedup_by(|later, first| {
@@ -246,7 +248,7 @@ fn merged(mut entries: Vec<(usize, f64)>) -> Vec<(usize, f64)> {
     entries
 }
 
-/// The problem as Clarabel writes it.
+/// Returns the problem as Clarabel writes it.
 fn saved(solver: &DefaultSolver<f64>) -> Option<String> {
     let mut file = tempfile::tempfile().ok()?;
     let mut text = String::new();
@@ -256,7 +258,7 @@ fn saved(solver: &DefaultSolver<f64>) -> Option<String> {
     Some(text)
 }
 
-/// Where a set's rows are in Clarabel's `A`, and whether they are equations.
+/// First row of a set in Clarabel's `A`, and whether its rows are equations.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     row: usize,
@@ -264,7 +266,7 @@ struct Place {
 }
 
 impl ConvexSet {
-    /// Without interior: no interior-point method could begin.
+    /// Tells whether the set has no interior, so that an interior-point method could not begin.
     fn is_equation(&self) -> bool {
         match self {
             Self::Interval { lower, upper, .. } => lower == upper,
@@ -274,7 +276,7 @@ impl ConvexSet {
     }
 }
 
-/// Clarabel's `z` in our order and units: `P x + q + Aᵀ z = 0`.
+/// Returns the multipliers of a set from Clarabel's `z`, where `P x + q + Aᵀ z = 0`, in the solver's own order and units.
 fn normal(set: &ConvexSet, place: Place, z: &[f64], scale: f64) -> Vec<f64> {
     let z = &z[place.row..];
     match set {
@@ -294,20 +296,20 @@ struct Assembly {
     matrix: CscMatrix<f64>,
     right: Vec<f64>,
     cones: Vec<SupportedConeT<f64>>,
-    /// One per set.
+    /// Place of every set.
     places: Vec<Place>,
     /// First row of the inequalities.
     inequalities: usize,
 }
 
-/// Slacks of the working set: one per group of hard rows, one per soft row.
+/// Slacks of the working set: one for each group of hard rows, one for each soft row.
 struct Slacks {
-    /// Which one every row of the working set has.
+    /// Index of the slack of every row of the working set.
     of_row: Vec<usize>,
-    /// Linear and quadratic price.
+    /// Linear and quadratic price of every slack.
     prices: Vec<(f64, f64)>,
     is_hard: Vec<bool>,
-    /// Slack of every group.
+    /// Index of the slack of every group of hard rows.
     shared: BTreeMap<usize, usize>,
 }
 
@@ -342,7 +344,7 @@ impl Slacks {
 }
 
 impl Assembly {
-    /// Columns: `δ`, `s⁺`, `s⁻`, `t` of the working set; then, where they are kept, the states.
+    /// Assembles the columns `δ`, `s⁺`, `s⁻`, `t` of the working set and, on the sparse route, those of the states.
     fn of(qp: &QuadraticProgram, working: &[usize], slacks: &Slacks) -> Self {
         let (n, m) = (qp.gradient.len(), qp.offset.len());
         let n_slacks = 2 * m + slacks.prices.len();
@@ -472,7 +474,7 @@ impl UpperTriangle {
         }
     }
 
-    /// Adds `h + shift I` at the beginning.
+    /// Adds `h + shift I` to the first rows and columns.
     fn dense(&mut self, h: &Mat<f64>, shift: f64) {
         for (j, column) in self.columns.iter_mut().take(h.ncols()).enumerate() {
             for i in 0..=j {
@@ -501,7 +503,7 @@ impl UpperTriangle {
     }
 }
 
-/// The sparse matrix with these columns.
+/// Returns the sparse matrix with the given columns.
 fn compressed(
     n_rows: usize,
     columns: impl ExactSizeIterator<Item = Vec<(usize, f64)>>,
@@ -556,12 +558,12 @@ impl Rows {
         }
     }
 
-    /// A row whose states begin at column `first_state`.
+    /// Adds a row whose states begin at column `first_state`.
     fn with_states(&mut self, row: &StateRow, first_state: usize) {
         self.sparse(&row.columns(first_state), 1.0);
     }
 
-    /// A set without interior.
+    /// Adds the equations of a set without interior.
     fn equations(&mut self, set: &ConvexSet, variables: &[f64]) {
         match set {
             ConvexSet::Interval { index, upper, .. } => {

@@ -1,4 +1,4 @@
-//! Tests of the module above.
+//! Tests of the elastic quadratic subproblem.
 
 use super::*;
 
@@ -17,7 +17,7 @@ fn none() -> LinearInequalities<'static> {
     }
 }
 
-/// Projection of a point outside onto a ball, with no constraints: known answer, outward normal, right sign.
+/// Projection of a point outside onto a ball, without constraints: known solution, outward normal, right sign.
 #[test]
 fn ball_projects() {
     let hessian = identity(2);
@@ -76,7 +76,7 @@ fn intervals_hold_on_both_sides() {
     assert!((solution.multipliers.normals[1][0] + 7.5).abs() < 1e-6);
 }
 
-/// A constraint that a set makes impossible: the slack takes what is missing, the multiplier sits at the weight.
+/// A constraint that contradicts a set: the slack is the missing value, the multiplier equals the elastic weight.
 #[test]
 fn elastic_weight_bounds_the_multiplier() {
     let hessian = identity(1);
@@ -129,7 +129,7 @@ fn nan_is_refused() {
     assert_eq!(qp.solve(), Err(QpError::NotFinite("gradient")));
 }
 
-/// Many rows, three kinds of price: the working sets end at the solution of the problem with all rows.
+/// Many rows with three kinds of price: the exchange of working sets ends at the solution of the problem with all rows.
 #[test]
 fn exchange_finds_the_full_solution() {
     const ROWS: usize = 600;
@@ -186,7 +186,7 @@ fn exchange_finds_the_full_solution() {
     }
 }
 
-/// What Clarabel cannot solve is handed back as it writes it, with the cones.
+/// A problem that Clarabel cannot solve is returned in Clarabel's JSON, with its cones.
 #[test]
 fn unsolved_problem_is_saved() {
     let (hessian, jacobian) = (identity(1), Mat::zeros(0, 1));

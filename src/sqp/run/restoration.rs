@@ -1,4 +1,4 @@
-//! The way back towards feasibility, where no step is acceptable or subproblems promise nothing.
+//! Restoration of feasibility, for points without an acceptable step or subproblems without progress in infeasibility.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -14,10 +14,10 @@ use super::super::quadratic_program::QpSolution;
 use super::super::trust_region::{GOOD_RATIO, POOR_RATIO, TrustRegion};
 use super::{Breakdown, INFEASIBLE_PROGRESS, Run, SHRINKAGES, Step};
 
-/// The restoration ends where the filter lets it, once the infeasibility is this part of what it was.
+/// The restoration ends once the infeasibility is this fraction of its first value and the filter allows the point.
 const RESTORATION_GAIN: f64 = 0.5;
 
-/// The restoration phase: the infeasibility alone is minimized, close to where it began.
+/// The restoration phase, which minimizes the infeasibility alone, close to its first point.
 #[derive(Clone, Copy)]
 pub(super) struct Restoration {
     began_with: f64,
@@ -25,7 +25,7 @@ pub(super) struct Restoration {
 }
 
 impl<P: LiftedProgram> Run<'_, P> {
-    /// Begins the restoration phase.
+    /// Begins the restoration phase and takes its first step.
     pub(super) fn restore(&mut self, linearization: Linearization) -> Result<Step, Breakdown> {
         self.feasibility.restorations += 1;
         self.feasibility.stuck = 0;
@@ -41,7 +41,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.restoration_step(linearization)
     }
 
-    /// A step towards feasibility: `½ ρ |δ|²` and the slacks, without the objective; `ρ` is such that a step as long as the
+    /// Takes a step of the restoration: minimizes `½ ρ |δ|²` plus the slacks, without the objective; `ρ` is such that a step as long as the
     /// trust radius costs half of the infeasibility. Soft rows may be violated.
     pub(super) fn restoration_step(
         &mut self,
@@ -53,7 +53,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         let n = self.variables().len();
         let sets = self.program.sets().to_vec();
         let before = self.infeasibility();
-        // What states that do not obey their equations promise or deny says nothing about constraints.
+        // With defects in the states, the predicted violations say nothing about the constraints; a rollout comes first.
         if self.iterate.evaluation.defect > INFEASIBLE_PROGRESS * before
             && let Some(there) =
                 Filter::rollout(self.program, &self.iterate.point, &vec![0.0; n], 0)
@@ -127,7 +127,7 @@ impl<P: LiftedProgram> Run<'_, P> {
                 if after > self.settings.tolerance {
                     return Ok(Step::Taken);
                 }
-                // Feasible: nothing that the filter remembers is worth more.
+                // The point is feasible: no entry of the filter is of use any more.
                 self.filter = Filter::new(after);
             }
             return Ok(Step::Taken);
@@ -135,8 +135,8 @@ impl<P: LiftedProgram> Run<'_, P> {
         Ok(Step::Refused)
     }
 
-    /// Where the infeasibility is stationary: what pulls against each other, in units of it. This point is the one to show, unless
-    /// a better one was passed.
+    /// Stores multipliers and point of a stationary infeasibility: the multipliers, in units of the infeasibility, tell which conditions
+    /// conflict. The point is reported unless a better one was visited.
     pub(super) fn blame(&mut self, linearization: &Linearization, multipliers: Multipliers) {
         let infeasibility = self.infeasibility() + self.iterate.outside;
         if infeasibility <= (1.0 + INFEASIBLE_PROGRESS) * self.best.infeasibility {
@@ -151,7 +151,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         }
     }
 
-    /// The restoration's subproblem, with all rows that its step violates.
+    /// Solves the restoration's subproblem with all rows that its step violates.
     pub(super) fn solve_feasibility(
         &mut self,
         linearization: &mut Linearization,

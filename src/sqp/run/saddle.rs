@@ -1,4 +1,4 @@
-//! Points that meet the conditions of first order and are no minima.
+//! Steps past saddles: points that meet the first-order conditions and are no minima.
 
 use super::super::balls::change_into_balls;
 use super::super::hessian::{ModelHessian, NegativeCurvature};
@@ -7,14 +7,16 @@ use super::super::program::LiftedProgram;
 use super::super::quadratic_program::QpSolution;
 use super::{Run, is_within};
 
-/// How far a step past a saddle goes of the way that promises a worthwhile gain, and may go of the trust radius or of the variables (at
-/// least one): far enough to leave the rounding, near enough for the quadratic model.
+/// Length of a step past a saddle: the first fraction of the length that promises the worthwhile gain, but not more than the second
+/// fraction of the trust radius and of the norm of the variables (at least one). It is far enough to leave rounding behind, and near enough
+/// for the quadratic model.
 const PASSING_PART: f64 = 0.5;
 const PASSING_REACH: f64 = 0.3;
 
 impl<P: LiftedProgram> Run<'_, P> {
-    /// The step, longer along the most negative curvature where it hardly goes that way and a worthwhile gain is within reach. Near a
-    /// saddle its part along it only doubles from one iteration to the next, and where the problem is symmetric it begins with rounding.
+    /// Returns the step, lengthened along the most negative curvature if it hardly goes that way and a worthwhile gain is within reach.
+    /// Near a saddle, the component along that direction only doubles from one iteration to the next, and in a symmetric problem it begins
+    /// with rounding.
     pub(super) fn past_saddle(&self, model: &ModelHessian, mut solution: QpSolution) -> QpSolution {
         let Some(NegativeCurvature { direction, value }) = &model.descent else {
             return solution;

@@ -1,4 +1,4 @@
-//! The subproblem of an iteration: which rows it sees, at what elastic weight, and what joins it.
+//! The subproblem of an iteration: its rows, its elastic weight, and the rows that join it.
 
 use std::time::Instant;
 
@@ -15,20 +15,21 @@ use super::super::quadratic_program::{
 use super::super::settings::{NEGLIGIBLE, PROGRESS, ROW_TOLERANCE};
 use super::{Breakdown, Run};
 
-/// Largest elastic weight, in the unit of the [first](FIRST_ELASTIC_WEIGHT), which is also the smallest.
+/// Largest elastic weight, in units of the [cost's derivatives](Linearization::cost_scale); [`FIRST_ELASTIC_WEIGHT`] is the smallest.
 const LARGEST_ELASTIC_WEIGHT: f64 = 1e8;
-/// By how much it is raised, and kept above the largest multiplier, so that it can come down again.
+/// Factor by which the elastic weight is raised. It is also the ratio to the largest multiplier at which the weight is kept, so that it can
+/// come down again.
 const ELASTIC_FACTOR: f64 = 10.0;
-/// Room that a trust region leaves around the nearest point of the sets.
+/// The trust radius is at least this multiple of the distance to the sets, so that the subproblem can reach them.
 const SET_ROOM: f64 = 2.0;
-/// Rows that are linearized from the start, peaks and active ones apart.
+/// Cap on the rows that are linearized from the start, besides peaks and rows with multipliers.
 const MOST_CANDIDATES: usize = 500;
-/// The screening margin grows by this when a step violates what was screened out.
+/// Factor on the screening margin when a step violates a row that was screened out.
 const MARGIN_GROWTH: f64 = 2.0;
 
 impl<P: LiftedProgram> Run<'_, P> {
-    /// Rows that are linearized from the start: those near or beyond their limit, thinned where they are many but for peaks and
-    /// those with multipliers. What is missing joins when a step violates it.
+    /// Returns the rows that are linearized from the start: those near or beyond their limit. If there are many, they are thinned, except
+    /// for peaks and rows with multipliers. Missing rows join when a step violates them.
     pub(super) fn candidates(&self) -> Vec<usize> {
         let values = self.iterate.evaluation.inequalities.iter();
         let near: Vec<(usize, f64)> = (values
@@ -53,11 +54,10 @@ impl<P: LiftedProgram> Run<'_, P> {
         rows
     }
 
-    /// How much a subproblem may violate rows that it has not seen.
+    /// Returns the violation that a subproblem may leave in rows outside its working set.
     pub(super) fn row_tolerance(&self) -> f64 {
-        let off = (self.trace.history.last()).map_or(1.0, |row| {
-            row.residual.stationarity.max(row.residual.feasibility)
-        });
+        let off =
+            (self.trace.history.last()).map_or(1.0, |row| row.stationarity.max(row.feasibility));
         (self.settings.row_accuracy * off.min(1.0)).max(ROW_TOLERANCE)
     }
 
@@ -67,7 +67,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.working_set.groups = rows.iter().map(|&row| self.program.group(row)).collect();
     }
 
-    /// The program's sets, with the tangents that the model's Hessian asks for in the place of balls.
+    /// Returns the program's sets, with those balls replaced by tangents that the model's Hessian names.
     pub(super) fn subproblem_sets(&self, model: &ModelHessian) -> Vec<ConvexSet> {
         let mut sets = self.program.sets().to_vec();
         for tangent in &model.tangents {
@@ -94,7 +94,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         }
     }
 
-    /// Adapts the elastic weight.
+    /// Solves the subproblem, with a larger elastic weight as long as that reduces the slack.
     pub(super) fn solve_elastic(
         &mut self,
         linearization: &Linearization,
@@ -104,7 +104,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         let unit = linearization.cost_scale();
         let mut weight = self.elastic_weight.unwrap_or(FIRST_ELASTIC_WEIGHT * unit);
         let mut solution = self.solve_once(linearization, model, sets, weight)?;
-        // A larger weight helps only where it buys feasibility; a small trust region is no reason to raise it.
+        // A larger weight helps only if it reduces the slack; a small trust region is no reason to raise it.
         while solution.slack > NEGLIGIBLE && weight < LARGEST_ELASTIC_WEIGHT * unit {
             let heavier = self.solve_once(linearization, model, sets, weight * ELASTIC_FACTOR)?;
             if heavier.slack > PROGRESS * solution.slack {
@@ -122,14 +122,15 @@ impl<P: LiftedProgram> Run<'_, P> {
         Ok(solution)
     }
 
-    /// Of constraints and hard inequalities: what the elastic weight must exceed.
+    /// Returns the largest multiplier, or sum of multipliers on one slack, of constraints and hard inequalities, which the elastic weight
+    /// must exceed.
     pub(super) fn largest_multiplier(&self, solution: &QpSolution) -> f64 {
         (solution.multipliers).largest_on_slack(|row| {
             (self.program.softness(row) == Softness::Hard).then(|| self.program.group(row))
         })
     }
 
-    /// One quadratic program; its multipliers are those of all inequalities, and its working set is remembered.
+    /// Solves one quadratic program; its multipliers are those of all inequalities, and its working set is remembered.
     pub(super) fn solve_once(
         &mut self,
         linearization: &Linearization,
@@ -154,14 +155,14 @@ impl<P: LiftedProgram> Run<'_, P> {
         Ok(solution)
     }
 
-    /// Places, among the linearized rows, of those that mattered last.
+    /// Returns the places, among the linearized rows, of the last working set.
     pub(super) fn first_rows(&self, linearization: &Linearization) -> Vec<usize> {
         (self.working_set.last.iter())
             .filter_map(|row| linearization.rows.binary_search(row).ok())
             .collect()
     }
 
-    /// Linearizes what a step violates to first order and what was screened out. Whether there was any.
+    /// Linearizes rows that were screened out and that a step violates to first order. Returns whether there were any.
     pub(super) fn join_predicted(
         &mut self,
         linearization: &mut Linearization,
@@ -185,7 +186,7 @@ impl<P: LiftedProgram> Run<'_, P> {
                     &direction,
                 )
             })?;
-        // What the slack of its group covers is known already.
+        // The slack of a group already covers its rows up to its value.
         let beyond = |(row, h): (usize, f64)| match self.program.softness(row) {
             Softness::Hard => {
                 let slack = solution.slacks.get(&self.program.group(row));
@@ -198,7 +199,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.join(linearization, &predicted)
     }
 
-    /// Linearizes what is violated and was screened out. Whether there was any.
+    /// Linearizes rows that were screened out and are violated in `values`. Returns whether there were any.
     pub(super) fn join(
         &mut self,
         linearization: &mut Linearization,
@@ -214,7 +215,7 @@ impl<P: LiftedProgram> Run<'_, P> {
             })
             .map(|(row, &h)| (row, h))
             .collect();
-        // Only a row of its own price counts by itself; of a group, the worst are enough.
+        // The local maxima are enough: neighbors sample the same condition.
         let missing: Vec<usize> = peaks(&violated).into_iter().map(|(row, _)| row).collect();
         if missing.is_empty() {
             return Ok(false);
@@ -234,7 +235,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         Ok(true)
     }
 
-    /// After a subproblem with tangents: the step ends on the balls themselves, and their normals are vectors again.
+    /// Completes a subproblem with tangents: moves the step onto the balls, and turns the multipliers of tangents into vectors.
     pub(super) fn return_to_balls(&self, model: &ModelHessian, solution: &mut QpSolution) {
         if model.tangents.is_empty() {
             return;

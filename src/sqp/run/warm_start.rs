@@ -1,24 +1,28 @@
-//! Where a solve goes on that another one ended.
+//! The warm start of a solve from the end of another one.
 
 use super::super::kkt::{Multipliers, norm};
 use super::super::program::LiftedProgram;
 use super::Run;
 
-/// Where a solve goes on that another one ended: near its own solution a changed program is solved in a few iterations.
+/// The data of a solve from which another one goes on: a changed program is solved in a few iterations if its solution is near.
 #[derive(Clone, Debug)]
 pub struct WarmStart<P> {
     /// The point.
     pub point: P,
-    /// Multipliers there, of a program of the same size; with them the curvature of the Lagrangian is known from the first iteration on.
+    /// Multipliers at the point, of a program of the same size; with them the curvature of the Lagrangian is known from the first iteration
+    /// on.
     pub multipliers: Multipliers,
-    /// Inequalities that mattered.
+    /// Inequalities of the last working set.
     pub working_rows: Vec<usize>,
-    /// Weight of infeasible rows in the subproblem.
+    /// Elastic weight of the last subproblem.
     pub elastic_weight: Option<f64>,
 }
 
 impl<P: LiftedProgram> Run<'_, P> {
-    /// Takes over what another solve knew, besides its point.
+    /// Takes over the data of another solve, besides its point.
+    ///
+    /// # Errors
+    /// Returns a message if the numbers of constraints, inequalities or sets differ.
     pub(in crate::sqp) fn warm(&mut self, start: &WarmStart<P::Point>) -> Result<(), String> {
         let (own, other) = (&self.iterate.multipliers, &start.multipliers);
         let sizes = |m: &Multipliers| (m.constraints.len(), m.inequalities.len(), m.normals.len());
@@ -33,13 +37,13 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.best.multipliers = start.multipliers.clone();
         self.working_set.last.clone_from(&start.working_rows);
         self.elastic_weight = start.elastic_weight;
-        // The radius of the last steps says nothing about a program that has changed.
+        // The radius of the last steps is no measure for a changed program.
         self.trust_region.radius = norm(self.variables()).max(1.0);
         self.iterate.has_multipliers = true;
         Ok(())
     }
 
-    /// What another solve may take over.
+    /// Returns the data for a later solve.
     pub(in crate::sqp) fn warm_start(&self) -> WarmStart<P::Point> {
         WarmStart {
             point: P::Point::clone(&self.iterate.point),

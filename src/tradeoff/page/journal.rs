@@ -1,4 +1,4 @@
-//! The points of a trade-off on its way, one a line: what is left of a sweep that is killed.
+//! The journal of a sweep in progress, one point a line, from which a killed sweep can be resumed.
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -7,20 +7,20 @@ use std::path::Path;
 use crate::output::{JOURNAL_FILE, OutputError, read_text};
 use crate::tradeoff::Point;
 
-/// Bytes of the largest journal that is read.
+/// Cap on the bytes of a journal that is read.
 const LARGEST: u64 = 1 << 24;
 
-/// Writes points as they come: the text of the scene in the first line, then one point a line, each as JSON.
+/// Writes points as they are measured: the text of the scene in the first line, then one point a line, each as JSON.
 #[derive(Debug)]
 pub struct Journal {
     file: File,
 }
 
 impl Journal {
-    /// Begins a journal in the folder of a run, with points that are known already.
+    /// Begins a journal in the folder of a run, with the points of an earlier sweep.
     ///
     /// # Errors
-    /// [`OutputError`] where it cannot be written.
+    /// Returns [`OutputError`] if it cannot be written.
     pub fn begin(folder: &Path, scene: &str, known: &[Point]) -> Result<Self, OutputError> {
         let path = folder.join(JOURNAL_FILE);
         let unwritten = || OutputError::unwritten(&path, "cannot write");
@@ -34,7 +34,7 @@ impl Journal {
         Ok(journal)
     }
 
-    /// Adds a point. A sweep goes on where its journal cannot: its result is written at its end all the same.
+    /// Adds a point. If that fails, the sweep continues without a journal and still writes its result at the end.
     pub fn note(&mut self, point: &Point) {
         if let Ok(line) = serde_json::to_string(point) {
             let _ = self.file.write_all((line + "\n").as_bytes());
@@ -42,8 +42,8 @@ impl Journal {
     }
 }
 
-/// The journal that a sweep left in the folder of its run: the text of its scene, and its points; a line that was cut is none. `None` where there is
-/// no journal, or one that cannot be read.
+/// Reads the journal that a sweep left in the folder of its run: the text of its scene, and its points; an incomplete last line is skipped.
+/// Returns `None` if there is no journal or it cannot be read.
 #[must_use]
 pub fn journal_in(folder: &Path) -> Option<(String, Vec<serde_json::Value>)> {
     let path = folder.join(JOURNAL_FILE);

@@ -1,28 +1,26 @@
-//! Trade-offs from their result directories: the page of one made anew, and one page of several.
+//! Trade-offs read from their result directories: the page of one, and a page that compares several.
 
-use std::fmt::Write as _;
 use std::ops::Range;
 use std::path::Path;
 
 use plotters::prelude::*;
 use serde::Deserialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::{
-    COLORS, INK, SIZE, axes, errors_and_times, escaped, label, milliseconds, page, picture,
-    sentence,
+    COLORS, INK, SIZE, axes, errors_and_times, filled, label, milliseconds, page, picture, sentence,
 };
 use crate::output::{
     ComparisonRow, ComparisonTable, OutputError, PAGE_STYLE, read_text, scene_differences,
 };
 use crate::tradeoff::{Point, Setting, Tradeoff};
 
-/// A trade-off that was written.
+/// A trade-off read from a result directory.
 #[derive(Debug, Deserialize)]
 pub struct SavedTradeoff {
     /// Name of the scene.
     pub scene: String,
-    /// What was found.
+    /// Result of the sweep.
     #[serde(flatten)]
     pub found: Tradeoff,
     /// The setting of the scene itself.
@@ -32,14 +30,14 @@ pub struct SavedTradeoff {
     pub text: String,
 }
 
-/// Bytes of a scene, at most.
+/// Cap on the bytes of a scene.
 const LARGEST_SCENE: u64 = 1 << 20;
 
 impl SavedTradeoff {
-    /// The trade-off of a result directory with this summary.
+    /// Reads the trade-off of a result directory with the given summary.
     ///
     /// # Errors
-    /// [`OutputError`] for a summary that lacks something, and a scene that is missing.
+    /// Returns [`OutputError`] if the summary lacks a field or the scene is missing.
     pub fn read(directory: &Path, summary: Value) -> Result<Self, OutputError> {
         let path = directory.join("summary.json");
         let saved: Self = serde_json::from_value(summary)
@@ -52,14 +50,16 @@ impl SavedTradeoff {
     }
 
     /// The page that the run wrote.
-    #[must_use]
-    pub fn page(&self) -> String {
+    ///
+    /// # Errors
+    /// As [`page`].
+    pub fn page(&self) -> Result<String, OutputError> {
         let svg = picture(&self.found, &self.usual).unwrap_or_default();
         let sentence = sentence(&self.found, &self.usual);
         page(&self.scene, &self.found, &self.usual, &sentence, &svg)
     }
 
-    /// Points of the front, the fastest first.
+    /// Returns the points of the front, the fastest first.
     fn front(&self) -> Vec<&Point> {
         let mut front: Vec<&Point> = (self.found.points.iter())
             .filter(|point| point.on_front && point.error.is_some_and(|error| error > 0.0))
@@ -70,7 +70,7 @@ impl SavedTradeoff {
     }
 }
 
-/// What is recommended by several trade-offs, and in what their scenes differ.
+/// Returns tables of the recommendations of several trade-offs and of the differences between their scenes.
 #[must_use]
 pub fn tradeoff_tables(saved: &[SavedTradeoff]) -> Vec<ComparisonTable> {
     type Of = fn(&SavedTradeoff) -> Option<String>;
@@ -125,41 +125,28 @@ pub fn tradeoff_tables(saved: &[SavedTradeoff]) -> Vec<ComparisonTable> {
 }
 
 /// The page of several trade-offs of one kind: their fronts in one picture, their recommendations in one table.
-#[must_use]
-pub fn tradeoff_comparison(names: &[String], saved: &[SavedTradeoff]) -> String {
-    let mut tables = String::new();
-    for table in tradeoff_tables(saved) {
-        let heads: String = (names.iter())
-            .map(|name| format!("<th>{}</th>", escaped(name)))
-            .collect();
-        let _ = writeln!(
-            tables,
-            "<h2>{}</h2>\n<div class=\"card wide\"><table class=\"stack\">\n<thead><tr><th></th>{heads}</tr></thead>\n<tbody>",
-            escaped(&table.title)
-        );
-        for row in &table.rows {
-            let cells: String = (row.values.iter().zip(names))
-                .map(|(value, name)| {
-                    let head = escaped(name).replace('"', "&quot;");
-                    format!(
-                        "<td class=\"value\" data-head=\"{head}\">{}</td>",
-                        escaped(value)
-                    )
-                })
-                .collect();
-            let _ = writeln!(tables, "<tr><th>{}</th>{cells}</tr>", escaped(&row.key));
-        }
-        tables.push_str("</tbody>\n</table></div>\n");
-    }
-    let svg = fronts(names, saved).unwrap_or_default();
-    include_str!("comparison.html")
-        .replace("{{title}}", &escaped(&names.join(" · ")))
-        .replace("{{tables}}", &tables)
-        .replace("{{svg}}", &svg)
-        .replace("{{style}}", PAGE_STYLE)
+///
+/// # Errors
+/// As [`page`].
+pub fn tradeoff_comparison(
+    names: &[String],
+    saved: &[SavedTradeoff],
+) -> Result<String, OutputError> {
+    filled(
+        "comparison.html",
+        &json!({
+            "names": names,
+            "tables": tradeoff_tables(saved),
+            "svg": fronts(names, saved).unwrap_or_default(),
+            "style": PAGE_STYLE,
+        }),
+    )
 }
 
-/// The fronts of several trade-offs; a sentence where there is none to draw.
+/// Draws the fronts of several trade-offs.
+///
+/// # Errors
+/// Returns a sentence if there is none to draw.
 fn fronts(names: &[String], saved: &[SavedTradeoff]) -> Result<String, String> {
     let all: Vec<&Point> = saved.iter().flat_map(SavedTradeoff::front).collect();
     if all.is_empty() {

@@ -1,11 +1,11 @@
-//! A setting by its keys: what distinguishes it from another, and what a scene says to have it.
+//! A setting as keys of a scene: its differences from another one, and the assignments that select it.
 
 use serde_json::{Map, Value};
 
 use super::Point;
 use super::Setting;
 
-/// Keys of a setting in its JSON, and in a scene.
+/// Keys of a setting in its JSON, and the corresponding keys of a scene.
 const KEYS: [(&str, &str); 15] = [
     ("elements", "rod.elements"),
     ("strain", "rod.strain"),
@@ -21,7 +21,7 @@ const KEYS: [(&str, &str); 15] = [
     ("block_s", "mpc.block_s"),
     ("iterations", "mpc.iterations"),
     ("estimator", "estimator.kind"),
-    // A scene has the step that it stands for.
+    // A scene names the step itself, not its ratio to the automatic one.
     ("step_over_automatic", ""),
 ];
 /// The key of a scene for the time step, which is `"auto"` or a number.
@@ -35,7 +35,7 @@ impl Setting {
         }
     }
 
-    /// This one with the changes that `a` and `b` make to it; where both change the same, with that of `a`.
+    /// Returns this setting with the changes that `a` and `b` make to it; where both change a key, that of `a` counts.
     pub(super) fn with_both(&self, a: &Self, b: &Self) -> Self {
         let [usual, a, mut both] = [self, a, b].map(Self::keys);
         for (key, _) in KEYS {
@@ -57,7 +57,8 @@ impl Setting {
 }
 
 impl Point {
-    /// What a scene says to have the setting of this point where `usual` is its own: `key = value` in TOML, the elements always.
+    /// Returns the assignments `key = value`, in TOML, that select the setting of this point in a scene whose own setting is `usual`; the
+    /// elements are always among them.
     #[must_use]
     pub fn assignments(&self, usual: &Setting) -> Vec<String> {
         let [own, usual] = [&self.setting, usual].map(Setting::keys);
@@ -71,7 +72,7 @@ impl Point {
                 STEP => Some(own.get(key).cloned().unwrap_or_else(|| "auto".into())),
                 _ => own.get(key).cloned(),
             };
-            // TOML is JSON for numbers and words.
+            // JSON numbers and strings are valid TOML.
             out.extend(value.map(|value| format!("{in_scene} = {value}")));
         }
         out
@@ -83,8 +84,8 @@ mod tests {
     use super::super::front::tests::setting;
     use super::*;
 
-    /// Every key of a setting is in the table, so that none is lost where settings are combined; changes of both are taken, those of the first where
-    /// both change the same, and what one of them leaves out is left out.
+    /// Every key of a setting is in the table, so that none is lost when settings are combined. Changes of both are taken, those of the
+    /// first where both change the same key, and a key that one of them leaves out is left out.
     #[test]
     fn settings_are_combined_by_their_keys() {
         let usual = Setting {

@@ -12,16 +12,16 @@ use crate::mechanics::RodModel;
 use crate::mpc::{Contender, Outcome};
 use crate::scene::{EstimatorKind, TimeScheme};
 
-/// Default share of the budget for one run: 22 of them fit into the share for settings.
+/// Default share of the budget for one run: 22 runs fit into the share for settings.
 const OF_A_RUN: f64 = 0.04;
-/// Cap from below on the samples that count, whose root mean square is then known to a tenth, if they are independent (`1/√(2 n)`).
+/// Lower limit of the number of samples that count: their root mean square is then known to a tenth if they are independent (`1/√(2 n)`).
 const FEWEST_SAMPLES: f64 = 50.0;
-/// Cap on the settings that are combined from those that are good by themselves.
+/// Cap on the settings that combine two good changes.
 const COMBINED: usize = 12;
-/// Default factor up to which a change whose error grows counts as good.
+/// Default factor: a change counts as good if it multiplies the error by no more than this.
 const AS_GOOD: f64 = 1.5;
 
-/// Loops are run, each for the same time, so that all take about as long.
+/// Measures settings by running closed loops, all for the same time, so that all take about as long.
 struct Loops;
 
 impl Measure for Loops {
@@ -39,7 +39,7 @@ impl Work<'_, '_> {
         self.duration(seconds);
         let duration = self.run_s;
         let known = self.sweep.known.iter().any(|known| known.setting == usual);
-        // Where the run is not shorter than the scene's own, its point is there already.
+        // A run of the scene's whole duration is the scene's own point already.
         let is_whole = duration >= self.sweep.scene_duration();
         let ready = is_whole.then_some(first).filter(|_| !known);
         self.point(&usual, |work| {
@@ -68,7 +68,7 @@ impl Work<'_, '_> {
         Ok(self.finish(reference, models, recommended))
     }
 
-    /// Shortens the runs where the budget does not hold enough of them.
+    /// Shortens the runs if the budget does not hold enough of them.
     fn duration(&mut self, seconds: f64) {
         let allowed = OF_A_RUN * self.sweep.budget.as_secs_f64();
         let own = self.sweep.scene_duration();
@@ -89,7 +89,7 @@ impl Work<'_, '_> {
         self.run_s = duration;
     }
 
-    /// A run, with `finer` times the elements of the arm as it is.
+    /// Runs the loop with `finer` times the elements of the plant.
     fn run_loop(
         &self,
         setting: &Setting,
@@ -104,7 +104,7 @@ impl Work<'_, '_> {
         let plant = own.plant.as_ref().and_then(|plant| plant.elements);
         scene.set_plant_elements(finer * plant.unwrap_or(own.rod.elements));
         let stop = self.sweep.stop;
-        // No plan is waited for longer than the whole sweep may take.
+        // No first plan may take longer than the whole sweep.
         let making = stop.no_later_than(Instant::now() + self.sweep.budget);
         let mut setup = scene.closed_loop(self.sweep.source, 0, &making)?;
         setup.experiment.stop = making;
@@ -166,7 +166,7 @@ impl Work<'_, '_> {
         }
     }
 
-    /// The scene's own loop around an arm with twice the elements: by how much its error depends on them.
+    /// Runs the scene's own loop around a plant with twice the elements, which shows how much the error depends on the plant's elements.
     fn loop_reference(&mut self, usual: &Setting, duration: f64) -> Option<Reference> {
         let own = self.points.first()?.error?;
         let finer = self.looped(usual, Some(duration), 2).ok()?;
@@ -184,7 +184,7 @@ impl Work<'_, '_> {
         })
     }
 
-    /// One change at a time.
+    /// Returns the settings that differ from the scene's own in one key.
     fn loop_settings(&self) -> Vec<Setting> {
         let usual = &self.usual;
         let mut settings = Vec::new();
@@ -208,12 +208,12 @@ impl Work<'_, '_> {
             }
             for part in [0.6, 1.6] {
                 let whole = (part * horizon / block).round().max(2.0) * block;
-                // Without the rounding of the product.
+                // Removes the rounding of the product.
                 let whole = (whole * 1e9).round() / 1e9;
                 add(&|setting| setting.horizon_s = Some(whole));
             }
         }
-        // Steps that are solved for may be as long as a block, and a horizon has few of them.
+        // Implicit steps may be as long as a block, so that a horizon has few of them.
         if usual.model == RodModel::Standard
             && let Some(block) = usual.block_s
         {
@@ -239,7 +239,7 @@ impl Work<'_, '_> {
         settings
     }
 
-    /// Pairs of changes that are faster by themselves and nearly as good, the fastest first.
+    /// Returns pairs of changes that alone are faster and nearly as good, the fastest first.
     fn combinations(&self) -> Vec<Setting> {
         let Some(own) = self.points.first().filter(|point| point.error.is_some()) else {
             return Vec::new();
@@ -255,8 +255,8 @@ impl Work<'_, '_> {
         settings
     }
 
-    /// The setting with the fastest samples that meets the tolerance, also around an arm with twice the elements, for as much of the scene's own
-    /// duration as there is time for.
+    /// Returns the setting with the fastest samples that meets the tolerance, also around a plant with twice the elements, for as much of
+    /// the scene's own duration as the budget allows.
     fn recommend_loop(&mut self, pace: f64) -> Option<Recommendation> {
         let good = (self.points.iter())
             .filter(|point| point.meets(self.sweep.tolerance))
@@ -293,8 +293,8 @@ impl Work<'_, '_> {
                     .filter_map(|point| point.error)
                     .fold(f64::INFINITY, f64::min);
                 self.finding(format!(
-                    "no setting meets a tolerance of {tolerance:e}: the best of {} has {best:.1e} (root mean square, over {duration} s); what is left is \
-                     of the task, the sensors and what the model does not know of the arm",
+                    "no setting meets a tolerance of {tolerance:e}: the best of {} has {best:.1e} (root mean square, over {duration} s); the remaining error \
+                     comes from the task, the sensors and the difference between model and arm",
                     self.points.len()
                 ));
             }

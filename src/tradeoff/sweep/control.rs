@@ -1,4 +1,4 @@
-//! The sweep of an optimal-control problem: what the controls do on a finer grid, and what they cost.
+//! The sweep of an optimal-control problem: the motion under its controls on a finer grid, and the time of the solve.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -19,23 +19,24 @@ use crate::sqp::{HessianChoice, SqpStatus};
 use crate::task::Discretization;
 use crate::task::prediction::SolveTime;
 
-/// Default part of the objective by which a setting may be worse than the finest grid, and still be recommended.
+/// Default fraction of the objective by which a recommended setting may be worse than the finest grid.
 const WORSE: f64 = 0.01;
-/// Other settings are tried once elements make the error this much smaller than the tolerance, so that they may make as much themselves.
+/// Other settings are tried once the elements make the error smaller than the tolerance by this factor, so that the other changes may add
+/// as much.
 const ENOUGH: f64 = 2.0;
-/// Cap on the times at which motions are compared, but for one a block.
+/// Cap on the times at which motions are compared, but at least one a block.
 const MOST_TIMES: usize = 96;
 /// Cap on the elements of the solves of a sweep.
 const MOST_ELEMENTS: usize = 160;
 
-/// What a solve came to.
+/// Result of a solve.
 struct Solved {
     setup: OptimalControl,
     attempt: Attempt,
 }
 
-/// Settings are solved: first those that differ from the scene's in their elements alone, until one is accurate enough, then the others, and last what
-/// is finer still.
+/// Measures settings by solving: first those that differ from the scene's in their elements only, until one is accurate enough, then the
+/// others, and last finer ones.
 struct Solves;
 
 impl Measure for Solves {
@@ -72,8 +73,8 @@ impl Work<'_, '_> {
         Ok(self.finish(reference, models, recommended))
     }
 
-    /// Changes that are faster at the scene's own elements and whose objective is not worse, alone and two at a time, with the elements that the
-    /// tolerance needs.
+    /// Returns the changes that are faster on the scene's own elements and whose objective is not worse, alone and in pairs, with the
+    /// elements that the tolerance needs.
     fn control_pairs(&self) -> Vec<Line> {
         let own = self.points.iter().find(|point| point.setting == self.usual);
         let needed = self
@@ -93,20 +94,20 @@ impl Work<'_, '_> {
             .collect()
     }
 
-    /// The largest objective of a setting that is recommended.
+    /// Returns the largest objective of a setting that may be recommended.
     fn objective_limit(&self) -> Option<f64> {
         let best = self.finest_solved()?.objective?;
         Some(best + WORSE * best.abs())
     }
 
-    /// The finest grid that was solved on, all else as in the scene.
+    /// Returns the point on the finest grid that was solved on, with all else as in the scene.
     fn finest_solved(&self) -> Option<&Point> {
         (self.points.iter())
             .filter(|point| self.is_usual(&point.setting) && point.status == Fate::Done)
             .max_by_key(|point| point.setting.elements)
     }
 
-    /// The scene's own setting with different elements, and settings that change one thing else.
+    /// Returns the lines of settings: the scene's own with other elements, and settings that change another key.
     fn control_lines(&self) -> Vec<Line> {
         let usual = &self.usual;
         let elements = (LADDER.iter().copied())
@@ -144,7 +145,7 @@ impl Work<'_, '_> {
         lines
     }
 
-    /// Whether a setting differs from the scene's in its elements alone.
+    /// Tells whether a setting differs from the scene's in its elements only.
     fn is_usual(&self, setting: &Setting) -> bool {
         setting.is_but_for_elements(&self.usual)
     }
@@ -173,7 +174,7 @@ impl Work<'_, '_> {
         }
     }
 
-    /// A setting, solved, with the errors of its controls on finer grids.
+    /// Solves with a setting and finds the errors of its controls on finer grids.
     fn solved(&self, setting: &Setting) -> Result<Point, SweepError> {
         let setup = self.setup(setting)?;
         let (attempt, seconds) = self.solve(&setup)?;
@@ -204,7 +205,7 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Of the finest grid that was solved on: its controls on four times the elements.
+    /// Returns the reference: the controls of the finest grid that was solved on, on four times its elements.
     fn control_reference(&self) -> Option<Reference> {
         let finest = self.finest_solved()?;
         let errors = finest.error_bars?;
@@ -235,7 +236,7 @@ impl Work<'_, '_> {
         models
     }
 
-    /// The fastest setting whose motion meets the tolerance, at an objective that is not worse.
+    /// Returns the fastest setting whose motion meets the tolerance at an objective that is not worse.
     fn recommend_control(&mut self) -> Option<Recommendation> {
         let limit = self.objective_limit()?;
         let best = self.finest_solved()?.objective?;
@@ -245,7 +246,7 @@ impl Work<'_, '_> {
             .collect();
         let (good, worse): (Vec<_>, Vec<_>) = (good.into_iter())
             .partition(|point| point.objective.is_some_and(|objective| objective <= limit));
-        // Solved once more: what is recommended is what somebody else will get.
+        // The setting is solved once more, so that the recommended result is reproducible.
         let found = self.first_that_holds(good, "its controls solved once more", |work, point| {
             Ok(work.solved(&point.setting)?.error.unwrap_or(f64::NAN))
         });
@@ -302,8 +303,8 @@ impl Work<'_, '_> {
 }
 
 impl Solved {
-    /// The errors of the motion against the same controls with four times the elements and a quarter of the step, and those of that motion by
-    /// Richardson's extrapolation.
+    /// Returns the errors of the motion against the same controls with four times the elements and a quarter of the step, and the errors of
+    /// that finer motion by Richardson's extrapolation.
     fn errors(&self, work: &Work) -> Result<(Errors, Errors), SweepError> {
         let posed = self.setup.posed();
         let problem = if self.attempt.time_scale == 1.0 {
@@ -367,7 +368,7 @@ fn words(status: &SqpStatus) -> String {
     }
 }
 
-/// Intervals between the times of a comparison: as many as divide the steps, and whole blocks or parts of them.
+/// Returns the number of intervals between the times of a comparison: a multiple of the number of blocks that divides the number of steps.
 fn times(n_steps: usize, n_blocks: usize) -> usize {
     let in_block = n_steps / n_blocks;
     let parts = (1..=in_block.min((MOST_TIMES / n_blocks).max(1)))
@@ -376,7 +377,7 @@ fn times(n_steps: usize, n_blocks: usize) -> usize {
     n_blocks * parts.unwrap_or(1)
 }
 
-/// The controls of a problem on a rod with `factor` times the elements and `parts` steps in the place of one.
+/// Returns the controls of a problem on a rod with `factor` times the elements and with `parts` steps for each one.
 fn replay(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],

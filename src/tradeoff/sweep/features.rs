@@ -1,4 +1,4 @@
-//! What a feature of the model costs: the same work with and without it, in turns.
+//! The cost of a feature of the model: the same work with and without it, in turns.
 
 use std::ops::ControlFlow;
 
@@ -11,28 +11,28 @@ use crate::control::{Guess, Search, search};
 use crate::scene::Scene;
 use crate::sqp::SqpSettings;
 
-/// A feature, and what it costs.
+/// A feature of the model, and its cost.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct FeatureCost {
-    /// Its name.
+    /// Name of the feature.
     pub feature: String,
-    /// Whether the scene has it.
+    /// Tells whether the scene has the feature.
     pub in_scene: bool,
-    /// What is measured.
+    /// Measured quantity and its unit.
     pub unit: String,
-    /// With the feature.
+    /// Cost with the feature.
     #[serde(deserialize_with = "number")]
     pub with: f64,
-    /// Without it.
+    /// Cost without the feature.
     #[serde(deserialize_with = "number")]
     pub without: f64,
-    /// Least and largest ratio of both in the turns that they were measured in.
+    /// Smallest and largest ratio of both costs in the turns in which they were measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ratios: Option<[f64; 2]>,
 }
 
 impl FeatureCost {
-    /// The ratio with its scatter, as in "1.08 (1.02 to 1.15)".
+    /// Describes the ratio with its scatter, as in "1.08 (1.02 to 1.15)".
     #[must_use]
     pub fn ratio_in_words(&self) -> String {
         let ratio = self.with / self.without;
@@ -43,15 +43,15 @@ impl FeatureCost {
     }
 }
 
-/// Cap on the turns in which both are measured.
+/// Cap on the turns in which both costs are measured.
 const ROUNDS: usize = 5;
-/// Cap on the iterations of a solve that are timed.
+/// Cap on the iterations of a timed solve.
 const ITERATIONS: usize = 3;
-/// Cap on the steps of a motion that is timed: some milliseconds.
+/// Cap on the steps of a timed motion, which take some milliseconds.
 const STEPS: f64 = 2000.0;
 
 impl Work<'_, '_> {
-    /// Features of a motion or of an optimal-control problem with their costs, as far as the budget goes.
+    /// Measures the costs of features of a motion or an optimal-control problem, as far as the budget goes.
     pub(super) fn features(&mut self) -> Vec<FeatureCost> {
         let scene = self.scene(&self.usual);
         let subject = Subject::of(self.sweep.scene);
@@ -82,7 +82,7 @@ impl Work<'_, '_> {
                 least = [0, 1].map(|i| least[i].min(turn[i]));
                 let ratio = turn[0] / turn[1];
                 ratios = [ratios[0].min(ratio), ratios[1].max(ratio)];
-                // What takes long is not measured often.
+                // Long work is measured less often.
                 if least[0] * 1e-3 > 1.0 && is_solved || self.is_over() {
                     break;
                 }
@@ -106,7 +106,7 @@ impl Work<'_, '_> {
         costs
     }
 
-    /// Nanoseconds of a node's step; `None` where the motion breaks down.
+    /// Measures the nanoseconds of one node and step; `None` if the motion breaks down.
     fn step_ns(&self, scene: &Scene) -> Option<f64> {
         let stop = self.sweep.stop;
         let mut motion = Motion::of_scene(scene, self.sweep.source).ok()?;
@@ -119,8 +119,8 @@ impl Work<'_, '_> {
         Some(1e9 * seconds / count as f64)
     }
 
-    /// Milliseconds of linearization and subproblem in one of the first iterations of a solve from rest; `None` where there is none. How many trial
-    /// points follow depends on where an iteration leads, not on what a point costs.
+    /// Measures the milliseconds of linearization and subproblem in one of the first iterations of a solve from rest; `None` if there is
+    /// none. Trial points do not count: their number depends on the course of the solve, not on the feature.
     fn iteration_ms(&self, scene: &Scene) -> Option<f64> {
         let stop = self.sweep.stop;
         let setup = scene.optimal_control_until(self.sweep.source, stop).ok()?;
@@ -136,7 +136,7 @@ impl Work<'_, '_> {
         let attempts = search(&setup.problem, &settings, &from_rest, &|_, _| {
             ControlFlow::Continue(())
         });
-        // Phases are measured on the wall; the part of the whole that the processor had is taken for theirs.
+        // Phases are measured by wall time; the processor's fraction of the total is taken for theirs.
         let all = clock.seconds();
         let part = (all.processor / all.wall).min(1.0);
         let attempts = attempts.ok()?;

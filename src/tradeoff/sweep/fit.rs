@@ -1,4 +1,4 @@
-//! Models of time and error: powers, fitted to the logarithms of the points.
+//! Models of time and error: powers fitted to the logarithms of the points.
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -10,21 +10,21 @@ use crate::task::prediction::FEWEST_ELEMENTS;
 /// `seconds = exp(constant) elements^p steps^q variables^r`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct CostModel {
-    /// The points that it is of.
+    /// Name of the points that the model describes.
     pub of: String,
-    /// Logarithm of the seconds at 1.
+    /// Logarithm of the seconds at counts of 1.
     #[serde(deserialize_with = "number")]
     pub constant: f64,
     /// Power of the elements.
     #[serde(deserialize_with = "number")]
     pub elements: f64,
-    /// Power of the steps, of what is integrated over time.
+    /// Exponent `q` of the steps, for work that integrates over time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps: Option<f64>,
-    /// Power of the variables, of what is solved for them.
+    /// Exponent `r` of the variables, for work that solves for them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub variables: Option<f64>,
-    /// Root mean square of the logarithms of the time over that of the model: 0.1 is ten percent.
+    /// Root mean square of the logarithms of the ratio of time to model: 0.1 is ten percent.
     #[serde(deserialize_with = "number")]
     pub residual: f64,
     /// Number of points.
@@ -34,7 +34,7 @@ pub struct CostModel {
 /// `error = exp(constant) elements^-order`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ErrorModel {
-    /// The points that it is of.
+    /// Name of the points that the model describes.
     pub of: String,
     /// Logarithm of the error with one element.
     #[serde(deserialize_with = "number")]
@@ -42,14 +42,14 @@ pub struct ErrorModel {
     /// Observed order in the length of an element.
     #[serde(deserialize_with = "number")]
     pub order: f64,
-    /// Root mean square of the logarithms of the error over that of the model.
+    /// Root mean square of the logarithms of the ratio of error to model.
     #[serde(deserialize_with = "number")]
     pub residual: f64,
     /// Number of points.
     pub points: usize,
 }
 
-/// Least squares; `None` where the rows do not determine the unknowns.
+/// Solves a least-squares problem; `None` if the rows do not determine the unknowns.
 fn fit(rows: &[(Vec<f64>, f64)]) -> Option<(Vec<f64>, f64)> {
     let n = rows.first()?.0.len();
     if rows.len() <= n {
@@ -67,7 +67,7 @@ fn fit(rows: &[(Vec<f64>, f64)]) -> Option<(Vec<f64>, f64)> {
     Some((x.iter().copied().collect(), residual))
 }
 
-/// A model of the time of some points, with the number of steps and variables of each where there are any.
+/// Fits a model of the time of points, with the number of steps and variables of each if there are any.
 pub(super) fn cost<'a>(
     of: &str,
     points: impl Iterator<Item = (&'a Point, Option<f64>, Option<f64>)>,
@@ -81,7 +81,7 @@ pub(super) fn cost<'a>(
         })
         .collect();
     let has = rows.first()?.0.len();
-    // Counts that never change, or change with the elements alone, say nothing of their own.
+    // Counts that never change, or change with the elements only, get no exponent of their own.
     let (mut x, residual) = fit(&rows).or_else(|| {
         let short: Vec<_> = (rows.iter())
             .map(|(row, value)| (row[..2].to_vec(), *value))
@@ -100,12 +100,12 @@ pub(super) fn cost<'a>(
     })
 }
 
-/// An error this many times above that of the reference is known to a third.
+/// Errors below this multiple of the reference's own error are left out; at the multiple, an error is known to a third.
 const ABOVE: f64 = 3.0;
-/// Cap on the errors, over the length, to which an order is fitted: larger ones are as large as the motion itself.
+/// Cap on the errors, divided by the length, to which an order is fitted: larger ones are as large as the motion itself.
 const LARGEST: f64 = 0.3;
 
-/// A model of the error of points whose step is the automatic one.
+/// Fits a model of the error to points with the automatic step.
 pub(super) fn error<'a>(
     of: &str,
     points: impl Iterator<Item = &'a Point>,
@@ -131,9 +131,9 @@ pub(super) fn error<'a>(
 mod tests {
     use super::*;
 
-    /// Powers are found again from points that follow them, and what does not determine them gives none.
+    /// Powers are recovered from points that follow them, and undetermined exponents are absent.
     #[test]
-    fn powers_are_found() {
+    fn exponents_are_recovered() {
         let rows: Vec<(Vec<f64>, f64)> = (1..6)
             .map(|k| (vec![1.0, f64::from(k).ln()], 2.0 - 1.5 * f64::from(k).ln()))
             .collect();

@@ -1,4 +1,4 @@
-//! The points that nothing else beats.
+//! Pareto's front of the points: those to which no other is superior.
 
 use super::Point;
 
@@ -62,9 +62,10 @@ pub(super) mod tests {
         }
     }
 
-    /// Of random points, exactly those are on the front that no other beats in one of both without losing the other; failed points never.
+    /// Random points: exactly those are on the front for which no other is better in error or time without being worse in the other; failed
+    /// points never are.
     #[test]
-    fn fronts_are_what_nothing_beats() {
+    fn fronts_are_the_undominated_points() {
         let mut random = fastrand::Rng::with_seed(7);
         for _ in 0..50 {
             let mut points: Vec<Point> = (0..20)

@@ -2,16 +2,16 @@
 
 use super::{FOR_SETTINGS, Point, Setting, Work};
 
-/// Settings that are run one after the other, each slower than the one before, such as those that differ in their elements alone.
+/// Settings that are run one after the other, each slower than the one before, such as those that differ in their elements only.
 pub(super) struct Line {
-    /// One of them.
+    /// One of the settings.
     pub setting: Setting,
-    /// Those that are not run yet, the next one last.
+    /// Settings that have not been run yet, the next one last.
     pub rest: Vec<Setting>,
 }
 
 impl Line {
-    /// One setting alone.
+    /// Returns a line of one setting.
     pub fn alone(setting: Setting) -> Self {
         Self {
             rest: vec![setting.clone()],
@@ -19,7 +19,7 @@ impl Line {
         }
     }
 
-    /// A setting with different numbers of elements, from few to many.
+    /// Returns a line of a setting with different numbers of elements, from few to many.
     pub fn of_elements(setting: Setting, elements: impl Iterator<Item = usize>) -> Self {
         let mut elements: Vec<usize> = elements.collect();
         elements.sort_unstable();
@@ -34,30 +34,31 @@ impl Line {
     }
 }
 
-/// Finds the error and the time of settings.
+/// A measurement of the error and the time of settings.
 pub(super) trait Measure {
-    /// The error and the time of a setting.
+    /// Measures the error and the time of a setting.
     fn point(&self, work: &mut Work, setting: &Setting) -> Point;
 
-    /// The predicted time of that, s; 0 where the setting cannot be taken, so that it fails at once, and where every setting takes about as long.
+    /// Returns the predicted time of the measurement, s; 0 if the setting is impossible, so that it fails at once, or if every setting
+    /// takes about as long.
     fn seconds(&self, _: &Work, _: &Setting) -> f64 {
         0.0
     }
 
-    /// Settings of a lower rank are run first.
+    /// Returns the rank of a setting; those of a lower rank are run first.
     fn rank(&self, _: &Work, _: &Setting) -> u8 {
         0
     }
 
-    /// Whether a line ends with a point.
+    /// Tells whether a line ends with the given point.
     fn is_last(&self, _: &Work, _: &Point) -> bool {
         false
     }
 }
 
 impl Work<'_, '_> {
-    /// Runs lines of settings that change one thing, then those that `pairs` makes of what was found, and goes on with the first ones; with the points of
-    /// an earlier sweep that this one did not come to.
+    /// Runs lines of settings that change one key, then the lines that `pairs` makes of the results, and continues with the first ones;
+    /// adopts the points of an earlier sweep that this one did not reach.
     pub(super) fn explore(
         &mut self,
         measure: &impl Measure,
@@ -73,7 +74,8 @@ impl Work<'_, '_> {
         self.adopt();
     }
 
-    /// Runs the setting of least rank and predicted time of those that the budget allows, until there is none. Returns whether all lines are done.
+    /// Runs, among the settings that the budget allows, the one of least rank and predicted time, until there is none. Returns whether all
+    /// lines are done.
     fn run_lines(&mut self, measure: &impl Measure, lines: &mut [Line]) -> bool {
         while let Some(index) = self.next(measure, lines) {
             let line = &mut lines[index];
@@ -88,7 +90,7 @@ impl Work<'_, '_> {
         lines.iter().all(|line| line.rest.is_empty())
     }
 
-    /// The line whose next setting is run next.
+    /// Returns the index of the line whose next setting is run next.
     fn next(&self, measure: &impl Measure, lines: &[Line]) -> Option<usize> {
         if self.sweep.stop.is_raised() {
             return None;
@@ -98,7 +100,7 @@ impl Work<'_, '_> {
             .filter_map(|(index, line)| {
                 let setting = line.rest.last()?;
                 let seconds = measure.seconds(self, setting);
-                // A first point there always is.
+                // The first point is always run, whatever the budget.
                 let is_free = self.points.is_empty() || self.known(setting).is_some();
                 (is_free || left > 0.0 && seconds <= left)
                     .then(|| (index, measure.rank(self, setting), seconds))

@@ -1,7 +1,8 @@
-//! Errors and times of many discretizations of one scene, the front of those that nothing else beats, and a recommendation.
+//! Errors and times of many discretizations of one scene, their Pareto front, and a recommendation.
 //!
-//! A motion is compared with one on a much finer grid, whose own error is known. An optimal-control problem is solved with every setting, and
-//! its controls are simulated on grids twice and four times as fine. A closed loop is run with every setting, and its error is that of its tip.
+//! A motion is compared with one on a much finer grid, whose own error is known. An optimal-control problem is solved with every setting,
+//! and its controls are simulated on grids twice and four times as fine. A closed loop is run with every setting, and its error is that of
+//! its tip.
 
 mod assignments;
 mod closed_loop;
@@ -33,7 +34,7 @@ use crate::sqp::HessianChoice;
 use crate::stop::StopSignal;
 use crate::task::{Discretization, prediction::simulation_seconds};
 
-/// What is compared.
+/// Kind of the compared work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Subject {
@@ -46,7 +47,7 @@ pub enum Subject {
 }
 
 impl Subject {
-    /// What a scene describes most of: a loop, or else a problem, or else a motion.
+    /// Returns the most complex kind of work that a scene describes: a loop, else a problem, else a motion.
     #[must_use]
     pub fn of(scene: &Scene) -> Self {
         let tracks =
@@ -60,7 +61,7 @@ impl Subject {
         }
     }
 
-    /// In words, as in "a motion".
+    /// Describes the kind in words, as in "a motion".
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
@@ -71,7 +72,7 @@ impl Subject {
     }
 }
 
-/// How a scene is discretized and solved.
+/// Discretization and solver settings of a scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Setting {
     /// Strain rule.
@@ -80,7 +81,7 @@ pub struct Setting {
     pub elements: usize,
     /// Integrator.
     pub integrator: TimeScheme,
-    /// Time step over the automatic one.
+    /// Time step divided by the automatic one.
     pub step_over_automatic: f64,
     /// Rotary inertia.
     pub rotary_inertia: RotaryInertia,
@@ -89,7 +90,7 @@ pub struct Setting {
     /// Blocks of the controls.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub blocks: Option<usize>,
-    /// Their course within a block.
+    /// Course of the controls within a block.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold: Option<Hold>,
     /// Tolerance of the solver.
@@ -98,25 +99,25 @@ pub struct Setting {
     /// Hessian of the solver.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hessian: Option<HessianChoice>,
-    /// Time step of a controller's model, s, where it is not the automatic one.
+    /// Time step of a controller's model, s, if it is not the automatic one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model_step_s: Option<f64>,
     /// Horizon of a controller, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<f64>,
-    /// Length of its blocks, s.
+    /// Length of the blocks of a controller, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block_s: Option<f64>,
-    /// Its iterations a sample.
+    /// Iterations of a controller per sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Its estimator.
+    /// Estimator of a controller.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimator: Option<EstimatorKind>,
 }
 
 impl Setting {
-    /// In words, without what is as `usual`.
+    /// Describes the differences from the `usual` setting in words.
     #[must_use]
     pub fn differences(&self, usual: &Self) -> String {
         let mut words = vec![format!("{} elements", self.elements)];
@@ -193,15 +194,15 @@ impl Setting {
     }
 }
 
-/// How a setting fared.
+/// Result of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fate {
-    /// It has an error and a time.
+    /// The setting has an error and a time.
     Done,
     /// The solver did not converge.
     NotConverged,
-    /// The motion broke down, or the setting cannot be taken.
+    /// The motion broke down, or the setting is impossible.
     Failed,
 }
 
@@ -211,20 +212,20 @@ pub struct Point {
     /// The setting.
     #[serde(flatten)]
     pub setting: Setting,
-    /// Its time step, s.
+    /// Time step, s.
     #[serde(deserialize_with = "number")]
     pub step_s: f64,
-    /// How it fared.
+    /// Result of the setting.
     pub status: Fate,
-    /// Why it has no error.
+    /// The reason why the setting has no error.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
     /// Errors against the reference.
     pub errors: Option<Errors>,
-    /// What a tolerance is compared with, over the length: of motions the largest distance of any place at any time, of a closed loop that of its
-    /// tip, root mean square.
+    /// The error that a tolerance limits, divided by the length: for motions the largest distance of any place at any time, for a closed
+    /// loop the root mean square of the tip's distance.
     pub error: Option<f64>,
-    /// By how much the errors may be off: what the motion that they are taken against lacks itself, by Richardson's extrapolation.
+    /// Uncertainty of the errors: those of the motion against which they were measured, by Richardson's extrapolation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error_bars: Option<Errors>,
     /// Value of the objective.
@@ -233,22 +234,23 @@ pub struct Point {
     /// Iterations of the solver.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub solver_iterations: Option<usize>,
-    /// Least time of several runs, s; of a closed loop that of a sample, in the middle of all samples.
+    /// Least wall time of several runs, s; for a closed loop the median time of a sample.
     #[serde(deserialize_with = "number")]
     pub wall_s: f64,
-    /// Least processor time of these runs, s, by which settings are ranked, because other programs do not change it; absent of a closed loop.
+    /// Least processor time of these runs, s, by which settings are ranked, because other programs do not change it; absent for a closed
+    /// loop.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cpu_s: Option<f64>,
-    /// How many runs these are the least of.
+    /// Number of runs of which the times are the least.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub runs: Option<usize>,
-    /// Of a closed loop: the time that 99 of 100 samples do not exceed, s.
+    /// Time that 99 of 100 samples of a closed loop do not exceed, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sample_p99_s: Option<f64>,
-    /// Memory that the work is estimated to need, MB.
+    /// Estimated memory of the work, MB.
     #[serde(deserialize_with = "number")]
     pub memory_mb: f64,
-    /// Whether nothing else is both faster and more accurate.
+    /// Tells whether no other point is both faster and more accurate.
     pub on_front: bool,
 }
 
@@ -273,13 +275,13 @@ impl Point {
         }
     }
 
-    /// The time by which settings are ranked, s: that of the processor where it is known.
+    /// Returns the time by which settings are ranked, s: processor time if it is known, else wall time.
     #[must_use]
     pub fn time(&self) -> f64 {
         self.cpu_s.unwrap_or(self.wall_s)
     }
 
-    /// The same point with the times of its runs.
+    /// Returns the point with the times of its runs.
     fn timed(self, (least, runs): (Seconds, usize)) -> Self {
         Self {
             wall_s: least.wall,
@@ -294,32 +296,32 @@ impl Point {
         self
     }
 
-    /// Whether its error is up to `tolerance`, also where it is off by as much as it may be.
+    /// Tells whether the error plus its uncertainty is within `tolerance`.
     fn meets(&self, tolerance: f64) -> bool {
         let bar = self.error_bars.map_or(0.0, |errors| errors.shape);
         self.error.is_some_and(|error| error + bar <= tolerance)
     }
 }
 
-/// What errors are measured against.
+/// The reference of the errors.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Reference {
     /// Elements of the finest grid.
     pub elements: usize,
-    /// Its step, s.
+    /// Step of the finest grid, s.
     #[serde(deserialize_with = "number")]
     pub step_s: f64,
     /// Observed order of convergence of the last three grids, each twice as fine as the one before in space and time.
     pub order: Option<f64>,
-    /// Its own error, over the length: Richardson's.
+    /// Error of the reference itself, divided by the length, by Richardson's extrapolation.
     #[serde(deserialize_with = "number")]
     pub error: f64,
-    /// Its own errors of all kinds.
+    /// Errors of the reference itself, of all kinds.
     pub errors: Errors,
-    /// Value of the objective on the finest grid that a problem was solved on.
+    /// Value of the objective on the finest grid on which a problem was solved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub objective: Option<f64>,
-    /// Seconds of the finest run, on the wall.
+    /// Wall time of the finest run, s.
     #[serde(deserialize_with = "number")]
     pub wall_s: f64,
 }
@@ -330,48 +332,49 @@ pub struct Recommendation {
     /// The point.
     #[serde(flatten)]
     pub point: Point,
-    /// Its error against a run that is finer by four in space and in time, over the length; of a closed loop, with twice the elements of the
-    /// plant.
+    /// Error against a run that is finer by four in space and in time, divided by the length; for a closed loop, with twice the elements of
+    /// the plant.
     #[serde(deserialize_with = "number")]
     pub checked_error: f64,
-    /// Whether that is within the tolerance.
+    /// Tells whether that error is within the tolerance.
     pub checked: bool,
 }
 
-/// What a sweep found.
+/// Result of a sweep.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Tradeoff {
-    /// What was compared.
+    /// Kind of the compared work.
     pub subject: Subject,
-    /// The tolerance, over the length.
+    /// Tolerance, divided by the length.
     #[serde(deserialize_with = "number")]
     pub tolerance: f64,
-    /// The reference; absent where it could not be made.
+    /// The reference; absent if it could not be computed.
     pub reference: Option<Reference>,
-    /// All settings that were tried, those that failed among them.
+    /// All settings that were tried, including those that failed.
     pub points: Vec<Point>,
     /// Fitted models.
     pub models: Models,
     /// The fastest setting that meets the tolerance.
     pub recommended: Option<Recommendation>,
-    /// What features of the model cost.
+    /// Costs of features of the model.
     pub features: Vec<FeatureCost>,
-    /// What there is to say, in sentences.
+    /// Findings, in sentences.
     pub findings: Vec<String>,
-    /// Whether everything was tried that was planned.
+    /// Tells whether all planned settings were tried.
     pub complete: bool,
 }
 
 /// Fitted models of time and error.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Models {
-    /// Of the time.
+    /// Models of the time.
     pub cost: Vec<CostModel>,
-    /// Of the error.
+    /// Returns the number of intervals between the times of a comparison: a multiple of the number of blocks that divides the number of
+    /// steps.
     pub error: Vec<ErrorModel>,
 }
 
-/// Why there is no sweep.
+/// The reason why a sweep is impossible.
 #[derive(Debug, thiserror::Error)]
 pub enum SweepError {
     /// The scene cannot be set up.
@@ -383,7 +386,7 @@ pub enum SweepError {
     /// The controller has no first plan.
     #[error(transparent)]
     Mpc(#[from] MpcError),
-    /// The solver has no first point.
+    /// The solver has no initial guess.
     #[error("no start for the solver: {0}")]
     Start(#[from] GuessError),
 }
@@ -392,51 +395,51 @@ pub enum SweepError {
 pub struct Sweep<'a> {
     /// The scene.
     pub scene: &'a Scene,
-    /// Where it came from.
+    /// Source of the scene.
     pub source: &'a SceneSource,
-    /// The tolerance, over the length.
+    /// Tolerance, divided by the length.
     pub tolerance: f64,
-    /// How long the sweep may take.
+    /// Wall time that the sweep may take.
     pub budget: Duration,
     /// Points of an earlier sweep of the same scene, which are not run again.
     pub known: Vec<Point>,
-    /// That sweep's reference.
+    /// Reference of the earlier sweep.
     pub known_reference: Option<Reference>,
     /// The signal that ends the work early.
     pub stop: &'a StopSignal,
-    /// Sees every point as it comes, and other news.
+    /// Called with every point as it is measured, and with other news.
     pub tell: &'a mut dyn FnMut(News),
 }
 
-/// What happens in a sweep.
+/// News of a sweep in progress.
 #[derive(Clone, Debug)]
 pub enum News<'a> {
     /// A sentence.
     Words(String),
-    /// A point, and what is usual in this sweep.
+    /// A point, and the usual setting of the sweep.
     Point(&'a Point, &'a Setting),
 }
 
-/// A sweep on its way.
+/// A sweep in progress.
 struct Work<'a, 'b> {
     sweep: &'b mut Sweep<'a>,
     began: Instant,
     usual: Setting,
     points: Vec<Point>,
     findings: Vec<String>,
-    /// Whether something that was planned was left out.
+    /// Tells whether a planned setting was left out.
     cut: bool,
     /// Duration of the runs of a closed loop, s.
     run_s: f64,
-    /// Part of the budget that what is under way may use up.
+    /// Share of the budget that the work in progress may use up.
     share: f64,
 }
 
 impl Sweep<'_> {
-    /// Runs the sweep. What is stopped, or out of time, returns what there is.
+    /// Runs the sweep. If it is stopped or out of time, returns the result so far.
     ///
     /// # Errors
-    /// [`SweepError`] where the scene as it is cannot be run.
+    /// Returns [`SweepError`] if the scene cannot be run with its own setting.
     pub fn run(&mut self) -> Result<Tradeoff, SweepError> {
         let usual = self.usual()?;
         let work = Work {
@@ -456,13 +459,13 @@ impl Sweep<'_> {
         }
     }
 
-    /// Duration of a closed loop as the scene has it, s.
+    /// Returns the duration of a closed loop in the scene, s.
     fn scene_duration(&self) -> f64 {
         let own = self.scene.mpc.as_ref().and_then(|mpc| mpc.duration_s);
         own.map_or(self.scene.time.end_s.get(), |duration| duration.get())
     }
 
-    /// The scene's own setting.
+    /// Returns the scene's own setting.
     fn usual(&self) -> Result<Setting, SweepError> {
         let (scene, source) = (self.scene, self.source);
         let subject = Subject::of(scene);
@@ -511,7 +514,7 @@ impl Sweep<'_> {
     }
 }
 
-/// Default share of the budget for settings that change one thing; of what is left, pairs of such changes come first.
+/// Default share of the budget for settings that change one key; pairs of such changes come first in the rest.
 const FOR_SINGLES: f64 = 0.6;
 /// Default share of the budget for all settings; the rest is for the check of the recommended one and for the costs of features.
 const FOR_SETTINGS: f64 = 0.9;
@@ -535,7 +538,7 @@ impl Work<'_, '_> {
         self.sweep.stop.is_raised() || self.left() <= 0.0
     }
 
-    /// The point of a setting, from an earlier sweep or by `run`.
+    /// Returns the point of a setting, from an earlier sweep or by `run`.
     fn point(&mut self, setting: &Setting, run: impl FnOnce(&mut Self) -> Point) -> &Point {
         let point = match self.known(setting) {
             Some(known) => known.clone(),
@@ -546,12 +549,12 @@ impl Work<'_, '_> {
         &self.points[self.points.len() - 1]
     }
 
-    /// The scene with a setting, its step open where it is the automatic one.
+    /// Returns the scene with a setting; its step is left open if it is the automatic one.
     fn scene(&self, setting: &Setting) -> Scene {
         setting.applied(self.sweep.scene, None)
     }
 
-    /// The fastest point within the tolerance that differs from a setting in its elements alone, if at all.
+    /// Returns the fastest point within the tolerance that differs from a setting in its elements at most.
     fn fastest_like(&self, setting: &Setting) -> Option<&Point> {
         (self.points.iter())
             .filter(|point| point.setting.is_but_for_elements(setting))
@@ -559,7 +562,7 @@ impl Work<'_, '_> {
             .min_by(|a, b| a.time().total_cmp(&b.time()))
     }
 
-    /// The changes of some points, two at a time and each alone, with `elements` where they are given; without what was run already.
+    /// Returns the changes of some points, in pairs and alone, with `elements` if given, without settings that were run already.
     fn combined(&self, changed: &[&Point], elements: Option<usize>) -> Vec<Setting> {
         let mut settings: Vec<Setting> = Vec::new();
         for (index, a) in changed.iter().enumerate() {
@@ -576,8 +579,8 @@ impl Work<'_, '_> {
         settings
     }
 
-    /// The fastest of some points whose error also holds when it is found by `check`, which compares it with `against`; the last one that was
-    /// checked where none does.
+    /// Returns the fastest of some points whose error also holds when it is measured by `check`, which compares it with `against`; if none
+    /// does, the last one that was checked.
     fn first_that_holds(
         &mut self,
         mut good: Vec<Point>,
@@ -643,7 +646,7 @@ impl Work<'_, '_> {
 }
 
 impl Setting {
-    /// Whether it differs from another in its elements alone, if at all.
+    /// Tells whether this setting differs from another in its elements at most.
     fn is_but_for_elements(&self, other: &Self) -> bool {
         let elements = self.elements;
         *self
@@ -653,7 +656,7 @@ impl Setting {
             }
     }
 
-    /// A scene with this setting, and with a step of its own in s where one is given.
+    /// Returns a scene with this setting, and with the step `step`, s, if given.
     #[must_use]
     pub fn applied(&self, scene: &Scene, step: Option<f64>) -> Scene {
         let own = scene.discretization();
@@ -681,7 +684,8 @@ impl Setting {
     }
 }
 
-/// Elements that are tried: from 8 on by about a quarter more or less, by which an error of second order falls by a third or less; the last one is a cap.
+/// Numbers of elements that are tried: from 8 on each is larger by about a quarter, by which an error of second order falls by about a
+/// third; the last one is a cap.
 const LADDER: [usize; 30] = [
     2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128, 160, 192,
     224, 256, 320, 400, 500, 640,

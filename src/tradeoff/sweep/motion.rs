@@ -18,19 +18,20 @@ use crate::task::{Discretization, DiscretizeError};
 
 /// Default share of the budget for the reference.
 const FOR_REFERENCE: f64 = 0.3;
-/// The reference is refined until it is this much more accurate than the tolerance: its own error then changes no point near the tolerance by more
-/// than its third digit.
+/// The reference is refined until its error is smaller than the tolerance by this factor: it then changes points near the tolerance in
+/// their third digit at most.
 const BETTER: f64 = 30.0;
-/// Elements of the coarsest grid of the reference, from which on elements show their order: twice those of the coarsest grid of a search.
+/// Elements of the coarsest grid of the reference, from which on the order in the elements is visible: twice those of the coarsest grid of
+/// a search.
 const COARSEST: usize = 2 * FEWEST_ELEMENTS;
-/// Grids of a reference, at least: an order is seen in two differences of three.
+/// Lower limit of the grids of a reference: an order needs the two differences of three grids.
 const FEWEST_GRIDS: usize = 3;
-/// Cap on the elements of its first grid, also where a motion breaks down on fewer.
+/// Cap on the elements of the first grid, also if a motion breaks down on fewer.
 const MOST_AT_FIRST: usize = 16 * COARSEST;
-/// A family of settings ends where it is this much more accurate than the tolerance.
+/// A family of settings ends when its error is smaller than the tolerance by this factor.
 const ENOUGH: f64 = 10.0;
 
-/// A reference on its way.
+/// A reference that is being refined.
 struct Finest {
     runs: Vec<Run>,
     length: f64,
@@ -56,7 +57,7 @@ impl Finest {
         Some(order_of_distances(before.shape, last.shape))
     }
 
-    /// The errors of the finest grid.
+    /// Returns the errors of the finest grid.
     fn errors(&self) -> Errors {
         match self.difference(0) {
             Some(errors) => errors.times(remainder(self.order())),
@@ -67,7 +68,7 @@ impl Finest {
         }
     }
 
-    /// The error of the finest grid, of elements and steps together.
+    /// Returns the error of the finest grid, for elements and steps together.
     fn measured(&self) -> Measured {
         Measured {
             estimate: Estimate {
@@ -80,11 +81,11 @@ impl Finest {
     }
 }
 
-/// What settings are compared with.
+/// The motion with which settings are compared.
 struct Truth<'a> {
     motion: &'a Motion,
     course: &'a Course,
-    /// What the course lacks itself.
+    /// Errors of the course itself.
     errors: Errors,
 }
 
@@ -141,8 +142,8 @@ impl Work<'_, '_> {
         Ok(self.finish(Some(reference), models, recommended))
     }
 
-    /// Grids that are refined in space and time together, until the finest is accurate enough or takes too long. Each is twice as fine as the one
-    /// before, so that their order shows.
+    /// Refines grids in space and time together until the finest is accurate enough or would take too long. Each is twice as fine as the
+    /// one before, so that their order can be observed.
     fn finest(&mut self, motion: &Motion) -> Result<Finest, SweepError> {
         let mut open = self.scene(&self.usual).discretization();
         open.elements = COARSEST;
@@ -153,7 +154,7 @@ impl Work<'_, '_> {
         let rule = Rule {
             accuracy: self.sweep.tolerance / BETTER,
             order: Order::Observed,
-            // The budget ends it.
+            // The budget ends the search.
             longest: f64::INFINITY,
         };
         let first = Grid {
@@ -178,7 +179,7 @@ impl Work<'_, '_> {
                         open.rotary_inertia = run.discretization.rotary_inertia;
                         finest.runs.push(run);
                     }
-                    // A coarse grid may break down where finer ones do not.
+                    // A coarse grid may break down although finer ones do not.
                     Err(error)
                         if finest.runs.is_empty()
                             && open.elements < MOST_AT_FIRST
@@ -198,13 +199,13 @@ impl Work<'_, '_> {
         Ok(finest)
     }
 
-    /// Whether the reference of an earlier sweep has so many elements.
+    /// Tells whether the reference of an earlier sweep has at least this number of elements.
     fn is_in_known_reference(&self, elements: usize) -> bool {
         let known = self.sweep.known_reference.as_ref();
         known.is_some_and(|known| elements <= known.elements.min(MOST_ELEMENTS))
     }
 
-    /// Whether the budget has room for another grid of the reference; the grids of an earlier sweep may take all of it.
+    /// Tells whether the budget has room for another grid of the reference; the grids of an earlier sweep may take all of it.
     fn has_time_for_reference(&self, elements: usize, predicted: f64) -> bool {
         let part = match self.is_in_known_reference(elements) {
             true => 1.0,
@@ -228,7 +229,7 @@ impl Work<'_, '_> {
         }
     }
 
-    /// Says by how much the model of the section changes the motion, on one grid.
+    /// Reports how much the model of the section changes the motion, on one grid.
     fn sections(&mut self, motion: &Motion) {
         if self.usual.model != RodModel::Standard || self.usual.integrator == TimeScheme::Implicit {
             return;
@@ -292,7 +293,7 @@ impl Work<'_, '_> {
         }
         (settings.into_iter())
             .map(|setting| {
-                // What is that much stiffer is far from the reference, however fine it is.
+                // The trapezoidal rule is much stiffer, so that its motion is far from any reference.
                 let is_far = setting.strain == StrainRule::Trapezoidal;
                 let rungs = rungs.iter().copied();
                 Line::of_elements(setting, rungs.filter(|k| is_far || *k < finest))
@@ -300,7 +301,7 @@ impl Work<'_, '_> {
             .collect()
     }
 
-    /// Families with the changes of two that are faster than the scene's own, about the elements that these need.
+    /// Returns families with the changes of two families that are faster than the scene's own, around the elements that these need.
     fn pairs(&self, families: &[Line]) -> Vec<Line> {
         let best = |family: &Line| self.fastest_like(&family.setting);
         let Some((own, changed)) = families.split_first() else {
@@ -330,7 +331,7 @@ impl Work<'_, '_> {
         pairs
     }
 
-    /// A setting, simulated.
+    /// Simulates with a setting and compares the motion.
     fn simulated(&mut self, setting: &Setting, truth: &Truth) -> Point {
         let point = Point::new(setting);
         let scene = self.scene(setting);
@@ -362,7 +363,7 @@ impl Work<'_, '_> {
         }
     }
 
-    /// The discretization of a setting, its step that part of the automatic one.
+    /// Returns the discretization of a setting, with its step relative to the automatic one.
     fn open(
         &self,
         motion: &Motion,
@@ -404,7 +405,7 @@ impl Work<'_, '_> {
         models
     }
 
-    /// The fastest setting that meets the tolerance, also against a run that is finer by four.
+    /// Returns the fastest setting that meets the tolerance, also against a run that is finer by four.
     fn recommend_motion(&mut self) -> Option<Recommendation> {
         let good = (self.points.iter())
             .filter(|point| point.meets(self.sweep.tolerance))
@@ -415,7 +416,7 @@ impl Work<'_, '_> {
         })
     }
 
-    /// The error of a setting against four times its elements and a quarter of its step.
+    /// Returns the error of a setting against four times its elements and a quarter of its step.
     fn against_finer(&self, point: &Point) -> Result<f64, SweepError> {
         let scene = self.scene(&point.setting);
         let own = Motion::of_scene(&scene, self.sweep.source)?;
@@ -473,7 +474,7 @@ impl Work<'_, '_> {
         self.finding(words);
     }
 
-    /// Says how many elements both strain rules take for the tolerance.
+    /// Reports how many elements either strain rule needs for the tolerance.
     fn equal_accuracy(&mut self, tolerance: f64) {
         let fewest = |strain| {
             let usual = Setting {

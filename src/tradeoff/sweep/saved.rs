@@ -1,4 +1,4 @@
-//! Points of an earlier sweep: which of them can be believed, and how they come into one that goes on.
+//! Points of an earlier sweep: the test of their plausibility, and their adoption by a sweep that continues.
 //!
 //! A summary is a file, and a file may hold anything: numbers that no sweep writes would let fits, pictures and grids grow without bounds.
 
@@ -8,11 +8,11 @@ use crate::task::MOST_STEPS;
 
 /// A grid of a reference is at most this many times as fine as a setting.
 const REFINED: usize = 4;
-/// Seconds, lengths of an arm, megabytes and ratios of a sweep are no more than this; 1e9 s are thirty years.
+/// Upper limit of seconds, lengths of an arm, megabytes and ratios of a sweep; 1e9 s are thirty years.
 const LARGEST: f64 = 1e9;
-/// Seconds, ratios and tolerances of a setting are no less.
+/// Lower limit of seconds, ratios and tolerances of a setting.
 const SMALLEST: f64 = 1e-15;
-/// Counts of a setting are no more.
+/// Upper limit of counts of a setting.
 const MOST: usize = 1_000_000;
 
 /// Tells whether a number is above 0 and of a size that a sweep has.
@@ -25,7 +25,7 @@ fn is_measured(value: f64) -> bool {
     value.is_nan() || (0.0..=LARGEST).contains(&value)
 }
 
-/// The first of some named numbers that fails a test, in words.
+/// Describes the first of some named numbers that fails a test.
 fn misfit(named: &[(&str, f64)], fits: fn(f64) -> bool) -> Option<String> {
     let (name, value) = named.iter().find(|(_, value)| !fits(*value))?;
     Some(format!("{name} is {value:e}, which no sweep writes"))
@@ -58,7 +58,7 @@ impl Setting {
 }
 
 impl Point {
-    /// What in this point no sweep has written.
+    /// Describes a value in this point that no sweep writes, if there is one.
     pub(crate) fn fault(&self) -> Option<String> {
         let is_done = self.status == Fate::Done;
         let errors = self.errors.unwrap_or_default();
@@ -80,7 +80,7 @@ impl Point {
             .or_else(|| misfit(&measured, is_measured))
             .or_else(|| {
                 let steps = [("step_s", self.step_s)];
-                // What has no step of its own has none in its summary either.
+                // A setting without a step has none in its summary either.
                 misfit(&steps, |step| step.is_nan() || is_usual(step))
             })
             .or_else(|| {
@@ -95,7 +95,7 @@ impl Point {
 }
 
 impl Reference {
-    /// What in this reference no sweep has written.
+    /// Describes a value in this reference that no sweep writes, if there is one.
     pub(crate) fn fault(&self) -> Option<String> {
         if !(1..=REFINED * MOST_ELEMENTS).contains(&self.elements) {
             return Some(format!(
@@ -115,7 +115,7 @@ impl Reference {
 }
 
 impl Tradeoff {
-    /// What in a trade-off that was read from a file no sweep has written, with its place.
+    /// Describes a value, with its place, in a trade-off from a file that no sweep writes, if there is one.
     #[must_use]
     pub fn fault(&self) -> Option<String> {
         let of_points = (self.points.iter().enumerate())
@@ -140,17 +140,17 @@ impl Tradeoff {
 }
 
 impl Work<'_, '_> {
-    /// The point that an earlier sweep has of a setting.
+    /// Returns the point of an earlier sweep for a setting.
     pub(super) fn known(&self, setting: &Setting) -> Option<&Point> {
         (self.sweep.known.iter()).find(|known| known.setting == *setting)
     }
 
-    /// Takes over what an earlier sweep ran and this one has not come to, so that it has a part in front and recommendation.
+    /// Adopts the points of an earlier sweep that this one has not reached, for the front and the recommendation.
     pub(super) fn adopt(&mut self) {
         let is_there = |setting: &Setting| self.points.iter().any(|p| p.setting == *setting);
         let rest: Vec<Point> = (self.sweep.known.iter())
             .filter(|known| !is_there(&known.setting))
-            // A recommended point is run once more, so that no more elements are taken over than a sweep tries.
+            // A recommended point is run once more, so that points with more elements than a sweep tries are not adopted.
             .filter(|known| {
                 let elements = known.setting.elements;
                 LADDER.contains(&elements) || elements <= self.usual.elements

@@ -14,8 +14,8 @@ use crate::mechanics::{RodModel, Wrench};
 use crate::verify::{acting, dual, interval};
 
 impl Conditions<'_> {
-    /// Adjoint equations backward in time: derivative of a functional along the wrench on every actuated node at every time node,
-    /// in the order of the signal. Multipliers of goals enter here only where they are about momenta.
+    /// Solves the adjoint equations backward in time and returns the derivative of a functional along the wrench on every actuated node at
+    /// every time node, in the order of the signal. Multipliers of goals enter here only where the goals depend on momenta.
     pub(in crate::verify) fn control_gradient(
         &self,
         functional: &Functional,
@@ -25,7 +25,7 @@ impl Conditions<'_> {
         let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
         let (first, count) = (rod.first_free_node(), rod.n_nodes());
         let zeros = vec![Vector3::zeros(); count];
-        // Covectors of x and η at the node under way, from everything later than its own kick.
+        // Covectors of x and η at the present node, from everything later than its own kick.
         let (mut cx, mut ceta) = (zeros.clone(), zeros.clone());
         // Multipliers of the kick at k, and at k + 1.
         let (mut lx, mut lr) = (zeros.clone(), zeros.clone());
@@ -69,15 +69,15 @@ impl Conditions<'_> {
             if k == 0 {
                 break;
             }
-            // The row at k - 1 holds +momentum of the interval (k-1, k); the one at k holds -decay times it. Its
-            // multiplier follows from the derivative along the configuration at k, which is zero in all.
+            // The row at k - 1 has +momentum of the interval (k-1, k); the one at k has -decay times it. Its multiplier follows from the
+            // derivative along the configuration at k, which vanishes in total.
             let next_x: Vec<_> = lx.iter().map(|l| decay * l).collect();
             let next_r: Vec<_> = lr.iter().map(|l| decay * l).collect();
             let [leaving, arriving] = self.interval_inertia(k - 1);
             let [left, arrived] = self.inertia_nodes(k - 1);
             let reaction = self.reaction_node(k - 1);
             let thinned = rod.model != RodModel::Standard;
-            // Covectors of the configuration at k - 1, as far as this interval makes them.
+            // Covectors of the configuration at k - 1 that come from this interval.
             let (mut earlier_x, mut earlier_eta) = (zeros.clone(), zeros.clone());
             if thinned && arrived == k {
                 self.add_dilatation_covectors(k - 1, k, None, Some(&next_r), &mut cx);
@@ -100,7 +100,7 @@ impl Conditions<'_> {
                     lx[q] = cx[q] * (h / rod.nodes[q].mass) + next_x[q];
                 }
             };
-            // The multipliers of the rotational rows enter those of x where the inertia follows the end of the interval.
+            // The multipliers of the rotational rows enter those of x if the inertia follows the end of the interval.
             let x_first = !(thinned && left == k);
             if x_first && stressed.is_none() {
                 solve_x(&cx, &mut lx);
@@ -158,7 +158,7 @@ impl Conditions<'_> {
         out
     }
 
-    /// Covectors of the positions at `node` through the inertia of the interval from `k` on, of `arriving·π - leaving·g`.
+    /// Adds the covectors of the positions at `node` through the inertia of the interval from `k` on, of `arriving·π - leaving·g`.
     fn add_dilatation_covectors(
         &self,
         k: usize,
@@ -187,7 +187,7 @@ impl Conditions<'_> {
         }
     }
 
-    /// Covectors of the kinetic reaction at `node` of the interval from `k` on, for a covector `pull` of the impulses: of the
+    /// Adds the covectors of the kinetic reaction at `node` of the interval from `k` on, for a covector `pull` of the impulses: of the
     /// positions there, and of the rotations at the start and the end of the interval.
     fn add_reaction_covectors(
         &self,
@@ -202,7 +202,7 @@ impl Conditions<'_> {
         let [start, end] = ceta;
         for q in 0..rod.n_elements() {
             let (e, dx) = chord(rod, q, self.trajectory.positions_at(node));
-            // The multiplier of a node that is held is zero.
+            // The multiplier of a held node is zero.
             let along = pull[q + 1] - pull[q];
             let square = dx.norm_squared();
             let spin = h * self.element_spin(k, q) / (e * square);
@@ -239,8 +239,8 @@ impl Conditions<'_> {
             self.trajectory.positions_at(k),
             self.trajectory.rotations_at(k),
         );
-        // A step along λ that strains the elements by about 5e-4: differences of fourth order err by 1e-13 there, and the rounding of
-        // stiff elements is divided by no less.
+        // A step along λ that strains the elements by about 5e-4: the truncation of differences of fourth order is 1e-13 there, and a
+        // shorter step would magnify the rounding of stiff elements.
         let l = rod.elements[0].length;
         let largest = lx
             .iter()
@@ -294,8 +294,8 @@ impl Conditions<'_> {
         }
     }
 
-    /// Derivative of a functional along the controls of actuators of one's own at time node `k`, in the places that they have among
-    /// the wrenches.
+    /// Adds the derivatives of a functional along the controls of user-defined actuators at time node `k`, at their places among the
+    /// wrenches.
     fn add_own_controls(
         &self,
         k: usize,
@@ -319,8 +319,8 @@ impl Conditions<'_> {
         }
     }
 
-    /// The elastic part of [`Self::add_force_covectors`] where the stress has no potential: differences of the multipliers'
-    /// work along every direction of every element.
+    /// Adds the elastic part of [`Self::add_force_covectors`] if the stress has no potential: differences of the multipliers' work along
+    /// every direction of every element.
     fn add_stress_covectors(
         &self,
         k: usize,
@@ -364,7 +364,7 @@ impl Conditions<'_> {
     }
 }
 
-/// Derivatives of a node's momenta over one interval along its rotations where the interval starts and ends.
+/// Derivatives of a node's momenta over one interval along its rotations at the start and the end of the interval.
 pub(super) struct Spin {
     start_leaving: Matrix3<f64>,
     start_arriving: Matrix3<f64>,

@@ -1,4 +1,5 @@
-//! Goals within a tolerance: the multiplier of a residual in a ball points along the residual at the edge and vanishes inside.
+//! The conditions of goals within a tolerance: the multiplier of a residual in a ball points along the residual at the edge and vanishes
+//! inside.
 
 use nalgebra::{DVector, Vector3};
 
@@ -8,7 +9,7 @@ use super::rows::{Place, Worst, per};
 use crate::control::{GoalPart, GoalRow};
 use crate::verify::stay;
 
-/// A vector of a goal that may be met within a tolerance.
+/// A vector of a goal with a tolerance.
 pub(in crate::verify) struct GoalBall {
     /// Index of its first component among the rows of the goals.
     pub(in crate::verify) first: usize,
@@ -22,7 +23,7 @@ pub(in crate::verify) struct GoalBall {
     pub(in crate::verify) multiplier: DVector<f64>,
 }
 
-/// What is left of the conditions of a ball: `|r| ≤ ρ`, `y` along `r` and outward, and none within the ball.
+/// Residuals of the conditions of a ball: `|r| ≤ ρ`, `y` along `r` and outward, and zero within the ball.
 #[derive(Default)]
 pub(super) struct BallConditions {
     pub(super) violation: Worst,
@@ -31,7 +32,7 @@ pub(super) struct BallConditions {
 }
 
 impl Conditions<'_> {
-    /// The goals within a tolerance, from the scaled residuals and multipliers of all goals.
+    /// Returns the goals within a tolerance, from the scaled residuals and multipliers of all goals.
     pub(in crate::verify) fn goal_balls(
         &self,
         residuals: &[f64],
@@ -91,8 +92,8 @@ impl Conditions<'_> {
         out
     }
 
-    /// Derivative of `Σ y·r` over the state at the end of the horizon, of the deviation from where the arm stays; `None` where it need not
-    /// stay.
+    /// Returns the derivative of `Σ y·r` with respect to the state at the end of the horizon, for the deviation from a stay; `None` if the
+    /// arm need not stay.
     pub(super) fn stay_covectors(&self, goals: &[f64]) -> Option<(usize, stay::Covectors)> {
         let stay = self.problem.stay.as_ref()?;
         let first = self.problem.goal_rows().len() - 3 * stay.n_vectors();

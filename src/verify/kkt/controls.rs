@@ -7,14 +7,14 @@ use crate::control::{Bound, OptimalControlProblem};
 use crate::mechanics::Wrench;
 use crate::verify::hold::Spline;
 
-/// Of one coefficient of one actuator, scaled: force and moment.
+/// Force and moment of one coefficient of one actuator, scaled.
 pub(in crate::verify) type Pair = [Vector3<f64>; 2];
 
 fn parts(wrench: &Wrench) -> Pair {
     [wrench.force, wrench.moment]
 }
 
-/// Of both channels of actuator `a`: what counts as 1 in the solver, name, and unit.
+/// Returns, for both channels of actuator `a`, the magnitude that counts as 1 in the solver, the name, and the unit.
 pub(in crate::verify) fn channels(
     problem: &OptimalControlProblem,
     a: usize,
@@ -29,7 +29,8 @@ pub(in crate::verify) fn channels(
     ]
 }
 
-/// Gradient along the scaled coefficients, all actuators of each, of what pulls on the wrenches at the time nodes with `pulled`.
+/// Returns the gradient along the scaled coefficients, all actuators of each, of a function with the covectors `pulled` of the wrenches at
+/// the time nodes.
 pub(in crate::verify) fn pull_back(
     problem: &OptimalControlProblem,
     pulled: &[Wrench],
@@ -51,7 +52,7 @@ pub(in crate::verify) fn pull_back(
     out
 }
 
-/// Cost of effort and rate, and its gradient along the scaled coefficients.
+/// Returns the cost of effort and rate, and its gradient along the scaled coefficients.
 pub(in crate::verify) fn control_cost(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
@@ -79,10 +80,10 @@ pub(in crate::verify) fn control_cost(
     (cost, gradient)
 }
 
-/// A bound that acts on the scaled coefficients: `rows` are its normals where it is active, over (coefficient and actuator, channel,
-/// axis), and `curvature` the second derivative of `multiplier × bound` over three of them.
+/// An active bound on the scaled vector of a channel of a coefficient of an actuator, or on its change. `normals` are the unit normals of
+/// the bound, and `curvature` is the second derivative of `multiplier × bound` with respect to the vector.
 pub(in crate::verify) struct ActiveBound {
-    /// Of the coefficients; of a rate, that of the later one, from which the earlier one is subtracted.
+    /// Index of the coefficient; for a rate that of the later one, from which the earlier one is subtracted.
     pub(in crate::verify) at: usize,
     pub(in crate::verify) earlier: Option<usize>,
     pub(in crate::verify) channel: usize,
@@ -90,7 +91,7 @@ pub(in crate::verify) struct ActiveBound {
     pub(in crate::verify) curvature: Matrix3<f64>,
 }
 
-/// Optimality conditions of the controls.
+/// The optimality conditions of the controls.
 #[derive(Default)]
 pub(in crate::verify) struct ControlConditions {
     pub(super) cost: f64,
@@ -101,11 +102,11 @@ pub(in crate::verify) struct ControlConditions {
     pub(super) violation: f64,
     /// Size of the largest term of the gradient.
     pub(in crate::verify) largest: f64,
-    /// The bounds that pull.
+    /// Active bounds.
     pub(in crate::verify) active: Vec<ActiveBound>,
 }
 
-/// Multipliers below this part of the gradient's largest term do not hold anything: their bounds are free in the second-order
+/// A bound is active if its multiplier exceeds this fraction of the gradient's largest term. The others are free in the second-order
 /// condition, which makes it stronger.
 pub(in crate::verify) const ACTIVE: f64 = 1e-5;
 
@@ -177,7 +178,7 @@ impl ControlConditions {
                     });
                 }
                 for (j, time) in times.iter().enumerate() {
-                    // What may not act has a gradient and nothing to choose.
+                    // A component that may not act has a gradient but is not a variable.
                     let (g, u) = (channel.acting(&gradient[j * n + a][c]), at(j));
                     if let (Some(stay), true) = (&problem.stay, j + 1 == times.len()) {
                         let off = u - parts(&stay.wrenches[a])[c];
@@ -227,7 +228,7 @@ impl ControlConditions {
         out
     }
 
-    /// Takes the size of terms along what is actuated: what is not has terms as well, and nothing to choose.
+    /// Takes the size of terms along actuated components only; the others have terms as well, but are not variables.
     fn note(&mut self, problem: &OptimalControlProblem, terms: &[Pair]) {
         for (terms, actuator) in terms.iter().zip(problem.actuators.iter().cycle()) {
             for (term, channel) in terms.iter().zip([&actuator.force, &actuator.moment]) {
@@ -239,7 +240,7 @@ impl ControlConditions {
     }
 }
 
-/// The multipliers of a bound at the scaled vector `u`, as vectors along its normals, and `|normal| ∂²|u|`.
+/// Returns the multipliers of a bound at the scaled vector `u`, as vectors along its normals, and `|normal| ∂²|u|`.
 fn normals_of(bound: &Bound, u: &Vector3<f64>, normal: &Vector3<f64>) -> ActiveBound {
     let mut out = ActiveBound {
         at: 0,
@@ -266,8 +267,8 @@ fn normals_of(bound: &Bound, u: &Vector3<f64>, normal: &Vector3<f64>) -> ActiveB
     out
 }
 
-/// Of a bound on the rate from one coefficient to the next: `|z| limit = z·change` exactly when the change is at the limit and the
-/// normal points outward. `gap` is the time between the coefficients over the channel's scale.
+/// Returns the complementarity of a bound on the rate from one coefficient to the next: `|z| limit = z·change` exactly if the change is at
+/// the limit and the normal points outward. `gap` is the time between the coefficients divided by the channel's scale.
 fn rate_slack(
     bound: &Option<Bound>,
     gap: f64,
@@ -283,9 +284,9 @@ fn rate_slack(
     }
 }
 
-/// What of `-g` the bound's normal at `u` cannot explain, the product of slack and normal, and the normal.
+/// Returns the part of `-g` that no normal of the bound at `u` explains, the product of slack and normal, and the normal.
 ///
-/// The normal is chosen as the best one: along `u` for a norm, per axis for a box, never pulling inward.
+/// The normal is the best possible one: along `u` for a norm, per axis for a box, never inward.
 pub(super) fn normal_cone(
     bound: &Option<Bound>,
     g: &Vector3<f64>,
@@ -327,10 +328,11 @@ pub(super) fn normal_cone(
     }
 }
 
-/// Within this part of its limit a normal may act; the product with the slack is reported either way.
+/// A normal may act within this fraction of the limit; its product with the slack is reported in any case.
 const NEAR: f64 = 1e-3;
 
-/// Length of the normal of the ball `|u| ≤ limit` at `u` that explains `-g` best: along `u`, never inward, and 0 within the ball.
+/// Returns the length of the normal of the ball `|u| ≤ limit` at `u` that explains `-g` best: along `u`, never inward, and 0 within the
+/// ball.
 pub(super) fn outward_pull(limit: f64, g: &[f64], u: &[f64]) -> f64 {
     let norm = u.iter().map(|u| u * u).sum::<f64>().sqrt();
     if norm < limit * (1.0 - NEAR) {

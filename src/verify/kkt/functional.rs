@@ -1,4 +1,4 @@
-//! The terms of the Lagrangian over states, and the values of the path constraints.
+//! The terms of the Lagrangian that depend on the states, and the values of the path constraints.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -17,7 +17,8 @@ pub(in crate::verify) struct Functional {
 }
 
 impl Conditions<'_> {
-    /// Covectors of `J + Σ y c + Σ z h` over the configurations at every time node, and the part of `J` over states.
+    /// Returns the covectors of `J + Σ y c + Σ z h` of the configurations at every time node, and the part of `J` that depends on the
+    /// states.
     pub(in crate::verify) fn functional(
         &self,
         multipliers: &SolutionMultipliers,
@@ -59,7 +60,7 @@ impl Conditions<'_> {
             multiplier,
         } in multipliers.path
         {
-            // What does not exist pulls at nothing; `path_conditions` rejects it.
+            // A row that does not exist has no gradient; `path_conditions` rejects it.
             let Some(PathConstraint { limit, .. }) =
                 (self.path.get(*constraint)).filter(|c| c.time_nodes.binary_search(k).is_ok())
             else {
@@ -108,7 +109,7 @@ impl Conditions<'_> {
         (out, cost)
     }
 
-    /// Cost of the velocities of nodes, as means between two samples that follow each other, and its slopes along both ends.
+    /// Returns the cost of the velocities of nodes, as means between two successive samples, and adds its slopes along both ends.
     fn add_speed_cost(&self, [from, to]: [usize; 2], cx: &mut [Vector3<f64>]) -> f64 {
         let n = self.rod().n_nodes();
         let [start, end] = [from, to].map(|k| self.problem.grid.time(k));
@@ -127,8 +128,8 @@ impl Conditions<'_> {
         cost
     }
 
-    /// Of all rows of the path constraints: the largest scaled violation of a hard one, the cost of soft ones, and how far
-    /// multipliers are from what goes with their rows: signs, slack times multiplier, prices.
+    /// Returns, for all rows of the path constraints, the largest scaled violation of a hard one, the cost of soft ones, and the errors of
+    /// multipliers: signs, slack times multiplier, prices.
     pub(super) fn path_conditions(&self, multipliers: &[PathMultiplier]) -> PathConditions {
         let mut out = PathConditions::default();
         let measure = self.measure();
@@ -168,7 +169,7 @@ impl Conditions<'_> {
             }
         }
         if !given.is_empty() {
-            // A multiplier of a row that does not exist explains nothing.
+            // A multiplier of a row that does not exist is an error.
             out.complementarity.note(f64::NAN, || Place {
                 name: "multiplier of a row that does not exist".into(),
                 node: 0,
@@ -182,7 +183,7 @@ impl Conditions<'_> {
     }
 }
 
-/// Gradient of one component of `log A` along body rotations of `A`, by central differences.
+/// Returns the gradient of one component of `log A` along body rotations of `A`, by central differences.
 fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
     Vector3::from_fn(|i, _| slope_at_zero(|h| log(&(a * exp(&Vector3::ith(i, h))))[axis], 1e-3))
 }
@@ -196,19 +197,19 @@ pub(super) struct PathValue {
     unit: &'static str,
 }
 
-/// What the rows of path constraints say together.
+/// Conditions of all rows of path constraints.
 #[derive(Default)]
 pub(super) struct PathConditions {
     pub(super) violation: Worst,
     pub(super) cost: f64,
-    /// Of multipliers that no price explains.
+    /// Largest multiplier that no price explains.
     pub(super) stationarity: Worst,
-    /// Of multipliers with the wrong sign.
+    /// Largest multiplier of wrong sign.
     pub(super) signs: Worst,
     pub(super) complementarity: Worst,
 }
 
-/// Within this of its limit, a soft row is at it.
+/// A soft row within this distance of its limit is at it.
 pub(in crate::verify) const AT_LIMIT: f64 = 1e-7;
 
 impl PathConditions {
@@ -235,7 +236,7 @@ impl PathConditions {
                 let over = h.max(0.0);
                 self.cost += linear * over + 0.5 * quadratic * over * over;
                 let price = linear + quadratic * over;
-                // Beyond the limit the multiplier is the price, before it nothing, at it anything between.
+                // Beyond the limit the multiplier is the price, before it zero, at it any value between.
                 let (least, most) = if h > AT_LIMIT {
                     (price, price)
                 } else if h < -AT_LIMIT {

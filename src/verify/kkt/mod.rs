@@ -1,9 +1,8 @@
 //! The optimality conditions, recomputed from a trajectory, the controls and the target's multipliers.
 //!
-//! No assembly is shared with the solver: forces come from the differentiated energy, momenta from the paper's matrix
-//! form (81) with `J_d`, and the adjoint equations are those of the two-level form, with second derivatives of the
-//! energy by central differences along the adjoint itself. Stresses of [implicit steps and Kelvin-Voigt
-//! damping](crate::mechanics::implicit) come from differentiated strains.
+//! No assembly is shared with the solver: forces come from the differentiated energy, momenta from the paper's matrix form (81) with `J_d`,
+//! and the adjoint equations are those of the two-level form, with second derivatives of the energy by central differences along the
+//! adjoint itself. Stresses of [implicit steps and Kelvin-Voigt damping](crate::mechanics::implicit) come from differentiated strains.
 
 mod adjoint;
 pub(in crate::verify) mod balls;
@@ -27,20 +26,21 @@ use crate::sqp::KktResidual;
 /// The recomputed conditions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecomputedKkt {
-    /// Scaled as the solver's own.
+    /// Residuals, scaled as those of the solver.
     pub residual: KktResidual,
-    /// The same by parts: stationarity, equalities, inequalities (distance from their cones), signs of multipliers (distance from the dual
-    /// cones) and complementarity.
+    /// The parts of the conditions: stationarity, equalities, inequalities (distance from their cones), signs of multipliers (distance from
+    /// the dual cones) and complementarity.
     pub parts: [KktPart; 5],
-    /// Largest violation of a bound, N or N m, or of a rate's, N/s or N m/s.
+    /// Largest violation of a bound, N or N m, or of a bound on a rate, N/s or N m/s.
     pub bound_violation: f64,
     /// Value of the objective.
     pub objective: f64,
-    /// Largest term of the Lagrangian's gradient: what stationarity, signs and complementarity are relative to.
+    /// Largest term of the Lagrangian's gradient, by which stationarity, signs and complementarity are divided.
     pub scale: f64,
 }
 
-/// Recomputes the conditions for a solution, unless the problem's stop signal is raised, after which they mean nothing: its trajectory, the coefficients of its control, and its multipliers.
+/// Recomputes the conditions for a solution: its trajectory, the coefficients of its control, and its multipliers. After the problem's stop
+/// signal is raised, the result has no meaning.
 #[must_use]
 pub fn recompute(
     problem: &OptimalControlProblem,
@@ -57,7 +57,7 @@ pub fn recompute(
     };
     let defects = conditions.defects();
     let residuals = conditions.residuals(&defects.p_end, &defects.pi_end);
-    // A soft goal is a hard one with variables s of its own at the price ½ weight |s|²: s = multiplier / weight.
+    // A soft goal is a hard one with variables s of its own and the penalty ½ weight |s|²: s = multiplier / weight.
     let mut equalities = Worst::default();
     let mut soft_cost = 0.0;
     let balls = conditions.ball_conditions(&residuals, multipliers.goals);
@@ -91,7 +91,7 @@ pub fn recompute(
     let pulled = conditions.control_gradient(&functional, multipliers.goals);
 
     let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers.rates);
-    // As the solver: a problem whose terms all vanish is judged against one unit of effort.
+    // As in the solver, a problem whose terms all vanish is judged against one unit of effort.
     let spline = Spline::of(problem);
     let channels =
         (problem.actuators.iter()).flat_map(|actuator| [actuator.force, actuator.moment]);
@@ -132,7 +132,7 @@ pub fn recompute(
     }
 }
 
-/// Larger of the two; NaN if either is.
+/// Returns the larger number; NaN if either is.
 pub(in crate::verify) fn worse(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() {
         f64::NAN

@@ -14,7 +14,7 @@ use crate::verify::dual;
 use crate::verify::interval::{self, Nine, Strained};
 use crate::verify::limits::Measure;
 
-/// `∂U/∂x` and `∂U/∂η` of all nodes; under [`TimeScheme::Implicit`], elastic energy is that of the intervals and not in `U`.
+/// `∂U/∂x` and `∂U/∂η` of all nodes; under [`TimeScheme::Implicit`] the elastic energy belongs to the intervals and is not in `U`.
 #[derive(Clone)]
 pub(in crate::verify) struct Gradient {
     pub(in crate::verify) x: Vec<Vector3<f64>>,
@@ -45,17 +45,17 @@ pub(in crate::verify) fn energy_gradient(
     out
 }
 
-/// `vee` of a skew matrix.
+/// Returns the vector of a skew matrix.
 fn axial(m: &Matrix3<f64>) -> Vector3<f64> {
     Vector3::new(m[(2, 1)], m[(0, 2)], m[(1, 0)])
 }
 
-/// `½ tr(J) I - J`
+/// Returns `½ tr(J) I - J`.
 pub(in crate::verify) fn j_d(rotary: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(&(Vector3::repeat(0.5 * rotary.sum()) - rotary))
 }
 
-/// `(F J_d - J_d Fᵀ)^∨ / h`: momentum after the kick, frame of the earlier node.
+/// Returns `(F J_d - J_d Fᵀ)^∨ / h`: the momentum after the kick, frame of the earlier node.
 pub(in crate::verify) fn momentum_after(
     f: &Matrix3<f64>,
     j_d: &Matrix3<f64>,
@@ -64,7 +64,7 @@ pub(in crate::verify) fn momentum_after(
     axial(&(f * j_d - j_d * f.transpose())) / h
 }
 
-/// `(J_d F - Fᵀ J_d)^∨ / h`: the same momentum, frame of the later node.
+/// Returns `(J_d F - Fᵀ J_d)^∨ / h`: the same momentum, frame of the later node.
 pub(in crate::verify) fn momentum_before(
     f: &Matrix3<f64>,
     j_d: &Matrix3<f64>,
@@ -73,7 +73,7 @@ pub(in crate::verify) fn momentum_before(
     axial(&(j_d * f - f.transpose() * j_d)) / h
 }
 
-/// Decay and weight of the force at time node `k`, as in the integrator's documentation, and the weight of impulses.
+/// Returns decay and weight of the force at time node `k`, as in the integrator's documentation, and the weight of impulses.
 pub(in crate::verify) fn kick(rod: &Rod, h: f64, k: usize, n: usize) -> (f64, f64, f64) {
     let a = 0.5 * h * rod.viscous_damping;
     if k == 0 {
@@ -85,14 +85,14 @@ pub(in crate::verify) fn kick(rod: &Rod, h: f64, k: usize, n: usize) -> (f64, f6
     }
 }
 
-/// Length of the chord of element `q` over that at rest, and the chord.
+/// Returns the length of the chord of element `q` divided by that at rest, and the chord.
 pub(in crate::verify) fn chord(rod: &Rod, q: usize, x: &[Vector3<f64>]) -> (f64, Vector3<f64>) {
     let rest = (rod.rest.positions[q + 1] - rod.rest.positions[q]).norm();
     let chord = x[q + 1] - x[q];
     (chord.norm() / rest, chord)
 }
 
-/// Inertia of the nodes at the positions `x`: the rod's own shares over the dilatation.
+/// Returns the inertia of the nodes at the positions `x`: the rod's own shares divided by the dilatation.
 pub(in crate::verify) fn rotary(rod: &Rod, x: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let mut out: Vec<_> = rod.nodes.iter().map(|node| node.rotary).collect();
     if rod.model != RodModel::Standard {
@@ -106,13 +106,13 @@ pub(in crate::verify) fn rotary(rod: &Rod, x: &[Vector3<f64>]) -> Vec<Vector3<f6
     out
 }
 
-/// `tr((I - F) J_d)/h²`: rotational kinetic energy of a step.
+/// Returns `tr((I - F) J_d)/h²`, the rotational kinetic energy of a step.
 fn spin_energy(f: &Matrix3<f64>, j_d: &Matrix3<f64>, h: f64) -> f64 {
     ((Matrix3::identity() - f) * j_d).trace() / (h * h)
 }
 
-/// Impulse of the kinetic reaction of an element on its far node, and the opposite on its near one: `-h ∂(T/e)/∂dx`, for the rotational energy
-/// `T` of its ends at `e = 1`.
+/// Returns the impulse of the kinetic reaction of an element on its far node, which is opposite on its near one: `-h ∂(T/e)/∂dx`, for the
+/// rotational energy `T` of its ends at `e = 1`.
 pub(in crate::verify) fn kinetic_reaction(
     rod: &Rod,
     element: usize,
@@ -124,7 +124,7 @@ pub(in crate::verify) fn kinetic_reaction(
     -(dx * (h * energy / (e * dx.norm_squared())))
 }
 
-/// Rotational energy, J, of element `q` at `e = 1` over a step of length `h` in which its ends turn by `turns`.
+/// Returns the rotational energy, J, of element `q` at `e = 1` over a step of length `h` in which its ends turn by `turns`.
 pub(in crate::verify) fn element_spin(
     rod: &Rod,
     q: usize,
@@ -139,7 +139,7 @@ pub(in crate::verify) fn element_spin(
         .sum()
 }
 
-/// Force and moment on every node at a time node: minus the energy's gradient, loads, and the control with the actuators of one's own.
+/// Returns force and moment on every node at a time node: minus the energy's gradient, loads, and the control with user-defined actuators.
 pub(in crate::verify) fn applied(
     node: &TimeNode,
     at: &StateView,
@@ -174,9 +174,9 @@ pub(in crate::verify) fn applied(
     out
 }
 
-/// By how much a trajectory misses the equations of motion.
+/// Residuals of a trajectory in the equations of motion.
 pub(in crate::verify) struct Defects {
-    /// Of the scaled defects.
+    /// Sum of the scaled defects.
     pub(in crate::verify) sum: f64,
     pub(super) worst: Worst,
     /// Momenta of every node at the end: linear, and angular in the body frame.
@@ -184,7 +184,7 @@ pub(in crate::verify) struct Defects {
     pub(in crate::verify) pi_end: Vec<Vector3<f64>>,
 }
 
-/// A problem on a trajectory that need not solve it.
+/// A problem with a trajectory that need not solve it.
 pub(in crate::verify) struct Conditions<'a> {
     pub(in crate::verify) problem: &'a OptimalControlProblem,
     pub(in crate::verify) trajectory: &'a Trajectory,
@@ -197,7 +197,7 @@ impl Conditions<'_> {
         &self.problem.rod
     }
 
-    /// What actuators of one's own see at time node `k`.
+    /// Returns the state at time node `k` for user-defined actuators.
     pub(in crate::verify) fn view(&self, k: usize) -> StateView<'_> {
         StateView {
             rod: self.rod(),
@@ -211,7 +211,7 @@ impl Conditions<'_> {
         self.trajectory.rotations_at(k)[q].transpose() * self.trajectory.rotations_at(k + 1)[q]
     }
 
-    /// Time nodes whose dilatation the interval from `k` on uses: for the momentum that leaves, and that arrives.
+    /// Returns the time nodes whose dilatation the interval from `k` on uses: for the momentum that leaves, and for the one that arrives.
     pub(in crate::verify) fn inertia_nodes(&self, k: usize) -> [usize; 2] {
         match self.rod().model {
             RodModel::Standard => [k, k],
@@ -221,7 +221,7 @@ impl Conditions<'_> {
         }
     }
 
-    /// `J_d` of every node over the interval from `k` on, leaving and arriving.
+    /// Returns `J_d` of every node over the interval from `k` on, leaving and arriving.
     pub(in crate::verify) fn interval_inertia(&self, k: usize) -> [Vec<Matrix3<f64>>; 2] {
         self.inertia_nodes(k).map(|k| {
             rotary(self.rod(), self.trajectory.positions_at(k))
@@ -231,18 +231,18 @@ impl Conditions<'_> {
         })
     }
 
-    /// Time node at which the interval from `k` on has its kinetic reaction.
+    /// Returns the time node at which the interval from `k` on has its kinetic reaction.
     pub(in crate::verify) fn reaction_node(&self, k: usize) -> Option<usize> {
         (self.rod().model == RodModel::Consistent).then_some(k + k % 2)
     }
 
-    /// Rotational energy of element `q` at rest length over the interval from `k` on.
+    /// Returns the rotational energy of element `q` at rest length over the interval from `k` on.
     pub(in crate::verify) fn element_spin(&self, k: usize, q: usize) -> f64 {
         let turns = [self.turn(k, q), self.turn(k, q + 1)];
         element_spin(self.rod(), q, turns.each_ref(), self.problem.grid.step)
     }
 
-    /// Impulse of the kinetic reaction on node `q` at time node `k`, from the intervals on both sides.
+    /// Returns the impulse of the kinetic reaction on node `q` at time node `k`, from the intervals on both sides.
     pub(in crate::verify) fn reaction(&self, k: usize, q: usize) -> Vector3<f64> {
         let rod = self.rod();
         let h = self.problem.grid.step;
@@ -270,7 +270,7 @@ impl Conditions<'_> {
         sum
     }
 
-    /// Strains of all elements at time node `k`.
+    /// Returns the strains of all elements at time node `k`.
     pub(in crate::verify) fn strains(&self, k: usize) -> Vec<Strained> {
         interval::strains(
             self.rod(),
@@ -284,7 +284,7 @@ impl Conditions<'_> {
         change * (self.rod().nodes[q].mass / self.problem.grid.step)
     }
 
-    /// Momenta of a node that arrive at time node `k`, with the inertia of the interval before it.
+    /// Returns the momenta of a node that arrive at time node `k`, with the inertia of the interval before it.
     pub(in crate::verify) fn arriving(
         &self,
         k: usize,
@@ -301,13 +301,13 @@ impl Conditions<'_> {
         }
     }
 
-    /// Force and moment on every node at `k`.
+    /// Returns force and moment on every node at `k`.
     pub(in crate::verify) fn applied(&self, k: usize, gradient: &Gradient) -> Vec<Wrench> {
         let node = self.problem.grid.node(k);
         applied(&node, &self.view(k), self.control.at(k), gradient)
     }
 
-    /// Sum of the distances of node 0 from where the base is held or driven, scaled; `worst` is shown each.
+    /// Returns the sum of the scaled distances of node 0 from its prescribed pose; each is shown to `worst`.
     pub(super) fn base_defects(&self, worst: &mut Worst) -> f64 {
         let rod = self.rod();
         if rod.base == BaseCondition::Free {
@@ -341,7 +341,7 @@ impl Conditions<'_> {
             .sum()
     }
 
-    /// Of the equations of motion.
+    /// Computes the defects of the equations of motion.
     pub(in crate::verify) fn defects(&self) -> Defects {
         let rod = self.rod();
         let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
@@ -364,7 +364,7 @@ impl Conditions<'_> {
             let (decay, weight, impulse) = kick(rod, h, k, n);
             let leaving = (k < n).then(|| self.interval_inertia(k));
             let arriving = (k > 0).then(|| self.interval_inertia(k - 1));
-            // What the stresses of the intervals on both sides do here.
+            // Effects of the stresses of the intervals on both sides.
             let mut pulls = vec![Vector3::zeros(); rod.n_nodes()];
             let mut twists = pulls.clone();
             if let Some((weights, here)) = weights.zip(strains.take()) {
@@ -418,7 +418,7 @@ impl Conditions<'_> {
         }
     }
 
-    /// Scaled residuals of the goals.
+    /// Returns the scaled residuals of the goals.
     pub(in crate::verify) fn residuals(&self, p: &[Vector3<f64>], pi: &[Vector3<f64>]) -> Vec<f64> {
         let rod = self.rod();
         (self.problem.goal_rows().iter())

@@ -1,21 +1,21 @@
-//! The four parts of the optimality conditions, each with the name of its worst row.
+//! The parts of the optimality conditions, each with the name of its worst row.
 
 use nalgebra::Vector3;
 
-/// A row of the conditions: what it is about, where, when, and how far off.
+/// A row of the conditions: its subject, place, time, and residual.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct NamedRow {
-    /// Scene key of a constraint, or what else the row is about.
+    /// Scene key of a constraint, or a description of the row.
     pub name: String,
     /// Node of the rod.
     pub node: usize,
     /// Time, s.
     pub time_s: f64,
-    /// `x`, `y` or `z`; empty for scalars. Of a vector that is judged as a whole, the largest.
+    /// `x`, `y` or `z`; empty for scalars. For a vector that is judged as a whole, its largest component.
     pub component: &'static str,
     /// Residual, in `unit`.
     pub value: f64,
-    /// SI; the objective counts as a pure number.
+    /// SI unit; the objective counts as a pure number.
     pub unit: String,
     /// Scaled residual.
     pub scaled: f64,
@@ -26,13 +26,13 @@ pub struct NamedRow {
 pub struct KktPart {
     /// `stationarity`, `equalities`, `inequalities`, `signs` or `complementarity`.
     pub name: &'static str,
-    /// What is judged: the worst row, but for the equations of motion, whose scaled defects add up.
+    /// Residual that is judged: that of the worst row, except for the equations of motion, whose scaled defects add up.
     pub scaled: f64,
-    /// The worst row; absent where every row holds exactly.
+    /// The worst row; absent if every row holds exactly.
     pub worst: Option<NamedRow>,
 }
 
-/// Where a row is: everything of a [`NamedRow`] but its scaled value.
+/// Place of a row: all fields of a [`NamedRow`] but its scaled value.
 pub(super) struct Place {
     pub(super) name: String,
     pub(super) node: usize,
@@ -42,7 +42,7 @@ pub(super) struct Place {
     pub(super) unit: String,
 }
 
-/// Keeps the worst of the rows it is shown; NaN is worse than any number.
+/// The worst of the rows that it is shown; NaN is worse than any number.
 #[derive(Clone, Default)]
 pub(super) struct Worst {
     pub(super) scaled: f64,
@@ -74,7 +74,7 @@ impl Worst {
         });
     }
 
-    /// The worse of both.
+    /// Returns the worse of both.
     pub(super) fn or(self, other: Self) -> Self {
         if self.scaled.is_nan() || self.scaled >= other.scaled {
             self
@@ -83,7 +83,7 @@ impl Worst {
         }
     }
 
-    /// With scaled values over `scale`.
+    /// Divides the scaled value by `scale`.
     pub(super) fn over(mut self, scale: f64) -> Self {
         self.scaled /= scale;
         if let Some(row) = &mut self.row {
@@ -101,15 +101,15 @@ impl Worst {
     }
 }
 
-/// Name of an axis.
+/// Names of the axes.
 pub(super) const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Name of a vector's largest component.
+/// Returns the name of a vector's largest component.
 pub(super) fn largest_axis(v: &Vector3<f64>) -> &'static str {
     AXES[v.iamax()]
 }
 
-/// Unit of what one objective costs per `unit`.
+/// Returns the unit of an objective per `unit`.
 pub(super) fn per(unit: &str) -> String {
     match unit {
         "" => String::new(),

@@ -9,8 +9,8 @@ use super::adjoint::Spin;
 use super::motion::Conditions;
 use crate::verify::interval::{self, Nine, Strained, nine};
 
-/// The stresses of the interval that ends at time node `k`, for the adjoint: of the functions `λ_{k-1}·B_{k-1}ᵀσ` and
-/// `λ_k·B_kᵀσ`, the covectors of the configurations at both ends.
+/// The stresses of the interval that ends at time node `k`, for the adjoint equations: the covectors of the configurations at both ends of
+/// the functions `λ_{k-1}·B_{k-1}ᵀσ` and `λ_k·B_kᵀσ`.
 pub(super) struct StressLink<'a> {
     conditions: &'a Conditions<'a>,
     weights: [f64; 2],
@@ -33,7 +33,8 @@ impl<'a> StressLink<'a> {
         }
     }
 
-    /// Of `λ·Bᵀσ`, along the configuration at the time node `at` that `B` belongs to; `weight` is that of its strain in `σ`.
+    /// Adds the covector of `λ·Bᵀσ` along the configuration at the time node `at` to which `B` belongs; `weight` is that of its strain in
+    /// `σ`.
     fn add_own(
         &self,
         at: usize,
@@ -56,7 +57,7 @@ impl<'a> StressLink<'a> {
         }
     }
 
-    /// Of `λ_k·B_kᵀσ`, along the configuration at `k`.
+    /// Adds the covector of `λ_k·B_kᵀσ` along the configuration at `k`.
     pub(super) fn add_end(
         &self,
         factor: f64,
@@ -67,7 +68,7 @@ impl<'a> StressLink<'a> {
         self.add_own(self.k, &self.end, self.weights[1], [lx, lr], factor, to);
     }
 
-    /// Of `λ_k·B_kᵀσ`, along the configuration at `k - 1`.
+    /// Adds the covector of `λ_k·B_kᵀσ` along the configuration at `k - 1`.
     pub(super) fn add_start_of_end(
         &self,
         factor: f64,
@@ -82,7 +83,7 @@ impl<'a> StressLink<'a> {
         }
     }
 
-    /// Of `λ_{k-1}·B_{k-1}ᵀσ`, along the configuration at `k - 1`.
+    /// Adds the covector of `λ_{k-1}·B_{k-1}ᵀσ` along the configuration at `k - 1`.
     pub(super) fn add_start(
         &self,
         factor: f64,
@@ -100,7 +101,7 @@ impl<'a> StressLink<'a> {
         );
     }
 
-    /// The multipliers at `k - 1`, from the equations along the configuration at `k` of all free nodes together: the momenta
+    /// Solves for the multipliers at `k - 1`, from the equations along the configuration at `k` of all free nodes together: the momenta
     /// that leave `k - 1`, and `λ_{k-1}·B_{k-1}ᵀσ`.
     pub(super) fn solve(
         &self,
@@ -126,7 +127,7 @@ impl<'a> StressLink<'a> {
         for (q, element) in rod.elements.iter().enumerate() {
             let stressed = SMatrix::from_diagonal(&interval::stiffness(element)) * self.start[q].1;
             let link = self.end[q].1.tr_mul(&stressed) * (-factor * self.weights[1]);
-            // Row or column of the whole, of the element, and sign: an element knows x_b - x_a, η_a, η_b.
+            // Row or column of the matrix, column of the element, and sign: an element has x_b - x_a, η_a, η_b.
             let parts = [
                 (6 * q, 0, -1.0),
                 (6 * q + 6, 0, 1.0),
@@ -166,7 +167,7 @@ impl<'a> StressLink<'a> {
     }
 }
 
-/// `(λx_b - λx_a, λr_a, λr_b)` of element `q`.
+/// Returns `(λx_b - λx_a, λr_a, λr_b)` of element `q`.
 fn element_part(lx: &[Vector3<f64>], lr: &[Vector3<f64>], q: usize) -> Nine {
     nine(&(lx[q + 1] - lx[q]), &lr[q], &lr[q + 1])
 }

@@ -1,0 +1,167 @@
+//! Estimators of a closed loop: their keys, and what they find out.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::check::MOST_ELEMENTS;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, NonNegative, Number};
+use crate::mpc::{EstimatorChoice, Sensing, SensorChoice, SensorSettings, Unknowns};
+
+/// Estimator of the state from sensors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Estimator {
+    /// Method.
+    pub kind: EstimatorKind,
+    /// Number of elements of the estimator's own model, 1 to 5000. The cost of a Kalman filter grows with its third
+    /// power. Ten follow a path as well as more; an arm that stands still may be off by the difference of the two
+    /// models. Absent: `rod.elements`.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub elements: Option<usize>,
+    /// Unknowns that are estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or
+    /// nothing. Absent: for a Kalman filter all of them, for an observer nothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub disturbances: Option<Vec<Unknown>>,
+    /// Rate of change of the unknown wrenches of a Kalman filter: the deflection over the length that they typically
+    /// cause within a second; not negative. With a larger rate, the estimate follows pushes faster, and the noise of
+    /// the sensors too. Absent: 0.007.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wrench_change_1_s: Option<NonNegative<values::Rate>>,
+}
+
+/// Method of an estimator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum EstimatorKind {
+    /// The true state is known at once; sensors play no part.
+    None,
+    /// The model, with forces and moments in proportion to the difference between measurement and model.
+    Observer,
+    /// An extended Kalman filter.
+    Kalman,
+}
+
+/// Unknown that an estimator finds besides the state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Unknown {
+    /// A force on the tip.
+    TipForce,
+    /// A moment on the tip.
+    TipMoment,
+    /// A force all along the arm.
+    Distributed,
+    /// A factor on the stiffness.
+    Stiffness,
+    /// A mass on the tip, beyond that of `[payload]`.
+    Payload,
+    /// Viscous damping, beyond that of `[damping]`.
+    Viscous,
+    /// Internal damping, beyond that of `[damping]`; of a model with implicit steps.
+    Internal,
+    /// Delay of the commands, beyond `mpc.actuator_delay_s`.
+    Delay,
+}
+
+impl Estimator {
+    /// What is estimated besides the state.
+    pub(crate) fn unknowns(&self) -> &[Unknown] {
+        match (&self.disturbances, self.kind) {
+            (Some(named), _) => named,
+            (None, EstimatorKind::Kalman) => &Unknown::ALL,
+            (None, EstimatorKind::None | EstimatorKind::Observer) => &[],
+        }
+    }
+}
+
+impl Unknown {
+    /// All of them.
+    pub(crate) const ALL: [Self; 8] = [
+        Self::TipForce,
+        Self::TipMoment,
+        Self::Distributed,
+        Self::Stiffness,
+        Self::Payload,
+        Self::Viscous,
+        Self::Internal,
+        Self::Delay,
+    ];
+}
+
+impl Estimator {
+    /// The state and other unknowns from these sensors, or everything at once.
+    pub(in crate::scene) fn sensing(&self, sensors: &[SensorSettings], seed: u32) -> Sensing {
+        let has = |unknown| self.unknowns().contains(&unknown);
+        let estimator = match self.kind {
+            EstimatorKind::None => return Sensing::Everything,
+            EstimatorKind::Observer => EstimatorChoice::Observer {
+                estimates_wrench: has(Unknown::TipForce),
+            },
+            EstimatorKind::Kalman => EstimatorChoice::Kalman(Unknowns {
+                tip_force: has(Unknown::TipForce),
+                tip_moment: has(Unknown::TipMoment),
+                distributed: has(Unknown::Distributed),
+                stiffness: has(Unknown::Stiffness),
+                payload: has(Unknown::Payload),
+                viscous: has(Unknown::Viscous),
+                internal: has(Unknown::Internal),
+                delay: has(Unknown::Delay),
+                wrench_change: (self.wrench_change_1_s)
+                    .map_or(Unknowns::NONE.wrench_change, Number::get),
+            }),
+        };
+        Sensing::Estimated {
+            sensors: sensors.iter().cloned().map(SensorChoice::Own).collect(),
+            estimator,
+            elements: self.elements,
+            seed: seed.into(),
+        }
+    }
+}
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_estimator(
+        &self,
+        estimator: &Estimator,
+        no_sensor: bool,
+    ) -> Checked {
+        if estimator.kind != EstimatorKind::None && no_sensor {
+            return Err(self.missing("sensor", "an estimator needs one; preset = \"mocap\""));
+        }
+        if let Some(elements) = estimator.elements {
+            self.count("estimator.elements", elements, MOST_ELEMENTS)?;
+        }
+        let named = estimator.unknowns();
+        for (index, one) in named.iter().enumerate() {
+            if named[..index].contains(one) {
+                let key = format!("estimator.disturbances.{index}");
+                return Err(self.source.error_at(&key, "is named twice", None));
+            }
+        }
+        let wrench = [Unknown::TipForce, Unknown::TipMoment];
+        let is_known = match estimator.kind {
+            EstimatorKind::Kalman => true,
+            EstimatorKind::None => named.is_empty(),
+            EstimatorKind::Observer => {
+                named.is_empty()
+                    || named.len() == wrench.len() && named.iter().all(|one| wrench.contains(one))
+            }
+        };
+        if !is_known {
+            let message = match estimator.kind {
+                EstimatorKind::None => "without an estimator nothing is estimated",
+                _ => "an observer estimates both \"tip_force\" and \"tip_moment\", or nothing",
+            };
+            let help = "give estimator.kind = \"kalman\" for a choice of all of them".to_string();
+            let key = "estimator.disturbances";
+            return Err(self.source.error_at(key, message, Some(help)));
+        }
+        Ok(())
+    }
+}

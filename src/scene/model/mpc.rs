@@ -1,0 +1,224 @@
+//! The controller of a closed loop and its fallback: their keys, and the settings that they mean.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::check::LARGEST_COUNT;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, NonNegative, Number, Positive, digits, known};
+use super::Scene;
+use crate::mpc::{self, EffortFrom, FallbackSettings, LoopSettings, MpcSettings};
+
+/// Jumps are dearer than by default in the library: a model coarser than the arm has its fast modes wrong, and must not chase them.
+const JUMP: f64 = 100.0;
+
+impl Default for Mpc {
+    fn default() -> Self {
+        let settings = MpcSettings::receding(1.0);
+        Self {
+            period_s: known(settings.period),
+            horizon_s: None,
+            due_s: None,
+            block_s: None,
+            equal_blocks: None,
+            jump: known(JUMP),
+            effort_from: settings.effort,
+            target_weight: known(settings.target_weight),
+            limit_price: known(settings.limit_price),
+            iterations: settings.iterations,
+            deadline_s: None,
+            duration_s: None,
+            counted_from_s: None,
+            computing: Computing::default(),
+            computing_s: None,
+            actuator_delay_s: None,
+            predict: true,
+            compensate: true,
+            seed: None,
+            fallback: None,
+        }
+    }
+}
+
+impl Default for Fallback {
+    fn default() -> Self {
+        let settings = FallbackSettings::default();
+        Self {
+            patience_s: settings.patience.map(known),
+            plan_samples: settings.plan_samples,
+            damping_samples: settings.damping_samples,
+            ramp_s: known(settings.ramp),
+            damping: known(settings.damping),
+        }
+    }
+}
+
+/// Model-predictive control of an arm, in simulation or, with `softarm mpc --serve`, of a plant in another process. The
+/// rod of the scene is the model of the controller, `[control]` bounds its commands, and `[task]` or
+/// `[[objective.track]]` is its reference.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Mpc {
+    /// Time between two samples in s, positive, default 0.01.
+    pub period_s: Positive<values::Duration>,
+    /// Length of the horizon in s, not below `period_s`. Absent: half of the first natural period of the arm, along a path at most a
+    /// quarter of `time.end_s`, and at least ten periods.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub horizon_s: Option<Positive<values::Duration>>,
+    /// Time in s at which the task is due, positive: the horizon does not extend beyond it, and shrinks before.
+    /// Afterwards the wrench that holds the target acts, if `task.at_rest = true`. Absent: `task.at_s`; without that
+    /// the horizon recedes for ever.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub due_s: Option<Positive<values::Instant>>,
+    /// Length of a block of the control in s, positive. Absent: a tenth of the horizon.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub block_s: Option<Positive<values::Duration>>,
+    /// Number of blocks of one length, after which the next ones are twice as long: near decisions are fine, far ones
+    /// coarse; at least 1. Absent: all blocks are equal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    pub equal_blocks: Option<usize>,
+    /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of
+    /// `objective.force_scale_n` and `moment_scale_n_m`; not negative, default 100. If the model is coarser than the
+    /// arm, it keeps the controller from reacting to unmodeled fast modes. With a constant hold, which changes by jumps
+    /// alone, a jump costs the lesser of this and of a ramp between the middles of two blocks.
+    pub jump: NonNegative<values::Weight>,
+    /// Control from which effort counts while the horizon recedes; before a due time it counts from zero.
+    pub effort_from: EffortFrom,
+    /// Weight of the target of `[task]` at the end of the horizon, positive, default 1e4; targets are soft in a loop.
+    /// If the horizon recedes, a track takes the place of the target, with ten times the default weight, or with the
+    /// default weights if there is an orientation too.
+    pub target_weight: Positive<values::Weight>,
+    /// Price of obstacles and limits that have no `soft` of their own, as its `linear` and its `quadratic`; positive,
+    /// default 5000. A limit holds if its price exceeds the weight of a track times the distance, over the length, by
+    /// which the limit keeps the node from its reference. With prices far above that, commands jump.
+    pub limit_price: Positive<values::Weight>,
+    /// Gauss-Newton iterations per sample, at least 1, default 1. They end early if the plan does not change any more.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    pub iterations: usize,
+    /// Time in s from the start of a sample at which its command is due, positive: an iteration other than the first is
+    /// not begun if it would end later. Commands then depend on the machine. Absent: all iterations are made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub deadline_s: Option<Positive<values::Duration>>,
+    /// Duration of the loop in s, positive. Absent: `time.end_s`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub duration_s: Option<Positive<values::Duration>>,
+    /// Time in s from which on the errors of the tip count in the summary, not negative. Absent: after the first
+    /// sample.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub counted_from_s: Option<NonNegative<values::Time>>,
+    /// Computing time of a command in the loop's own time.
+    pub computing: Computing,
+    /// That time in s, not negative, with `computing = "fixed"`. Absent: one period.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub computing_s: Option<NonNegative<values::Time>>,
+    /// Delay of the actuators in s that the controller assumes, not negative. Absent: that of `[plant.actuator]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actuator_delay_s: Option<NonNegative<values::Time>>,
+    /// Whether the state is predicted over all delays, to the time at which the command acts. Default: true.
+    pub predict: bool,
+    /// Whether the controller's model includes the estimated disturbances. Default: true.
+    pub compensate: bool,
+    /// Seed of the noise; `--seed` takes precedence. Absent: that of `--seed`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u32>,
+    /// Commands of samples for which no command can be computed. Absent: the defaults.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fallback: Option<Fallback>,
+}
+
+/// Computing time of a command in the loop's own time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Computing {
+    /// No time: the command of a sample acts from its beginning.
+    #[default]
+    None,
+    /// A fixed time, for which the loop waits.
+    Fixed,
+    /// The time that it takes on this machine: no two runs are the same.
+    Measured,
+}
+
+/// Commands of samples for which no command can be computed: the plan goes on, then the tip is damped, then the wrench
+/// goes to zero along a ramp.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Fallback {
+    /// Largest age in s of an estimate from which the state is still predicted, positive. Absent: the largest `age_s`
+    /// plus two periods of the slowest sensor, so that one reading may be lost, and at least 0.1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub patience_s: Option<Positive<values::Duration>>,
+    /// Samples in a row that follow the plan, default 10.
+    pub plan_samples: usize,
+    /// Samples in a row after these that damp the tip where its velocity is known, default 50.
+    pub damping_samples: usize,
+    /// Duration in s of the ramp to zero, positive, default 0.5.
+    pub ramp_s: Positive<values::Duration>,
+    /// Damping of the tip's force over the critical one of a cantilever's first mode, positive, default 0.5.
+    pub damping: Positive<values::Factor>,
+}
+
+impl Mpc {
+    /// Settings of the loop, whose actuators are late by `actuator_delay` in s where no key says otherwise.
+    pub(in crate::scene) fn loop_settings(&self, actuator_delay: f64) -> LoopSettings {
+        let fallback = self.fallback.clone().unwrap_or_default();
+        LoopSettings {
+            computing: match self.computing {
+                Computing::None => mpc::Computing::Instant,
+                Computing::Fixed => {
+                    mpc::Computing::Fixed(self.computing_s.map_or(self.period_s.get(), Number::get))
+                }
+                Computing::Measured => mpc::Computing::Measured,
+            },
+            predicts: self.predict,
+            compensates: self.compensate,
+            actuator_delay: self.actuator_delay_s.map_or(actuator_delay, Number::get),
+            fallback: FallbackSettings {
+                patience: fallback.patience_s.map(Number::get),
+                plan_samples: fallback.plan_samples,
+                damping_samples: fallback.damping_samples,
+                ramp: fallback.ramp_s.get(),
+                damping: fallback.damping.get(),
+            },
+            ..LoopSettings::default()
+        }
+    }
+}
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_mpc(&self, mpc: &Mpc, scene: &Scene) -> Checked {
+        self.count("mpc.iterations", mpc.iterations, LARGEST_COUNT)?;
+        let period = mpc.period_s.get();
+        if let Some(horizon) = mpc.horizon_s.map(Number::get)
+            && horizon < period
+        {
+            let message = format!("{} s is below the period", digits(horizon));
+            return Err(self
+                .source
+                .error_at("mpc.horizon_s", message, None)
+                .expecting(format!(
+                    "expected at least mpc.period_s, {}",
+                    digits(period)
+                )));
+        }
+        let duration = mpc.duration_s.map_or(scene.time.end_s.get(), Number::get);
+        if !(duration > 0.0) {
+            let message = "a loop cannot run for no time";
+            let error = self.source.error_at("time.end_s", message, None);
+            return Err(error.expecting("expected a positive duration, or mpc.duration_s"));
+        }
+        if duration / period > LARGEST_COUNT as f64 {
+            let message = format!("makes {} samples", digits((duration / period).ceil()));
+            return Err(self
+                .source
+                .error_at("mpc.period_s", message, None)
+                .expecting(format!("expected at most {LARGEST_COUNT} samples")));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,117 @@
+//! The plant of a closed loop, where it differs from the model: its keys, and the arm and actuators that they mean.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::check::MOST_ELEMENTS;
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, NonNegative, Number, Positive, known};
+use super::{Payload, Scene, Section};
+use crate::mpc::ActuatorDynamics;
+
+/// The arm that the controller acts on, where it differs from the controller's model. Its time step is its own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Plant {
+    /// Number of elements, 1 to 5000. Absent: `rod.elements`.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub elements: Option<usize>,
+    /// Factor on all stiffnesses of the rod, positive, default 1.
+    pub stiffness_factor: Positive<values::Factor>,
+    /// Factor on the mass and the rotary inertia of the rod, positive, default 1.
+    pub density_factor: Positive<values::Factor>,
+    /// Rate of viscous damping in 1/s, not negative. Absent: `damping.viscous_1_s`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub viscous_1_s: Option<NonNegative<values::DampingRate>>,
+    /// Kelvin-Voigt time in s, not negative. Absent: `damping.internal_s`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub internal_s: Option<NonNegative<values::Time>>,
+    /// Stress-free curvature and twist in 1/m, body frame. Absent: those of `[rod.reference]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub curvature_1_m: Option<[f64; 3]>,
+    /// Section of a rod that has a material. Absent: `[rod.section]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub section: Option<Section>,
+    /// A rigid body at the tip. Absent: `[payload]`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub payload: Option<Payload>,
+    /// Dynamics and limits of the actuators. Absent: the wrench is the command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actuator: Option<PlantActuator>,
+}
+
+/// Actuators that are late, slow and limited; the limits are norms of the wrench that acts.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct PlantActuator {
+    /// Time in s until a command has any effect, not negative, default 0.
+    pub delay_s: NonNegative<values::Time>,
+    /// Time constant in s of a first-order lag, not negative, default 0.
+    pub lag_s: NonNegative<values::Time>,
+    /// Largest force in N, positive. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_max_n: Option<Positive<values::Force>>,
+    /// Largest moment in N m, positive. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_max_n_m: Option<Positive<values::Moment>>,
+    /// Fastest change of a force in N/s, positive. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_rate_max_n_s: Option<Positive<values::ForceRate>>,
+    /// Fastest change of a moment in N m/s, positive. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_rate_max_n_m_s: Option<Positive<values::MomentRate>>,
+}
+
+impl Default for Plant {
+    fn default() -> Self {
+        Self {
+            elements: None,
+            stiffness_factor: known(1.0),
+            density_factor: known(1.0),
+            viscous_1_s: None,
+            internal_s: None,
+            curvature_1_m: None,
+            section: None,
+            payload: None,
+            actuator: None,
+        }
+    }
+}
+
+impl PlantActuator {
+    /// What lies between a command and the wrench that acts.
+    pub(in crate::scene) fn dynamics(&self) -> ActuatorDynamics {
+        ActuatorDynamics {
+            delay: self.delay_s.get(),
+            lag: self.lag_s.get(),
+            force_max: self.force_max_n.map_or(f64::INFINITY, Number::get),
+            moment_max: self.moment_max_n_m.map_or(f64::INFINITY, Number::get),
+            force_rate_max: self.force_rate_max_n_s.map_or(f64::INFINITY, Number::get),
+            moment_rate_max: self
+                .moment_rate_max_n_m_s
+                .map_or(f64::INFINITY, Number::get),
+        }
+    }
+}
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_plant(&self, plant: &Plant, scene: &Scene) -> Checked {
+        if let Some(elements) = plant.elements {
+            self.count("plant.elements", elements, MOST_ELEMENTS)?;
+        }
+        if let Some(curvature) = &plant.curvature_1_m {
+            self.finite("plant.curvature_1_m", curvature)?;
+        }
+        if let Some(section) = &plant.section {
+            if scene.rod.section.is_none() {
+                return Err(self.contradiction("plant.section", "rod.stiffness"));
+            }
+            self.check_section("plant.section", section)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,141 @@
+//! Sensors of a closed loop: their keys, and what they measure of a model.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, NonNegative, Number, Positive, known};
+use crate::mechanics::Rod;
+use crate::mpc::{SensorPreset, SensorSettings};
+
+/// A sensor with its noise, rate and age; a single one may be written as `[sensor]`. A standard deviation is that of
+/// each of three numbers, and 0 is exact; a quantity without a standard deviation, of its own or by `preset`, is not
+/// measured.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Sensor {
+    /// Usual sensor, which supplies the keys below that are not given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preset: Option<SensorPreset>,
+    /// Places of the measurement, as fractions of the length from the base. Absent: those of `preset`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub places: Option<Vec<f64>>,
+    /// Standard deviation of positions in m, not negative. Absent: that of `preset`, or not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_sigma_m: Option<NonNegative<values::Deviation>>,
+    /// Standard deviation of rotations in rad, not negative. Absent: that of `preset`, or not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotation_sigma_rad: Option<NonNegative<values::Deviation>>,
+    /// Standard deviation of velocities in m/s, not negative. Absent: that of `preset`, or not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub velocity_sigma_m_s: Option<NonNegative<values::Deviation>>,
+    /// Standard deviation of angular velocities in rad/s, not negative. Absent: that of `preset`, or not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub angular_velocity_sigma_rad_s: Option<NonNegative<values::Deviation>>,
+    /// Standard deviation of curvatures and twist in 1/m, not negative. Absent: that of `preset`, or not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub curvature_sigma_1_m: Option<NonNegative<values::Deviation>>,
+    /// Standard deviation of the force on the clamp in N, not negative. Absent: that of `preset`, or not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub base_force_sigma_n: Option<NonNegative<values::Deviation>>,
+    /// Standard deviation of the moment on the clamp in N m, not negative. Absent: that of `preset`, or not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub base_moment_sigma_n_m: Option<NonNegative<values::Deviation>>,
+    /// Measurements per second, positive. The default of `mpc.fallback.patience_s` depends on it. Absent: that of
+    /// `preset`, or 100.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_hz: Option<Positive<values::Rate>>,
+    /// Time in s from the instant of a measurement until it is known, not negative. Absent: that of `preset`, or 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub age_s: Option<NonNegative<values::Time>>,
+}
+
+impl Sensor {
+    /// What a sensor measures of an arm with this model: its own numbers, and for the others those of its preset.
+    pub(in crate::scene) fn settings(&self, model: &Rod) -> SensorSettings {
+        let mut out = self
+            .preset
+            .map_or_else(SensorSettings::nothing, |preset| preset.settings(model));
+        let numbers = [
+            (&mut out.position, self.position_sigma_m),
+            (&mut out.rotation, self.rotation_sigma_rad),
+            (&mut out.velocity, self.velocity_sigma_m_s),
+            (&mut out.angular_velocity, self.angular_velocity_sigma_rad_s),
+            (&mut out.curvature, self.curvature_sigma_1_m),
+            (&mut out.base_force, self.base_force_sigma_n),
+            (&mut out.base_moment, self.base_moment_sigma_n_m),
+        ];
+        for (own, key) in numbers {
+            *own = key.map(Number::get).or(*own);
+        }
+        if let Some(places) = &self.places {
+            out.places.clone_from(places);
+        }
+        out.rate_hz = self.rate_hz.map_or(out.rate_hz, Number::get);
+        out.age_s = self.age_s.map_or(out.age_s, Number::get);
+        out
+    }
+
+    /// The keys of a sensor, all of them.
+    pub(in crate::scene) fn describing(settings: &SensorSettings) -> Self {
+        Self {
+            preset: None,
+            places: (!settings.places.is_empty()).then(|| settings.places.clone()),
+            position_sigma_m: settings.position.map(known),
+            rotation_sigma_rad: settings.rotation.map(known),
+            velocity_sigma_m_s: settings.velocity.map(known),
+            angular_velocity_sigma_rad_s: settings.angular_velocity.map(known),
+            curvature_sigma_1_m: settings.curvature.map(known),
+            base_force_sigma_n: settings.base_force.map(known),
+            base_moment_sigma_n_m: settings.base_moment.map(known),
+            rate_hz: Some(known(settings.rate_hz)),
+            age_s: Some(known(settings.age_s)),
+        }
+    }
+}
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_sensor(&self, sensor: &Sensor, index: usize) -> Checked {
+        let key = |name: &str| format!("sensor.{index}.{name}");
+        for (at, place) in sensor.places.iter().flatten().enumerate() {
+            if !(0.0..=1.0).contains(place) {
+                let key = key(&format!("places.{at}"));
+                return Err(self.out_of_range(&key, *place, "fraction from 0 to 1", ""));
+            }
+        }
+        let at_places = [
+            sensor.position_sigma_m,
+            sensor.rotation_sigma_rad,
+            sensor.velocity_sigma_m_s,
+            sensor.angular_velocity_sigma_rad_s,
+            sensor.curvature_sigma_1_m,
+        ];
+        let at_base = [sensor.base_force_sigma_n, sensor.base_moment_sigma_n_m];
+        if sensor.preset.is_some() {
+            return match &sensor.places {
+                Some(places) if places.is_empty() => {
+                    Err(self.missing(&key("places.0"), "a sensor is somewhere"))
+                }
+                _ => Ok(()),
+            };
+        }
+        let is_somewhere = sensor
+            .places
+            .as_ref()
+            .is_some_and(|places| !places.is_empty());
+        match (at_places.iter().any(Option::is_some), is_somewhere) {
+            (true, false) => Err(self.missing(&key("places"), "as fractions of the arm's length")),
+            (false, true) => Err(self.missing(
+                &key("position_sigma_m"),
+                "or another standard deviation of what is measured at the places",
+            )),
+            (false, false) if !at_base.iter().any(Option::is_some) => Err(self.missing(
+                &key("preset"),
+                "or else give places and standard deviations",
+            )),
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! Sentences that help where a loop is far from its reference, or its estimate is in doubt.
+
+use crate::mpc::{
+    Cause, Contender, EstimatorChoice, FallbackSettings, Outcome, Sensing, TipError, Unknowns,
+};
+use crate::scene::ClosedLoopSetup;
+use crate::stop::StopSignal;
+
+/// Part of the length that the tip may be off at the end of a loop without a word about it, as the root mean square over the last quarter.
+const FAR: f64 = 0.01;
+
+/// What stands between a loop and its reference: an estimate that cannot be trusted, what the loop itself tells, and where the tip is far off at the end, what may be changed.
+pub(super) fn advice(setup: &ClosedLoopSetup, run: &Outcome, others: &[Outcome]) -> Vec<String> {
+    let mut out = estimate_advice(setup, run);
+    out.extend(causes(setup, run, others));
+    out.extend(changes(setup, run));
+    out
+}
+
+/// Causes that figures of the runs name.
+fn causes(setup: &ClosedLoopSetup, run: &Outcome, others: &[Outcome]) -> Vec<String> {
+    let own = &setup.experiment;
+    let length = own.arm.length;
+    let mut out = Vec::new();
+    let n = run.tally.samples;
+    if n > 0 && run.tally.bounded == n {
+        out.push(format!(
+            "a bound was active in all {n} samples: what is asked takes more than the bounds and rates of [control] allow, or limits and obstacles are \
+             in the way"
+        ));
+    }
+    let patience = own.settings.fallback.patience();
+    let needed = FallbackSettings::default()
+        .following(setup.sensors())
+        .patience();
+    let blind = (run.tally.fallbacks).get(&Cause::NoMeasurement.to_string());
+    if let Some(blind) = blind.filter(|_| patience < needed) {
+        out.push(format!(
+            "{blind} samples fell back because nothing was measured for longer than mpc.fallback.patience_s = {patience}: the slowest [[sensor]] needs \
+             {needed:.3}, its age_s and two of its periods"
+        ));
+    }
+    let rms = |run: &Outcome| run.tip_error.rms / length;
+    let of = |contender: Contender| others.iter().find(|other| other.contender == contender);
+    if rms(run) > FAR {
+        out.extend(setup.unbent_paths(&StopSignal::default()));
+    }
+    if rms(run) > FAR
+        && let (Some(model), Some(waits)) = (of(Contender::PlantIsModel), of(Contender::PlantWaits))
+    {
+        let [whole, model, waits] = [run, model, waits].map(|run| 100.0 * rms(run));
+        // The largest of three parts: of what the model has wrong and the delays nothing is in the first.
+        let parts = [
+            (
+                model,
+                "on an arm that is its model and known at once, the tip is nearly as far off: the path, the bounds, or the horizon are at fault, not \
+                 what the model has wrong",
+            ),
+            (
+                waits - model,
+                "most of it goes with what the model has wrong: an [estimator] with estimator.disturbances looks for it",
+            ),
+            (
+                whole - waits,
+                "most of it goes with sensors and delays: mpc.actuator_delay_s, mpc.computing and age_s of [[sensor]] say what the loop predicts over",
+            ),
+        ];
+        let largest = parts.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, words)) = largest {
+            out.push(format!(
+                "the tip is {whole:.2} % of the length off (rms), {waits:.2} % where the arm waits and is known, {model:.2} % where it is the model as \
+                 well: {words}"
+            ));
+        }
+    }
+    out
+}
+
+/// Standard deviations from which on a delay is more than noise.
+const CERTAIN: f64 = 3.0;
+
+/// What the filter says about the scene.
+fn estimate_advice(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
+    let mut out = Vec::new();
+    if let Some(found) = (run.tally.innovations).filter(|found| found.is_off) {
+        let missing = match &setup.experiment.sensing {
+            Sensing::Estimated {
+                estimator: EstimatorChoice::Kalman(unknowns),
+                ..
+            } => unknowns.missing(),
+            _ => Vec::new(),
+        };
+        let cause = if missing.is_empty() {
+            format!(
+                "something is wrong that no unknown describes, such as waves that {} elements do not have (rod.elements), a step of the command from \
+                 rest (a bound on its rate takes it away), or a sensor that is noisier than [[sensor]] says",
+                setup.model.n_elements()
+            )
+        } else {
+            format!(
+                "something is wrong that is not among estimator.disturbances, which lacks {}, or a sensor is noisier than [[sensor]] says",
+                missing.join(", ")
+            )
+        };
+        out.push(format!(
+            "the estimate is in doubt: the squares of what is measured otherwise than expected are {:.2} times as large as the filter expects \
+             (consistent: at most {:.2}); {cause}",
+            found.per_number, found.at_most
+        ));
+    }
+    let late = (run.samples.last())
+        .map(|last| (last.disturbance.delay, last.deviation.delay))
+        .filter(|(delay, deviation)| *deviation > 0.0 && delay.abs() > CERTAIN * deviation);
+    if let Some((delay, deviation)) = late {
+        let said = setup.experiment.settings.actuator_delay + delay;
+        let when = if delay > 0.0 { "later" } else { "earlier" };
+        let what = if said >= 0.0 {
+            format!("mpc.actuator_delay_s = {said:.4} says so")
+        } else {
+            "no command acts before it is sent, so that this stands for what the model has wrong about damping or its time steps".into()
+        };
+        out.push(format!(
+            "commands act {:.1} +- {:.1} ms {when} than they are said to, which the loop predicts over: {what}",
+            1e3 * delay.abs(),
+            1e3 * deviation,
+        ));
+    }
+    out
+}
+
+/// What may be changed where the tip is far from its reference at the end.
+fn changes(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
+    let own = &setup.experiment;
+    let quarter = 0.75 * own.duration;
+    let late = run
+        .samples
+        .iter()
+        .any(|sample| sample.t >= quarter && sample.reference.is_some());
+    let off = TipError::of(&run.samples, quarter).rms / own.arm.length;
+    if !late || off <= FAR {
+        return Vec::new();
+    }
+    let mut what = Vec::new();
+    let looks_for = match &own.sensing {
+        Sensing::Everything => Some(Unknowns::NONE),
+        Sensing::Estimated { estimator, .. } => match *estimator {
+            EstimatorChoice::Observer { .. } => None,
+            EstimatorChoice::Kalman(unknowns) => Some(Unknowns {
+                wrench_change: Unknowns::NONE.wrench_change,
+                ..unknowns
+            }),
+        },
+    };
+    match looks_for {
+        None => what.push(
+            "an observer holds its model against the measurements: estimator.kind = \"kalman\" with estimator.disturbances finds what the model \
+             has wrong",
+        ),
+        Some(unknowns) if unknowns == Unknowns::NONE => what.push(
+            "[estimator] with estimator.disturbances finds what the model has wrong, which nothing here looks for",
+        ),
+        Some(_) => {}
+    }
+    // A horizon that recedes has a price of its own.
+    if own.task.cost.rate == 0.0 && own.mpc.due.is_some() {
+        what.push("objective.rate makes plans smooth, where the tip trembles");
+    }
+    let is_damped = own.arm.viscous_damping > 0.0 || own.arm.internal_damping > 0.0;
+    if !is_damped {
+        what.push("[damping] gives the model the damping that a real arm has");
+    }
+    let turns = (own.task.actuators.iter()).any(|actuator| actuator.moment.acts());
+    if is_damped && turns && own.arm.internal_damping == 0.0 {
+        what.push(
+            "damping.internal_s damps the fast waves that a moment excites, as a real elastomer does",
+        );
+    }
+    what.push("--baselines tells what the plant, the time and the controller have in it");
+    vec![format!(
+        "over the last quarter the tip is {:.1} % of the length off its reference: {}",
+        100.0 * off,
+        what.join("; ")
+    )]
+}

@@ -1,0 +1,167 @@
+//! The motion of a closed loop, its commands and its limits, as they are recorded and written.
+
+use std::path::Path;
+
+use crate::control::{Hold, PathLimit, RodView};
+use crate::mechanics::{Energy, Rod, State, TimeGrid, Trajectory, Wrench};
+use crate::mpc::{ClosedLoop, Sample};
+use crate::output::closed_loop::{LimitPeak, MpcSummary, SampleRow, write_samples};
+use crate::output::{
+    ControlRow, MotionRecord, OutputError, ResultDirectory, RowFiles, ThinnedMotion, render_report,
+    write_controls,
+};
+use crate::scene::ClosedLoopSetup;
+use crate::solve::page::closed_loop_page;
+
+/// What becomes of the arm, a row at the beginning and after every sample, and what is sent to it.
+pub(super) struct Recording {
+    trajectory: RowFiles,
+    controls: Vec<ControlRow>,
+    hold: Hold,
+    /// For the picture, with the last row.
+    thinned: ThinnedMotion,
+    row: MotionRecord,
+    pub(super) limits: LimitWatch,
+}
+
+/// Looks at the limits of the task on the arm as it is.
+pub(super) struct LimitWatch {
+    limits: Vec<PathLimit>,
+    radii: Vec<f64>,
+    pub(super) peaks: Vec<LimitPeak>,
+}
+
+impl LimitWatch {
+    fn new(setup: &ClosedLoopSetup) -> Self {
+        let (own, rod) = (&setup.experiment, &setup.plant);
+        let radii = own.plant.radii_at_nodes(rod.n_elements());
+        let limits: Vec<_> = (own.task.limits.iter())
+            .map(|limit| limit.kind.on(rod, &radii))
+            .collect();
+        let peaks = (own.task.limits.iter().zip(&limits))
+            .map(|(named, limit)| LimitPeak {
+                name: named.name.clone(),
+                excess: f64::NEG_INFINITY,
+                unit: limit.unit(),
+                at_s: 0.0,
+                node: 0,
+            })
+            .collect();
+        Self {
+            limits,
+            radii,
+            peaks,
+        }
+    }
+
+    fn see(&mut self, rod: &Rod, t: f64, state: &State) {
+        if self.limits.is_empty() {
+            return;
+        }
+        let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), 1);
+        trajectory.push(&state.configuration);
+        let view = RodView {
+            rod,
+            radii: &self.radii,
+            trajectory: &trajectory,
+            grid: TimeGrid::instant(t),
+        };
+        for (limit, peak) in self.limits.iter().zip(&mut self.peaks) {
+            let (value, item) = limit.worst(&view, 0);
+            let excess = value * limit.scale(rod);
+            if excess > peak.excess {
+                peak.excess = excess;
+                peak.at_s = t;
+                peak.node = limit.node(rod, item);
+            }
+        }
+    }
+}
+
+impl Recording {
+    pub(super) fn begin(setup: &ClosedLoopSetup, folder: &Path) -> Result<Self, OutputError> {
+        let layout = MotionRecord::empty(setup.plant.n_nodes());
+        let mut recording = Self {
+            trajectory: RowFiles::create(folder, &layout.arrays())?,
+            controls: Vec::new(),
+            hold: setup.experiment.discretization.hold,
+            thinned: ThinnedMotion::new(layout.n_nodes),
+            row: layout,
+            limits: LimitWatch::new(setup),
+        };
+        recording.push(&setup.plant, 0.0, &setup.initial, &Wrench::default())?;
+        Ok(recording)
+    }
+
+    fn push(
+        &mut self,
+        rod: &Rod,
+        t: f64,
+        state: &State,
+        wrench: &Wrench,
+    ) -> Result<(), OutputError> {
+        self.limits.see(rod, t, state);
+        let mut row = MotionRecord::empty(rod.n_nodes());
+        let energy = Energy::of(rod, state);
+        let dilatation = rod.dilatation(&state.configuration.positions);
+        row.push_state(t, state, wrench, &energy, &dilatation);
+        self.trajectory.push(&row.arrays())?;
+        self.thinned.push(&row);
+        self.row = row;
+        Ok(())
+    }
+
+    pub(super) fn see(&mut self, closed: &ClosedLoop) -> Result<(), OutputError> {
+        let (arm, command) = (closed.arm(), closed.sent());
+        let tip = closed.controller().rod().tip();
+        let acting = (command.nodes.iter().zip(arm.acting()))
+            .find_map(|(node, wrench)| (*node == tip).then_some(*wrench));
+        for (at, &node) in command.nodes.iter().enumerate() {
+            let row = |t_start, t_end, wrench: &Wrench| {
+                let [fx, fy, fz] = wrench.force.into();
+                let [mx, my, mz] = wrench.moment.into();
+                ControlRow {
+                    t_start,
+                    t_end,
+                    fx,
+                    fy,
+                    fz,
+                    mx,
+                    my,
+                    mz,
+                    node,
+                }
+            };
+            let (start, end) = (command.start, command.end);
+            if self.hold == Hold::Constant {
+                self.controls.push(row(start, end, &command.from[at]));
+            } else {
+                self.controls.push(row(start, start, &command.from[at]));
+                self.controls.push(row(end, end, &command.to[at]));
+            }
+        }
+        let state = arm.state();
+        self.push(arm.rod(), arm.time(), &state, &acting.unwrap_or_default())
+    }
+
+    /// Writes the files of the result, the summary last.
+    pub(super) fn write(
+        &mut self,
+        result: &ResultDirectory,
+        setup: &ClosedLoopSetup,
+        samples: &[Sample],
+        summary: &MpcSummary,
+    ) -> Result<(), OutputError> {
+        let path = |name: &str| result.path().join(name);
+        self.trajectory.write_npz(&path("trajectory.npz"))?;
+        write_samples(&path("samples.csv"), samples)?;
+        write_controls(&path("controls.csv"), &self.controls)?;
+        result.write_text("scene.toml", &setup.resolved.to_toml())?;
+        let record = self.thinned.clone().finish(&self.row);
+        let rows: Vec<SampleRow> = samples.iter().map(SampleRow::of).collect();
+        let value = serde_json::to_value(summary).unwrap_or_default();
+        let page = closed_loop_page(setup, &rows, &record, &value);
+        result.write_text("report.html", &render_report(&page?))?;
+        result.write_json("summary.json", summary)
+    }
+}

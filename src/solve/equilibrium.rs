@@ -1,0 +1,359 @@
+//! The files of `softarm equilibrium`: summary, tables of the shape, of the strains and stresses of elements, and of the sweep.
+
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use super::statics::{Statics, StaticsOptions};
+use crate::mechanics::diagnostics::ElementStress;
+use crate::mechanics::rotation::quaternion;
+use crate::mechanics::{
+    Configuration, Critical, Energy, Kept, LoadedShape, Loss, Rod, Stability, State, Varied, Wrench,
+};
+use crate::output::summary::{Range, SCHEMA_VERSION, TOOL, TipPose};
+use crate::output::{MotionRecord, OutputError, ResultDirectory};
+
+/// `summary.json` of `softarm equilibrium`.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct EquilibriumSummary {
+    /// [`SCHEMA_VERSION`]
+    pub schema_version: u32,
+    /// [`TOOL`]
+    pub tool: &'static str,
+    /// `equilibrium`
+    pub command: &'static str,
+    /// Name of the scene.
+    pub scene: String,
+    /// `found`, or `cut` if the sweep ends early.
+    pub status: &'static str,
+    /// Rod model.
+    pub model: &'static str,
+    /// Strain rule.
+    pub strain: &'static str,
+    /// Number of elements.
+    pub elements: usize,
+    /// Time at which loads and a driven base are evaluated, s.
+    pub time_s: f64,
+    /// Loads that the load factor multiplies: `all`, `loads` or `gravity`.
+    pub varied: Varied,
+    /// Pose of the tip at load factor 1.
+    pub tip: TipPose,
+    /// Distance of the tip from its place at load factor 0, m.
+    pub tip_displacement_m: f64,
+    /// Estimated error of the tip by the discretization in elements, m; absent if twice as many have another equilibrium.
+    pub refined_space_m: Option<f64>,
+    /// Length of the polygon of nodes, m.
+    pub length_m: f64,
+    /// Dilatation of the elements.
+    pub dilatation: Range,
+    /// Energy, J.
+    #[serde(rename = "energy_J")]
+    pub energy: StaticEnergy,
+    /// Wrench of the base on the arm.
+    pub base: BaseWrench,
+    /// Largest bending curvature of any element, 1/m, including rest curvature.
+    pub curvature_max_1_m: f64,
+    /// Largest twist of any element, 1/m, including rest twist.
+    pub twist_max_1_m: f64,
+    /// Stability under the present loads.
+    pub stability: StabilitySummary,
+    /// Tip position to which the arm moves after a small push, if its equilibrium is not stable and another one was found, m.
+    pub goes_to_m: Option<[f64; 3]>,
+    /// The load factor at which stability is lost.
+    pub buckling: BucklingSummary,
+    /// Equilibria at the load factors of the sweep.
+    pub sweep: Vec<SweepPoint>,
+    /// The reason why the sweep ends early.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sweep_cut: Option<String>,
+    /// Wall time, s.
+    pub wall_s: f64,
+    /// The result directory.
+    pub directory: String,
+}
+
+/// Energy of an arm at rest, J.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct StaticEnergy {
+    /// Elastic.
+    pub elastic: f64,
+    /// Potential energy of gravity.
+    pub potential: f64,
+}
+
+/// Wrench of the base on the arm.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct BaseWrench {
+    /// Spatial frame, N.
+    pub force_n: [f64; 3],
+    /// Moment, frame of the base, N m.
+    pub moment_n_m: [f64; 3],
+}
+
+/// Stability of an equilibrium.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct StabilitySummary {
+    /// `stable`; `neutral`, where nothing brings the arm back and nothing grows; `unstable`; or `unknown`.
+    pub verdict: &'static str,
+    /// Smallest `ω²`, 1/s², of the symmetric part of the tangent stiffness and the inertia.
+    pub squared_frequency_1_s2: Option<f64>,
+    /// Lowest frequency without damping, Hz.
+    pub first_frequency_hz: Option<f64>,
+    /// Rate at which small deviations grow, 1/s, with damping.
+    pub growth_rate_1_s: Option<f64>,
+    /// Stiffness of the tip along its softest direction against a dead force, N/m.
+    pub tip_stiffness_n_m: Option<f64>,
+}
+
+/// The load factor at which stability is lost.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct BucklingSummary {
+    /// Load factor; absent where none was found.
+    pub factor: Option<f64>,
+    /// `buckling`, `snapping` or `flutter`.
+    pub how: Option<Loss>,
+    /// Load factor up to which the equilibria are stable, if no loss was found.
+    pub stable_up_to: Option<f64>,
+    /// The reason why no larger factor was tried, if no loss was found: `to-the-end`, `out-of-range`, `not-followed` or `unloaded`.
+    pub why: Option<Kept>,
+}
+
+/// An equilibrium of the sweep.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct SweepPoint {
+    /// Load factor.
+    pub factor: f64,
+    /// Position of the tip, m.
+    pub tip_m: [f64; 3],
+    /// Stability of the equilibrium.
+    #[serde(flatten)]
+    pub stability: StabilitySummary,
+    /// Tells whether the arm jumped to it, because the equilibria before end at a smaller factor.
+    pub jumped: bool,
+}
+
+/// Returns the verdict on a stability in a word.
+fn verdict(stability: Option<&Stability>) -> &'static str {
+    match stability {
+        None => "unknown",
+        Some(found) if found.is_stable => "stable",
+        Some(found) if found.growth_rate.is_some() => "unstable",
+        Some(_) => "neutral",
+    }
+}
+
+impl StabilitySummary {
+    fn of(stability: Option<&Stability>, tip_stiffness: Option<f64>) -> Self {
+        Self {
+            verdict: verdict(stability),
+            squared_frequency_1_s2: stability.map(|found| found.least_squared_frequency),
+            first_frequency_hz: stability
+                .and_then(|found| found.first_frequency)
+                .map(|omega| omega / std::f64::consts::TAU),
+            growth_rate_1_s: stability.and_then(|found| found.growth_rate),
+            tip_stiffness_n_m: tip_stiffness,
+        }
+    }
+}
+
+impl BucklingSummary {
+    fn of(critical: &Critical) -> Self {
+        match *critical {
+            Critical::Lost { factor, how } => Self {
+                factor: Some(factor),
+                how: Some(how),
+                stable_up_to: None,
+                why: None,
+            },
+            Critical::Kept { factor, why } => Self {
+                factor: None,
+                how: None,
+                stable_up_to: Some(factor),
+                why: Some(why),
+            },
+        }
+    }
+}
+
+impl EquilibriumSummary {
+    /// Creates the summary of statics; `names` are those of the scene and of the result directory.
+    #[must_use]
+    pub fn of(
+        found: &Statics,
+        options: &StaticsOptions,
+        names: [String; 2],
+        wall_s: f64,
+    ) -> EquilibriumSummary {
+        let [scene, directory] = names;
+        let (rod, own) = (&found.rod, &found.own);
+        let tip = rod.tip();
+        let mut dilatation = Range::EMPTY;
+        let mut length_m = 0.0;
+        for (ratio, element) in rod
+            .dilatation(&own.shape.positions)
+            .iter()
+            .zip(&rod.elements)
+        {
+            dilatation.include(*ratio);
+            length_m += ratio * element.length;
+        }
+        let q = quaternion(&own.shape.rotations[tip]);
+        let energy = Energy::of(rod, &State::at_rest(own.shape.clone()));
+        let base = rod.static_reaction(&own.shape, options.time);
+        let (mut curvature, mut twist) = (0.0_f64, 0.0_f64);
+        for (q, element) in rod.elements.iter().enumerate() {
+            let ends = Rod::element_pose(q, &own.shape.positions, &own.shape.rotations);
+            let bent = rod.strain_rule.strain(element.length, &ends).curvature;
+            curvature = curvature.max(bent.xy().norm());
+            twist = twist.max(bent.z.abs());
+        }
+        let is_stable = own.stability.is_some_and(|found| found.is_stable);
+        let stiffness = found.tip_compliance.filter(|_| is_stable).map(|c| {
+            (0.5 * (c + c.transpose()))
+                .symmetric_eigenvalues()
+                .max()
+                .recip()
+        });
+        let start = found.sweep.first().unwrap_or(own);
+        EquilibriumSummary {
+            schema_version: SCHEMA_VERSION,
+            tool: TOOL,
+            command: "equilibrium",
+            scene,
+            status: if found.cut.is_some() { "cut" } else { "found" },
+            model: rod.model.name(),
+            strain: rod.strain_rule.name(),
+            elements: rod.n_elements(),
+            time_s: options.time,
+            varied: options.varied,
+            tip: TipPose {
+                position_m: own.shape.positions[tip].into(),
+                orientation_wxyz: [q.w, q.i, q.j, q.k],
+            },
+            tip_displacement_m: (own.shape.positions[tip] - start.shape.positions[tip]).norm(),
+            refined_space_m: found.refined_space,
+            length_m,
+            dilatation,
+            energy: StaticEnergy {
+                elastic: energy.elastic,
+                potential: energy.potential,
+            },
+            base: BaseWrench {
+                force_n: base.force.into(),
+                moment_n_m: base.moment.into(),
+            },
+            curvature_max_1_m: curvature,
+            twist_max_1_m: twist,
+            stability: StabilitySummary::of(own.stability.as_ref(), stiffness),
+            goes_to_m: (found.goes_to.as_ref()).map(|at| at.shape.positions[tip].into()),
+            buckling: BucklingSummary::of(&found.critical),
+            sweep: (found.sweep.iter())
+                .map(|at| SweepPoint {
+                    factor: at.factor,
+                    tip_m: at.shape.positions[tip].into(),
+                    stability: StabilitySummary::of(at.stability.as_ref(), None),
+                    jumped: at.jumped,
+                })
+                .collect(),
+            sweep_cut: found.cut.as_ref().map(ToString::to_string),
+            wall_s,
+            directory,
+        }
+    }
+}
+
+/// Returns the sweep as a motion, with the load factor in the place of the time.
+#[must_use]
+pub(crate) fn sweep_record(
+    found: &Statics,
+    rod_at: impl Fn(f64) -> Rod,
+    time: f64,
+) -> MotionRecord {
+    let mut record = MotionRecord::empty(found.rod.n_nodes());
+    for LoadedShape { factor, shape, .. } in &found.sweep {
+        let rod = rod_at(*factor);
+        let state = State::at_rest(shape.clone());
+        let tip = rod.tip();
+        let mut wrench = Wrench::default();
+        for load in rod.loads.iter().filter(|load| load.node == tip) {
+            let acting = load.wrench(time, &shape.rotations[tip]);
+            wrench.force += acting.force;
+            wrench.moment += acting.moment;
+        }
+        let energy = Energy::of(&rod, &state);
+        record.push_state(
+            *factor,
+            &state,
+            &wrench,
+            &energy,
+            &rod.dilatation(&shape.positions),
+        );
+    }
+    record
+}
+
+/// Writes `shape.csv`, `elements.csv` and `sweep.csv`.
+///
+/// # Errors
+/// [`OutputError`] where a file cannot be written.
+pub(crate) fn write_tables(
+    result: &ResultDirectory,
+    rod: &Rod,
+    own: &Configuration,
+    summary: &EquilibriumSummary,
+) -> Result<(), OutputError> {
+    let table = |name: &str, head: &str, rows: &mut dyn Iterator<Item = Vec<String>>| {
+        let mut text = String::from(head);
+        text.push('\n');
+        for row in rows {
+            text += &row.join(",");
+            text.push('\n');
+        }
+        result.write_text(name, &text)
+    };
+    let n = rod.n_elements() as f64;
+    let mut nodes = (own.positions.iter().zip(&own.rotations).enumerate()).map(|(node, (x, r))| {
+        let q = quaternion(r);
+        let numbers = [node as f64 / n, x.x, x.y, x.z, q.w, q.i, q.j, q.k];
+        let mut row = vec![node.to_string()];
+        row.extend(numbers.map(|value| value.to_string()));
+        row
+    });
+    table("shape.csv", "node,s,x_m,y_m,z_m,qw,qx,qy,qz", &mut nodes)?;
+    let mut elements = (rod.elements.iter().enumerate()).map(|(q, element)| {
+        let ends = Rod::element_pose(q, &own.positions, &own.rotations);
+        let stress = ElementStress::of(element, rod.strain_rule, &ends);
+        let curvature = rod.strain_rule.strain(element.length, &ends).curvature;
+        let three = |v: Vector3<f64>| [v.x, v.y, v.z].map(|value| value.to_string());
+        let mut row = vec![q.to_string(), ((q as f64 + 0.5) / n).to_string()];
+        for vector in [curvature, stress.linear_strain, stress.force, stress.moment] {
+            row.extend(three(vector));
+        }
+        row
+    });
+    table(
+        "elements.csv",
+        "element,s,curvature_1_1_m,curvature_2_1_m,twist_1_m,shear_1,shear_2,stretch,shear_force_1_n,shear_force_2_n,tension_n,\
+         bending_moment_1_n_m,bending_moment_2_n_m,twisting_moment_n_m",
+        &mut elements,
+    )?;
+    let mut sweep = summary.sweep.iter().map(|point| {
+        let [x, y, z] = point.tip_m;
+        let number = |value: Option<f64>| value.map_or(String::new(), |value| value.to_string());
+        vec![
+            point.factor.to_string(),
+            x.to_string(),
+            y.to_string(),
+            z.to_string(),
+            point.stability.verdict.to_string(),
+            number(point.stability.squared_frequency_1_s2),
+            number(point.stability.first_frequency_hz),
+            number(point.stability.growth_rate_1_s),
+            point.jumped.to_string(),
+        ]
+    });
+    table(
+        "sweep.csv",
+        "factor,tip_x_m,tip_y_m,tip_z_m,verdict,squared_frequency_1_s2,first_frequency_hz,growth_rate_1_s,jumped",
+        &mut sweep,
+    )
+}

@@ -1,0 +1,107 @@
+//! What a user should know before a scene runs.
+
+use super::hardly_meant::hardly_meant;
+use crate::mechanics::stability::{bent_step, stable_step};
+use crate::mechanics::vibration::{weight_in_words, weight_number};
+use crate::mechanics::{Rod, RodModel, RotaryInertia, StrainRule, TimeScheme};
+use crate::output::summary::{OutputSize, RestSummary};
+use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
+
+/// Beyond this the trapezoidal rule bends visibly too stiffly.
+const LOCKING_LIMIT: f64 = 0.05;
+/// Beyond this, a user may not have meant to write every step.
+const LARGE_OUTPUT_BYTES: u64 = 1_000_000_000;
+
+/// An arm that does not stay where its weight is balanced.
+pub(super) fn topples(rest: &RestSummary, rod: &Rod) -> Option<String> {
+    rest.growth_rate_1_s.map(|rate| {
+        format!(
+            "gravity: the arm topples under {}: deviations from its equilibrium grow e-fold in {:.3e} s ({}); shorten, thicken or hang it, unless \
+             that is meant",
+            what_weighs(rod),
+            1.0 / rate,
+            weight_in_words(rod)
+        )
+    })
+}
+
+/// Tells whether more than the arm itself weighs on it.
+pub(crate) fn what_weighs(rod: &Rod) -> &'static str {
+    let own = weight_number(rod) * rod.scales.force;
+    match rod.mass() * rod.gravity.norm() > own * (1.0 + 1e-9) {
+        true => "its own weight and its payload",
+        false => "its own weight",
+    }
+}
+
+/// Whether a simulation writes more than a user may have meant.
+pub(crate) fn size_warning(output: &OutputSize) -> Option<String> {
+    (output.bytes > LARGE_OUTPUT_BYTES).then(|| {
+        format!(
+            "output.rate_hz: {} rows take {:.1} GB, and twice that while they are packed at the end; give a lower rate",
+            output.rows,
+            output.bytes as f64 * 1e-9
+        )
+    })
+}
+
+/// What a user should know before a run.
+pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
+    let mut out = hardly_meant(scene, rod);
+    if rod.strain_rule == StrainRule::Trapezoidal && rod.locking_ratio() > LOCKING_LIMIT {
+        out.push(format!(
+            "rod.strain: the trapezoidal rule stiffens bending by {:.0} % at {} elements (GA l²/(4 EI)); use \"helical\" \
+             or shorter elements",
+            100.0 * rod.locking_ratio(),
+            rod.n_elements()
+        ));
+    }
+    if scene.rod.rotary_inertia == RotaryInertiaKey::Auto
+        && rod.rotary_inertia == RotaryInertia::Segment
+    {
+        out.push(
+            "rod.rotary_inertia: that of segments was chosen, since that of such thin sections would take steps far shorter; what it changes \
+             vanishes with more elements as l^2, and is part of the certificate's refined_space_m; \"section\" if the wire spins \
+             about its own axis"
+                .into(),
+        );
+    }
+    if rod.model == RodModel::Dilatation {
+        let finer = match rod.strain_rule {
+            StrainRule::Helical => ", with helical strains the earlier the finer the grid",
+            StrainRule::Trapezoidal => "",
+        };
+        out.push(format!(
+            "rod.model: \"dilatation\" is the paper's, which keeps neither energy nor angular momentum and can blow up in \
+             long or violent motions{finer}; \"consistent\" keeps both"
+        ));
+    }
+    // Below the stable step there are no waves that a step does not resolve.
+    let bent = bent_step(rod).max(stable_step(rod));
+    if rod.scheme == TimeScheme::Implicit && step > bent {
+        out.push(format!(
+            "time.step_s: {step:.3e} s is longer than {bent:.3e} s, up to which implicit steps are stable in this arm bent into a \
+             circle (2 sqrt(J/m)); where it is bent or loaded as strongly, waves that a step does not resolve will grow; give a \
+             step_s of at most {bent:.3e} s, or \"auto\""
+        ));
+    }
+    let damping = rod.viscous_damping * step;
+    if damping >= 2.0 {
+        out.push(format!(
+            "damping.viscous_1_s: {:.3e} 1/s times the step of {step:.3e} s is {damping:.3}; from 2 on a step takes more than the \
+             momentum there is, and velocities change their sign every step instead of dying away; give a time.step_s below \
+             {:.3e} s",
+            rod.viscous_damping,
+            2.0 / rod.viscous_damping
+        ));
+    }
+    let profiles = (scene.load.iter().map(|load| &load.profile))
+        .chain(scene.distributed_load.iter().map(|load| &load.profile));
+    if profiles
+        .flatten()
+        .any(|profile| profile.last().is_some_and(|last| last[0] < 0.0))
+    {
+        out.push("load.profile: a load ends before t = 0 and never acts".into());
+    }
+    out
+}

@@ -1,0 +1,88 @@
+//! Tells whether and by what an arm is held at its target.
+
+use std::f64::consts::TAU;
+
+use crate::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
+use crate::mechanics::Wrench;
+use crate::output::summary::{NearestHeldSummary, StaticNeedSummary};
+use crate::task::Staying;
+use crate::task::staying::holding_over;
+
+/// Verdicts of what holds the tip at its target.
+pub(crate) const WITHIN: &str = "within-bounds";
+pub(crate) const ABOVE: &str = "above-bounds";
+pub(crate) const UNSTABLE: &str = "unstable";
+pub(crate) const CANNOT: &str = "cannot-be-held";
+pub(crate) const NOT_FOUND: &str = "not-found";
+
+/// Says whether and by what the tip can be held at its goal, over a stay if the arm should stay; `None` where it has none, or the search was stopped.
+pub(super) fn need(
+    problem: &OptimalControlProblem,
+    staying: Option<Staying>,
+    length: f64,
+) -> Option<StaticNeedSummary> {
+    let summary = |verdict, held: Option<&Held>, reason| StaticNeedSummary {
+        verdict,
+        wrenches: held.map_or_else(Vec::new, |held| wrenches(problem, held)),
+        controls: held.map_or_else(Vec::new, |held| controls(problem, held)),
+        reason,
+        stiffness_n_m: held
+            .filter(|held| held.is_stable)
+            .map(Held::least_stiffness)
+            .filter(|stiffness| *stiffness > 0.0),
+        first_frequency_hz: held
+            .and_then(|held| held.first_frequency)
+            .map(|omega| omega / TAU),
+        growth_rate_1_s: held.and_then(|held| held.growth_rate),
+        nearest: None,
+    };
+    let found = match staying {
+        Some(staying) => holding_over(problem, staying, length),
+        None => holding(problem),
+    };
+    match found.ok()? {
+        Holding::Held(held) => Some(summary(WITHIN, Some(&held), None)),
+        Holding::NotFound { why } => Some(summary(NOT_FOUND, None, Some(why.to_string()))),
+        Holding::CannotBeHeld { why, nearest } => {
+            let (verdict, held) = match &why {
+                CannotHold::AboveBounds(held) => (ABOVE, Some(&**held)),
+                CannotHold::Unstable(held) => (UNSTABLE, Some(&**held)),
+                CannotHold::NothingActuated
+                | CannotHold::TooFewControls { .. }
+                | CannotHold::Drifts
+                | CannotHold::BaseMoves { .. } => (CANNOT, None),
+            };
+            let mut out = summary(verdict, held, Some(why.to_string()));
+            out.nearest = nearest.map(|(held, distance_m)| NearestHeldSummary {
+                position_m: {
+                    // Rounding of a place in a plane of symmetry is nothing.
+                    let least = 1e-9 * problem.rod.scales.length;
+                    let tip = held.shape.positions[problem.rod.tip()];
+                    tip.map(|x| if x.abs() < least { 0.0 } else { x }).into()
+                },
+                distance_m,
+                wrenches: wrenches(problem, &held),
+                controls: controls(problem, &held),
+            });
+            Some(out)
+        }
+    }
+}
+
+fn wrenches(problem: &OptimalControlProblem, held: &Held) -> Vec<[f64; 6]> {
+    let n = problem.wrench_actuators().len();
+    held.wrenches[..n].iter().map(Wrench::to_array).collect()
+}
+
+fn controls(problem: &OptimalControlProblem, held: &Held) -> Vec<Vec<f64>> {
+    (problem.acting.iter())
+        .map(|acting| acting.controls(&held.wrenches))
+        .collect()
+}
+
+/// Distance of the target from where the tip starts, m.
+pub(super) fn distance(problem: &OptimalControlProblem) -> Option<f64> {
+    let start = problem.initial.configuration.positions[problem.rod.tip()];
+    let target = problem.final_goals().find_map(|goal| goal.position)?;
+    Some((target - start).norm())
+}

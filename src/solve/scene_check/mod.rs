@@ -1,0 +1,292 @@
+//! What follows from a scene before anything runs: what the verb `check` calls.
+
+mod closed_loop;
+mod concerns;
+mod forecast;
+mod hardly_meant;
+mod holding;
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+use std::time::Duration;
+
+use nalgebra::Vector3;
+
+use self::concerns::topples;
+pub(crate) use self::concerns::{size_warning, warnings, what_weighs};
+use self::forecast::{cost, problem_size, shorter};
+pub(crate) use self::forecast::{expectation, output_size, time_in_words};
+pub(crate) use self::holding::{ABOVE, CANNOT, UNSTABLE, WITHIN};
+use self::holding::{NOT_FOUND, distance, need};
+use super::causes::stands_by_symmetry;
+use crate::control::{Bound, Channel, OptimalControlProblem, named_axes};
+use crate::mechanics::stability::stable_step;
+use crate::mechanics::vibration::{SmallMotions, weight_number};
+use crate::mechanics::{BaseCondition, Rod, TipSpring, static_equilibrium};
+use crate::memory::{of_simulation, of_solve};
+use crate::output::quantity::{digits, quantity};
+use crate::output::summary::{
+    ActuatorSummary, CheckSummary, MaterialSummary, RestSummary, SCHEMA_VERSION, ScalesSummary,
+    SolveCost, StaticNeedSummary,
+};
+use crate::scene::{Scene, SceneError, SceneSource, TimeScheme as TimeSchemeKey};
+use crate::stop::StopSignal;
+use crate::task::prediction::{SolveTime, TYPICAL_ITERATIONS};
+
+/// Elements up to which an equilibrium and its frequencies take a fraction of a second.
+const MOST_ELEMENTS_AT_REST: usize = 1000;
+/// Of an actuator: a part that there is not.
+pub(crate) const NO_WRENCH: &str = "none";
+
+/// A scene that is valid, and what follows from it.
+pub(crate) struct SceneCheck {
+    pub summary: CheckSummary,
+    /// The arm, with its elements.
+    pub rod: Arc<Rod>,
+    /// Of a run, s.
+    pub duration: f64,
+    /// Of the target from where the tip starts, m.
+    pub distance: Option<f64>,
+    /// Units of the controls of actuators that are no wrenches.
+    pub own_units: Vec<&'static str>,
+}
+
+/// Checks the scene of this name. `until` makes the signal by which work that begins now is given up after a time.
+///
+/// # Errors
+/// [`SceneError`] for a scene that no verb would run.
+pub(crate) fn check_scene(
+    scene: &Scene,
+    source: &SceneSource,
+    name: &str,
+    n_threads: usize,
+    until: &dyn Fn(Duration) -> StopSignal,
+) -> Result<SceneCheck, SceneError> {
+    let mut concerns = Vec::new();
+    let mut plan = None;
+    let mut by_symmetry = None;
+    let tracks = (scene.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
+    // Controls without anything that is wanted play no part, as in a simulation.
+    let is_wanted =
+        scene.task.is_some() || scene.control.is_some() && (scene.mpc.is_some() || tracks);
+    if scene.control.is_some() && !is_wanted {
+        concerns.push(
+            "control: without [task] and [[objective.track]] it plays no part; the scene is checked as a simulation"
+                .into(),
+        );
+    }
+    let (rod, grid, size, output, memory) = if is_wanted {
+        // Whether the arm can stay at its target is a verdict here, and no reason to refuse the scene.
+        let setup = scene.passing().optimal_control(source)?;
+        let size = problem_size(&setup.problem);
+        let time = SolveTime::of_problem(&setup.problem);
+        concerns.extend(shorter(&setup, &time));
+        plan = Some(Plan {
+            actuators: actuators(&setup.problem),
+            need: need(&setup.problem, scene.staying(), setup.arm.length),
+            cost: SolveCost {
+                iteration_s: time.iteration,
+                iterations: TYPICAL_ITERATIONS,
+                check_s: time.check,
+                total_s: time.total(),
+            },
+            distance: distance(&setup.problem),
+            own_units: (setup.problem.acting.iter())
+                .map(|acting| acting.actuator.named_controls().1)
+                .collect(),
+        });
+        let memory = of_solve(&setup, 1, n_threads);
+        (
+            setup.problem.rod,
+            setup.problem.grid,
+            Some(size),
+            None,
+            memory,
+        )
+    } else {
+        let setup = scene.simulation(source)?;
+        let output = output_size(&setup);
+        concerns.extend(size_warning(&output));
+        by_symmetry = stands_by_symmetry(&setup.rod, &setup.initial, setup.grid.duration());
+        let memory = of_simulation(&setup);
+        (Arc::new(setup.rod), setup.grid, None, Some(output), memory)
+    };
+    let need = plan.as_ref().and_then(|plan| plan.need.as_ref());
+    if let (Some(need), true) = (need, scene.stays())
+        && need.verdict != WITHIN
+    {
+        let then = match need.verdict {
+            NOT_FOUND => "nothing is known to hold; in a solve the tip only stops for an instant",
+            _ => "nothing within the bounds holds; a solve refuses that",
+        };
+        concerns.push(format!(
+            "task.at_rest: the arm should stay at its target, which {then}: move the target, raise the bounds, allow a moment, or set \
+             at_rest = \"tip\""
+        ));
+    }
+    concerns.splice(0..0, warnings(scene, &rod, grid.step));
+    let closed_loop = closed_loop::summarize(scene, source, until)?.map(|(summary, more)| {
+        concerns.extend(more);
+        summary
+    });
+    let at_rest = at_rest(&rod);
+    concerns.extend(topples(&at_rest, &rod).or(by_symmetry));
+    let distance = plan.as_ref().and_then(|plan| plan.distance);
+    let (actuators, static_need, solve_cost, own_units) = plan
+        .map_or((Vec::new(), None, None, Vec::new()), |plan| {
+            (plan.actuators, plan.need, Some(plan.cost), plan.own_units)
+        });
+    let summary = CheckSummary {
+        schema_version: SCHEMA_VERSION,
+        command: "check",
+        scene: name.into(),
+        model: rod.model.name(),
+        strain: rod.strain_rule.name(),
+        elements: rod.n_elements(),
+        mass_kg: rod.mass(),
+        stable_step_s: stable_step(&rod),
+        integrator: rod.scheme.name(),
+        rotary_inertia: rod.rotary_inertia.name(),
+        cost: cost(&rod, &grid),
+        step_s: grid.step,
+        steps: grid.n_steps,
+        locking_ratio: rod.locking_ratio(),
+        scales: ScalesSummary {
+            length_m: rod.scales.length,
+            force_n: rod.scales.force,
+            moment_n_m: rod.scales.moment,
+            time_s: rod.scales.time,
+        },
+        optimal_control: size,
+        output,
+        memory_bytes: memory.total() as u64,
+        payload_kg: scene
+            .payload
+            .as_ref()
+            .map_or(0.0, |payload| payload.mass_kg.get()),
+        material: (scene.rod.material.as_ref())
+            .and_then(|material| material.preset)
+            .map(|preset| {
+                let figures = preset.figures();
+                MaterialSummary {
+                    name: figures.name,
+                    youngs_modulus_pa: figures.youngs_modulus_pa,
+                    range_pa: figures.range_pa,
+                    source: figures.source,
+                }
+            }),
+        at_rest,
+        actuators,
+        static_need,
+        solve_cost: solve_cost.filter(|_| closed_loop.is_none()),
+        closed_loop,
+        integrator_is_chosen: scene.time.integrator == TimeSchemeKey::Auto,
+        warnings: concerns,
+    };
+    Ok(SceneCheck {
+        summary,
+        duration: grid.duration(),
+        rod,
+        distance,
+        own_units,
+    })
+}
+
+/// What is asked of the actuators, and what a solve takes.
+struct Plan {
+    actuators: Vec<ActuatorSummary>,
+    need: Option<StaticNeedSummary>,
+    cost: SolveCost,
+    /// Of the target from where the tip starts, m.
+    distance: Option<f64>,
+    /// Units of the controls of actuators that are no wrenches.
+    own_units: Vec<&'static str>,
+}
+
+/// The arm under gravity, with its payload and without loads.
+fn at_rest(rod: &Rod) -> RestSummary {
+    let mut out = RestSummary {
+        weight_number: weight_number(rod),
+        ..RestSummary::default()
+    };
+    if rod.n_elements() > MOST_ELEMENTS_AT_REST {
+        out.no_equilibrium = Some("too many elements to look at in passing".into());
+        return out;
+    }
+    let mut bare = rod.clone();
+    bare.loads.clear();
+    let shape = if bare.base == BaseCondition::Free {
+        out.no_equilibrium = Some("the base is free".into());
+        bare.gravity = Vector3::zeros();
+        bare.rest.clone()
+    } else {
+        match static_equilibrium(&bare, &bare.rest, 0.0, &TipSpring::default()) {
+            Ok(shape) => shape,
+            Err(error) => {
+                out.no_equilibrium = Some(error.to_string());
+                return out;
+            }
+        }
+    };
+    let length = |positions: &[Vector3<f64>]| -> f64 {
+        positions
+            .windows(2)
+            .map(|pair| (pair[1] - pair[0]).norm())
+            .sum()
+    };
+    let (rest, now) = (&bare.rest.positions, &shape.positions);
+    if out.no_equilibrium.is_none() {
+        out.sag_m = Some((now[bare.tip()] - rest[bare.tip()]).norm());
+        out.stretch = Some(length(now) / length(rest) - 1.0);
+    }
+    let motions = SmallMotions::about(&bare, &shape, 0.0);
+    out.first_frequency_hz = (motions.first_frequency()).map(|omega| omega / TAU);
+    out.growth_rate_1_s = motions.growth_rate();
+    out
+}
+
+fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
+    let bounded = |channel: &Channel, unit: &str| match channel.bound {
+        None => "UNBOUNDED".to_string(),
+        Some(Bound::Norm(limit)) => format!("at most {}", quantity(limit, unit)),
+        Some(Bound::PerAxis(limits)) => {
+            let [x, y, z] = [0, 1, 2].map(|axis| match limits[axis] {
+                f64::INFINITY => "UNBOUNDED".to_string(),
+                limit => digits(limit),
+            });
+            format!("at most [{x}, {y}, {z}] {unit} per axis")
+        }
+    };
+    let limit = |channel: &Channel, unit: &str| {
+        if !channel.acts() {
+            return NO_WRENCH.into();
+        }
+        bounded(channel, unit) + &named_axes(channel.axes)
+    };
+    let own = (problem.acting.iter()).map(|acting| {
+        let (name, unit) = acting.actuator.named_controls();
+        let n = acting.places.len();
+        let bounds = (problem.actuators.get(acting.first))
+            .map_or_else(String::new, |group| bounded(&group.force, unit));
+        ActuatorSummary {
+            node: acting
+                .actuator
+                .nodes(&problem.rod)
+                .first()
+                .copied()
+                .unwrap_or(0),
+            force: NO_WRENCH.into(),
+            moment: NO_WRENCH.into(),
+            controls: Some(format!("{n} {name}, {bounds}")),
+        }
+    });
+    (problem.wrench_actuators().iter())
+        .map(|actuator| ActuatorSummary {
+            node: actuator.node,
+            force: limit(&actuator.force, "N"),
+            moment: limit(&actuator.moment, "N m"),
+            controls: None,
+        })
+        .chain(own)
+        .collect()
+}

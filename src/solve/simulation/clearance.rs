@@ -1,0 +1,91 @@
+//! Distances of a simulated arm from the obstacles of its scene, which the simulation itself does not use.
+
+use nalgebra::Vector3;
+
+use crate::control::{PathLimit, Shape};
+use crate::output::MotionRecord;
+use crate::output::summary::ClearanceSummary;
+use crate::scene::Simulation;
+
+/// The obstacles, and the smallest distances so far.
+pub(super) struct Clearances {
+    obstacles: Vec<Obstacle>,
+    radii: Vec<f64>,
+}
+
+struct Obstacle {
+    name: String,
+    /// Shape and place at t = 0.
+    shape: Shape,
+    /// Velocity, m/s.
+    velocity: Vector3<f64>,
+    /// Number of points of an element at which the distance is computed.
+    points: usize,
+    least: ClearanceSummary,
+}
+
+impl Clearances {
+    pub(super) fn of(setup: &Simulation) -> Self {
+        let rod = &setup.rod;
+        let radii = setup.arm.radii_at_nodes(rod.n_elements());
+        let obstacles = (setup.resolved.limits().into_iter())
+            .filter_map(|limit| {
+                let PathLimit::Clearance {
+                    shape, velocity, ..
+                } = &limit.kind
+                else {
+                    return None;
+                };
+                let points = limit.kind.on(rod, &radii).points();
+                Some(Obstacle {
+                    shape: *shape,
+                    velocity: *velocity,
+                    points,
+                    least: ClearanceSummary {
+                        obstacle: limit.name.clone(),
+                        least_m: f64::INFINITY,
+                        at_s: 0.0,
+                        place: 0.0,
+                    },
+                    name: limit.name,
+                })
+            })
+            .collect();
+        Self { obstacles, radii }
+    }
+
+    /// Updates the distances with the one row of a record.
+    pub(super) fn include(&mut self, row: &MotionRecord) {
+        let t = row.t.last().copied().unwrap_or(0.0);
+        let n = row.n_nodes;
+        let node = |q: usize| {
+            let radius = self.radii.get(q).copied().unwrap_or(0.0);
+            (Vector3::from_column_slice(&row.x[3 * q..3 * q + 3]), radius)
+        };
+        for obstacle in &mut self.obstacles {
+            for item in 0..=(n - 1) * obstacle.points {
+                let (q, s) = (item / obstacle.points, (item % obstacle.points) as f64);
+                let s = s / obstacle.points as f64;
+                let (a, b) = (node(q), node((q + 1).min(n - 1)));
+                let x = a.0 + (b.0 - a.0) * s;
+                let radius = a.1 + (b.1 - a.1) * s;
+                let seen = x - obstacle.velocity * t;
+                let distance = obstacle.shape.distance(&seen).value - radius;
+                if distance < obstacle.least.least_m {
+                    obstacle.least = ClearanceSummary {
+                        obstacle: obstacle.name.clone(),
+                        least_m: distance,
+                        at_s: t,
+                        place: (q as f64 + s) / (n - 1) as f64,
+                    };
+                }
+            }
+        }
+    }
+
+    pub(super) fn summary(&self) -> Vec<ClearanceSummary> {
+        (self.obstacles.iter())
+            .map(|obstacle| obstacle.least.clone())
+            .collect()
+    }
+}

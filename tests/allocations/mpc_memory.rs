@@ -1,0 +1,30 @@
+//! A controller asks for no memory after its first sample.
+
+use crate::{count, tracking};
+
+use nalgebra::Vector3;
+use softarm::mpc::MpcSettings;
+
+/// One iteration of Gauss-Newton from a measured state (roll-out, linearization, condensing, subproblem with and without active bounds,
+/// step) and the move of the horizon allocate nothing after the first.
+#[test]
+fn samples_allocate_nothing() {
+    for largest_force in [0.5, 1e3] {
+        let settings = MpcSettings::receding(0.3);
+        let mut controller = tracking::controller(largest_force, &settings);
+        let mut state = controller.expected().clone();
+        controller.step(&state).unwrap();
+        for sample in 0..50 {
+            state.clone_from(controller.expected());
+            state.linear_momentum[3] += Vector3::new(1e-3, 0.0, -1e-3);
+            let before = count();
+            let issued = controller.feedback(&state).unwrap();
+            let feedback = count() - before;
+            issued.prepare().unwrap();
+            let both = count() - before;
+            assert_eq!((feedback, both), (0, 0), "{largest_force} sample {sample}");
+        }
+        let bounded = controller.record().subproblem.iterations > 0;
+        assert_eq!(bounded, largest_force < 1.0);
+    }
+}

@@ -1,0 +1,19 @@
+//! Optimal-control problems on rods: their terms, their discretization, and optima that are known.
+
+#[path = "../common/mod.rs"]
+mod common;
+#[path = "../common/tracking.rs"]
+mod tracking;
+
+mod actuators;
+mod advice;
+mod analytic_optima;
+mod axes;
+mod continuous;
+mod distributed;
+mod free_duration;
+mod optimal_control;
+mod path_constraints;
+mod path_tracking;
+mod staying;
+mod terms;

@@ -1,0 +1,9 @@
+//! Derivatives of the motion and of the Lagrangian, by several routes.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod curvature;
+mod derivatives;
+mod feedback;
+mod sensitivity;

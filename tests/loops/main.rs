@@ -1,0 +1,20 @@
+//! Closed loops: controller, plant, sensors, estimators, and plants in another process.
+
+#[path = "../common/estimating.rs"]
+mod estimating;
+#[path = "../common/rates.rs"]
+mod rates;
+#[path = "../common/serving.rs"]
+mod serving;
+#[path = "../common/tracking.rs"]
+mod tracking;
+
+mod mpc;
+mod mpc_estimators;
+mod mpc_hold;
+mod mpc_kalman;
+mod mpc_limits;
+mod mpc_loop;
+mod mpc_sensors;
+mod mpc_serving;
+mod mpc_serving_talk;

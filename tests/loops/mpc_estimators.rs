@@ -1,0 +1,439 @@
+//! Observers converge, and whatever an estimator refuses leaves no trace.
+
+use crate::estimating;
+
+use estimating::{Truth, all_disturbances, at_rest, command, hanging, rod, upright};
+use nalgebra::Vector3;
+use softarm::mechanics::rotation::exp;
+use softarm::mechanics::{EnergyNorm, Rod, State, Wrench};
+use softarm::mpc::{
+    BoundaryObserver, Command, Disturbance, EstimateError, Estimator, Inbox, KalmanFilter,
+    Measurement, MpcError, ObserverSettings, Reading, Regridded, Sensor, SensorPreset,
+    SensorSettings, Transfer,
+};
+use softarm::task::Arm;
+
+const PERIOD: f64 = 0.01;
+
+fn no_command(start: f64, end: f64) -> Command {
+    Command {
+        start,
+        end,
+        nodes: Vec::new(),
+        from: Vec::new(),
+        to: Vec::new(),
+    }
+}
+
+/// Energy of the difference of two states over that of the rod's own scale.
+fn distance(model: &Rod, a: &State, b: &State) -> f64 {
+    let norm = EnergyNorm::at(model, &b.configuration).unwrap();
+    let tangent: Vec<f64> = a
+        .difference(b)
+        .components_from(model.first_free_node())
+        .collect();
+    let column = faer::Mat::from_fn(tangent.len(), 1, |i, _| tangent[i]);
+    norm.out_of(column).norm_l2() / (2.0 * model.scales.moment).sqrt()
+}
+
+/// An observer by exact poses of the tip, started from rest while the arm swings, its tip off by a tenth of the length and more, forgets nine tenths
+/// of its error (in the energy's norm) within one period of the first mode, on any grid; it never has more error than at the start by more than a
+/// twentieth, what the plant has stored in the wrench of the pose. A copy of the model without it keeps more than twice as much.
+#[test]
+fn observers_converge_from_far() {
+    for (arm, elements) in [(upright(), 4), (upright(), 10), (hanging(), 6)] {
+        let model = rod(&arm, elements);
+        let start = at_rest(&model);
+        let mut truth = Truth::new(&model, start.clone(), Disturbance::NONE);
+        // Half a second of swinging makes a state that is far from rest.
+        let mut k = 0;
+        while (k as f64) * PERIOD < 0.3 * model.scales.time {
+            truth.advance(
+                &command(&model, k as f64 * PERIOD, PERIOD),
+                (k + 1) as f64 * PERIOD,
+            );
+            k += 1;
+        }
+        let t0 = truth.time;
+        let settings = ObserverSettings::of(&model);
+        let mut observer = BoundaryObserver::new(&model, t0, &start, &settings).unwrap();
+        let mut copy = Truth::new(&model, start, Disturbance::NONE);
+        copy.time = t0;
+        let mut sensor = Sensor::new(
+            &SensorSettings {
+                position: Some(0.0),
+                rotation: Some(0.0),
+                places: vec![1.0],
+                ..SensorSettings::nothing()
+            },
+            &model,
+        )
+        .unwrap();
+        let mut measurement = Measurement::default();
+        let first = distance(&model, &truth.state, &observer.estimate().state);
+        let off = (truth.state.configuration.positions[model.tip()]
+            - observer.estimate().state.configuration.positions[model.tip()])
+        .norm();
+        assert!(off > 0.1 * model.scales.length, "{off}");
+        let period = std::f64::consts::TAU * model.scales.time / 3.516;
+        let mut history = Vec::new();
+        while truth.time < t0 + period {
+            let (start, end) = (
+                truth.time,
+                t0 + ((truth.time - t0) / PERIOD).round() * PERIOD + PERIOD,
+            );
+            let act = command(&model, start, end - start);
+            truth.advance(&act, end);
+            copy.advance(&act, end);
+            observer.advance(&act, end).unwrap();
+            sensor.measure(end, &truth.state, &mut measurement).unwrap();
+            observer.correct(&measurement).unwrap();
+            let error = distance(&model, &truth.state, &observer.estimate().state) / first;
+            history.push(error);
+        }
+        let last = *history.last().unwrap();
+        let without = distance(&model, &truth.state, &copy.state) / first;
+        let worst = history.iter().fold(0.0, |worst: f64, e| worst.max(*e));
+        assert!(worst < 1.05, "{elements}: {worst}");
+        assert!(
+            last < 0.1 && last < 0.5 * without,
+            "{elements}: {last} {without}"
+        );
+    }
+}
+
+/// An observer with an integral finds a constant force at the tip to a tenth.
+#[test]
+fn observers_find_a_tip_force() {
+    let model = rod(&upright(), 8);
+    let force = Vector3::new(0.6, -0.8, 0.0);
+    let disturbance = Disturbance {
+        tip: Wrench {
+            force,
+            moment: Vector3::zeros(),
+        },
+        ..Disturbance::NONE
+    };
+    let settings = ObserverSettings {
+        integral_time: Some(0.5),
+        ..ObserverSettings::of(&model)
+    };
+    let start = at_rest(&model);
+    let mut observer = BoundaryObserver::new(&model, 0.0, &start, &settings).unwrap();
+    let mut truth = Truth::new(&model, start, disturbance);
+    let sensor = SensorSettings {
+        places: vec![1.0],
+        ..SensorPreset::Mocap.settings(&model)
+    };
+    let mut sensor = Sensor::new(&sensor, &model).unwrap();
+    let mut measurement = Measurement::default();
+    let mut mean = Vector3::zeros();
+    for k in 0..1000 {
+        let act = no_command(k as f64 * PERIOD, (k + 1) as f64 * PERIOD);
+        truth.advance(&act, act.end);
+        observer.advance(&act, act.end).unwrap();
+        sensor
+            .measure(act.end, &truth.state, &mut measurement)
+            .unwrap();
+        observer.correct(&measurement).unwrap();
+        if k >= 800 {
+            mean += observer.estimate().disturbance.tip.force / 200.0;
+        }
+    }
+    assert!((mean - force).norm() < 0.1, "{mean}");
+}
+
+/// Two of every estimator of an arm, new, the last one on nodes of its own.
+fn estimators(arm: &Arm, model: &Rod) -> [[Box<dyn Estimator>; 2]; 3] {
+    let state = at_rest(model);
+    let kalman = || -> Box<dyn Estimator> {
+        let settings = all_disturbances(model);
+        Box::new(KalmanFilter::new(model, 0.0, &state, &settings).unwrap())
+    };
+    let observer = || -> Box<dyn Estimator> {
+        let settings = ObserverSettings {
+            integral_time: Some(0.5),
+            ..ObserverSettings::of(model)
+        };
+        Box::new(BoundaryObserver::new(model, 0.0, &state, &settings).unwrap())
+    };
+    let regridded = || -> Box<dyn Estimator> {
+        let own = rod(arm, model.n_elements().div_ceil(2));
+        let start = Transfer::new(model, &own).state(&state);
+        let filter = KalmanFilter::new(&own, 0.0, &start, &all_disturbances(&own));
+        Box::new(Regridded::new(model, &own, Box::new(filter.unwrap())))
+    };
+    [
+        [kalman(), kalman()],
+        [observer(), observer()],
+        [regridded(), regridded()],
+    ]
+}
+
+/// A filter that is shown on nodes that are its own gives the same estimates, whatever the command acts on.
+#[test]
+fn the_same_nodes_change_nothing() {
+    let model = rod(&hanging(), 5);
+    let start = at_rest(&model);
+    let filter = || {
+        let settings = all_disturbances(&model);
+        KalmanFilter::new(&model, 0.0, &start, &settings).unwrap()
+    };
+    let mut direct = filter();
+    let mut shown = Regridded::new(&model, &model, Box::new(filter()));
+    let mut truth = Truth::new(&model, start.clone(), Disturbance::NONE);
+    let mut sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), &model).unwrap();
+    let mut measurement = Measurement::default();
+    for k in 0..10 {
+        let mut act = command(&model, k as f64 * PERIOD, PERIOD);
+        act.nodes.push(2);
+        act.from.push(Wrench {
+            force: Vector3::new(0.02, 0.01, 0.0),
+            moment: Vector3::new(0.0, 0.003, 0.001),
+        });
+        act.to.push(Wrench::default());
+        truth.advance(&act, act.end);
+        (sensor.measure(act.end, &truth.state, &mut measurement)).unwrap();
+        for estimator in [&mut direct as &mut dyn Estimator, &mut shown] {
+            estimator.advance(&act, act.end).unwrap();
+            estimator.correct(&measurement).unwrap();
+        }
+    }
+    let (a, b) = (direct.estimate(), shown.estimate());
+    assert!(distance(&model, &a.state, &b.state) < 1e-12);
+    assert_eq!(
+        (a.time, a.disturbance, a.deviation),
+        (b.time, b.disturbance, b.deviation)
+    );
+    assert!(distance(&model, &start, &b.state) > 1e-3);
+}
+
+/// What is refused leaves no trace: after measurements that are no numbers, no rotations, of no place, too old or too new, and after commands that
+/// are none or that blow the arm up, an estimator goes on as one that has not seen them, to the bit; and so does one that is restarted.
+#[test]
+fn what_is_refused_leaves_no_trace() {
+    let arm = hanging();
+    let model = rod(&arm, 5);
+    for (kind, [mut tried, mut fresh]) in estimators(&arm, &model).into_iter().enumerate() {
+        let mut truth = Truth::new(&model, at_rest(&model), Disturbance::NONE);
+        let mut sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), &model).unwrap();
+        let mut measurement = Measurement::default();
+        for k in 0..8 {
+            let act = command(&model, k as f64 * PERIOD, PERIOD);
+            truth.advance(&act, act.end);
+            let broken_force = Command {
+                to: vec![Wrench::from_array([f64::NAN; 6])],
+                ..act.clone()
+            };
+            let no_node = Command {
+                nodes: vec![77],
+                ..act.clone()
+            };
+            let at_once = Command {
+                end: act.start,
+                ..act.clone()
+            };
+            let violent = Command {
+                to: vec![Wrench::from_array([1e6; 6])],
+                ..act.clone()
+            };
+            let error = tried.advance(&broken_force, act.end).unwrap_err();
+            assert!(matches!(error, EstimateError::NotFinite { .. }), "{error}");
+            let error = tried.advance(&no_node, act.end).unwrap_err();
+            assert!(matches!(error, EstimateError::Node { .. }), "{error}");
+            let error = tried.advance(&at_once, act.end).unwrap_err();
+            assert!(matches!(error, EstimateError::Span { .. }), "{error}");
+            let error = tried.advance(&violent, act.end).unwrap_err();
+            assert!(matches!(error, EstimateError::Motion(_)), "{error}");
+            let error = tried.advance(&act, act.start - PERIOD).unwrap_err();
+            assert!(matches!(error, EstimateError::Ahead { .. }), "{error}");
+            for estimator in [&mut tried, &mut fresh] {
+                estimator.advance(&act, act.end).unwrap();
+            }
+            sensor
+                .measure(act.end, &truth.state, &mut measurement)
+                .unwrap();
+            type Spoil = fn(&mut Measurement);
+            type Expected = fn(&EstimateError) -> bool;
+            let spoils: [(Spoil, Expected); 8] = [
+                (
+                    |m| m.signals[2].reading = Reading::Position(Vector3::repeat(f64::NAN)),
+                    |e| matches!(e, EstimateError::NotFinite { .. }),
+                ),
+                (
+                    |m| m.time = f64::NAN,
+                    |e| matches!(e, EstimateError::NotFinite { .. }),
+                ),
+                (
+                    |m| m.signals[1].reading = Reading::Rotation(2.0 * exp(&Vector3::zeros())),
+                    |e| matches!(e, EstimateError::Signal { index: 1, .. }),
+                ),
+                (
+                    |m| m.signals[0].place = 1.5,
+                    |e| {
+                        matches!(
+                            e,
+                            EstimateError::Signal {
+                                index: 0,
+                                name: "place",
+                                ..
+                            }
+                        )
+                    },
+                ),
+                (
+                    |m| m.signals[5].sigma = -1.0,
+                    |e| {
+                        matches!(
+                            e,
+                            EstimateError::Signal {
+                                index: 5,
+                                name: "sigma",
+                                ..
+                            }
+                        )
+                    },
+                ),
+                (
+                    |m| m.signals[0].sigma = f64::INFINITY,
+                    |e| {
+                        matches!(
+                            e,
+                            EstimateError::Signal {
+                                index: 0,
+                                name: "sigma",
+                                ..
+                            }
+                        )
+                    },
+                ),
+                (
+                    |m| m.time -= 0.005,
+                    |e| matches!(e, EstimateError::Late { .. }),
+                ),
+                (
+                    |m| m.time += 0.005,
+                    |e| matches!(e, EstimateError::Ahead { .. }),
+                ),
+            ];
+            for (spoil, expected) in spoils {
+                let mut spoilt = measurement.clone();
+                spoil(&mut spoilt);
+                let error = tried.correct(&spoilt).unwrap_err();
+                assert!(expected(&error), "{error}");
+            }
+            let both = [&mut tried, &mut fresh].map(|e| e.correct(&measurement).unwrap());
+            assert_eq!(both[0], both[1]);
+            assert_eq!(tried.estimate(), fresh.estimate());
+        }
+        tried.restart(0.0, &at_rest(&model)).unwrap();
+        assert!(tried.restart(f64::NAN, &at_rest(&model)).is_err());
+        let other = at_rest(&rod(&hanging(), 4));
+        assert!(matches!(
+            tried.restart(0.0, &other),
+            Err(MpcError::Measurement { .. })
+        ));
+        let [mut new, _] = estimators(&arm, &model).into_iter().nth(kind).unwrap();
+        for estimator in [&mut tried, &mut new] {
+            let act = command(&model, 0.0, PERIOD);
+            estimator.advance(&act, PERIOD).unwrap();
+            measurement.time = PERIOD;
+            estimator.correct(&measurement).unwrap();
+        }
+        assert_eq!(tried.estimate(), new.estimate());
+    }
+}
+
+/// An observer that sees nothing of the tip says so.
+#[test]
+fn observers_need_the_tip() {
+    let model = rod(&upright(), 3);
+    let start = at_rest(&model);
+    let settings = ObserverSettings::of(&model);
+    let mut observer = BoundaryObserver::new(&model, 0.0, &start, &settings).unwrap();
+    let mut sensor = Sensor::new(&SensorPreset::Fbg.settings(&model), &model).unwrap();
+    let mut measurement = Measurement::default();
+    sensor.measure(0.0, &start, &mut measurement).unwrap();
+    let error = observer.correct(&measurement).unwrap_err();
+    assert!(matches!(error, EstimateError::Unusable { .. }), "{error}");
+}
+
+/// Sensors of different age and rate through an inbox: whatever the order of arrival, an estimate is what the same measurements make in the order
+/// of their time, to the bit; and it lags by the largest age.
+#[test]
+fn ages_do_not_matter() {
+    let arm = upright();
+    let model = rod(&arm, 4);
+    let lag = 0.015;
+    for [mut late, mut direct] in estimators(&arm, &model) {
+        let mut truth = Truth::new(&model, at_rest(&model), Disturbance::NONE);
+        let mut sensors = [SensorPreset::Em, SensorPreset::Imu]
+            .map(|preset| Sensor::new(&preset.settings(&model), &model).unwrap());
+        let mut inbox = Inbox::new(lag);
+        // Arrival and measurement.
+        let mut under_way: Vec<(f64, Measurement)> = Vec::new();
+        let mut all: Vec<Measurement> = Vec::new();
+        let step = 0.005;
+        let commands: Vec<_> = (0..12)
+            .map(|k| command(&model, k as f64 * PERIOD, PERIOD))
+            .collect();
+        let advance = |estimator: &mut dyn Estimator, until: f64| {
+            for act in &commands {
+                let from = estimator.estimate().time;
+                if act.end > from + 1e-9 && act.start < until - 1e-9 {
+                    estimator.advance(act, act.end.min(until)).unwrap();
+                }
+            }
+        };
+        let mut used = Vec::new();
+        for k in 0..=24 {
+            let now = k as f64 * step;
+            if k > 0 {
+                truth.advance(&commands[(k - 1) / 2], now);
+            }
+            for sensor in &mut sensors {
+                if sensor.is_due(now) {
+                    let mut measurement = Measurement::default();
+                    sensor.measure(now, &truth.state, &mut measurement).unwrap();
+                    under_way.push((now + sensor.settings().age_s, measurement.clone()));
+                    all.push(measurement);
+                }
+            }
+            under_way.retain(|(arrival, measurement)| {
+                let is_here = *arrival <= now + 1e-9;
+                if is_here {
+                    inbox.put(measurement);
+                }
+                !is_here
+            });
+            while let Some(measurement) = inbox.take(now) {
+                assert!(measurement.time <= now - lag + 1e-9);
+                advance(late.as_mut(), measurement.time);
+                late.correct(measurement).unwrap();
+                used.push(measurement.time);
+            }
+        }
+        assert!(used.is_sorted() && used.len() > 20);
+        // Those of one instant in the order of arrival: the gyroscope is the faster one.
+        all.sort_by(|a, b| {
+            a.time
+                .total_cmp(&b.time)
+                .then(a.signals.len().cmp(&b.signals.len()))
+        });
+        let imu_first = |m: &Measurement| {
+            m.signals
+                .iter()
+                .any(|s| matches!(s.reading, Reading::Position(_)))
+        };
+        all.sort_by(|a, b| {
+            a.time
+                .total_cmp(&b.time)
+                .then(imu_first(a).cmp(&imu_first(b)))
+        });
+        for measurement in all.iter().filter(|m| m.time <= used[used.len() - 1]) {
+            advance(direct.as_mut(), measurement.time);
+            direct.correct(measurement).unwrap();
+        }
+        assert_eq!(late.estimate(), direct.estimate());
+    }
+}

@@ -1,0 +1,345 @@
+//! What sensors read of a state, and its derivatives.
+
+use crate::estimating;
+
+use estimating::{all_disturbances, at_rest, hanging, moving, rod, scale, unit, upright};
+use nalgebra::Vector3;
+use softarm::mechanics::forms::NODE_COMPONENTS;
+use softarm::mechanics::rotation::log;
+use softarm::mechanics::{DistributedLoad, LoadFrame, Rod, State, StrainRule};
+use softarm::mpc::{
+    Disturbance, KalmanFilter, KalmanSettings, Measurement, MpcError, Reading, Sensor,
+    SensorPreset, SensorSettings, Signal, Transfer,
+};
+use softarm::task::{Arm, Discretization, Place, PointLoad};
+
+/// Exact readings of everything at some places.
+fn everything(rod: &Rod, state: &State) -> Vec<Signal> {
+    let settings = SensorSettings {
+        places: vec![0.0, 0.03, 0.25, 0.41, 0.7, 1.0],
+        position: Some(0.0),
+        rotation: Some(0.0),
+        velocity: Some(0.0),
+        angular_velocity: Some(0.0),
+        curvature: Some(0.0),
+        base_force: Some(0.0),
+        base_moment: Some(0.0),
+        ..SensorSettings::nothing()
+    };
+    let mut out = Measurement::default();
+    let mut sensor = Sensor::new(&settings, rod).unwrap();
+    sensor.measure(0.0, state, &mut out).unwrap();
+    out.signals
+}
+
+/// The change of a reading in three numbers.
+fn change(from: &Reading, to: &Reading) -> Vector3<f64> {
+    match (from, to) {
+        (Reading::Rotation(a), Reading::Rotation(b)) => log(&a.tr_mul(b)),
+        (Reading::Position(a), Reading::Position(b))
+        | (Reading::Velocity(a), Reading::Velocity(b))
+        | (Reading::AngularVelocity(a), Reading::AngularVelocity(b))
+        | (Reading::Curvature(a), Reading::Curvature(b))
+        | (Reading::BaseForce(a), Reading::BaseForce(b))
+        | (Reading::BaseMoment(a), Reading::BaseMoment(b)) => b - a,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// The derivatives of every kind of reading, on nodes, between them and at both ends, are those of central differences, of both strain
+/// rules, with and without internal damping, along every component of the state and along the disturbances that the clamp feels.
+#[test]
+fn derivatives_of_readings_are_derivatives() {
+    const STEP: f64 = 1e-5;
+    for (strain_rule, internal_damping) in [
+        (StrainRule::Helical, 0.0),
+        (StrainRule::Helical, 0.02),
+        (StrainRule::Trapezoidal, 0.0),
+        (StrainRule::Trapezoidal, 0.02),
+    ] {
+        let arm = Arm {
+            internal_damping,
+            rest_curvature: Vector3::new(0.5, -0.3, 0.2),
+            ..hanging()
+        };
+        let model = arm
+            .rod(&Discretization {
+                strain_rule,
+                ..Discretization::with_elements(4)
+            })
+            .unwrap();
+        for seed in 0..3 {
+            let state = moving(&model, seed);
+            let settings = KalmanSettings {
+                longest_step: 1e-4,
+                ..all_disturbances(&model)
+            };
+            let mut filter = KalmanFilter::new(&model, 0.0, &state, &settings).unwrap();
+            let signals = everything(&model, &state);
+            let found: Vec<_> = (signals.iter())
+                .map(|signal| filter.derivative(signal.place, signal.reading).unwrap())
+                .collect();
+            let n_state = NODE_COMPONENTS * 4;
+            let n = filter.covariance().nrows();
+            let compare = |component: usize, slopes: Vec<Vector3<f64>>, unit: f64| {
+                for ((signal, found), slope) in signals.iter().zip(&found).zip(&slopes) {
+                    let own = Vector3::from_fn(|axis, _| found[(axis, component)]);
+                    // What a reading of this kind changes by with a unit of anything, at most.
+                    let size = match signal.reading {
+                        Reading::Position(_) => model.elements[0].length,
+                        Reading::Rotation(_) => 1.0,
+                        Reading::Velocity(_) => model.scales.length / model.scales.time,
+                        Reading::AngularVelocity(_) => 1.0 / model.scales.time,
+                        Reading::Curvature(_) => 1.0 / model.elements[0].length,
+                        Reading::BaseForce(_) => model.elements[0].linear_stiffness.max(),
+                        Reading::BaseMoment(_) => {
+                            model.elements[0].linear_stiffness.max() * model.elements[0].length
+                        }
+                    };
+                    let error = (own - slope).norm() * unit / size;
+                    // The second order of the differences, with third derivatives of order one, and rounding over the step.
+                    assert!(
+                        error < 1e-8,
+                        "{strain_rule:?} {internal_damping} {seed} {signal:?} {component}: {own} {slope}"
+                    );
+                }
+            };
+            for component in 0..n_state {
+                let unit_size = scale(&model, component);
+                let [plus, minus] = [1.0, -1.0].map(|sign| {
+                    let tangent = unit(&model, component, sign * STEP * unit_size);
+                    everything(&model, &state.retract(&tangent))
+                });
+                let slopes = (plus.iter().zip(&minus))
+                    .map(|(plus, minus)| {
+                        change(&minus.reading, &plus.reading) / (2.0 * STEP * unit_size)
+                    })
+                    .collect();
+                compare(component, slopes, unit_size);
+            }
+            // The tip's wrench says nothing at once; what the distributed force and the parameters of the model do, a rod says
+            // that has them.
+            let read = |rod: &Rod| everything(rod, &state);
+            let disturbed = |component: usize, rods: [Rod; 2], step: f64| {
+                let [minus, plus] = rods.map(|rod| read(&rod));
+                let slopes = (plus.iter().zip(&minus))
+                    .map(|(plus, minus)| change(&minus.reading, &plus.reading) / (2.0 * step))
+                    .collect();
+                compare(component, slopes, 1.0);
+            };
+            for component in n_state..n_state + 6 {
+                disturbed(component, [model.clone(), model.clone()], 1.0);
+            }
+            for axis in 0..3 {
+                let loaded = [-1.0, 1.0].map(|sign| {
+                    let load = DistributedLoad {
+                        from: 0.0,
+                        to: 1.0,
+                        force: Vector3::ith(axis, sign),
+                        moment: Vector3::zeros(),
+                        frame: LoadFrame::Spatial,
+                        profile: Vec::new(),
+                    };
+                    let arm = Arm {
+                        distributed_loads: vec![load],
+                        ..arm.clone()
+                    };
+                    arm.rod(&Discretization {
+                        strain_rule,
+                        ..Discretization::with_elements(4)
+                    })
+                    .unwrap()
+                });
+                disturbed(n_state + 6 + axis, loaded, 1.0);
+            }
+            let parameters: [fn(f64) -> Disturbance; 3] = [
+                |change| Disturbance {
+                    stiffness: 1.0 + change,
+                    ..Disturbance::NONE
+                },
+                |change| Disturbance {
+                    payload: change,
+                    ..Disturbance::NONE
+                },
+                |change| Disturbance {
+                    viscous: change,
+                    ..Disturbance::NONE
+                },
+            ];
+            let units = [1.0, model.nodes[model.tip()].mass, 1.0];
+            for (i, (of, unit)) in parameters.into_iter().zip(units).enumerate() {
+                let changed = [-STEP, STEP].map(|change| {
+                    let mut rod = model.clone();
+                    of(change * unit).change_model(&model, &mut rod);
+                    rod
+                });
+                disturbed(n - 3 + i, changed, STEP * unit);
+            }
+        }
+    }
+}
+
+/// What a sensor says of poses and velocities at the nodes of another grid is what a transfer to that grid gives.
+#[test]
+fn sensors_read_what_is_transferred() {
+    let arm = upright();
+    let (plant, model) = (rod(&arm, 9), rod(&arm, 4));
+    let state = moving(&plant, 5);
+    let transferred = Transfer::new(&plant, &model).state(&state);
+    let settings = SensorPreset::State.settings(&model);
+    let mut sensor = Sensor::new(&settings, &plant).unwrap();
+    let mut out = Measurement::default();
+    sensor.measure(0.0, &state, &mut out).unwrap();
+    assert_eq!(out.signals.len(), 4 * 4);
+    for (q, signals) in out.signals.chunks(4).enumerate() {
+        let q = q + 1;
+        let node = &model.nodes[q];
+        let expected = [
+            Reading::Position(transferred.configuration.positions[q]),
+            Reading::Rotation(transferred.configuration.rotations[q]),
+            Reading::Velocity(transferred.linear_momentum[q] / node.mass),
+            Reading::AngularVelocity(transferred.angular_momentum[q].component_div(&node.rotary)),
+        ];
+        for (signal, expected) in signals.iter().zip(&expected) {
+            assert!(
+                change(&signal.reading, expected).norm() < 1e-12,
+                "{q} {signal:?}"
+            );
+        }
+    }
+}
+
+/// An arm that hangs at rest under a force pulls its clamp with its weight and that force, and turns it with their moments about the clamp;
+/// a straight one with no moment. A helix has one curvature at every place.
+#[test]
+fn clamps_feel_the_weight() {
+    let force = Vector3::new(0.3, -0.1, 0.05);
+    let loaded = Arm {
+        loads: vec![PointLoad {
+            at: Place::Tip,
+            force,
+            moment: Vector3::zeros(),
+            frame: LoadFrame::Spatial,
+            profile: Vec::new(),
+        }],
+        ..hanging()
+    };
+    for (arm, force) in [(hanging(), Vector3::zeros()), (loaded, force)] {
+        let plant = rod(&arm, 8);
+        let at = at_rest(&plant).configuration;
+        let moment: Vector3<f64> = (plant.nodes.iter().zip(&at.positions))
+            .map(|(node, x)| x.cross(&(plant.gravity * node.mass)))
+            .sum::<Vector3<f64>>()
+            + at.positions[plant.tip()].cross(&force);
+        let weight = plant.gravity * plant.mass();
+        let mut out = Measurement::default();
+        let settings = SensorSettings {
+            base_force: Some(0.0),
+            base_moment: Some(0.0),
+            ..SensorSettings::nothing()
+        };
+        let mut sensor = Sensor::new(&settings, &plant).unwrap();
+        sensor
+            .measure(0.0, &State::at_rest(at.clone()), &mut out)
+            .unwrap();
+        let (Reading::BaseForce(f), Reading::BaseMoment(m)) =
+            (out.signals[0].reading, out.signals[1].reading)
+        else {
+            panic!("{out:?}");
+        };
+        // The residual of an equilibrium is 1e-9 of the rod's own force.
+        let tolerance = 1e-7 * plant.scales.force;
+        assert!((f - weight - force).norm() < tolerance, "{f} {weight}");
+        let m = at.rotations[0] * m;
+        assert!(
+            (m - moment).norm() < tolerance * plant.scales.length,
+            "{m} {moment}"
+        );
+    }
+    let curvature = Vector3::new(1.0, -0.5, 2.0);
+    let helix = Arm {
+        rest_curvature: curvature,
+        ..upright()
+    };
+    let plant = rod(&helix, 5);
+    let mut sensor = Sensor::new(&SensorPreset::Fbg.settings(&plant), &plant).unwrap();
+    let mut out = Measurement::default();
+    let mut mean = Vector3::zeros();
+    let state = State::at_rest(plant.rest.clone());
+    const N: usize = 200;
+    for k in 0..N {
+        sensor.measure(k as f64, &state, &mut out).unwrap();
+        for signal in &out.signals {
+            let Reading::Curvature(found) = signal.reading else {
+                panic!("{signal:?}");
+            };
+            mean += found / (N * out.signals.len()) as f64;
+        }
+    }
+    let sigma = out.signals[0].sigma / ((N * out.signals.len()) as f64).sqrt();
+    assert!((mean - curvature).norm() < 4.0 * sigma, "{mean}");
+    assert_eq!(out.signals.len(), 12);
+}
+
+/// Sensors measure at the multiples of their period whenever they are asked, the same with the same seed and else not, and refuse settings
+/// out of range.
+#[test]
+fn sensors_keep_time_and_seed() {
+    let plant = rod(&upright(), 3);
+    let state = State::at_rest(plant.rest.clone());
+    let run = |seed: u64| {
+        let settings = SensorSettings {
+            seed,
+            ..SensorPreset::Mocap.settings(&plant)
+        };
+        let mut sensor = Sensor::new(&settings, &plant).unwrap();
+        let mut found = Vec::new();
+        // 200 Hz, asked 300 times a second for half a second.
+        for k in 0..150 {
+            let t = f64::from(k) / 300.0;
+            if sensor.is_due(t) {
+                let mut out = Measurement::default();
+                sensor.measure(t, &state, &mut out).unwrap();
+                assert!(!sensor.is_due(t) && sensor.next_due() > t);
+                found.push(out);
+            }
+        }
+        found
+    };
+    assert_eq!(run(1).len(), 100);
+    assert_eq!(run(1), run(1));
+    assert_ne!(run(1), run(2));
+    let good = SensorPreset::Mocap.settings(&plant);
+    let broken = [
+        SensorSettings {
+            places: vec![1.2],
+            ..good.clone()
+        },
+        SensorSettings {
+            places: Vec::new(),
+            ..good.clone()
+        },
+        SensorSettings {
+            position: Some(f64::NAN),
+            ..good.clone()
+        },
+        SensorSettings {
+            rate_hz: 0.0,
+            ..good.clone()
+        },
+        SensorSettings {
+            age_s: -1.0,
+            ..good.clone()
+        },
+    ];
+    for settings in broken {
+        let error = Sensor::new(&settings, &plant).unwrap_err();
+        assert!(matches!(error, MpcError::Setting { .. }), "{error}");
+    }
+    let error = Sensor::new(&SensorSettings::nothing(), &plant).unwrap_err();
+    assert!(matches!(error, MpcError::Unsupported(_)), "{error}");
+    let other = State::at_rest(rod(&upright(), 4).rest);
+    let mut sensor = Sensor::new(&good, &plant).unwrap();
+    let error = sensor.measure(0.0, &other, &mut Measurement::default());
+    assert!(matches!(error, Err(MpcError::Measurement { .. })));
+}

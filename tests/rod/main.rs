@@ -1,0 +1,15 @@
+//! The rod in motion: laws of its discrete mechanics, closed forms, published motions, and the ends of what it can be asked.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod boundary_conditions;
+mod diagnostics;
+mod discrete_action;
+mod discrete_mechanics;
+mod extremes;
+mod implicit;
+mod lanes;
+mod load_jumps;
+mod paper;
+mod published_dynamics;

@@ -1,0 +1,9 @@
+//! Equilibria of the rod and small vibrations about them, against closed forms and the literature.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod published_frequencies;
+mod published_statics;
+mod statics;
+mod vibration;

@@ -1,0 +1,16 @@
+//! The program: its verbs, their files, exit codes, and how they end.
+
+#[cfg(feature = "cli")]
+#[path = "../tool/mod.rs"]
+mod tool;
+
+mod causes;
+mod cli;
+mod export;
+mod files;
+mod mpc_verb;
+mod outcomes;
+mod report_verb;
+mod stopping;
+mod talking;
+mod tradeoff;
