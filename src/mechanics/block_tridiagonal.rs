@@ -1,11 +1,19 @@
 //! Factorizations of block-tridiagonal matrices with 6×6 blocks, in O(K): Cholesky of symmetric ones, LU of others.
 //!
+//! `L U` with pivots by blocks and their quarters is the recursion `P_i = (A_ii - A_{i,i-1} U_{i-1})⁻¹`, `U_i = P_i A_{i,i+1}`. It stands
+//! here for one matrix ([`BlockTridiagonal::factor`]), and in the linearization of steps that are solved for for one matrix in each lane of
+//! a vector, which writes the factors of consecutive time nodes to the steps as it goes (`sensitivity/solved.rs`); both invert their
+//! pivots here. The steps themselves (`lanes/solved/chain.rs`) have but one matrix at a time, and eliminate it from both ends with the lanes along
+//! the columns of a block, because a recursion from one end would wait for every operation of its own; there, blocks have no quarters.
+//!
 //! Neither faer nor nalgebra has a banded type, and a general sparse LU spends most of its time on the bookkeeping of a
 //! pattern that is known here; the blocks themselves are nalgebra's.
 
 use nalgebra::{Matrix6, Vector6};
+use pulp::{Scalar, Simd};
 
 use super::element::ElementStiffness;
+use super::lanes::vector::Mat3;
 
 /// Lower factor `L` of `A = L Lᵀ`: diagonal blocks and the blocks below them.
 #[derive(Clone, Debug)]
@@ -135,7 +143,12 @@ impl BlockTridiagonal {
                 let fill = self.below[previous] * self.above[previous];
                 self.diagonal[i] -= fill;
             }
-            self.diagonal[i] = inverse(&self.diagonal[i])?;
+            let mut pivot = square_of(&self.diagonal[i]);
+            invert(&mut pivot);
+            self.diagonal[i] = matrix_of(&pivot);
+            if !self.diagonal[i].iter().all(|entry| entry.is_finite()) {
+                return None;
+            }
             if let Some(above) = self.above.get_mut(i) {
                 *above = self.diagonal[i] * *above;
             }
@@ -144,24 +157,52 @@ impl BlockTridiagonal {
     }
 }
 
-/// Of a matrix whose upper left quarter is regular as well, by the quarters; `None` where one of the two pivots is singular.
-fn inverse(matrix: &Matrix6<f64>) -> Option<Matrix6<f64>> {
-    let quarter = |row, column| matrix.fixed_view::<3, 3>(row, column).into_owned();
-    let (right, below) = (quarter(0, 3), quarter(3, 0));
-    let first = quarter(0, 0).try_inverse()?;
-    let (first_right, below_first) = (first * right, below * first);
-    let second = (quarter(3, 3) - below * first_right).try_inverse()?;
-    let corner = -first_right * second;
-    let mut out = Matrix6::zeros();
-    for (row, column, block) in [
-        (0, 0, first - corner * below_first),
-        (0, 3, corner),
-        (3, 0, -second * below_first),
-        (3, 3, second),
-    ] {
-        out.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+/// A 6×6 matrix per lane, over motion and rotation of a node, in quarters.
+pub(super) type Square<S> = [[Mat3<S>; 2]; 2];
+
+/// `-M`, in place.
+#[inline(always)]
+pub(super) fn negate<S: Simd>(m: &mut Square<S>) {
+    for i in 0..2 {
+        for j in 0..2 {
+            m[i][j] = -m[i][j];
+        }
     }
-    Some(out)
+}
+
+/// `A B`
+#[inline(always)]
+pub(super) fn multiply<S: Simd>(a: &Square<S>, b: &Square<S>, out: &mut Square<S>) {
+    for i in 0..2 {
+        for j in 0..2 {
+            out[i][j] = a[i][0].product(b[0][j]) + a[i][1].product(b[1][j]);
+        }
+    }
+}
+
+/// Of a matrix whose upper left quarter is regular as well, by the quarters. Where one of the two pivots is singular it has entries that are no
+/// numbers.
+#[inline(always)]
+pub(super) fn invert<S: Simd>(m: &mut Square<S>) {
+    let first = m[0][0].inverse();
+    let first_right = first.product(m[0][1]);
+    let below_first = m[1][0].product(first);
+    let second = (m[1][1] - m[1][0].product(first_right)).inverse();
+    let corner = -first_right.product(second);
+    m[0][0] = first - corner.product(below_first);
+    m[0][1] = corner;
+    m[1][0] = -second.product(below_first);
+    m[1][1] = second;
+}
+
+fn square_of(matrix: &Matrix6<f64>) -> Square<Scalar> {
+    let quarter = |i: usize, j: usize| matrix.fixed_view::<3, 3>(3 * i, 3 * j).into_owned();
+    [0, 1].map(|i| [0, 1].map(|j| Mat3::of_matrix(&quarter(i, j))))
+}
+
+fn matrix_of(square: &Square<Scalar>) -> Matrix6<f64> {
+    let quarters = square.map(|row| row.map(Mat3::matrix));
+    Matrix6::from_fn(|i, j| quarters[i / 3][j / 3][(i % 3, j % 3)])
 }
 
 /// Factors of a [`BlockTridiagonal`].

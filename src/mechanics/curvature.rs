@@ -28,8 +28,8 @@ use pulp::Scalar;
 use super::configuration::Trajectory;
 use super::element::rule::DIFFERENCE_STEP;
 use super::element::{
-    Displacement, Element, ElementPose, ElementStiffness, Helical, Law, StrainRule, TangentRule,
-    Trapezoidal, blocks_of, nine_by_nine, pose_of_any_turn,
+    Displacement, Elasticity, Element, ElementPose, ElementStiffness, Helical, StrainRule,
+    TangentRule, Trapezoidal, blocks_of, nine_by_nine, pose_of_any_turn,
 };
 use super::implicit::IntervalWeights;
 use super::lanes;
@@ -240,7 +240,7 @@ fn stress_curvature_by<R: TangentRule>(
             covector: [part(0), part(3), part(6)],
         }
     });
-    let law = Law::of::<R>(Scalar, element);
+    let law = Elasticity::of::<R>(Scalar, element);
     let pose = pose_of_any_turn::<R>;
     let StressBlocks { start, cross, end } =
         lanes::curved::stress_curvature::<Scalar, R>(&law, element.length, weights, &ends, pose);

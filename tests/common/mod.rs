@@ -1,6 +1,7 @@
 //! Rods and random states that several tests share.
 #![allow(dead_code)]
 
+pub mod differentiated;
 pub mod extremes;
 pub mod plain;
 pub mod plain_curvature;

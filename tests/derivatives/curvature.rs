@@ -3,6 +3,7 @@
 
 use crate::common;
 
+use common::differentiated::{Moved, energy};
 use common::plain::Plain;
 use common::plain_curvature::lagrangian_curvature;
 use common::{
@@ -15,7 +16,9 @@ use softarm::mechanics::curvature::{
     Multipliers, OwnCurvature, element_curvature, inertia_curvature, load_curvature,
     stress_curvature,
 };
-use softarm::mechanics::element::{Element, ElementPose, ElementStrain};
+use softarm::mechanics::element::{
+    Element, ElementGradient, ElementPose, ElementStrain, IntervalStress,
+};
 use softarm::mechanics::implicit::IntervalWeights;
 use softarm::mechanics::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use softarm::mechanics::rotation::{exp, log, log_tangent, vee};
@@ -94,6 +97,99 @@ fn element_curvature_is_the_second_derivative() {
         }
     }
     assert!(worst < 1e-8, "{worst:e}");
+}
+
+/// Strain derivative, pull of a given stress, gradient and stiffness of an element, by both rules and all laws, are those that automatic
+/// differentiation finds: to a thousand roundings of the largest entry, which are lost where a bend of 1e-4 rad is a difference of rotations.
+#[test]
+fn derivatives_of_an_element_are_those_of_its_energy() {
+    let mut dice = Dice(17);
+    for trial in 0..60 {
+        for (rule, model) in laws() {
+            let (l, bend) = (0.13, [1.2, 2.9, 0.3, 1e-4, 0.0][trial % 5]);
+            let first = Vector3::new(0.1, -0.05, 1.1);
+            let second = Vector3::new(0.05, 0.02, 0.95);
+            let element = Element {
+                model,
+                length: l,
+                linear_stiffness: Vector3::new(2.0, 2.5, 7.0),
+                angular_stiffness: Vector3::new(0.03, 0.02, 0.05),
+                rest: ElementStrain {
+                    linear: match rule {
+                        StrainRule::Helical => [first; 2],
+                        StrainRule::Trapezoidal => [first, second.normalize() * first.norm()],
+                    },
+                    curvature: Vector3::new(0.4, -0.2, 0.6),
+                },
+            };
+            let rotation_a = exp(&dice.vector(1.5));
+            let rotation_b = rotation_a * exp(&(dice.vector(1.0).normalize() * bend));
+            let pose = ElementPose {
+                dx: rotation_a * (Vector3::z() + dice.vector(0.4)) * l,
+                rotation_a: &rotation_a,
+                rotation_b: &rotation_b,
+            };
+            let stress = IntervalStress {
+                linear: match rule {
+                    StrainRule::Helical => [dice.vector(1.0); 2],
+                    StrainRule::Trapezoidal => [dice.vector(1.0), dice.vector(1.0)],
+                },
+                angular: dice.vector(0.05),
+            };
+            let flat = |g: &ElementGradient| {
+                let parts = g.force.iter().chain(&g.moment_a).chain(&g.moment_b);
+                SVector::<f64, 9>::from_iterator(parts.copied())
+            };
+            let (gradient, stiffness) = element.stiffness(rule, &pose);
+            let found = (
+                rule.strain_derivative(l, &pose).1,
+                flat(&element.gradient_under(rule, &pose, &stress)),
+                flat(&gradient),
+                stiffness,
+            );
+            let mut expected = (
+                SMatrix::<f64, 9, 9>::zeros(),
+                SVector::<f64, 9>::zeros(),
+                SVector::<f64, 9>::zeros(),
+                SMatrix::<f64, 9, 9>::zeros(),
+            );
+            for i in 0..9 {
+                for j in 0..9 {
+                    let moved = Moved::along(&pose, i, j);
+                    let strains = moved.strains(rule, l);
+                    let energy = energy(&element, &strains);
+                    expected.3[(i, j)] = energy.eps1eps2;
+                    expected.2[i] = energy.eps1;
+                    for (row, strain) in strains.as_flattened().iter().enumerate() {
+                        expected.0[(row, i)] = strain.eps1;
+                    }
+                }
+                let along = |part: usize| -> Vector3<f64> {
+                    expected.0.fixed_view::<3, 1>(3 * part, i).into()
+                };
+                let work = [0, 1].map(|end| 0.5 * stress.linear[end].dot(&along(end)));
+                expected.1[i] = l * (work[0] + work[1] + stress.angular.dot(&along(2)));
+            }
+            let case = format!("{rule:?} {model:?} {bend}");
+            // Near half a turn the cosine that the trapezoidal rule divides by has few digits.
+            let tolerance = if bend > 2.0 { 1e-10 } else { 1e-12 };
+            let close = |error: f64, size: f64, what: &str| {
+                assert!(
+                    error < tolerance * size,
+                    "{case} {what}: {:e}",
+                    error / size
+                );
+            };
+            close((found.0 - expected.0).amax(), expected.0.amax(), "strain");
+            close((found.1 - expected.1).amax(), expected.1.amax(), "pull");
+            close((found.2 - expected.2).amax(), expected.2.amax(), "gradient");
+            close(
+                (found.3 - expected.3).amax(),
+                expected.3.amax(),
+                "stiffness",
+            );
+        }
+    }
 }
 
 /// Random poses at both ends of an interval, random covectors and directions, weights of implicit steps and of damping, both

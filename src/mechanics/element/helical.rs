@@ -9,7 +9,7 @@
 
 use pulp::Simd;
 
-use super::rule::{Blocks, Helical, Law, Stress, TangentRule};
+use super::rule::{Blocks, Elasticity, Helical, Stress, TangentRule};
 use crate::mechanics::lanes::logarithm::{Logarithm, logarithm};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
 
@@ -135,12 +135,12 @@ impl TangentRule for Helical {
 
     #[inline(always)]
     fn stiffness_under<S: Simd>(
-        law: &Law<S>,
+        law: &Elasticity<S>,
         pose: &HelicalPose<S>,
         stress: &Stress<S>,
     ) -> Blocks<S> {
         let HelicalPose { r, log, y, s, g } = *pose;
-        let Law { c1, c2, .. } = *law;
+        let Elasticity { c1, c2, .. } = *law;
         let n = stress.linear[0];
         let mu = stress.angular + g.apply_transposed(n);
         let w = s.apply_transposed(n);
@@ -170,7 +170,11 @@ impl TangentRule for Helical {
     }
 
     #[inline(always)]
-    fn coupling<S: Simd>(law: &Law<S>, start: &HelicalPose<S>, end: &HelicalPose<S>) -> Blocks<S> {
+    fn coupling<S: Simd>(
+        law: &Elasticity<S>,
+        start: &HelicalPose<S>,
+        end: &HelicalPose<S>,
+    ) -> Blocks<S> {
         let simd = law.c1.x.simd;
         let (left, right) = (start.linear_derivative(), end.linear_derivative());
         let mut x = [[Mat3::zero(simd); 3]; 3];

@@ -14,8 +14,10 @@
 //! of `dilatation` is no gradient as soon as there is shear or curvature: its energy wanders.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
+use pulp::{Scalar, Simd};
 
 use super::{Element, ElementStrain};
+use crate::mechanics::lanes::vector::Lanes;
 
 /// The law by which axial stretch enters stiffness and inertia.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -69,37 +71,33 @@ impl RodModel {
 }
 
 /// Factors of the dilatation on stress, and derivatives of the energy density through it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Thinning {
+#[derive(Clone, Copy)]
+pub(crate) struct Thinning<S: Simd> {
     /// `1/e`
-    pub linear: f64,
+    pub linear: Lanes<S>,
     /// `1/e³`
-    pub angular: f64,
-    /// `w = ∂u/∂e`, N; zero at frozen dilatation.
-    pub slope: f64,
-    /// `∂²u/∂e²`, N; zero at frozen dilatation.
-    pub bend: f64,
+    pub angular: Lanes<S>,
+    /// `w = ∂u/∂e`, N.
+    pub slope: Lanes<S>,
+    /// `∂²u/∂e²`, N.
+    pub bend: Lanes<S>,
 }
 
-impl Thinning {
-    /// At dilatation `e`, with the linear and angular energy densities at `e = 1` (J/m) and `EA` (N).
-    #[inline]
-    pub fn at(model: RodModel, e: f64, linear: f64, angular: f64, axial: f64) -> Self {
-        let inverse = 1.0 / e;
+impl<S: Simd> Thinning<S> {
+    /// At dilatation `e`, given as `1/e`, with the linear and angular energy densities at `e = 1` (J/m) and `EA` (N).
+    #[inline(always)]
+    pub fn at(inverse: Lanes<S>, linear: Lanes<S>, angular: Lanes<S>, axial: Lanes<S>) -> Self {
         let square = inverse * inverse;
-        let mut out = Self {
+        let angular = angular * 3.0;
+        // φ' = ½ (1 - 1/e)², φ'' = (1 - 1/e)/e²
+        let stretch = -inverse + 1.0;
+        let twice = linear * 2.0 + angular * square * 4.0;
+        Self {
             linear: inverse,
             angular: square * inverse,
-            slope: 0.0,
-            bend: 0.0,
-        };
-        if model == RodModel::Consistent {
-            let u = e - 1.0;
-            // φ' = (e - 1)²/(2e²), φ'' = (e - 1)/e³
-            out.slope = square * (0.5 * axial * u * u - linear - 3.0 * angular * square);
-            out.bend = square * inverse * (axial * u + 2.0 * linear + 12.0 * angular * square);
+            slope: axial * 0.5 * (stretch * stretch) - square * (linear + angular * square),
+            bend: square * (axial * stretch + inverse * twice),
         }
-        out
     }
 }
 
@@ -114,7 +112,7 @@ pub(super) struct Stressed {
 
 /// The quantities that the stiffness of a section that thins needs.
 struct Thinned {
-    thinning: Thinning,
+    thinning: Thinning<Scalar>,
     /// `C₁ ε` at both ends and `C₂ κ`.
     unthinned: [Vector3<f64>; 3],
     /// `∂e/∂v` of both ends: each has half of the dilatation.
@@ -172,22 +170,27 @@ impl Element {
             };
         }
         let nu = self.rest_stretch();
-        let thinning = Thinning::at(
-            self.model,
-            strain.linear[0].norm() / nu,
-            0.25 * (a.dot(&n_a) + b.dot(&n_b)),
-            0.5 * kappa.dot(&m),
-            self.axial(),
+        let of = |value: f64| Lanes::splat(Scalar, value);
+        let mut thinning = Thinning::at(
+            of(nu / strain.linear[0].norm()),
+            of(0.25 * (a.dot(&n_a) + b.dot(&n_b))),
+            of(0.5 * kappa.dot(&m)),
+            of(self.axial()),
         );
+        if self.model == RodModel::Dilatation {
+            // At frozen dilatation.
+            (thinning.slope, thinning.bend) = (of(0.0), of(0.0));
+        }
+        let [inverse, slope] = [thinning.linear, thinning.slope].map(|factor| factor.value);
         let along = strain.linear.map(|v| v / (2.0 * v.norm() * nu));
         let bend = strain.linear.map(|v| {
             let (length, way) = (v.norm(), v.normalize());
             (Matrix3::identity() - way * way.transpose()) / (2.0 * length * nu)
         });
-        let linear = [n_a * thinning.linear, n_b * thinning.linear];
+        let linear = [n_a * inverse, n_b * inverse];
         Stressed {
-            linear: [0, 1].map(|end| linear[end] + along[end] * (2.0 * thinning.slope)),
-            angular: m * thinning.angular,
+            linear: [0, 1].map(|end| linear[end] + along[end] * (2.0 * slope)),
+            angular: m * thinning.angular.value,
             thinned: Some(Thinned {
                 thinning,
                 unthinned: [n_a, n_b, m],
@@ -207,12 +210,19 @@ impl Element {
             bend,
         } = stress.thinned.as_ref()?;
         let l = self.length;
-        let rate = thinning.linear * thinning.linear;
+        let [inverse, cube, slope, curve] = [
+            thinning.linear,
+            thinning.angular,
+            thinning.slope,
+            thinning.bend,
+        ]
+        .map(|factor| factor.value);
+        let rate = inverse * inverse;
         // Of the stresses, times the weights of the ends, along the dilatation.
         let changes = [
             n_a * (-0.5 * rate),
             n_b * (-0.5 * rate),
-            m * (-3.0 * thinning.angular * thinning.linear),
+            m * (-3.0 * cube * inverse),
         ];
         let mut out = SMatrix::<f64, 9, 9>::zeros();
         let mut add = |i: usize, j: usize, block: Matrix3<f64>| {
@@ -220,8 +230,8 @@ impl Element {
             part += block * l;
         };
         for end in 0..2 {
-            let own = Matrix3::from_diagonal(&(self.linear_stiffness * (0.5 * thinning.linear)));
-            add(end, end, own + bend[end] * thinning.slope);
+            let own = Matrix3::from_diagonal(&(self.linear_stiffness * (0.5 * inverse)));
+            add(end, end, own + bend[end] * slope);
             for (i, change) in changes.iter().enumerate() {
                 add(i, end, change * along[end].transpose());
                 if self.model.has_potential() {
@@ -229,14 +239,10 @@ impl Element {
                 }
             }
             for other in 0..2 {
-                add(
-                    end,
-                    other,
-                    along[end] * along[other].transpose() * thinning.bend,
-                );
+                add(end, other, along[end] * along[other].transpose() * curve);
             }
         }
-        let own = self.angular_stiffness * thinning.angular;
+        let own = self.angular_stiffness * cube;
         add(2, 2, Matrix3::from_diagonal(&own));
         Some(out)
     }

@@ -27,7 +27,10 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use pulp::Scalar;
 
 pub use self::law::RodModel;
-pub(crate) use self::rule::{Blocks, Displacement, Helical, Law, Stress, TangentRule, Trapezoidal};
+pub(crate) use self::law::Thinning;
+pub(crate) use self::rule::{
+    Blocks, Displacement, Elasticity, Helical, Stress, TangentRule, Trapezoidal,
+};
 use crate::mechanics::lanes::logarithm::Logarithm;
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
 use crate::mechanics::rotation::{self, InverseTangentCoefficients, log_tangent};
@@ -268,7 +271,7 @@ impl Element {
         let at = posed::<R>(pose);
         let stress = self.stress_of(&strain_of::<R>(self.length, &at));
         let scaled = scaled::<R>(&stress.linear, &stress.angular);
-        let law = Law::of::<R>(Scalar, self);
+        let law = Elasticity::of::<R>(Scalar, self);
         let stiffness = match self.stress_tangent(&stress) {
             None => nine_by_nine(&R::stiffness_under(&law, &at, &scaled)),
             Some(tangent) => {
@@ -350,7 +353,7 @@ impl Element {
         stress: &IntervalStress,
         factor: f64,
     ) -> ElementStiffness {
-        let law = Law::of::<R>(Scalar, self).times(Lanes::splat(Scalar, factor));
+        let law = Elasticity::of::<R>(Scalar, self).times(Lanes::splat(Scalar, factor));
         let scaled = scaled::<R>(&stress.linear, &stress.angular);
         nine_by_nine(&R::stiffness_under(&law, &posed::<R>(pose), &scaled))
     }

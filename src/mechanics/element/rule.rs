@@ -52,13 +52,13 @@ impl<S: Simd> Stress<S> {
 
 /// Stress per strain times the length, and the strain at rest times the length.
 #[derive(Clone, Copy)]
-pub struct Law<S: Simd> {
+pub struct Elasticity<S: Simd> {
     pub c1: Vec3<S>,
     pub c2: Vec3<S>,
     pub rest: Stress<S>,
 }
 
-impl<S: Simd> Law<S> {
+impl<S: Simd> Elasticity<S> {
     #[inline(always)]
     pub fn of<R: TangentRule>(simd: S, element: &Element) -> Self {
         let l = element.length;
@@ -128,13 +128,17 @@ pub trait TangentRule {
 
     /// Returns the derivative of the pull along `(δdx, η_a, η_b)` if the stress changes with the stiffness of a law.
     fn stiffness_under<S: Simd>(
-        law: &Law<S>,
+        law: &Elasticity<S>,
         pose: &Self::Pose<S>,
         stress: &Stress<S>,
     ) -> Blocks<S>;
 
     /// Returns `B_startᵀ C B_end`, the derivative of the pull at one instant along the pose at another.
-    fn coupling<S: Simd>(law: &Law<S>, start: &Self::Pose<S>, end: &Self::Pose<S>) -> Blocks<S>;
+    fn coupling<S: Simd>(
+        law: &Elasticity<S>,
+        start: &Self::Pose<S>,
+        end: &Self::Pose<S>,
+    ) -> Blocks<S>;
 
     /// Returns the gradient `(F, M_a, M_b)` of an element's energy in a pose.
     #[inline(always)]
@@ -142,7 +146,10 @@ pub trait TangentRule {
     where
         Self: Sized,
     {
-        let (pose, law) = (Self::pose(dx, a, b), Law::of::<Self>(dx.x.simd, element));
+        let (pose, law) = (
+            Self::pose(dx, a, b),
+            Elasticity::of::<Self>(dx.x.simd, element),
+        );
         Self::pull(&pose, &law.stress(Self::strain(&pose).minus(law.rest)))
     }
 
@@ -152,7 +159,10 @@ pub trait TangentRule {
     where
         Self: Sized,
     {
-        let (pose, law) = (Self::pose(dx, a, b), Law::of::<Self>(dx.x.simd, element));
+        let (pose, law) = (
+            Self::pose(dx, a, b),
+            Elasticity::of::<Self>(dx.x.simd, element),
+        );
         let stress = law.stress(Self::strain(&pose).minus(law.rest));
         Self::stiffness_under(&law, &pose, &stress)
     }

@@ -9,7 +9,7 @@
 
 use pulp::Simd;
 
-use super::rule::{Blocks, Law, Stress, TangentRule, Trapezoidal};
+use super::rule::{Blocks, Elasticity, Stress, TangentRule, Trapezoidal};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
 
 /// The data of a pose that the trapezoidal rule uses.
@@ -104,12 +104,12 @@ impl TangentRule for Trapezoidal {
 
     #[inline(always)]
     fn stiffness_under<S: Simd>(
-        law: &Law<S>,
+        law: &Elasticity<S>,
         pose: &TrapezoidalPose<S>,
         stress: &Stress<S>,
     ) -> Blocks<S> {
         let simd = law.c1.x.simd;
-        let Law { c1, c2, .. } = *law;
+        let Elasticity { c1, c2, .. } = *law;
         let TrapezoidalPose {
             rotations,
             v,
@@ -140,7 +140,7 @@ impl TangentRule for Trapezoidal {
     /// `l δv_i = R_iᵀ δdx + v̂_i η_i`, `δψ = P η_b - Pᵀ η_a`.
     #[inline(always)]
     fn coupling<S: Simd>(
-        law: &Law<S>,
+        law: &Elasticity<S>,
         start: &TrapezoidalPose<S>,
         end: &TrapezoidalPose<S>,
     ) -> Blocks<S> {

@@ -1,6 +1,6 @@
 //! Constants of nodes and elements, in blocks.
 
-use super::element::{Consistent, Law, Standard};
+use super::element::{Consistent, SectionLaw, Standard};
 use super::place::{Place, Slots};
 use super::rule::Rule;
 use super::sweep::{GYRATION, MOBILITY, NODE_ROWS, WEIGHT};

@@ -5,7 +5,7 @@
 use pulp::Simd;
 
 use super::vector::{Lanes, Mat3, Vec3};
-use crate::mechanics::element::{Blocks, Displacement, Law, Stress, TangentRule};
+use crate::mechanics::element::{Blocks, Displacement, Elasticity, Stress, TangentRule};
 use crate::mechanics::implicit::IntervalWeights;
 
 /// An element at one end of an interval, and the constant components `(dx; body a; body b)` along which its pull is taken.
@@ -96,7 +96,13 @@ impl<S: Simd, R: TangentRule> Bent<S, R> {
 
     /// Returns the second derivative with both directions at this end, whose strain has the given weight in the stress.
     #[inline(always)]
-    fn own(&self, law: &Law<S>, stress: &Stress<S>, along: &Stress<S>, weight: f64) -> Blocks<S> {
+    fn own(
+        &self,
+        law: &Elasticity<S>,
+        stress: &Stress<S>,
+        along: &Stress<S>,
+        weight: f64,
+    ) -> Blocks<S> {
         let weight = Lanes::splat(law.c1.x.simd, weight);
         let slack = law.times(Lanes::splat(weight.simd, 0.0));
         let under =
@@ -123,7 +129,7 @@ impl<S: Simd, R: TangentRule> Bent<S, R> {
 /// Returns `Lᵀ C R` of two derivatives of strains.
 #[inline(always)]
 fn coupled<S: Simd, R: TangentRule>(
-    law: &Law<S>,
+    law: &Elasticity<S>,
     left: &Blocks<S>,
     right: &Blocks<S>,
 ) -> Blocks<S> {
@@ -152,7 +158,7 @@ fn coupled<S: Simd, R: TangentRule>(
 /// `d`, and the derivatives of `d` along `w`, which are central differences.
 #[inline(always)]
 pub fn stress_curvature<S: Simd, R: TangentRule>(
-    law: &Law<S>,
+    law: &Elasticity<S>,
     length: f64,
     weights: IntervalWeights,
     ends: &[CurvedEnd<S>; 2],

@@ -3,6 +3,7 @@
 use pulp::Simd;
 
 use super::vector::{Frame, Lanes, Quaternion, Row, Vec3, row};
+use crate::mechanics::element::Thinning;
 use crate::mechanics::rod::Rod;
 
 pub const LINEAR_STIFFNESS: usize = 0;
@@ -17,9 +18,9 @@ pub const STRESS_ROWS: usize = 15;
 const REST_STRETCH: usize = 15;
 /// Factor of `Σ (y - y_rest)·n` that makes it `ε·C₁ε/2`, N.
 const LINEAR_DENSITY: usize = 16;
-/// The same for three times `κ·C₂κ/2`.
+/// The same for `κ·C₂κ/2`.
 const ANGULAR_DENSITY: usize = 17;
-/// `EA |v_rest|²/2`
+/// `EA |v_rest|²`
 const AXIAL: usize = 18;
 /// `1/(l |v_rest|²)`
 const ALONG: usize = 19;
@@ -137,8 +138,8 @@ pub fn fold<S: Simd>(constants: &[Row<S>], w: Lanes<S>) -> Lanes<S> {
     -(w * row(w.simd, constants, LINEAR_STIFFNESS))
 }
 
-/// Stress as a function of strain.
-pub trait Law {
+/// Stress as a function of strain, see [`law`](crate::mechanics::element::RodModel).
+pub trait SectionLaw {
     /// Rows of an element's constants.
     const ROWS: usize;
     /// Whether stiffness and inertia follow the dilatation.
@@ -195,7 +196,7 @@ pub fn proportional<S: Simd, const ENDS: usize>(
     (eps, stiffness.component_mul(kappa))
 }
 
-impl Law for Standard {
+impl SectionLaw for Standard {
     const ROWS: usize = STRESS_ROWS;
     const THINS: bool = false;
     const REACTS: bool = false;
@@ -212,7 +213,7 @@ impl Law for Standard {
     }
 }
 
-impl Law for Dilatation {
+impl SectionLaw for Dilatation {
     const ROWS: usize = THINNING_ROWS;
     const THINS: bool = true;
     const REACTS: bool = false;
@@ -234,7 +235,7 @@ impl Law for Dilatation {
     }
 }
 
-impl Law for Consistent {
+impl SectionLaw for Consistent {
     const ROWS: usize = THINNING_ROWS;
     const THINS: bool = true;
     const REACTS: bool = true;
@@ -250,24 +251,23 @@ impl Law for Consistent {
         let (eps, kappa) = excess(constants, y, psi);
         let (mut n, m) = proportional(constants, eps, kappa);
         let inverse = inverse_stretch * row(simd, constants, REST_STRETCH);
-        let square = inverse * inverse;
         let mut linear = eps[0].dot(n[0]);
         for end in 1..ENDS {
             linear = linear + eps[end].dot(n[end]);
         }
-        let linear = linear * row(simd, constants, LINEAR_DENSITY);
-        let angular = kappa.dot(m) * row(simd, constants, ANGULAR_DENSITY);
-        // ∂u/∂e: (e - 1)/e in the completion is 1 - 1/e.
-        let stretch = -inverse + 1.0;
-        let axial = row(simd, constants, AXIAL) * (stretch * stretch);
-        let slope = axial - square * (linear + angular * square);
-        let along = slope * inverse * row(simd, constants, ALONG);
+        let thinning = Thinning::at(
+            inverse,
+            linear * row(simd, constants, LINEAR_DENSITY),
+            kappa.dot(m) * row(simd, constants, ANGULAR_DENSITY),
+            row(simd, constants, AXIAL),
+        );
+        let along = thinning.slope * inverse * row(simd, constants, ALONG);
         for end in 0..ENDS {
             n[end] = n[end] * inverse;
         }
         // Along the chord or the strain: no matter at which end.
         n[0] = n[0] + y[0] * along;
-        (n, m * (square * inverse))
+        (n, m * thinning.angular)
     }
 }
 
@@ -295,8 +295,8 @@ pub fn constants(
     let stretch = element.rest.linear[0].norm();
     rows[REST_STRETCH] = l * stretch;
     rows[LINEAR_DENSITY] = 0.5 / l;
-    rows[ANGULAR_DENSITY] = 1.5 / (half_turns * l);
-    rows[AXIAL] = 0.5 * element.linear_stiffness.z * stretch * stretch;
+    rows[ANGULAR_DENSITY] = 0.5 / (half_turns * l);
+    rows[AXIAL] = element.linear_stiffness.z * stretch * stretch;
     rows[ALONG] = 1.0 / (l * stretch * stretch);
     rows[REST_CHORD] = rod.rest_chords[q];
     rows[LEAST_DILATATION] = rod.least_dilatation(q, time_step);

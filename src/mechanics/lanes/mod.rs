@@ -24,7 +24,7 @@ use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
 use self::base::HeldBase;
 use self::constants::{Constants, HELD_INERTIA};
-use self::element::{Consistent, Dilatation, Law, Standard};
+use self::element::{Consistent, Dilatation, SectionLaw, Standard};
 use self::place::{BASE, Place, Slots};
 use self::rule::Rule;
 use self::singly::{SingleTurns, wxyz};
@@ -459,7 +459,7 @@ impl<'a> LaneIntegrator<'a> {
         }
     }
 
-    fn advance_with<R: Rule, L: Law>(
+    fn advance_with<R: Rule, L: SectionLaw>(
         &mut self,
         control: [NodeWrenches; 2],
         base: Option<(BaseState, Vector3<f64>)>,

@@ -1,9 +1,16 @@
 //! The strain rules: strains of elements, and what a stress does to their ends; see [`element`](crate::mechanics::element)
 //! for the formulas.
+//!
+//! They are those of [`TangentRule::strain`](crate::mechanics::element::TangentRule::strain) and
+//! [`pull`](crate::mechanics::element::TangentRule::pull) without the matrices `S`, `G` and `P`, which nothing else in an explicit step
+//! needs: strain and pull take 99 multiplications in place of 144 (helical) and 24 in place of 57 (trapezoidal), besides those that turn
+//! vectors between frames, and a step that is solved for keeps 12 numbers of a strain.
 
 use pulp::Simd;
 
-use super::element::{Chord, Gradient, Law, Pose, THINNING_ROWS, constants, fold, inverse_length};
+use super::element::{
+    Chord, Gradient, Pose, SectionLaw, THINNING_ROWS, constants, fold, inverse_length,
+};
 use super::logarithm::{Logarithm, logarithm};
 use super::vector::{Frame, Lanes, Quaternion, Row, Vec3, row};
 use crate::mechanics::element::{Helical, Trapezoidal};
@@ -64,7 +71,7 @@ pub trait Rule {
     fn pull<S: Simd>(strained: &Strained<S>, frames: [&Frame<S>; 2], stress: &Stress<S>)
     -> Pull<S>;
 
-    fn gradient<S: Simd, L: Law>(
+    fn gradient<S: Simd, L: SectionLaw>(
         constants: &[Row<S>],
         a: &Pose<S>,
         b: &Pose<S>,
@@ -152,7 +159,7 @@ impl Rule for Trapezoidal {
     }
 
     #[inline(always)]
-    fn gradient<S: Simd, L: Law>(
+    fn gradient<S: Simd, L: SectionLaw>(
         constants: &[Row<S>],
         a: &Pose<S>,
         b: &Pose<S>,
@@ -256,7 +263,7 @@ impl Rule for Helical {
     }
 
     #[inline(always)]
-    fn gradient<S: Simd, L: Law>(
+    fn gradient<S: Simd, L: SectionLaw>(
         constants: &[Row<S>],
         a: &Pose<S>,
         b: &Pose<S>,

@@ -9,7 +9,7 @@ use std::marker::PhantomData;
 
 use pulp::{Simd, WithSimd};
 
-use super::element::{Chord, Law, Pose};
+use super::element::{Chord, Pose, SectionLaw};
 use super::rule::Rule;
 use super::turn::{Gyration, TURN_LIMIT, Turn};
 use super::vector::{Lanes, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows};
@@ -121,7 +121,7 @@ pub struct Finding {
 /// A limit below one by more than the rounding of a quotient.
 const COMPRESSION_LIMIT: f64 = 1.0 - 1e-12;
 
-impl<R: Rule, L: Law, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
+impl<R: Rule, L: SectionLaw, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
     type Output = Finding;
 
     #[inline(always)]
@@ -192,7 +192,7 @@ struct Work<'a, S: Simd, R, L, T> {
     kind: PhantomData<(R, L)>,
 }
 
-impl<'a, S: Simd, R: Rule, L: Law, T: TurnSingly> Work<'a, S, R, L, T> {
+impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
     #[inline(always)]
     fn node(&self, index: usize) -> &'a [Row<S>; NODE_ROWS] {
         &self.nodes[self.kinds[index][0]]

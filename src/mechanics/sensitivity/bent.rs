@@ -6,7 +6,7 @@ use super::linearize::{Group, MULTIPLIER_ROWS, Reach, store_block};
 use super::solved::element_at;
 use crate::mechanics::curvature::StressCurvature;
 use crate::mechanics::element::ElementStiffness;
-use crate::mechanics::element::{Blocks, Law, TangentRule};
+use crate::mechanics::element::{Blocks, Elasticity, TangentRule};
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::curved::{CurvedEnd, stress_curvature};
 use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS};
@@ -57,7 +57,7 @@ impl Group<'_> {
                 }
             };
             let ends = [end(poses, [12, 6], leaving), end(next, [15, 9], arriving)];
-            let law = Law::of::<R>(simd, element);
+            let law = Elasticity::of::<R>(simd, element);
             let pose = P::pose::<R>;
             let found = stress_curvature::<S, R>(&law, element.length, weights, &ends, pose);
             let parts: [(Blocks<S>, Part); 3] = [

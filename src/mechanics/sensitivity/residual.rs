@@ -10,7 +10,7 @@ use super::solved::{Weights, element_at};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::StrainRule;
-use crate::mechanics::element::{Helical, Law, TangentRule, Trapezoidal};
+use crate::mechanics::element::{Elasticity, Helical, TangentRule, Trapezoidal};
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to};
@@ -311,7 +311,7 @@ impl Group<'_> {
                 let (there, folded_there) = element_at::<S, R, P>(simd, next, q);
                 let (last, folded_last) = element_at::<S, R, P>(simd, before, q);
                 irregular = irregular + folded_here + folded_there + folded_last;
-                let law = Law::of::<R>(simd, element);
+                let law = Elasticity::of::<R>(simd, element);
                 let strain = weights.strain::<R>(&law, &here, &there, &last);
                 let [f, m_a, m_b] = R::pull(&here, &law.stress(strain));
                 force = force + f;

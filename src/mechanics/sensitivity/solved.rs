@@ -16,8 +16,9 @@
 use pulp::Simd;
 
 use super::linearize::{Group, Reach, matrix, scatter, store, store_block};
+use crate::mechanics::block_tridiagonal::{Square, invert, multiply, negate};
 use crate::mechanics::buffer::Buffer;
-use crate::mechanics::element::{Blocks, Law, Stress, TangentRule};
+use crate::mechanics::element::{Blocks, Elasticity, Stress, TangentRule};
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, spin};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
@@ -107,7 +108,7 @@ impl<S: Simd> Weights<S> {
     #[inline(always)]
     pub fn strain<R: TangentRule>(
         &self,
-        law: &Law<S>,
+        law: &Elasticity<S>,
         here: &R::Pose<S>,
         there: &R::Pose<S>,
         last: &R::Pose<S>,
@@ -124,9 +125,6 @@ impl<S: Simd> Weights<S> {
         self.elastic + (self.past - self.after)
     }
 }
-
-/// A 6×6 matrix over motion and rotation, in blocks.
-type Square<S> = [[Mat3<S>; 2]; 2];
 
 impl Group<'_> {
     /// Weights and memory of the time nodes.
@@ -214,7 +212,7 @@ impl Group<'_> {
             let (there, folded_there) = element_at::<S, R, P>(simd, next, q);
             let (last, folded_last) = element_at::<S, R, P>(simd, before, q);
             irregular = irregular + folded_here + folded_there + folded_last;
-            let law = Law::of::<R>(simd, element);
+            let law = Elasticity::of::<R>(simd, element);
             let strain = weights.strain::<R>(&law, &here, &there, &last);
             let scaled = law.times(weights.scale());
             let mut kicked = R::stiffness_under(&scaled, &here, &law.stress(strain));
@@ -384,36 +382,4 @@ fn take_square<S: Simd>(out: &[f64], at: usize, lane: usize, target: &mut [[f64;
     for (target, row) in target.as_flattened_mut().iter_mut().zip(rows) {
         *target = row[lane];
     }
-}
-
-#[inline(always)]
-fn negate<S: Simd>(m: &mut Square<S>) {
-    for i in 0..2 {
-        for j in 0..2 {
-            m[i][j] = -m[i][j];
-        }
-    }
-}
-
-#[inline(always)]
-fn multiply<S: Simd>(a: &Square<S>, b: &Square<S>, out: &mut Square<S>) {
-    for i in 0..2 {
-        for j in 0..2 {
-            out[i][j] = a[i][0].product(b[0][j]) + a[i][1].product(b[1][j]);
-        }
-    }
-}
-
-/// By the quarters, as in the clear factorization.
-#[inline(always)]
-fn invert<S: Simd>(m: &mut Square<S>) {
-    let first = m[0][0].inverse();
-    let first_right = first.product(m[0][1]);
-    let below_first = m[1][0].product(first);
-    let second = (m[1][1] - m[1][0].product(first_right)).inverse();
-    let corner = -first_right.product(second);
-    m[0][0] = first - corner.product(below_first);
-    m[0][1] = corner;
-    m[1][0] = -second.product(below_first);
-    m[1][1] = second;
 }

@@ -1,5 +1,7 @@
 //! The block-tridiagonal equations of a step, factored from both ends of the rod toward its middle: two chains of
-//! operations that do not wait for one another.
+//! operations that do not wait for one another. The lanes of a vector are along the columns of a block, because there is one matrix at a
+//! time; the products with the pivots are kept, because factors serve the right-hand sides of many steps. Where there is a matrix in each
+//! lane, the [plain recursion](crate::mechanics::block_tridiagonal) has enough that does not wait.
 
 /// Components of a node: three of its motion, three of its rotation.
 pub const SIZE: usize = 6;
