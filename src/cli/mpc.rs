@@ -12,6 +12,7 @@ use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::mpc::{Contender, Percentiles, Sample, TipError, TipGains};
 use crate::output::closed_loop::MpcSummary;
+use crate::output::quantity::digits;
 use crate::output::{ResultKind, RunDirectory};
 use crate::scene::{ClosedLoopSetup, Scene};
 use crate::solve::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun};
@@ -114,7 +115,7 @@ fn announce(setup: &ClosedLoopSetup, console: &Console) {
         setup.plant.n_elements(),
         (own.duration / own.mpc.period).round().max(1.0),
         own.mpc.period,
-        own.mpc.horizon,
+        digits(own.mpc.horizon),
         own.mpc.block,
         setup.resolved.sensor.len(),
     ));

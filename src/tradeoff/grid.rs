@@ -308,8 +308,8 @@ pub(super) fn summary(
         error_of_steps: of_steps,
         levels,
         why: format!(
-            "{} elements and steps of {:.4e} s: the estimated error is {error:.1e} of the length, of which elements make {of_elements:.0e} and steps \
-             {of_steps:.0e}; {asked:e} is asked{}",
+            "{} elements and steps of {:.4e} s: the estimated error is {error:.1e} of the length, of which elements make {of_elements:.1e} and steps \
+             {of_steps:.1e}; {asked:e} is asked{}",
             last.grid.elements,
             last.grid.step,
             if met { "" } else { " and not reached" }

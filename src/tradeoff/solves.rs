@@ -153,7 +153,7 @@ fn on_grid<E>(
 
 fn going_on(last: &Estimate, accuracy: f64, next: &OptimalControl) -> String {
     format!(
-        "{} elements and steps of {:.4e} s make an error of about {:.1e} of the length, of which elements make {:.0e} and steps {:.0e}; \
+        "{} elements and steps of {:.4e} s make an error of about {:.1e} of the length, of which elements make {:.1e} and steps {:.1e}; \
          {accuracy:e} is asked, so that the solve goes on with {} elements and steps of {:.4e} s",
         last.grid.elements,
         last.grid.step,

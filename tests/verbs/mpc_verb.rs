@@ -11,7 +11,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use softarm::output::{MotionRecord, read_controls};
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
@@ -326,6 +326,26 @@ fn open_loop_follows_on_its_own_model() {
     assert!((open - own).abs() < 1e-3 && own < 0.02, "{open} and {own}");
     // The arm has a time step of its own.
     assert!((open - regulator).abs() < 1e-3, "{open} and {regulator}");
+}
+
+/// The summary says how fast the limited node of the plant was: on a circle of 0.15 m in 2 s it moves at 0.471 m/s, which a limit without a price of
+/// its own does not change, and its excess over a limit of 0.2 m/s is the rest.
+#[test]
+fn speeds_beyond_a_limit_are_told() {
+    let desk = Desk::new();
+    let limit = "[[limit]]\nspeed_max_m_s = 0.2\nsoft = { linear = 1e-9 }\n";
+    fs::write(desk.path("fast.toml"), format!("{LOOP}{limit}")).unwrap();
+    let run = desk.run(&["mpc", "fast.toml", "--out", "run"]);
+    assert_eq!(run.code, DONE, "{}", run.stderr);
+    let peak = &desk.summary("run")["limits"][0];
+    let speed = 0.2 + peak["excess"].as_f64().unwrap();
+    let on_circle = std::f64::consts::TAU * 0.15 / 2.0;
+    assert!(
+        (0.9..1.5).contains(&(speed / on_circle)),
+        "{speed} {on_circle}"
+    );
+    assert!(peak["at_s"].as_f64() > Some(0.5), "{peak}");
+    assert_eq!((&peak["unit"], &peak["node"]), (&json!("m/s"), &json!(12)));
 }
 
 /// A deadline ends a loop, and so does Ctrl-C: exit code 6, and what ran by then is a complete result.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::control::{Hold, PathLimit, RodView};
-use crate::mechanics::{Energy, Rod, State, TimeGrid, Trajectory, Wrench};
+use crate::mechanics::{Configuration, Energy, Rod, State, TimeGrid, Trajectory, Wrench};
 use crate::mpc::{ClosedLoop, Sample};
 use crate::output::closed_loop::{LimitPeak, MpcSummary, SampleRow, write_samples};
 use crate::output::{
@@ -29,6 +29,8 @@ pub(super) struct LimitWatch {
     limits: Vec<PathLimit>,
     radii: Vec<f64>,
     pub(super) peaks: Vec<LimitPeak>,
+    /// Time (s) and shape of the row before, from which on a speed is a mean.
+    before: Option<(f64, Configuration)>,
 }
 
 impl LimitWatch {
@@ -51,6 +53,7 @@ impl LimitWatch {
             limits,
             radii,
             peaks,
+            before: None,
         }
     }
 
@@ -58,16 +61,26 @@ impl LimitWatch {
         if self.limits.is_empty() {
             return;
         }
-        let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), 1);
+        let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), 2);
+        let mut grid = TimeGrid::instant(t);
+        if let Some((start, shape)) = &self.before {
+            trajectory.push(shape);
+            grid = TimeGrid {
+                start: *start,
+                step: t - start,
+                n_steps: 1,
+            };
+        }
         trajectory.push(&state.configuration);
         let view = RodView {
             rod,
             radii: &self.radii,
             trajectory: &trajectory,
-            grid: TimeGrid::instant(t),
+            grid,
         };
+        self.before = Some((t, state.configuration.clone()));
         for (limit, peak) in self.limits.iter().zip(&mut self.peaks) {
-            let (value, item) = limit.worst(&view, 0);
+            let (value, item) = limit.worst(&view, grid.n_steps);
             let excess = value * limit.scale(rod);
             if excess > peak.excess {
                 peak.excess = excess;
