@@ -1,4 +1,5 @@
-//! Bounds on the coefficients of the plan and on their rates, as rows and sets of the subproblem, and a plan that is strictly within all of them.
+//! Bounds on the coefficients of the plan and on their rates, as rows and sets of the subproblem, and a plan that is strictly within all of
+//! them.
 //!
 //! A rate is measured from the command that acts. A linear course does not jump, so that its first coefficient equals the control that
 //! acts; the first coefficient of a constant course differs from it by at most the rate times a period, as one command differs from the
