@@ -95,8 +95,8 @@ impl BlockTridiagonal {
         }
     }
 
-    /// Adds a matrix over `(x_b - x_a, η_a, η_b)` of element `q` to the rows and columns `(x, η)` of its nodes; block `0` is node
-    /// `first`, and what belongs to nodes before it is left out.
+    /// Adds a matrix over `(x_b - x_a, η_a, η_b)` of element `q` to the rows and columns `(x, η)` of its nodes; block `0` is node `first`,
+    /// and entries of nodes before it are left out.
     pub(crate) fn add_element(&mut self, first: usize, q: usize, k: &ElementStiffness) {
         for (row_end, column_end) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             if q + row_end.min(column_end) < first {
@@ -144,7 +144,8 @@ impl BlockTridiagonal {
     }
 }
 
-/// Of a matrix whose upper left quarter is regular as well, by the quarters; `None` where one of the two pivots is singular.
+/// Returns the inverse of a matrix whose upper left quarter is regular as well, computed by quarters; `None` if one of the two pivots is
+/// singular.
 fn inverse(matrix: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     let quarter = |row, column| matrix.fixed_view::<3, 3>(row, column).into_owned();
     let (right, below) = (quarter(0, 3), quarter(3, 0));

@@ -19,8 +19,8 @@
 //! strain.
 
 //!
-//! `helical.rs` and `trapezoidal.rs` have the formulas of the two rules, for any number of elements at a time, one in each lane of a vector;
-//! the methods of [`Element`] and [`StrainRule`] are the same code with one lane. `law.rs` says what stress follows from a strain.
+//! `helical.rs` and `trapezoidal.rs` have the formulas of the two rules, for any number of elements at a time, one in each lane of a
+//! vector; the methods of [`Element`] and [`StrainRule`] are the same code with one lane. `law.rs` says what stress follows from a strain.
 
 pub(crate) mod helical;
 mod law;
@@ -68,7 +68,8 @@ pub struct ElementStrain {
     pub curvature: Vector3<f64>,
 }
 
-/// Stress of one element over an [interval](super::implicit), conjugate to an [`ElementStrain`]: the energy changes by `l/2 Σ_ends n·δv + l m·δκ`.
+/// Stress of one element over an [interval](super::implicit), conjugate to an [`ElementStrain`]: the energy changes by `l/2 Σ_ends n·δv + l
+/// m·δκ`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntervalStress {
     /// `n` at node a and at node b, body frame, N. Equal under the helical rule.

@@ -17,12 +17,12 @@ pub(super) struct ReverseTile {
     first_form: usize,
     /// Its forms.
     n_used: usize,
-    /// Where the sum of all forms goes backward, in the first place: what it meets.
+    /// Covectors that the backward sweep of the sum of all forms meets; that sum then has the first place of the tile.
     pub sum: Option<AdjointSweep>,
     /// Time node of the last form; later ones do not matter.
     last: usize,
     data: Buffer,
-    /// What the covectors of `ζ` and arriving `π` become, where elements couple the drifts of their ends.
+    /// Covectors of `ζ` and arriving `π` after the drift, if elements couple the drifts of their ends.
     increments: Buffer,
     /// Values on sources and columns, form fastest.
     pub values: Vec<f64>,
@@ -161,7 +161,7 @@ impl ReverseTile {
         }
     }
 
-    /// What the forms say about a deviation of the state at the start, once they are there.
+    /// Adds the values of the forms on a deviation of the state at the start, once the sweep has arrived there.
     fn read_start(&mut self, task: &Task) {
         for (column, sources) in task.sources.iter().enumerate() {
             let Some(start) = &sources.start else {
@@ -523,7 +523,7 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
-    /// What the covectors of the arriving momenta say about `(F, M_a, M_b)` of element `q`.
+    /// Returns the covectors of `(F, M_a, M_b)` of element `q` that follow from those of the arriving momenta.
     #[inline(always)]
     fn arriving_pull<const V: usize>(&self, q: usize) -> [Wide<S, V>; 9] {
         let (a, b) = (self.increment(q, 0), self.increment(q + 1, 0));

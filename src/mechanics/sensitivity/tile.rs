@@ -512,8 +512,8 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
-    /// The drift that is solved for, in all vectors of the tile: one after the other at every node, whose matrices are then at hand. With `u`
-    /// what the step adds to the configuration, `(D + X) u` are the momenta after the kick.
+    /// The drift that is solved for, in all vectors of the tile: one after the other at every node, whose matrices are then at hand. With
+    /// `u` what the step adds to the configuration, `(D + X) u` are the momenta after the kick.
     #[inline(always)]
     fn drift_solved(&mut self, solve: &SolvedDrift) {
         let first = self.step.first_free_node;

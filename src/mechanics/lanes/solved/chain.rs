@@ -1,5 +1,5 @@
-//! The block-tridiagonal equations of a step, factored from both ends of the rod toward its middle: two chains of
-//! operations that do not wait for one another.
+//! The block-tridiagonal equations of a step, factored from both ends of the rod toward its middle: two chains of operations that are
+//! independent of one another.
 
 /// Components of a node: three of its motion, three of its rotation.
 pub const SIZE: usize = 6;
@@ -18,11 +18,11 @@ pub const ZERO: Square = [NONE; SIZE];
 /// Factors of a block-tridiagonal matrix. With `i` on the way to the middle and `j` the next node on it:
 #[derive(Clone, Debug)]
 struct Link {
-    /// `A_ji P_i`: what the right-hand side of `i` takes from that of `j`.
+    /// `A_ji P_i`: factor of the right-hand side of `i` that is subtracted from that of `j`.
     onward: Square,
     /// `P_i`, the inverse of the pivot.
     pivot: Square,
-    /// `P_i A_ij`: what the solution of `j` takes from that of `i`.
+    /// `P_i A_ij`: factor of the solution of `j` that is subtracted from that of `i`.
     back: Square,
 }
 
@@ -55,7 +55,7 @@ impl Chain {
         }
     }
 
-    /// Factors a matrix. A pivot that is singular leaves numbers that are none.
+    /// Factors a matrix. A singular pivot leaves numbers that are not finite.
     #[inline(always)]
     pub fn factor(&mut self, blocks: &impl Blocks) {
         let n = self.links.len();
@@ -73,7 +73,7 @@ impl Chain {
         self.links[middle].pivot = inverse(difference(&pivot, &fills[1]));
     }
 
-    /// Eliminates `i`, with `j` next; what that takes from the diagonal block of `j`.
+    /// Eliminates `i`, with `j` next; returns the block that is subtracted from the diagonal block of `j`.
     #[inline(always)]
     fn link(&mut self, blocks: &impl Blocks, i: usize, j: usize, fill: &Square) -> Square {
         let pivot = inverse(difference(&blocks.diagonal(i), fill));
