@@ -1,4 +1,4 @@
-//! What `report.html` shows, and the page itself.
+//! The content of `report.html`, and the page itself.
 
 #[cfg(feature = "cli")]
 mod comparison;
@@ -23,22 +23,22 @@ use serde_json::Value;
 
 use super::{ControlRow, MotionRecord};
 
-/// What `report.html` shows; sections without data are absent from the page.
+/// The content of `report.html`; sections without data are absent from the page.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportData {
     /// Name of the scene.
     pub title: String,
-    /// What was run.
+    /// The command that made the result.
     pub command: ReportCommand,
     /// The outcome, beside the title.
     pub verdict: ReportVerdict,
-    /// What moved where, with which force, and what became of it: one sentence.
+    /// One sentence on the motion, the forces and the outcome.
     pub lead: String,
     /// Why that can be trusted, or why not: one sentence.
     pub trust: String,
     /// The arm, in pairs of label and value.
     pub arm_facts: Vec<(String, String)>,
-    /// What acts on it, likewise.
+    /// The loads and controls that act, likewise.
     pub acting: Vec<(String, String)>,
     /// The run, likewise.
     pub facts: Vec<(String, String)>,
@@ -48,7 +48,7 @@ pub struct ReportData {
     pub arm: ReportArm,
     /// Its motion, thin enough to draw.
     pub motion: ReportMotion,
-    /// What the times of the motion are.
+    /// Meaning of the times of the motion.
     pub clock: ReportClock,
     /// The target of the tip.
     pub target: Option<ReportTarget>,
@@ -82,7 +82,7 @@ pub struct ReportData {
     pub attempts: Vec<ReportAttempt>,
     /// The signs in the kinds of iterations, with their meanings.
     pub kinds: Vec<(String, String)>,
-    /// What was checked afterwards, with the verdicts.
+    /// The checks that were made afterwards, with the verdicts.
     pub checks: Vec<ReportCheck>,
 }
 
@@ -105,7 +105,7 @@ pub enum ReportCommand {
 pub struct ReportClock {
     /// Its name on axes.
     pub name: &'static str,
-    /// The same after "over".
+    /// Name of the same quantity after the word "over".
     pub words: &'static str,
     /// Its letter.
     pub symbol: &'static str,
@@ -140,13 +140,13 @@ impl ReportClock {
 pub struct ReportVerdict {
     /// As in "certified".
     pub text: String,
-    /// Whether it is good news.
+    /// Tells whether it is good news.
     pub ok: bool,
-    /// Whether it is that of a check, and not only that of a run to its end.
+    /// Tells whether it is the verdict of a check, and not only that of a run to its end.
     pub checked: bool,
 }
 
-/// What the picture of the arm needs beside its motion.
+/// Data for the picture of the arm beside its motion.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportArm {
     /// Radius at each node in meters; empty if the scene has none, and a thin arm is drawn.
@@ -245,7 +245,7 @@ pub struct ReportVia {
     pub position: [f64; 3],
 }
 
-/// Whether an arrow is a force or a moment.
+/// Tells whether an arrow is a force or a moment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArrowKind {
@@ -258,7 +258,7 @@ pub enum ArrowKind {
 /// A force or a moment over the frames of the motion.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportArrow {
-    /// What acts, as in "control".
+    /// Name of the cause, as in "control".
     pub name: String,
     /// Force or moment.
     pub kind: ArrowKind,
@@ -301,7 +301,7 @@ pub struct ReportObstacle {
     pub name: String,
     /// The shape, where it is at t = 0.
     pub shape: ReportShape,
-    /// How it moves, m/s.
+    /// Velocity of the obstacle, m/s.
     pub velocity: [f64; 3],
     /// Distance in meters that should be kept.
     pub margin: f64,
@@ -438,11 +438,11 @@ impl ReportEnergy {
 pub struct ReportChart {
     /// Heading of the section that it is in.
     pub section: String,
-    /// What they show.
+    /// Name of the quantity that is shown.
     pub title: String,
     /// Unit of their values; may be empty.
     pub unit: String,
-    /// What they are over: "time" is the clock of the page.
+    /// Name of the abscissa: "time" is the clock of the page.
     pub x_name: String,
     /// Its unit.
     pub x_unit: String,
@@ -457,15 +457,15 @@ pub struct ReportCurve {
     pub name: String,
     /// Its color, by a name of the page's style sheet.
     pub color: &'static str,
-    /// Where its values are; with `hold` the edges of steps, one more than values.
+    /// Abscissae of its values; with `hold` the edges of steps, one more than values.
     pub x: Vec<f64>,
     /// Its values; what is not finite is a gap.
     pub y: Vec<f64>,
-    /// Whether it consists of steps.
+    /// Tells whether the curve consists of steps.
     pub hold: bool,
     /// Half the width of a band around it, at every value; empty: none.
     pub band: Vec<f64>,
-    /// Whether it is dashed: what should be, beside what is.
+    /// Tells whether the curve is dashed: a reference, beside the actual values.
     pub dashed: bool,
 }
 
@@ -474,11 +474,11 @@ pub struct ReportCurve {
 pub struct ReportBars {
     /// Heading of the section that they are in.
     pub section: String,
-    /// What they show.
+    /// Name of the quantity that is shown.
     pub title: String,
     /// Name, size (at least zero; what is not finite has no bar), and the size in words.
     pub bars: Vec<(String, f64, String)>,
-    /// What has to be known to read them; may be empty.
+    /// Note that a reader needs to read them; may be empty.
     pub note: String,
 }
 
@@ -513,7 +513,7 @@ pub struct ReportAttempt {
     pub iterations: usize,
     /// The end of the solve.
     pub ended: String,
-    /// Whether it is the result.
+    /// Tells whether it is the result.
     pub is_result: bool,
 }
 
@@ -547,7 +547,7 @@ pub struct ReportCheck {
     pub value: String,
     /// The limit, with its unit.
     pub limit: String,
-    /// Whether it passed.
+    /// Tells whether it passed.
     pub ok: bool,
     /// The meaning of the criterion, in a sentence.
     pub meaning: String,
