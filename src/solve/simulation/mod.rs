@@ -33,7 +33,7 @@ pub(crate) enum SimulationError {
     Directory(String),
 }
 
-/// How a run ended.
+/// Outcome of a run.
 pub(crate) enum End {
     Completed,
     Interrupted,

@@ -22,7 +22,8 @@ use crate::solve::causes::causes;
 use crate::solve::page::simulation_page;
 use crate::stop::StopSignal;
 
-/// Steps between two whose energy counts as an extreme; a divisor of [`Stepper::SEAT`], so that a motion that goes on looks at the same ones.
+/// Steps between two whose energy counts as an extreme; a divisor of [`Stepper::SEAT`], so that a motion that goes on looks at the same
+/// ones.
 const ENERGY_EVERY: usize = 8;
 /// At most this much work is lost when the process is killed.
 const CHECKPOINT_PERIOD: Duration = Duration::from_secs(1);
@@ -31,7 +32,7 @@ const CHECKPOINT_PERIOD: Duration = Duration::from_secs(1);
 /// says how far they count.
 pub(super) struct Run<'a> {
     setup: &'a Simulation,
-    /// Where rows and checkpoints go.
+    /// Destination of rows and checkpoints.
     folder: PathBuf,
     pub(super) integrator: Stepper<'a>,
     trajectory: RowFiles,
