@@ -29,7 +29,7 @@ pub(crate) enum ResidualKind {
     Term {
         /// Index of the term in the objective.
         index: usize,
-        /// Which of its values.
+        /// Index of the value within the term.
         item: usize,
     },
     /// Square roots of twice the elastic energy of an element divided by `EI/L`, component by component of its strain; index of the

@@ -138,7 +138,7 @@ impl ReportClock {
 /// The outcome in a few words.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportVerdict {
-    /// As in "certified".
+    /// Verdict in a few words, as in "certified".
     pub text: String,
     /// Tells whether it is good news.
     pub ok: bool,
@@ -190,7 +190,7 @@ fn rounded(value: f64, unit: f64) -> f64 {
 }
 
 impl ReportMotion {
-    /// At most `max_frames` rows of the record (two at least), evenly spread, the first and the last among them.
+    /// Returns at most `max_frames` rows of the record (two at least), evenly spread, the first and the last among them.
     pub fn thinned(record: &MotionRecord, max_frames: usize) -> Self {
         let nodes = record.n_nodes;
         let node_vectors =
@@ -239,7 +239,7 @@ pub struct ReportVia {
     pub name: String,
     /// The node.
     pub node: usize,
-    /// When, in seconds.
+    /// Time, in seconds.
     pub t: f64,
     /// Position in meters.
     pub position: [f64; 3],
@@ -249,9 +249,9 @@ pub struct ReportVia {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArrowKind {
-    /// In newtons.
+    /// A force, in newtons.
     Force,
-    /// In newton meters.
+    /// A moment, in newton meters.
     Moment,
 }
 
@@ -297,7 +297,7 @@ pub struct ReportObstacles {
 /// A body that the arm should stay clear of.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportObstacle {
-    /// As the scene calls it.
+    /// Name in the scene.
     pub name: String,
     /// The shape, where it is at t = 0.
     pub shape: ReportShape,
@@ -361,9 +361,9 @@ pub enum Hold {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Bound {
-    /// On the Euclidean norm.
+    /// A limit on the Euclidean norm.
     Norm(f64),
-    /// On the magnitude of each component.
+    /// A limit on the magnitude of each component.
     Axes([f64; 3]),
 }
 
@@ -372,7 +372,7 @@ pub enum Bound {
 pub struct ReportControls {
     /// The course between the values.
     pub hold: Hold,
-    /// In seconds: the `m + 1` edges of the blocks (constant), or the `m` knots (linear).
+    /// Times in seconds: the `m + 1` edges of the blocks (constant), or the `m` knots (linear).
     pub t: Vec<f64>,
     /// `[m]` forces in newtons, spatial frame.
     pub force: Vec<[f64; 3]>,
@@ -416,7 +416,7 @@ pub struct ReportEnergy {
 }
 
 impl ReportEnergy {
-    /// At most `max_rows` rows of the record (two at least), the first and the last among them.
+    /// Returns at most `max_rows` rows of the record (two at least), the first and the last among them.
     pub fn thinned(record: &MotionRecord, max_rows: usize) -> Self {
         let rows = record.thinned_rows(max_rows);
         let column = |part: usize| -> Vec<f64> {

@@ -143,11 +143,11 @@ pub struct StaticNeedSummary {
 pub struct NearestHeldSummary {
     /// m
     pub position_m: [f64; 3],
-    /// From the target, m.
+    /// Distance from the target, m.
     pub distance_m: f64,
-    /// As in [`StaticNeedSummary`].
+    /// Wrenches, as in [`StaticNeedSummary`].
     pub wrenches: Vec<[f64; 6]>,
-    /// As in [`StaticNeedSummary`].
+    /// Controls, as in [`StaticNeedSummary`].
     pub controls: Vec<Vec<f64>>,
 }
 
@@ -351,7 +351,7 @@ pub struct ClearanceSummary {
     pub obstacle: String,
     /// Least distance between their surfaces, m; negative inside.
     pub least_m: f64,
-    /// When, s.
+    /// Time, s.
     pub at_s: f64,
     /// Place on the arm, as a fraction of its length from the base.
     pub place: f64,
@@ -434,9 +434,9 @@ impl SensitivitySummary {
 #[derive(Clone, Debug, Serialize)]
 #[serde(untagged)]
 pub enum CheckRecord {
-    /// It was made.
+    /// The check was made.
     Made(Value),
-    /// It was not made, or not to its end.
+    /// The check was not made, or not to its end.
     NotChecked {
         /// `not checked`
         verdict: &'static str,
@@ -497,7 +497,7 @@ pub struct StaysSummary {
 pub struct LargestDistance {
     /// m
     pub max: f64,
-    /// When, in s after the task.
+    /// Time, in s after the task.
     pub at_s: f64,
 }
 
@@ -630,7 +630,7 @@ pub struct SolveSummary {
     pub scene: String,
     /// The status of the solver.
     pub status: &'static str,
-    /// In words, where there is more to say.
+    /// Message in words, if there is more to say.
     pub message: Option<String>,
     /// Remarks on the motion if the solve did not converge, or the check rejects it: places, amounts, and changes that may help.
     pub advice: Vec<String>,

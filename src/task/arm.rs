@@ -44,9 +44,9 @@ pub struct Arm {
     pub rest_stretch: f64,
     /// The condition at the base: clamped, driven or free.
     pub base: BaseCondition,
-    /// Position of the base, m; of a driven base, the position from which it moves.
+    /// Position of the base, m; a driven base moves from this position.
     pub base_position: Vector3<f64>,
-    /// Rotation of the base, body to space; the arm leaves it along its third column. Of a driven base, the rotation from which it turns.
+    /// Rotation of the base, body to space; the arm leaves it along its third column. A driven base turns from this rotation.
     pub base_rotation: Matrix3<f64>,
     /// Acceleration of gravity, m/s², spatial frame.
     pub gravity: Vector3<f64>,

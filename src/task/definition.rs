@@ -25,7 +25,7 @@ pub enum Hardness {
 /// Motion of the arm once it is at a target.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Rest {
-    /// It passes.
+    /// The place of the target passes.
     #[default]
     Passing,
     /// The place of the target has neither velocity nor angular velocity for an instant; the rest of the arm may move.

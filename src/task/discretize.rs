@@ -489,8 +489,8 @@ impl Task {
 }
 
 impl Problem {
-    /// The rod with `factor` times the elements, and the state in which it starts. Where the finer rod has no equilibrium, although the
-    /// coarse one had, it starts at rest.
+    /// Returns the rod with `factor` times the elements, and the state in which it starts. If the finer rod has no equilibrium, although
+    /// the coarse one had, it starts at rest.
     ///
     /// # Errors
     /// Those of [`Rod::new`].

@@ -18,7 +18,7 @@ use crate::mechanics::{Actuator, Rod, SharedActuator, StateView, Wrench};
 pub struct DistributedCouple {
     /// Number `n` of points, at least 1.
     pub points: usize,
-    /// Which components act: bending about the first and the second director, and twist.
+    /// Components that act: bending about the first and the second director, and twist.
     pub axes: [bool; 3],
 }
 

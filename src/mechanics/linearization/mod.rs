@@ -100,8 +100,8 @@ impl Motion<'_> {
         1.0 / self.undamped()
     }
 
-    /// `1 - c h/2`: what damping leaves of the momentum of an interval where it ends. Where that is nothing, a rounding of
-    /// it stays, lest the impulses that [arrive](Self::arriving_impulse) with it are lost as well.
+    /// Returns `1 - c h/2`, the factor of damping on the momentum of an interval at its end. If it is zero, the rounding unit is returned,
+    /// so that the impulses that [arrive](Self::arriving_impulse) with that momentum are not lost.
     fn undamped(&self) -> f64 {
         let left = 1.0 - 0.5 * self.rod.viscous_damping * self.grid.step;
         if left == 0.0 { f64::EPSILON } else { left }

@@ -47,9 +47,9 @@ pub(super) struct Along<'a> {
 /// Memory of a linearization, for motions of one rod.
 #[derive(Debug)]
 pub(super) struct Memory {
-    /// For one time node in each lane, if the [vectors know](is_possible) the rod.
+    /// Memory for one time node in each lane, if the [vectors know](is_possible) the rod.
     many: Option<Workspace>,
-    /// For one time node; made when it is needed first.
+    /// Memory for one time node; allocated when it is needed first.
     single: Option<Workspace>,
 }
 
@@ -323,7 +323,7 @@ pub(super) struct Workspace {
 
 /// `λx` and `λr` times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends, then `λx` and `μx`.
 pub(super) const MULTIPLIER_ROWS: usize = 18;
-/// Those of three 6×6 matrices, the most that is on its way at once.
+/// Number of rows of three 6×6 matrices, the largest result that is on its way at once.
 const OUT_ROWS: usize = 108;
 
 impl Workspace {

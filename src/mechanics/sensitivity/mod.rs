@@ -64,7 +64,7 @@ const BATCH: usize = 4;
 /// Time nodes that tiles record before their blocks are added to, where several threads meet in between.
 const SHARED_ROUND: usize = 8;
 
-/// Which columns there are: each is a set of wrench components on nodes, with a weight at every time node.
+/// The columns of the controls: each is a set of wrench components on nodes, with a weight at every time node.
 pub trait ControlColumns: Sync {
     /// Number of columns.
     fn n_columns(&self) -> usize;

@@ -15,7 +15,7 @@ use crate::mechanics::linearization::{AdjointSweep, StateTangent};
 #[derive(Debug)]
 pub(super) struct ReverseTile {
     first_form: usize,
-    /// Its forms.
+    /// Number of forms of the tile.
     n_used: usize,
     /// Covectors that the backward sweep of the sum of all forms meets; that sum then has the first place of the tile.
     pub sum: Option<AdjointSweep>,
@@ -472,8 +472,8 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
-    /// From the base to the tip: covectors of what the step adds to the configuration, the transpose of U, and the configuration that is
-    /// carried.
+    /// Solves from the base to the tip: covectors of the change that the step adds to the configuration, by the transpose of U, and of the
+    /// configuration that is carried.
     #[inline(always)]
     fn solve_upper_transposed<const V: usize>(&mut self, solve: &SolvedDrift, node: usize) {
         let spin = &solve.nodes[node];
@@ -503,7 +503,7 @@ impl<S: Simd> Columns<'_, S> {
         );
     }
 
-    /// And back: the transpose of L, and what the start of the interval did to the momenta that arrive.
+    /// Solves back from the tip to the base: the transpose of L, and the effect of the start of the interval on the momenta that arrive.
     #[inline(always)]
     fn solve_lower_transposed<const V: usize>(&mut self, solve: &SolvedDrift, node: usize) {
         if let Some(i) = node.checked_sub(self.step.first_free_node) {

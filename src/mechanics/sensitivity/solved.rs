@@ -404,7 +404,7 @@ fn multiply<S: Simd>(a: &Square<S>, b: &Square<S>, out: &mut Square<S>) {
     }
 }
 
-/// By the quarters, as in the clear factorization.
+/// Inverts a matrix by quarters, as the factorization in one lane does.
 #[inline(always)]
 fn invert<S: Simd>(m: &mut Square<S>) {
     let first = m[0][0].inverse();

@@ -220,7 +220,7 @@ impl LinearizedStep {
 /// inertia at `k` itself are added to those of an element.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct StepCurvature {
-    /// In the order `ζ_a, dx, ζ_b`, row by row: nine consecutive rows of a [`Record`].
+    /// Curvatures of the elements in the order `ζ_a, dx, ζ_b`, row by row: nine consecutive rows of a [`Record`].
     pub elements: Vec<[[f64; 9]; 9]>,
     /// Couplings of a node's `ζ_k` with `ζ_{k-1}` and `ζ_{k+1}`; zero before the start and after the end.
     pub couplings: Vec<[[[f64; 3]; 3]; 2]>,

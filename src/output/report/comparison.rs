@@ -301,7 +301,7 @@ fn are_alike(a: Option<&Value>, b: Option<&Value>, least: f64) -> bool {
     }
 }
 
-/// By how much a number changes: in percent, or as a factor where it more than doubles or halves.
+/// Returns the change of a number: in percent, or as a factor if it more than doubles or halves.
 fn change(a: &Value, b: &Value) -> Option<String> {
     let (a, b) = (a.as_f64()?, b.as_f64()?);
     let ratio = b / a;
@@ -350,7 +350,7 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    /// Only what differs is in the table: of numbers with the change, of keys that one result lacks with a dash.
+    /// The table has the differences only: of numbers with the change, of keys that one result lacks with a dash.
     #[test]
     fn differences_are_what_differs() {
         let of = |value: Value| leaves(&value);

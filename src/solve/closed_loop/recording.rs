@@ -18,7 +18,7 @@ pub(super) struct Recording {
     trajectory: RowFiles,
     controls: Vec<ControlRow>,
     hold: Hold,
-    /// For the picture, with the last row.
+    /// Rows for the picture, with the last one.
     thinned: ThinnedMotion,
     row: MotionRecord,
     pub(super) limits: LimitWatch,

@@ -6,9 +6,9 @@ use super::file_check::{FileCheck, written};
 
 /// Tolerance between a value of a file and the recomputed one.
 pub(super) enum Allowed<C> {
-    /// By this fraction of the recomputed value, and by an amount that may depend on the context and on the last index of the path.
+    /// A fraction of the recomputed value, and an amount that may depend on the context and on the last index of the path.
     Within(f64, fn(&C, usize) -> f64),
-    /// By anything: the value is not compared, and listed as such.
+    /// Any difference: the value is not compared, and listed as such.
     Anything,
     /// A list may go on after the recomputed entries; the rest of it is not compared.
     More,

@@ -155,7 +155,8 @@ fn difference(m: &Square, n: &Square) -> Square {
     out
 }
 
-/// By Gauss and Jordan; the pivots are the diagonal entries, which is stable where inertia and stiffness make them large.
+/// Returns the inverse by Gauss-Jordan elimination; the pivots are the diagonal entries, which is stable if inertia and stiffness make them
+/// large.
 #[inline(always)]
 fn inverse(mut m: Square) -> Square {
     for k in 0..SIZE {

@@ -167,7 +167,8 @@ impl Solver {
         })
     }
 
-    /// For steps of another length and elements of another stiffness. The next motion [settles](Self::settle) before its first step.
+    /// Adapts the solver to steps of another length and elements of another stiffness. The next motion [settles](Self::settle) before its
+    /// first step.
     pub fn retune(&mut self, rod: &Rod, time_step: f64) {
         if let Some(weights) = IntervalWeights::of(rod, time_step) {
             self.weights = weights;

@@ -466,8 +466,8 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         self.solver.work.factorizations += 1;
     }
 
-    /// Corrects the motions. Where a node would turn by more than [`LARGEST_CORRECTION`], the correction is shortened, or nothing is
-    /// changed and the answer is false.
+    /// Corrects the motions. If a node would turn by more than [`LARGEST_CORRECTION`], the correction is shortened, or nothing is changed
+    /// and `false` is returned.
     #[inline(always)]
     fn correct(&mut self, shortens: bool) -> bool {
         let simd = self.simd;
