@@ -35,7 +35,7 @@ pub struct LinearizedStep {
     pub(super) curvature: Option<StepCurvature>,
 }
 
-/// The drift of one node, linearized: `ζ⁺ = Fᵀ ζ + Θ δg`, `δ(Fᵀ g) = M δg`; see [`Drift`](crate::mechanics::lanes::tangent::Drift).
+/// The drift of one node, linearized: `ζ⁺ = Fᵀ ζ + Θ δg`, `δ(Fᵀ g) = M δg`; see `lanes::tangent::Drift`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodeDrift {
     /// `h/m`, s/kg.
@@ -81,7 +81,7 @@ pub struct ReactionDrift {
 /// With `z` the configuration at the start and `u` the change that the step adds to the configuration that it carries to the end, `(D + X)
 /// u` are the momenta after the kick, whose [`elements`](LinearizedStep::elements) have the other terms of the stress. The momenta that
 /// arrive are `D_p u - ratio Xᵀ z`, up to a stiffness at the end of the interval, which belongs to the next kick and to the forms of
-/// momenta; see [`arriving`](super::arriving).
+/// momenta; see `arriving`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SolvedDrift {
     /// `X = ∂(B_kᵀ σ)` along the configuration at `k + 1`, over `(δx_b - δx_a, ζ_a, ζ_b)`, with the weight of the impulse.
