@@ -22,19 +22,19 @@ pub enum PathLimit {
     Clearance {
         /// The obstacle, where it is at t = 0.
         shape: Shape,
-        /// How it moves, m/s.
+        /// Velocity of the obstacle, m/s.
         velocity: Vector3<f64>,
         /// Clearance, m.
         margin: f64,
-        /// Points per element: its first node and others on the chord to the next, evenly spaced. `None`: as many as [`PathLimit::on`] a rod
-        /// takes.
+        /// Points per element: its first node and others on the chord to the next, evenly spaced. `None`: as many as [`PathLimit::on`] a
+        /// rod takes.
         points: Option<usize>,
     },
-    /// Length of an element over that at rest.
+    /// Length of an element divided by that at rest.
     Stretch {
-        /// Least.
+        /// Smallest value.
         least: f64,
-        /// Largest.
+        /// Largest value.
         largest: f64,
     },
     /// Magnitude of an element's bending curvature, 1/m.
@@ -101,14 +101,14 @@ pub fn thinnest(radii: &[f64]) -> f64 {
     radii.iter().copied().reduce(f64::min).unwrap_or(0.0)
 }
 
-/// Whether a limit may be violated.
+/// Enforcement of a limit: hard, or with a penalty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PathEnforcement {
-    /// Never.
+    /// The limit must hold.
     Hard,
-    /// At a price: `∫ linear h⁺ + ½ quadratic h⁺² dt`, summed over the items.
+    /// The limit may be violated with the penalty `∫ linear h⁺ + ½ quadratic h⁺² dt`, summed over the items.
     Soft {
-        /// Exact: a linear price above the multiplier keeps the limit.
+        /// Price of the violation. A price above the multiplier keeps the limit exactly.
         linear: f64,
         /// Price of the square.
         quadratic: f64,
@@ -116,7 +116,7 @@ pub enum PathEnforcement {
 }
 
 impl PathEnforcement {
-    /// Price of a row whose violation lasts for `duration`, s.
+    /// Returns the price of a row whose violation lasts for `duration`, s.
     #[must_use]
     pub fn softness(&self, duration: f64) -> Softness {
         match *self {
@@ -129,7 +129,7 @@ impl PathEnforcement {
     }
 }
 
-/// What the rows are evaluated on.
+/// The motion on which rows are evaluated.
 #[derive(Clone, Copy, Debug)]
 pub struct RodView<'a> {
     /// The rod.
@@ -167,7 +167,7 @@ pub struct RowCurvature {
 }
 
 impl RowCurvature {
-    /// The same over components of nodes, where all forms are of one time node.
+    /// Returns the second derivative over components of nodes; `None` if the forms are of several time nodes.
     #[must_use]
     pub fn at_one_time(&self) -> Option<OwnCurvature> {
         let forms: Vec<&StateForm> = (self.forms.iter())
@@ -270,7 +270,8 @@ pub(super) fn turn_curvature(
     }
 }
 
-/// Of limits on both sides: 1 for the items of the upper, which are even, -1 for those of the lower.
+/// Returns the sign of an item of a two-sided limit: 1 for even items, which are those of the upper limit, -1 for odd items, which are
+/// those of the lower one.
 fn side(item: usize) -> f64 {
     if item.is_multiple_of(2) { 1.0 } else { -1.0 }
 }
@@ -295,14 +296,14 @@ fn dynamic(matrix: &Matrix3<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(3, 3, |i, j| matrix[(i, j)])
 }
 
-/// Depth, over the radius, to which a chord between two points may dip into an obstacle that both only touch.
+/// Depth, divided by the radius, to which a chord between two points may dip into an obstacle that both only touch.
 const CHORD_DIP: f64 = 2e-3;
-/// Points per element, at most: a box without margin has edges of radius zero.
+/// Largest number of points per element; a box without margin has edges of radius zero.
 const MOST_POINTS: usize = 8;
 
 impl PathLimit {
-    /// The limit on a rod whose nodes have these radii in m: at a node of that rod, and with the number of points per element that an obstacle
-    /// needs. Finer rods have a node at the same place.
+    /// Returns the limit on a rod whose nodes have these radii in m: at a node of that rod, and with the number of points per element that
+    /// an obstacle needs. Finer rods have a node at the same place.
     #[must_use]
     pub fn on(&self, rod: &Rod, radii: &[f64]) -> Self {
         let mut out = self.clone();
@@ -335,8 +336,8 @@ impl PathLimit {
         }
     }
 
-    /// Size of the limit in its own unit, to which an excess is compared; `None` for obstacles and stretches, whose unit is of order 1, and for
-    /// terms of one's own.
+    /// Returns the size of the limit in its own unit, to which an excess is compared; `None` for obstacles and stretches, whose unit is of
+    /// order 1, and for terms of one's own.
     #[must_use]
     pub fn size(&self) -> Option<f64> {
         match self {
@@ -347,8 +348,8 @@ impl PathLimit {
         }
     }
 
-    /// Points per element such that chords of length `chord` over this number dip into a body of the given radius (the arm's
-    /// own and the margin included) by less than 0.2 % of it: `s²/(8 radius)` for points a distance `s` apart; at most 8.
+    /// Returns the number of points per element with which chords of length `chord` divided by this number dip into a body of the given
+    /// radius (the arm's own and the margin included) by less than 0.2 % of it: `s²/(8 radius)` for points a distance `s` apart; at most 8.
     #[must_use]
     pub fn points_per_element(chord: f64, radius: f64) -> usize {
         let needed = chord / (radius * (8.0 * CHORD_DIP).sqrt());
@@ -401,7 +402,7 @@ impl PathLimit {
         }
     }
 
-    /// Unit of what is limited.
+    /// Returns the unit of the limited quantity.
     #[must_use]
     pub fn unit(&self) -> &'static str {
         match self {
@@ -413,7 +414,7 @@ impl PathLimit {
         }
     }
 
-    /// What one unit of a scaled row is worth in [`Self::unit`].
+    /// Returns the value of one unit of a scaled row, in [`Self::unit`].
     #[must_use]
     pub fn scale(&self, rod: &Rod) -> f64 {
         let scales = &rod.scales;
@@ -448,7 +449,7 @@ impl PathLimit {
         }
     }
 
-    /// A point as it is seen from an obstacle that moves.
+    /// Returns the position of a point relative to a moving obstacle.
     fn point_from(
         velocity: &Vector3<f64>,
         rod_view: &RodView,
@@ -459,7 +460,7 @@ impl PathLimit {
         Self::point_position(rod_view, k, q, s) - velocity * rod_view.grid.time(k)
     }
 
-    /// Mean velocity of a node between two time nodes, m/s; zero where they are one.
+    /// Returns the mean velocity of a node between two time nodes, m/s; zero if the two are equal.
     fn velocity(rod_view: &RodView, [from, k]: [usize; 2], node: usize) -> Vector3<f64> {
         if from == k {
             return Vector3::zeros();
@@ -468,7 +469,7 @@ impl PathLimit {
         (x(k) - x(from)) / Self::between(rod_view, [from, k])
     }
 
-    /// Time between two time nodes, s; one step where they are one.
+    /// Returns the time between two time nodes, s; one step if the two are equal.
     fn between(rod_view: &RodView, [from, k]: [usize; 2]) -> f64 {
         (k - from).max(1) as f64 * rod_view.grid.step
     }

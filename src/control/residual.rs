@@ -1,8 +1,8 @@
 //! Residuals: the vectors of the states that the objective squares and that goals bring to zero.
 //!
-//! Solver and controller read one list of them. A residual `r` with the weight `w` costs `w/2 |r|²`; a goal that is a constraint has the weight 1. Each
-//! gives the values `sqrt(w) r`, their first derivatives as linear forms of the motion, and `Σ y_i ∇²r_i` for the exact Hessian.
-//! The check has formulas of its own (`verify/limits.rs`).
+//! Solver and controller read one list of them. A residual `r` with the weight `w` costs `w/2 |r|²`; a goal that is a constraint has the
+//! weight 1. Each gives the values `sqrt(w) r`, their first derivatives as linear forms of the motion, and `Σ y_i ∇²r_i` for the exact
+//! Hessian. The check has formulas of its own (`verify/limits.rs`).
 
 use nalgebra::{SVector, Vector3};
 
@@ -29,18 +29,20 @@ pub(crate) enum ResidualKind {
     Term {
         /// Index of the term in the objective.
         index: usize,
-        /// Which of its values.
+        /// Index of the value within the term.
         item: usize,
     },
-    /// Square roots of twice the elastic energy of an element over `EI/L`, component by component of its strain; index of the element.
+    /// Square roots of twice the elastic energy of an element divided by `EI/L`, component by component of its strain; index of the
+    /// element.
     Energy(usize),
-    /// A vector of a goal over its [scale](OptimalControlProblem::goal_scale).
+    /// A vector of a goal divided by its [scale](OptimalControlProblem::goal_scale).
     Goal {
         /// Index of the goal.
         goal: usize,
         /// The vector.
         part: GoalPart,
-        /// Tells whether the orientation is approached from the start by more than half a turn; `None`: by the shorter way from where the node is.
+        /// Tells whether the orientation is approached from the start by more than half a turn; `None`: by the shorter way from the present
+        /// rotation of the node.
         longer: Option<bool>,
     },
 }
@@ -52,7 +54,7 @@ pub(crate) struct Residual {
     pub kind: ResidualKind,
     /// Time node; of an interval its end.
     pub time_node: usize,
-    /// Time node at which the interval begins, where the residual is of one.
+    /// Time node at which the interval begins; `None` for a residual at one time node.
     pub before: Option<usize>,
     /// Weight `w` of `w/2 |r|²`.
     pub weight: f64,
@@ -83,7 +85,7 @@ impl ResidualKind {
         }
     }
 
-    /// Tells whether the residual is a distance over the rod's length, or an angle.
+    /// Tells whether the residual is a distance divided by the rod's length, or an angle.
     pub fn is_place(self) -> bool {
         match self {
             Self::TrackPosition(_) | Self::TrackOrientation(_) => true,
@@ -107,7 +109,7 @@ impl Residual {
         1 + usize::from(self.before.is_some())
     }
 
-    /// Tells whether the residual counts on a time grid: a track does from its own time on.
+    /// Tells whether the residual counts on a time grid: those of a track count from the track's own time on.
     pub fn counts(&self, problem: &OptimalControlProblem, grid: &TimeGrid) -> bool {
         match self.kind {
             ResidualKind::TrackPosition(index)
@@ -290,7 +292,8 @@ impl Residual {
         rows
     }
 
-    /// `Σ y_i ∇²r_i` with the values `y_i = sqrt(w) r_i` of a cost, weights multiplied in; `None` where the residual is linear in the states.
+    /// Returns `Σ y_i ∇²r_i` with the values `y_i = sqrt(w) r_i` of a cost, weights multiplied in; `None` if the residual is linear in the
+    /// states.
     pub fn curvature(
         &self,
         problem: &OptimalControlProblem,
@@ -411,7 +414,8 @@ fn pose<'a>(view: &RodView<'a>, k: usize, q: usize) -> ElementPose<'a> {
     Rod::element_pose(q, x, r)
 }
 
-/// Square roots of what a unit of an element's linear strains and of its curvature costs, with the weight of its energy in 1/J.
+/// Returns the square roots of the costs of a unit of an element's linear strains and of its curvature, with the weight of its energy in
+/// 1/J.
 fn energy_factors(rod: &Rod, q: usize, weight: f64) -> [Vector3<f64>; 2] {
     let element = &rod.elements[q];
     let weight = weight * element.length;
@@ -452,9 +456,9 @@ pub fn durations(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
         .collect()
 }
 
-/// The residuals of the costs over states: those of every sample, then those of the intervals between samples that follow each other.
+/// Returns the residuals of the costs over states: those of every sample, then those of the intervals between consecutive samples.
 ///
-/// A track's residuals are listed whether it counts at the sample or not: see [`Residual::counts`].
+/// A track's residuals are listed even if the track does not count at the sample yet: see [`Residual::counts`].
 pub(crate) fn cost_residuals(problem: &OptimalControlProblem) -> Vec<Residual> {
     let (rod, objective) = (&problem.rod, &problem.objective);
     let samples = sample_times(problem);
@@ -504,8 +508,8 @@ pub(crate) fn cost_residuals(problem: &OptimalControlProblem) -> Vec<Residual> {
     out
 }
 
-/// The residuals of the goals with the weight 1, in the order of [`OptimalControlProblem::goal_rows`], three rows each. `longer` says of every goal
-/// whether its orientation is approached from the start by more than half a turn; `None`: all are by the shorter way.
+/// Returns the residuals of the goals with the weight 1, in the order of [`OptimalControlProblem::goal_rows`], three rows each. `longer`
+/// has for every goal whether its orientation is approached from the start by more than half a turn; `None`: all by the shorter way.
 pub(crate) fn goal_residuals(
     problem: &OptimalControlProblem,
     longer: Option<&[bool]>,
@@ -524,7 +528,7 @@ pub(crate) fn goal_residuals(
         .collect()
 }
 
-/// Second derivative of `Σ multiplier · residual` over the goals: only logarithms of rotations are bent.
+/// Returns the second derivative of `Σ multiplier · residual` over the goals: only logarithms of rotations have one.
 pub(crate) fn goal_curvature(
     problem: &OptimalControlProblem,
     residuals: &[Residual],

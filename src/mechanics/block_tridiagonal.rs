@@ -103,8 +103,8 @@ impl BlockTridiagonal {
         }
     }
 
-    /// Adds a matrix over `(x_b - x_a, η_a, η_b)` of element `q` to the rows and columns `(x, η)` of its nodes; block `0` is node
-    /// `first`, and what belongs to nodes before it is left out.
+    /// Adds a matrix over `(x_b - x_a, η_a, η_b)` of element `q` to the rows and columns `(x, η)` of its nodes; block `0` is node `first`,
+    /// and entries of nodes before it are left out.
     pub(crate) fn add_element(&mut self, first: usize, q: usize, k: &ElementStiffness) {
         for (row_end, column_end) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             if q + row_end.min(column_end) < first {

@@ -51,7 +51,7 @@ pub type InertiaCurvature = SMatrix<f64, 6, 6>;
 pub struct Multipliers<'a> {
     /// Covectors `λ_k` of the rows and, as `λ_N`, of the terminal momenta.
     pub adjoint: &'a AdjointSweep,
-    /// What costs and constraints bend by themselves, in ascending order of time.
+    /// Second derivatives of costs and constraints themselves, in ascending order of time.
     pub own: &'a [OwnCurvature],
 }
 
@@ -67,7 +67,7 @@ pub struct OwnCurvature {
     pub matrix: Mat<f64>,
 }
 
-/// Those of the time nodes in `range`.
+/// Returns those of the time nodes in `range`.
 pub(super) fn own_within(own: &[OwnCurvature], range: std::ops::Range<usize>) -> &[OwnCurvature] {
     let before = |limit| own.partition_point(|own| own.time_node < limit);
     &own[before(range.start)..before(range.end)]
@@ -80,7 +80,7 @@ impl Multipliers<'_> {
         (self.adjoint.linear[row], self.adjoint.angular[row])
     }
 
-    /// The same for the momenta that arrive.
+    /// Returns the covectors of rod node `q` for the momenta that arrive at time node `k`; zero where the node is held.
     pub(super) fn arriving(
         &self,
         motion: &Motion,
@@ -107,7 +107,7 @@ pub struct NodeCurvature {
 pub struct IntervalCurvature {
     /// `μr_{k+1}·δ²π - λr_k·δ²g` of every node.
     pub inertia: Vec<InertiaCurvature>,
-    /// Those of the stress, element by element; empty where none depends on both ends.
+    /// Curvatures of the stress, element by element; empty if no stress depends on both ends.
     pub stress: Vec<StressCurvature>,
 }
 
@@ -115,11 +115,11 @@ pub struct IntervalCurvature {
 /// interval, for constant components `w` and the stress `σ` that the strains at both ends make.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StressCurvature {
-    /// Both directions where the interval starts; symmetric.
+    /// Both directions at the start of the interval; symmetric.
     pub start: ElementCurvature,
-    /// Rows where it starts, columns where it ends.
+    /// Rows at the start of the interval, columns at its end.
     pub cross: ElementStiffness,
-    /// Both where it ends; symmetric.
+    /// Both directions at the end of the interval; symmetric.
     pub end: ElementCurvature,
 }
 

@@ -523,7 +523,7 @@ impl Controller {
         self.horizon.obstacles()
     }
 
-    /// Moves the obstacles of a name, from the next [preparation](Self::prepare) on: at time `t` (s) they are displaced by `by` (m) from
+    /// Moves the obstacles of a name, from the next [preparation](Issued::prepare) on: at time `t` (s) they are displaced by `by` (m) from
     /// their place in the task at t = 0, and move at `velocity` (m/s).
     ///
     /// # Errors

@@ -1,16 +1,17 @@
-//! What it takes to keep the tip where it should be: the control from which effort is counted.
+//! The wrench that keeps the tip at its reference: the control from which effort is measured.
 //!
-//! An effort that counts from zero pulls the arm off its target for ever, by what the target's weight allows. Counted from the control that holds
-//! the arm there at rest, it weighs the ways to get there and leaves no offset (Rawlings, Mayne and Diehl 2017, section 1.5).
+//! An effort that is measured from zero leaves a permanent offset from the target, whose size depends on the target's weight. Measured from
+//! the control that holds the arm there at rest, it weighs the transient only and leaves no offset (Rawlings, Mayne and Diehl 2017, section
+//! 1.5).
 //!
-//! Along a reference that moves, the arm also takes what moves its mass. With `ξ` the pose of the tip and `J` the derivatives of all positions
-//! by it, over shapes that are held at rest, the arm is reduced to its tip (static condensation; Guyan 1965), and
+//! Along a moving reference, a force that accelerates the mass of the arm is added. With `ξ` the pose of the tip and `J` the derivatives of
+//! all positions by it, over shapes that are held at rest, the arm is reduced to its tip (static condensation; Guyan 1965), and
 //!
 //! ```text
 //! W = W_static(ξ) + M (ξ̈ + α ξ̇),     M = Σ m Jᵀ J
 //! ```
 //!
-//! with the viscous damping `α`. Turns of the elements have too little inertia to count.
+//! with the viscous damping `α`. The inertia of the rotations of elements is negligible.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
@@ -20,7 +21,7 @@ use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Configuration, Load, LoadFrame, Rod, Wrench};
 use crate::stop::StopSignal;
 
-/// Where the tip should be (m) and how it should be turned (body to space), as far as something asks for it.
+/// Reference position of the tip (m) and its reference rotation (body to space), each `None` if nothing prescribes it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::mpc) struct TipPose {
     pub position: Option<Vector3<f64>>,
@@ -28,7 +29,8 @@ pub(in crate::mpc) struct TipPose {
 }
 
 impl TipPose {
-    /// The way to another pose over the length, and the turn in the body frame, rad; none of what nothing asks for.
+    /// Returns the displacement to another pose divided by the length, and the turn to it in the body frame, rad; zero for what one of the
+    /// two poses leaves open.
     fn way_to(&self, other: &Self, length: f64) -> Vector6<f64> {
         let way = (self.position.zip(other.position))
             .map_or_else(Vector3::zeros, |(from, to)| (to - from) / length);
@@ -45,21 +47,21 @@ fn six(a: Vector3<f64>, b: Vector3<f64>) -> Vector6<f64> {
 /// The wrench on the tip, spatial force (N) and moment in the body frame (N m), that keeps a model at the poses of a reference.
 #[derive(Clone, Debug)]
 pub(super) struct Holding {
-    /// At multiples of `spacing` from time 0 on: of the model, and its derivative by the factor on its stiffness.
+    /// Wrenches at multiples of `spacing` from time 0 on: that of the model, and its derivative by the factor on the model's stiffness.
     wrenches: Vec<[Vector6<f64>; 2]>,
     spacing: f64,
 }
 
-/// Where along a reference a wrench holds the tip.
+/// The times along a reference at which a wrench holds the tip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::mpc) enum Along {
-    /// Everywhere, and it moves the mass of the arm.
+    /// All times; the wrench also accelerates the mass of the arm.
     All,
-    /// Where the reference rests and the arm is stable under the wrench; elsewhere there is none.
+    /// Times at which the reference rests and the arm is stable under the wrench; the wrench is zero at other times.
     Rests,
 }
 
-/// Tells whether a shape at rest is stable under a wrench on the tip, spatial force and moment in the body frame, that is held.
+/// Tells whether a shape at rest is stable under a constant wrench on the tip, spatial force and moment in the body frame.
 fn is_stable(rod: &Rod, shape: &Configuration, t: f64, wrench: &Vector6<f64>) -> bool {
     let mut held = rod.clone();
     let mut push = |force: Vector3<f64>, moment: Vector3<f64>, frame: LoadFrame| {
@@ -78,24 +80,25 @@ fn is_stable(rod: &Rod, shape: &Configuration, t: f64, wrench: &Vector6<f64>) ->
     SmallMotions::about(&held, shape, t).growth_rate().is_none()
 }
 
-/// Springs that pull the tip, this many times stiffer than the arm is across.
+/// Stiffness of the springs that pull the tip, divided by the transverse stiffness of the arm.
 const SPRING: f64 = 100.0;
-/// Stiffness over that of the arm across from which on the tip need not be where it should be: that of an arm along itself is some hundred times
-/// larger.
+/// Stiffness, divided by the transverse stiffness of the arm, from which on the tip may stay off its target: the axial stiffness of an arm
+/// is some hundred times its transverse one.
 const STIFFEST: f64 = 20.0;
-/// Stiffness across of an arm whose tip must not turn over that of one whose tip may: `12 EI/L³` and `3 EI/L³`.
+/// Transverse stiffness of an arm whose tip must not turn, `12 EI/L³`, divided by that of an arm whose tip may turn, `3 EI/L³`.
 const CLAMPED: f64 = 4.0;
-/// Steps of Gauss-Newton, and way over the length or turn by which their derivatives are differences.
+/// Number of Gauss-Newton steps; and below it the displacement divided by the length, or turn, of the differences that give their
+/// derivatives.
 const AIMS: usize = 2;
 const NUDGE: f64 = 1e-4;
 /// Change of the stiffness by which the wrench is differentiated.
 const STIFFER: f64 = 0.1;
-/// Longest reference that statics are computed along, s.
+/// Duration of the longest reference along which statics are computed, s.
 const LONGEST: f64 = 600.0;
 
 impl Holding {
-    /// Along `reference`, a pose of the tip at every time up to an end, from near the shape `start`; times are the spacing of the wrenches and
-    /// that end, s. `None` where it goes on for too long, and where `stop` is raised.
+    /// Returns the wrenches along `reference`, a pose of the tip at every time up to an end, from near the shape `start`; the two times are
+    /// the spacing of the wrenches and that end, s. `None` if the reference is longer than [`LONGEST`], and if `stop` is raised.
     pub fn along(
         rod: &Rod,
         start: &Configuration,
@@ -140,7 +143,7 @@ impl Holding {
         Some(Self { wrenches, spacing })
     }
 
-    /// At time `t` (s), of the model with `stiffness` times its own.
+    /// Returns the wrench at time `t` (s), of the model with `stiffness` times its own.
     pub fn wrench(&self, t: f64, stiffness: f64) -> Wrench {
         let at = (t / self.spacing).max(0.0);
         let last = self.wrenches.len() - 1;
@@ -154,8 +157,8 @@ impl Holding {
     }
 }
 
-/// Speed and acceleration of a reference at `t`, of its place over the length and of its turn in the body frame: medians of neighboring
-/// differences over `spacing`, which see no corner and no jump (Tukey 1977). No arm follows these.
+/// Returns the velocity and acceleration of a reference at `t`, of its position divided by the length and of its turn in the body frame:
+/// medians of neighboring differences over `spacing`, which ignore corners and jumps (Tukey 1977), since no arm can follow these.
 fn motion(
     reference: &impl Fn(f64) -> TipPose,
     t: f64,
@@ -181,14 +184,14 @@ fn motion(
     ]
 }
 
-/// A tip that springs pull: it is to be at a pose. Vectors of six are a way over the length and a turn in rad, each from the target, and wrenches
-/// in the units that the arm's stiffness across gives them.
+/// A tip that springs pull to a pose. Vectors of six are a displacement divided by the length and a turn in rad, each from the target, and
+/// wrenches in units of the arm's transverse stiffness.
 struct Search<'a> {
     rod: &'a Rod,
     target: TipPose,
     t: f64,
     stop: &'a StopSignal,
-    /// N/m: of a cantilever, and of its weight as a pendulum's.
+    /// Transverse stiffness of the arm, N/m: that of a cantilever, and that of its weight as a pendulum.
     own: f64,
 }
 
@@ -204,7 +207,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Springs that pull to `aim`.
+    /// Returns the springs that pull to `aim`.
     fn spring(&self, aim: &Vector6<f64>) -> TipSpring {
         let (length, stiffness) = (self.rod.scales.length, SPRING * self.own);
         let way: Vector3<f64> = aim.fixed_rows::<3>(0) * length;
@@ -216,12 +219,12 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Shape at rest under springs that pull to `aim`, from near another.
+    /// Returns the shape at rest under springs that pull to `aim`, from near another.
     fn held(&self, aim: &Vector6<f64>, from: &Configuration) -> Option<Configuration> {
         static_equilibrium_until(self.rod, from, self.t, &self.spring(aim), self.stop).ok()
     }
 
-    /// How far the tip is from the target, and the wrench of the springs.
+    /// Returns the displacement of the tip from the target, and the wrench of the springs.
     fn read(&self, aim: &Vector6<f64>, shape: &Configuration) -> [Vector6<f64>; 2] {
         let (tip, length) = (self.rod.tip(), self.rod.scales.length);
         let (x, r) = (shape.positions[tip], shape.rotations[tip]);
@@ -235,10 +238,10 @@ impl<'a> Search<'a> {
         [self.target.way_to(&pose, length), six(force, moment)]
     }
 
-    /// The wrench that holds the tip at the target, from near `shape`, which follows: the least of `|ξ|² + λ² |W|²` over where springs pull the
-    /// tip to, with the distance `ξ` and the wrench `W`. Where the arm is as stiff as along itself, it need not give way: a target that lies a
-    /// little out of reach asks for no force that bends it. With it comes the mass of the arm at its tip, of forces and moments (N, N m) by
-    /// accelerations of a way over the length and of a turn.
+    /// Returns the wrench that holds the tip at the target, from near `shape`, which becomes the shape that is held: the minimum of `|ξ|² +
+    /// λ² |W|²` over the aims of the springs, with the distance `ξ` and the wrench `W`. If the arm is axially stiff at the target, the tip
+    /// may stay off: for a target slightly out of reach, no force has to bend the arm. The second value is the mass of the arm at its tip:
+    /// forces and moments (N, N m) by accelerations of a displacement divided by the length and of a turn.
     fn wrench(&self, shape: &mut Configuration) -> (Vector6<f64>, Matrix6<f64>) {
         let is_held = |axis: usize| {
             if axis < 3 {
@@ -282,7 +285,8 @@ impl<'a> Search<'a> {
         (self.at(&aim, shape), mass)
     }
 
-    /// `Σ m Jᵀ J` over all nodes; `columns` are the derivatives of their positions along the aim, and `slope` that of the tip's pose.
+    /// Returns `Σ m Jᵀ J` over all nodes; `columns` are the derivatives of their positions along the aim, and `slope` that of the tip's
+    /// pose.
     fn mass(&self, columns: &[Vec<Vector3<f64>>; 6], slope: &Matrix6<f64>) -> Option<Matrix6<f64>> {
         let along_aim = Matrix6::from_fn(|i, j| {
             (columns[i].iter().zip(&columns[j]).zip(&self.rod.nodes))
@@ -297,7 +301,7 @@ impl<'a> Search<'a> {
         Some(mass)
     }
 
-    /// N and N m, where springs pull to `aim`; none where nothing is at rest there.
+    /// Returns the force (N) and moment (N m) of springs that pull to `aim`; zero if no shape is found at rest there.
     fn at(&self, aim: &Vector6<f64>, shape: &Configuration) -> Vector6<f64> {
         let Some(found) = self.held(aim, shape) else {
             return Vector6::zeros();
@@ -317,8 +321,8 @@ mod tests {
     use super::*;
     use crate::mechanics::{Material, RodParameters, Section, SectionProfile};
 
-    /// A straight arm without gravity is held across by `3 EI/L³` times the way, and by as much more as it is stiffer; on the way to a
-    /// target, by forces in between.
+    /// A straight arm without gravity is held off its line by `3 EI/L³` times the displacement, and by as much more as it is stiffer; on
+    /// the way to a target, by forces in between.
     #[test]
     fn forces_are_those_of_a_cantilever() {
         let material = Material::isotropic(1e6, 0.5, 1000.0);
@@ -373,8 +377,9 @@ mod tests {
         let others = [found.force.y, found.moment.x, found.moment.z];
         assert!(others.iter().all(|other| other.abs() < 1e-9), "{found:?}");
     }
-    /// A tip that turns on a small circle takes, besides what bends the arm, the force that keeps 33/140 of its mass on the circle (the mass of a
-    /// cantilever at its tip) and what overcomes the damping; on a path with a corner and a jump, nothing moves a mass.
+    /// A tip that turns on a small circle needs, besides the force that bends the arm, the force that keeps 33/140 of its mass on the
+    /// circle (the mass of a cantilever at its tip) and the force that overcomes the damping; on a path with a corner and a jump, no force
+    /// accelerates the mass.
     #[test]
     fn masses_are_moved() {
         let material = Material::isotropic(1e6, 0.5, 1000.0);

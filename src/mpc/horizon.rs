@@ -1,7 +1,7 @@
-//! The model over one horizon: roll-out, rows, sensitivities, and the condensed Gauss-Newton Hessian, all in memory that is kept.
+//! The model over one horizon: roll-out, rows, sensitivities, and the condensed Gauss-Newton Hessian, all in memory that is reused.
 //!
-//! With `v` the scaled coefficients of the plan, `δs` the deviation of the state at the start from the predicted one and `r` the
-//! residuals of what is made small, the model of a sample is
+//! With `v` the scaled coefficients of the plan, `δs` the deviation of the state at the start from the predicted one and `r` the residuals
+//! of tracks, targets and terms, the model of a sample is
 //!
 //! ```text
 //! r(v + x, s + δs) = r + J x + G δs,     ½ |r|² + ½ (v + x)ᵀ C (v + x) + ½ w |v₀ + x₀ - a|²
@@ -30,13 +30,13 @@ use crate::mechanics::sensitivity::{ControlColumns, RepeatedReverse};
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, TimeGrid, Trajectory, Wrench};
 use crate::stop::StopSignal;
 
-/// Part of the length, or of a radian.
+/// Negligible error of a tracked quantity, divided by the length, or in rad.
 const NEGLIGIBLE: f64 = 1e-4;
 
-/// What a unit of a component does: node, component of its wrench, and N or N m.
+/// Effect of one unit of a control component on a node: the node, the component of its wrench, and the force or moment in N or N m.
 type Effect = (usize, usize, f64);
 
-/// The effects of every component; `None` where an actuator of one's own is not linear.
+/// Returns the effects of every component; `None` if an actuator of one's own is not linear.
 fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<Vec<Vec<Effect>>> {
     let maps = (problem.acting.iter())
         .map(|acting| {
@@ -61,29 +61,29 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
     Some(components.iter().map(of).collect())
 }
 
-/// The model, at the plan and the start it was last prepared for.
+/// The model, at the plan and the start for which it was last prepared.
 #[derive(Debug)]
 pub(super) struct Horizon {
     pub problem: OptimalControlProblem,
     pub components: Vec<Component>,
     /// Scale of every component, N or N m, or the unit of a control of an actuator of one's own.
     pub scales: Vec<f64>,
-    /// What a unit of every component does.
+    /// Wrenches of one unit of every component.
     pub effects: Vec<Vec<Effect>>,
     pub knots: Knots,
-    /// The grid of the present horizon; of the longest one with its start.
+    /// The grid of the present horizon; below it, that of the longest horizon, from the first start.
     pub grid: TimeGrid,
     longest: TimeGrid,
     rows: Rows,
     /// All nodes.
     pub nodes: Vec<usize>,
-    /// Of the two ends of a step, one a node.
+    /// Wrenches at the two ends of a step, one for each node.
     wrenches: [Vec<Wrench>; 2],
-    /// The obstacles among the limits of the problem as the task has them at t = 0.
+    /// Indices and shapes of the obstacles among the limits of the problem, at t = 0 by the task.
     obstacles: Vec<(usize, Shape)>,
-    /// The model without anything wrong with it.
+    /// The model without estimated errors.
     model: Arc<Rod>,
-    /// What ends simulations and sweeps before they are done.
+    /// Signal that ends simulations and sweeps early.
     pub stop: StopSignal,
     /// Parameters by which the model of the present horizon differs from the one without a disturbance.
     parameters: ModelParameters,
@@ -92,14 +92,14 @@ pub(super) struct Horizon {
     /// By how much later commands act than they say, s.
     delay: f64,
     trajectory: Trajectory,
-    /// State that the roll-out starts from, and the one that it ends in.
+    /// State from which the roll-out starts; below it, the state in which it ends.
     pub start: State,
     end: State,
     motions: Motions,
     sweep: RepeatedReverse,
-    /// The residuals of the present horizon with the start moved.
+    /// Residuals of the present horizon after the deviation of the start.
     moved: Vec<f64>,
-    /// `J` and `G`.
+    /// The derivative `J`; below it, `G`.
     jacobian: Mat<f64>,
     along_start: Mat<f64>,
     /// `JᵀJ`.
@@ -140,7 +140,7 @@ impl ControlColumns for Columns<'_> {
 }
 
 impl Horizon {
-    /// `weight` is what a unit of a target's scaled residual costs, squared and halved, `price` that of a violated limit.
+    /// Creates the horizon. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated limit.
     pub fn new(
         mut problem: OptimalControlProblem,
         mut knots: Knots,
@@ -235,7 +235,7 @@ impl Horizon {
         })
     }
 
-    /// The most variables that a horizon has.
+    /// Returns the number of variables of the longest horizon.
     pub fn n_variables(&self) -> usize {
         self.square.nrows()
     }
@@ -245,7 +245,7 @@ impl Horizon {
         self.knots.len() * self.components.len()
     }
 
-    /// Nodes on which components act, wrenches on nodes before actuators of one's own, each once.
+    /// Returns the nodes on which components act, those of wrenches before those of actuators of one's own, each once.
     pub fn actuated_nodes(&self) -> Vec<usize> {
         let mut nodes = self.problem.actuated_nodes();
         for &(node, _, _) in self.effects.iter().flatten() {
@@ -256,7 +256,7 @@ impl Horizon {
         nodes
     }
 
-    /// Puts the horizon from `start` (s) on: as long as the longest one, or until `due`. False where nothing is left of it.
+    /// Places the horizon from `start` (s) on: as long as the longest one, or until `due`. Returns `false` if nothing is left of it.
     pub fn place(&mut self, start: f64, due: Option<f64>) -> bool {
         let whole = self.longest.n_steps;
         let left = due.map_or(whole, |due| {
@@ -278,7 +278,7 @@ impl Horizon {
         true
     }
 
-    /// Gives a track another path: the residuals of the present horizon are those from the new one.
+    /// Replaces the path of a track, and evaluates the residuals of the present horizon anew.
     pub fn follow(&mut self, track: usize, path: &[(f64, Vector3<f64>)]) {
         let own = &mut self.problem.objective.tracking[track].path;
         own.clear();
@@ -286,7 +286,7 @@ impl Horizon {
         self.evaluate_anew();
     }
 
-    /// The same for how a track is to be turned.
+    /// Replaces the rotations of a track, and evaluates the residuals of the present horizon anew.
     pub fn turn(&mut self, track: usize, rotations: &[(f64, Matrix3<f64>)]) {
         let own = &mut self.problem.objective.tracking[track].rotations;
         own.clear();
@@ -299,8 +299,8 @@ impl Horizon {
         (self.obstacles.iter()).map(|(index, _)| &self.problem.path[*index].name[..])
     }
 
-    /// Puts an obstacle where it is at time `t` (s): `by` (m) away from where the task has it at t = 0, and on its way at `velocity` (m/s). The next
-    /// horizon sees it. False where none has this name.
+    /// Moves an obstacle: at time `t` (s) it is displaced by `by` (m) from its place in the task at t = 0, and moves at `velocity` (m/s).
+    /// The next horizon takes this into account. Returns `false` if no obstacle has this name.
     pub fn move_obstacle(
         &mut self,
         name: &str,
@@ -334,7 +334,7 @@ impl Horizon {
         }
     }
 
-    /// Takes a disturbance into the model.
+    /// Applies an estimated disturbance to the model.
     pub fn disturb(&mut self, disturbance: &Disturbance) {
         self.disturbing.fill(Wrench::default());
         disturbance.add_to(&self.model, &mut self.disturbing);
@@ -346,7 +346,7 @@ impl Horizon {
         }
     }
 
-    /// When the motion happens: later than the commands say by how much they are found to be late.
+    /// Returns the grid of times at which commands act: later than their own times by the estimated additional delay.
     fn acting_grid(&self) -> TimeGrid {
         TimeGrid {
             start: self.grid.start + self.delay,
@@ -354,17 +354,17 @@ impl Horizon {
         }
     }
 
-    /// By how much later commands act than they say, s.
+    /// Returns the estimated additional delay of commands, s.
     pub fn delay(&self) -> f64 {
         self.delay
     }
 
-    /// The model without anything wrong with it.
+    /// Returns the model without estimated errors.
     pub fn model(&self) -> &Rod {
         &self.model
     }
 
-    /// What is wrong with the model: equal numbers make equal models.
+    /// Returns the estimated errors of the model: equal parameters make equal models.
     pub fn parameters(&self) -> ModelParameters {
         self.parameters
     }
@@ -474,18 +474,18 @@ impl Horizon {
         Ok(())
     }
 
-    /// The limits of the present horizon as rows of a subproblem, but for their values.
+    /// Writes the limits of the present horizon as rows of a subproblem, except for their values.
     pub fn write_limits(&self, soft: &mut SoftRows) {
         self.rows.write_limits(&self.sweep, self.n_present(), soft);
     }
 
-    /// Their values where the start deviates.
+    /// Writes the values of the limit rows for a start that deviates.
     pub fn write_limit_values(&self, deviation: &StateTangent, out: &mut [f64]) {
         let free = self.problem.rod.first_free_node();
         self.rows.write_limit_values(free, deviation, out);
     }
 
-    /// Rows that limits have in the longest horizon.
+    /// Returns the number of rows of limits in the longest horizon.
     pub fn n_limit_rows(&self) -> usize {
         self.rows.n_limits()
     }
@@ -526,7 +526,7 @@ impl Horizon {
         0.5 * present.iter().map(|r| r * r).sum::<f64>()
     }
 
-    /// Cost where every tracked quantity has a constant error of a ten-thousandth of the length or of a radian.
+    /// Returns the cost if every tracked quantity has a constant error of 1e-4 (divided by the length, or rad).
     pub fn negligible_cost(&self) -> f64 {
         self.rows.cost_of(NEGLIGIBLE)
     }
@@ -536,7 +536,7 @@ impl Horizon {
         self.trajectory.positions_at(k)[node]
     }
 
-    /// Values and forms of all rows of the present horizon.
+    /// Evaluates values and forms of all rows of the present horizon.
     fn evaluate_all(&mut self) {
         let acting = self.acting_grid();
         self.rows.evaluate(&Evaluated {
@@ -546,7 +546,7 @@ impl Horizon {
     }
 }
 
-/// A motion that ends in `end`, with the times of a grid.
+/// Returns a motion that ends in `end`, with the times of a grid.
 fn evaluated<'a>(
     problem: &'a OptimalControlProblem,
     trajectory: &'a Trajectory,
@@ -568,7 +568,7 @@ fn evaluated<'a>(
     }
 }
 
-/// Adds what so much of a component does to the wrenches of all nodes.
+/// Adds the wrenches of `amount` units of a component to those of all nodes.
 pub(super) fn add_effects(effects: &[Effect], amount: f64, wrenches: &mut [Wrench]) {
     for &(node, component, effect) in effects {
         match component.checked_sub(3) {

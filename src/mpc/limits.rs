@@ -1,14 +1,14 @@
-//! Limits on the states over one horizon: of each, where it is nearest to being violated.
+//! Limits on the states over one horizon, each at the places nearest to a violation.
 //!
-//! A limit has a row `h ≤ 0` for every element or point of the arm. At every sample of the horizon but the first, which no command can change
-//! any more, the controller sees every element of a limit on strains, because what is taken from one bends its neighbors, and of all other
-//! limits the greatest local maxima along the arm.
+//! A limit has a row `h ≤ 0` for every element or point of the arm. The controller evaluates it at every sample of the horizon but the
+//! first, which no command can change any more: of a limit on strains every element, because a strain that is taken from one element bends
+//! its neighbors, and of all other limits the greatest local maxima along the arm.
 
 use crate::control::OptimalControlProblem;
 use crate::control::path::{PathEnforcement, PathLimit, RodView};
 use crate::mechanics::Rod;
 
-/// Local maxima along the arm that count, of each limit at each sample.
+/// Number of local maxima along the arm that count, per limit and sample.
 const MAXIMA: usize = 2;
 
 /// A row of a limit at a sample.
@@ -18,9 +18,9 @@ pub(super) struct LimitRow {
     pub limit: usize,
     /// Time node of the sample, on the longest grid.
     pub time_node: usize,
-    /// Time node of the sample before, from which on a speed is a mean: that of one step would leave out the waves in between.
+    /// Time node of the sample before, from which on a speed is a mean: a mean over one step would miss the waves in between.
     pub before: usize,
-    /// Which of the rows that are seen: an element, or a local maximum, the greatest first.
+    /// Rank among the evaluated rows: an element, or a local maximum, the greatest first.
     pub rank: usize,
     /// Prices of the violation and of half of its square.
     pub prices: [f64; 2],
@@ -31,7 +31,7 @@ impl LimitRow {
     pub const NOWHERE: f64 = -1.0;
 }
 
-/// The rows of all limits at the samples of the horizon but the first, in the order of time; `hard` is the price of limits that are to be kept.
+/// Returns the rows of all limits at the samples of the horizon but the first, in the order of time; `hard` is the price of hard limits.
 pub(super) fn limit_rows(problem: &OptimalControlProblem, hard: f64) -> Vec<LimitRow> {
     let n = problem.grid.n_steps;
     let samples = problem.objective.samples.clamp(1, n);
@@ -56,7 +56,7 @@ pub(super) fn limit_rows(problem: &OptimalControlProblem, hard: f64) -> Vec<Limi
     rows
 }
 
-/// Rows of a limit that are seen at a sample.
+/// Returns the number of rows of a limit that are evaluated at a sample.
 fn n_seen(limit: &PathLimit, rod: &Rod) -> usize {
     match limit.rows_per_element() {
         Some(_) => rod.n_elements(),
@@ -64,12 +64,13 @@ fn n_seen(limit: &PathLimit, rod: &Rod) -> usize {
     }
 }
 
-/// Items of the maxima of the limit and sample at hand.
+/// Items of the maxima of the present limit and sample.
 #[derive(Debug, Default)]
 pub(super) struct Maxima([Option<usize>; MAXIMA]);
 
 impl Maxima {
-    /// The item of the row of rank `rank` at the second of two time nodes; ranks of one limit and sample are asked for in ascending order.
+    /// Returns the item of the row of rank `rank` at the second of two time nodes; ranks of one limit and sample must be requested in
+    /// ascending order.
     pub fn item(
         &mut self,
         limit: &PathLimit,
@@ -98,7 +99,7 @@ impl Maxima {
         }
     }
 }
-/// Items of the greatest local maxima, the greatest first.
+/// Returns the items of the greatest local maxima, the greatest first.
 fn maxima(n: usize, value: impl Fn(usize) -> f64) -> [Option<usize>; MAXIMA] {
     let mut found: [Option<(usize, f64)>; MAXIMA] = [None; MAXIMA];
     let mut before = f64::NEG_INFINITY;

@@ -1,8 +1,8 @@
 //! Rows over one horizon: the residuals of tracks, targets and terms, and of each limit those rows that are nearest to being violated.
 //!
-//! A controller reads the same [residuals](Residual) and limits as the solver and evaluates them sample after sample in memory that is kept. Every row is a sum of
-//! forms at one or two time nodes, whose derivatives one reverse sweep finds. Rows are in ascending order of time: those of a horizon that its end comes
-//! nearer to are the last ones.
+//! A controller reads the same [residuals](Residual) and limits as the solver and evaluates them sample after sample in memory that is
+//! reused. Every row is a sum of forms at one or two time nodes, whose derivatives one reverse sweep finds. Rows are in ascending order of
+//! time: when the horizon shrinks toward its end, the last ones remain.
 
 use faer::Mat;
 
@@ -15,25 +15,25 @@ use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::sensitivity::RepeatedReverse;
 use crate::mechanics::{StateForm, TimeGrid};
 
-/// Terms of the form of a limit: six components of two nodes.
+/// Number of terms of the form of a limit: six components of two nodes.
 const LIMIT_TERMS: usize = 12;
 
-/// Forms of a row: at its time node, and where it is of an interval at the beginning of that.
+/// Forms of a row: at its time node, and for a row of an interval also at the beginning of the interval.
 type RowForms = [Option<usize>; 2];
 
-/// What is evaluated: the motion of a roll-out, with the times at which its states occur.
+/// The evaluated motion: that of a roll-out, with the times at which its states occur.
 #[derive(Clone, Copy)]
 pub(super) struct Evaluated<'a> {
     pub problem: &'a OptimalControlProblem,
     pub motion: Motion<'a>,
-    /// The grid by which obstacles move.
+    /// The grid for the motion of obstacles.
     pub grid: TimeGrid,
 }
 
-/// All rows of the longest horizon, of which the present one has the last.
+/// All rows of the longest horizon; those of the present one are the last.
 #[derive(Debug)]
 pub(super) struct Rows {
-    /// Ascending in time, on the longest grid.
+    /// Residuals in ascending order of time, on the longest grid.
     residuals: Vec<Residual>,
     /// First row of every residual.
     starts: Vec<usize>,
@@ -43,16 +43,16 @@ pub(super) struct Rows {
     limit_forms: Vec<RowForms>,
     limit_values: Vec<f64>,
     maxima: Maxima,
-    /// On the present grid from `first.form` on.
+    /// Forms; their time nodes are on the present grid from `first.form` on.
     forms: Vec<StateForm>,
     form_nodes: Vec<usize>,
-    /// Time nodes of the longest horizon that have passed.
+    /// Number of time nodes of the longest horizon that have passed.
     passed: usize,
     first: First,
     limits_along_start: Mat<f64>,
 }
 
-/// Where the rows of the present horizon begin.
+/// Indices of the first rows of the present horizon.
 #[derive(Clone, Copy, Debug, Default)]
 struct First {
     residual: usize,
@@ -61,8 +61,9 @@ struct First {
     form: usize,
 }
 
-/// The residuals that a controller makes small. `weight` is that of a target's scaled residual; a deviation from where the arm stays counts as the distance
-/// by which it moves the tip: one of energy `½ |r|²` moves it by `|r|` times the root of its compliance.
+/// Returns the residuals that a controller minimizes. `weight` is that of a target's scaled residual. A deviation from the shape in which
+/// the arm stays counts as the distance by which it moves the tip: a deviation of energy `½ |r|²` moves it by `|r|` times the square root
+/// of the tip's compliance.
 fn residuals(problem: &OptimalControlProblem, weight: f64) -> Vec<Residual> {
     let mut out = cost_residuals(problem);
     out.extend(goal_residuals(problem, None).into_iter().map(|residual| {
@@ -89,7 +90,7 @@ fn residuals(problem: &OptimalControlProblem, weight: f64) -> Vec<Residual> {
 }
 
 impl Rows {
-    /// `weight` is what a unit of a target's scaled residual costs, squared and halved, `price` that of a violated limit which is to be kept.
+    /// Creates the rows. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated hard limit.
     pub fn new(
         problem: &OptimalControlProblem,
         motion: &Motion,
@@ -153,7 +154,7 @@ impl Rows {
         out
     }
 
-    /// Leaves out rows of the longest horizon before time node `passed`, which the present one begins with.
+    /// Leaves out rows of the longest horizon before time node `passed`, at which the present one begins.
     pub fn place(&mut self, passed: usize) {
         let is_before = |residual: &Residual| residual.time_node < passed;
         let residual = self.residuals.partition_point(is_before);
@@ -180,7 +181,7 @@ impl Rows {
         &self.forms[self.first.form..]
     }
 
-    /// Rows of residuals that the longest horizon has.
+    /// Returns the number of rows of residuals in the longest horizon.
     pub fn len(&self) -> usize {
         self.row_forms.len()
     }
@@ -190,12 +191,13 @@ impl Rows {
         &self.values[self.first.row..]
     }
 
-    /// Rows that limits have in the longest horizon.
+    /// Returns the number of rows of limits in the longest horizon.
     pub fn n_limits(&self) -> usize {
         self.limits.len()
     }
 
-    /// Cost where every distance and angle that is followed or aimed at is off by `off`, in lengths of the rod or rad, all the time.
+    /// Returns the cost if every tracked or targeted distance and angle has the constant error `off`, divided by the rod's length, or in
+    /// rad.
     pub fn cost_of(&self, off: f64) -> f64 {
         let places = (self.residuals.iter()).filter(|residual| residual.kind.is_place());
         places.map(|place| 1.5 * place.weight * off * off).sum()
@@ -279,7 +281,7 @@ impl Rows {
         });
     }
 
-    /// Sum of the slopes of a row's forms, of which `along` knows those of the present horizon.
+    /// Returns the sum of the slopes of a row's forms; `along` returns that of a form of the present horizon.
     fn slope(&self, forms: &RowForms, along: impl Fn(usize) -> f64) -> f64 {
         let present = forms.iter().flatten();
         present
@@ -314,7 +316,7 @@ impl Rows {
         }
     }
 
-    /// Writes the limits of the present horizon as rows of a subproblem of `n` variables, but for their values.
+    /// Writes the limits of the present horizon as rows of a subproblem of `n` variables, except for their values.
     pub fn write_limits(&self, sweep: &RepeatedReverse, n: usize, soft: &mut SoftRows) {
         let present = self.first.limit..self.limits.len();
         soft.prices.clear();
@@ -332,7 +334,7 @@ impl Rows {
         }
     }
 
-    /// Writes the values of the present limits where the start deviates.
+    /// Writes the values of the present limits for a start that deviates.
     pub fn write_limit_values(
         &self,
         first_free_node: usize,

@@ -148,7 +148,7 @@ impl SoftRows {
         longest
     }
 
-    /// Moves by a fraction of the last [step](Self::step).
+    /// Moves by a fraction `part` of the last [step](Self::step).
     pub fn advance(&mut self, part: f64) {
         for i in 0..self.len() {
             let [along, sigma, first, second] = self.along[i];

@@ -192,8 +192,8 @@ struct Columns(Vec<Column>);
 /// A column: its name, and what a sample has in it.
 type Column = (String, Box<dyn Fn(&Sample) -> String>);
 
-/// Parts of a disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness, payload (kg), viscous damping (1/s),
-/// time of internal damping and delay (s).
+/// Parts of a disturbance: force (N) and moment (N m) at the tip, force per length (N/m), factor on the stiffness, payload (kg), viscous
+/// damping (1/s), time of internal damping and delay (s).
 const PARTS: [Named<Disturbance>; 14] = [
     ("tip_fx", |d| d.tip.force.x),
     ("tip_fy", |d| d.tip.force.y),

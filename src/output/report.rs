@@ -1,4 +1,4 @@
-//! What `report.html` shows, and the page itself.
+//! The content of `report.html`, and the page itself.
 
 #[cfg(feature = "cli")]
 mod comparison;
@@ -28,12 +28,12 @@ use serde_json::Value;
 
 use super::MotionRecord;
 
-/// What `report.html` shows; sections without data are absent from the page.
+/// The content of `report.html`; sections without data are absent from the page.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportData {
     /// Name of the scene.
     pub title: String,
-    /// What was run.
+    /// The command that made the result.
     pub command: ReportCommand,
     /// What the page says in words, and its charts.
     #[serde(flatten)]
@@ -44,7 +44,7 @@ pub struct ReportData {
     pub arm: ReportArm,
     /// Its motion, thin enough to draw.
     pub motion: ReportMotion,
-    /// What the times of the motion are.
+    /// Meaning of the times of the motion.
     pub clock: ReportClock,
     /// The target of the tip.
     pub target: Option<ReportTarget>,
@@ -124,7 +124,7 @@ pub enum ReportCommand {
 pub struct ReportClock {
     /// Its name on axes.
     pub name: &'static str,
-    /// The same after "over".
+    /// Name of the same quantity after the word "over".
     pub words: &'static str,
     /// Its letter.
     pub symbol: &'static str,
@@ -157,15 +157,15 @@ impl ReportClock {
 /// The outcome in a few words.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct ReportVerdict {
-    /// As in "certified".
+    /// Verdict in a few words, as in "certified".
     pub text: String,
-    /// Whether it is good news.
+    /// Tells whether it is good news.
     pub ok: bool,
-    /// Whether it is that of a check, and not only that of a run to its end.
+    /// Tells whether it is the verdict of a check, and not only that of a run to its end.
     pub checked: bool,
 }
 
-/// What the picture of the arm needs beside its motion.
+/// Data for the picture of the arm beside its motion.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportArm {
     /// Radius at each node in meters; empty if the scene has none, and a thin arm is drawn.
@@ -209,7 +209,7 @@ fn rounded(value: f64, unit: f64) -> f64 {
 }
 
 impl ReportMotion {
-    /// At most `max_frames` rows of the record (two at least), evenly spread, the first and the last among them.
+    /// Returns at most `max_frames` rows of the record (two at least), evenly spread, the first and the last among them.
     pub fn thinned(record: &MotionRecord, max_frames: usize) -> Self {
         let nodes = record.n_nodes;
         let node_vectors =
@@ -258,26 +258,26 @@ pub struct ReportVia {
     pub name: String,
     /// The node.
     pub node: usize,
-    /// When, in seconds.
+    /// Time, in seconds.
     pub t: f64,
     /// Position in meters.
     pub position: [f64; 3],
 }
 
-/// Whether an arrow is a force or a moment.
+/// Tells whether an arrow is a force or a moment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArrowKind {
-    /// In newtons.
+    /// A force, in newtons.
     Force,
-    /// In newton meters.
+    /// A moment, in newton meters.
     Moment,
 }
 
 /// A force or a moment over the frames of the motion.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportArrow {
-    /// What acts, as in "control".
+    /// Name of the cause, as in "control".
     pub name: String,
     /// Force or moment.
     pub kind: ArrowKind,
@@ -316,11 +316,11 @@ pub struct ReportObstacles {
 /// A body that the arm should stay clear of.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportObstacle {
-    /// As the scene calls it.
+    /// Name in the scene.
     pub name: String,
     /// The shape, where it is at t = 0.
     pub shape: ReportShape,
-    /// How it moves, m/s.
+    /// Velocity of the obstacle, m/s.
     pub velocity: [f64; 3],
     /// Distance in meters that should be kept.
     pub margin: f64,
@@ -380,9 +380,9 @@ pub enum Hold {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Bound {
-    /// On the Euclidean norm.
+    /// A limit on the Euclidean norm.
     Norm(f64),
-    /// On the magnitude of each component.
+    /// A limit on the magnitude of each component.
     Axes([f64; 3]),
 }
 
@@ -391,7 +391,7 @@ pub enum Bound {
 pub struct ReportControls {
     /// The course between the values.
     pub hold: Hold,
-    /// In seconds: the `m + 1` edges of the blocks (constant), or the `m` knots (linear).
+    /// Times in seconds: the `m + 1` edges of the blocks (constant), or the `m` knots (linear).
     pub t: Vec<f64>,
     /// `[m]` forces in newtons, spatial frame.
     pub force: Vec<[f64; 3]>,
@@ -417,7 +417,7 @@ pub struct ReportEnergy {
 }
 
 impl ReportEnergy {
-    /// At most `max_rows` rows of the record (two at least), the first and the last among them.
+    /// Returns at most `max_rows` rows of the record (two at least), the first and the last among them.
     pub fn thinned(record: &MotionRecord, max_rows: usize) -> Self {
         let rows = record.thinned_rows(max_rows);
         let column = |part: usize| -> Vec<f64> {
@@ -439,11 +439,11 @@ impl ReportEnergy {
 pub struct ReportChart {
     /// Heading of the section that it is in.
     pub section: String,
-    /// What they show.
+    /// Name of the quantity that is shown.
     pub title: String,
     /// Unit of their values; may be empty.
     pub unit: String,
-    /// What they are over: "time" is the clock of the page.
+    /// Name of the abscissa: "time" is the clock of the page.
     pub x_name: String,
     /// Its unit.
     pub x_unit: String,
@@ -462,11 +462,11 @@ pub struct ReportCurve {
     pub x: Vec<f64>,
     /// Its values; what is not finite is a gap.
     pub y: Vec<f64>,
-    /// Whether it consists of steps.
+    /// Tells whether the curve consists of steps.
     pub hold: bool,
     /// Half the width of a band around it, at every value; empty: none.
     pub band: Vec<f64>,
-    /// Whether it is dashed: what should be, beside what is.
+    /// Tells whether the curve is dashed: a reference, beside the actual values.
     pub dashed: bool,
 }
 
@@ -475,11 +475,11 @@ pub struct ReportCurve {
 pub struct ReportBars {
     /// Heading of the section that they are in.
     pub section: String,
-    /// What they show.
+    /// Name of the quantity that is shown.
     pub title: String,
     /// Name, size (at least zero; what is not finite has no bar), and the size in words.
     pub bars: Vec<(String, f64, String)>,
-    /// What has to be known to read them; may be empty.
+    /// Note that a reader needs to read them; may be empty.
     pub note: String,
 }
 
@@ -514,7 +514,7 @@ pub struct ReportAttempt {
     pub iterations: usize,
     /// The end of the solve.
     pub ended: String,
-    /// Whether it is the result.
+    /// Tells whether it is the result.
     pub is_result: bool,
 }
 
@@ -548,7 +548,7 @@ pub struct ReportCheck {
     pub value: String,
     /// The limit, with its unit.
     pub limit: String,
-    /// Whether it passed.
+    /// Tells whether it passed.
     pub ok: bool,
     /// The meaning of the criterion, in a sentence.
     pub meaning: String,

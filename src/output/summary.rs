@@ -36,7 +36,7 @@ pub struct CheckSummary {
     pub integrator: &'static str,
     /// `section` or `segment`: what the rotary inertia of the nodes is made of.
     pub rotary_inertia: &'static str,
-    /// What a second of motion costs with either integrator.
+    /// Predicted cost of a second of motion with either integrator.
     pub cost: CostEstimate,
     /// Step that a run takes, s.
     pub step_s: f64,
@@ -48,7 +48,7 @@ pub struct CheckSummary {
     pub scales: ScalesSummary,
     /// Size of the optimal-control problem, if the scene has one.
     pub optimal_control: Option<ProblemSize>,
-    /// What a simulation writes; absent for an optimal-control scene.
+    /// Size of the files that a simulation writes; absent for an optimal-control scene.
     pub output: Option<OutputSize>,
     /// Bytes that a run needs for its trajectory, about.
     pub memory_bytes: u64,
@@ -58,7 +58,7 @@ pub struct CheckSummary {
     pub material: Option<MaterialSummary>,
     /// The arm left alone.
     pub at_rest: RestSummary,
-    /// What may be chosen, and where it acts; empty for a simulation.
+    /// The controls that the optimizer may choose, with their nodes; empty for a simulation.
     pub actuators: Vec<ActuatorSummary>,
     /// The wrench that holds the tip at its target.
     pub static_need: Option<StaticNeedSummary>,
@@ -66,7 +66,7 @@ pub struct CheckSummary {
     pub solve_cost: Option<SolveCost>,
     /// The closed loop; absent for a scene without `[mpc]`.
     pub closed_loop: Option<LoopSummary>,
-    /// Whether the scene left the integrator open.
+    /// Tells whether the scene left the integrator open.
     pub integrator_is_chosen: bool,
     /// Things a user should know before running.
     pub warnings: Vec<String>,
@@ -111,18 +111,18 @@ pub struct ActuatorSummary {
     pub force: String,
     /// Bound of the moment, N m, in the node's body frame, likewise.
     pub moment: String,
-    /// Of an actuator that is no wrench on one node: its controls and their bounds in words; `node` is then the first that it acts on.
+    /// Controls of an actuator that is no wrench on one node, and their bounds in words; `node` is then the first that it acts on.
     pub controls: Option<String>,
 }
 
-/// Whether the tip can be held at its target, and by which wrench.
+/// The verdict on whether the tip can be held at its target, and the wrench that holds it.
 #[derive(Clone, Debug, Serialize)]
 pub struct StaticNeedSummary {
-    /// `within-bounds`: held by a wrench within the bounds, in a stable equilibrium. `above-bounds`, `unstable`, `cannot-be-held`: it cannot be. `not-found`:
-    /// neither was found.
+    /// `within-bounds`: held by a wrench within the bounds, in a stable equilibrium. `above-bounds`, `unstable`, `cannot-be-held`: it
+    /// cannot be. `not-found`: neither was found.
     pub verdict: &'static str,
-    /// The wrench of every actuated node: force in space, N, and moment in the body frame, N m; that of the equilibrium at the target, also where it is beyond
-    /// the bounds or unstable; empty where there is none.
+    /// The wrench of every actuated node: force in space, N, and moment in the body frame, N m; that of the equilibrium at the target, also
+    /// where it is beyond the bounds or unstable; empty where there is none.
     pub wrenches: Vec<[f64; 6]>,
     /// The controls of other actuators, actuator by actuator, in their own unit.
     pub controls: Vec<Vec<f64>>,
@@ -143,11 +143,11 @@ pub struct StaticNeedSummary {
 pub struct NearestHeldSummary {
     /// m
     pub position_m: [f64; 3],
-    /// From the target, m.
+    /// Distance from the target, m.
     pub distance_m: f64,
-    /// As in [`StaticNeedSummary`].
+    /// Wrenches, as in [`StaticNeedSummary`].
     pub wrenches: Vec<[f64; 6]>,
-    /// As in [`StaticNeedSummary`].
+    /// Controls, as in [`StaticNeedSummary`].
     pub controls: Vec<Vec<f64>>,
 }
 
@@ -302,14 +302,14 @@ pub struct SimulateSummary {
     /// Least distances from the obstacles of the scene, which the motion does not know; absent where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub clearance: Vec<ClearanceSummary>,
-    /// How the grid was chosen; absent where the scene gives it.
+    /// The choice of the grid; absent if the scene gives it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<AccuracySummary>,
     /// The result directory.
     pub directory: String,
 }
 
-/// How far a node is from a soft goal at its time.
+/// Distance of a node from a soft goal at its time.
 #[derive(Clone, Debug, Serialize)]
 pub struct SoftGoalSummary {
     /// Key of the goal.
@@ -344,16 +344,16 @@ impl SoftGoalSummary {
     }
 }
 
-/// How near a simulated arm comes to an obstacle, at the times that have a row.
+/// Nearest approach of a simulated arm to an obstacle, at the times that have a row.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClearanceSummary {
     /// Name of the obstacle.
     pub obstacle: String,
     /// Least distance between their surfaces, m; negative inside.
     pub least_m: f64,
-    /// When, s.
+    /// Time, s.
     pub at_s: f64,
-    /// Where on the arm, as a fraction of its length from the base.
+    /// Place on the arm, as a fraction of its length from the base.
     pub place: f64,
 }
 
@@ -368,14 +368,14 @@ impl ClearanceSummary {
     }
 }
 
-/// How elements and step were chosen where a scene asks for an accuracy; all errors are over the length.
+/// The choice of elements and step if a scene asks for an accuracy; all errors are divided by the length.
 #[derive(Clone, Debug, Serialize)]
 pub struct AccuracySummary {
-    /// What the scene asks for.
+    /// The accuracy that the scene asks for.
     pub asked: f64,
     /// Estimated error of any place of the arm at any time.
     pub error: f64,
-    /// Whether that is no more than what is asked.
+    /// Tells whether the error is within that accuracy.
     pub met: bool,
     /// The part of the error that elements make.
     pub error_of_elements: f64,
@@ -383,7 +383,7 @@ pub struct AccuracySummary {
     pub error_of_steps: f64,
     /// The grids that were tried, in order.
     pub levels: Vec<Level>,
-    /// What was chosen, and why.
+    /// The choice in words, with its reason.
     pub why: String,
 }
 
@@ -420,7 +420,7 @@ pub struct SensitivitySummary {
 }
 
 impl SensitivitySummary {
-    /// Of the growth up to every edge.
+    /// Returns the summary of the growth up to every edge of the blocks.
     #[must_use]
     pub fn of(growth: &[f64]) -> Self {
         Self {
@@ -434,9 +434,9 @@ impl SensitivitySummary {
 #[derive(Clone, Debug, Serialize)]
 #[serde(untagged)]
 pub enum CheckRecord {
-    /// It was made.
+    /// The check was made.
     Made(Value),
-    /// It was not made, or not to its end.
+    /// The check was not made, or not to its end.
     NotChecked {
         /// `not checked`
         verdict: &'static str,
@@ -469,13 +469,13 @@ pub fn was_checked(summary: &Value) -> bool {
 /// Staying after the task, with the last wrench held.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StaysSummary {
-    /// How long the arm should stay, s.
+    /// Duration of the stay, s.
     pub seconds: f64,
-    /// How far the tip may be from its target meanwhile, m.
+    /// Largest distance of the tip from its target during the stay, m.
     pub allowed_m: f64,
     /// The wrench that is held of every actuator: force (N, spatial frame) and moment (N m, body frame).
     pub wrench: Vec<[f64; 6]>,
-    /// Whether the equilibrium under these wrenches is stable.
+    /// Tells whether the equilibrium under these wrenches is stable.
     pub stable: bool,
     /// Largest compliance of the tip there, m/N.
     pub tip_compliance_m_n: f64,
@@ -497,7 +497,7 @@ pub struct StaysSummary {
 pub struct LargestDistance {
     /// m
     pub max: f64,
-    /// When, in s after the task.
+    /// Time, in s after the task.
     pub at_s: f64,
 }
 
@@ -538,7 +538,7 @@ pub struct StartSummary {
     pub objective: f64,
     /// Iterations.
     pub iterations: usize,
-    /// Of the check; absent where a better one was certified before.
+    /// Result of the check; absent if a better solution was certified before.
     pub verdict: Option<&'static str>,
 }
 
@@ -549,9 +549,9 @@ pub struct AttemptSummary {
     pub from: String,
     /// Iterations it took.
     pub iterations: usize,
-    /// How it ended: of one that is not the result, why it was given up or what it led to.
+    /// Outcome; for a start that is not the result, the reason why it was given up, or the point to which it led.
     pub ended: String,
-    /// Whether it is the result.
+    /// Tells whether it is the result.
     pub is_result: bool,
 }
 
@@ -575,10 +575,10 @@ pub struct Reached {
     /// Staying after the task; absent where the arm need not stay.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays: Option<StaysSummary>,
-    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
+    /// Errors along every path of `[[objective.track]]`, in their order; absent if there is none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub tracking: Vec<TrackingError>,
-    /// What soft goals leave; absent where there is none.
+    /// Residuals of soft goals; absent if there is none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub soft_goals: Vec<SoftGoalSummary>,
     /// The forward check; absent when it could not be made.
@@ -588,9 +588,9 @@ pub struct Reached {
 /// The part of a summary that follows from the regulator.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Sensitivities {
-    /// How perturbations grow without feedback, in the norm of their energy; absent where no gains were computed.
+    /// Growth of perturbations without feedback, in the norm of their energy; absent if no gains were computed.
     pub open_loop_sensitivity: Option<SensitivitySummary>,
-    /// The same with feedback.
+    /// Growth of perturbations with feedback, in the same norm; absent if no gains were computed.
     pub closed_loop_sensitivity: Option<SensitivitySummary>,
 }
 
@@ -630,9 +630,9 @@ pub struct SolveSummary {
     pub scene: String,
     /// The status of the solver.
     pub status: &'static str,
-    /// In words, where there is more to say.
+    /// Message in words, if there is more to say.
     pub message: Option<String>,
-    /// What there is to say about the motion where the solve did not converge, or the check rejects it: where, how much, and what to change.
+    /// Remarks on the motion if the solve did not converge, or the check rejects it: places, amounts, and changes that may help.
     pub advice: Vec<String>,
     /// Iterations.
     pub iterations: usize,
@@ -648,22 +648,22 @@ pub struct SolveSummary {
     pub kkt: KktResidual,
     /// Ratio of the last two steps, and the observed order of convergence.
     pub convergence: Convergence,
-    /// What the motion reaches, and the check of it.
+    /// The results of the motion, and the check of it.
     #[serde(flatten)]
     pub reached: Reached,
-    /// How the grid was chosen; absent where the scene gives it.
+    /// The choice of the grid; absent if the scene gives it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<AccuracySummary>,
-    /// Whether residuals were still falling at the end of a solve that was stopped.
+    /// Tells whether residuals were still decreasing when a solve was stopped.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
     /// Every how many time nodes the motion of a solve that was stopped has a row, where that is not every one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps_per_row: Option<usize>,
-    /// How perturbations grow.
+    /// Growth of perturbations.
     #[serde(flatten)]
     pub sensitivities: Sensitivities,
-    /// Where the tip ends on arms that differ from the model, with and without the gains; absent where no gains were computed.
+    /// Final positions of the tip on arms that differ from the model, with and without the gains; absent if no gains were computed.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub model_mismatch: Vec<ModelMismatch>,
     /// The worst constraints by name.

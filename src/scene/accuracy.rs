@@ -1,4 +1,4 @@
-//! `rod.accuracy` in the place of `rod.elements` and `time.step_s`.
+//! `rod.accuracy`, which stands in the place of `rod.elements` and `time.step_s`.
 
 use toml::{Table, Value};
 
@@ -11,18 +11,18 @@ use crate::sqp::HessianChoice;
 use crate::task::Discretization;
 use crate::task::prediction::first_elements;
 
-/// What a scene asks for that gives neither elements nor an accuracy, in lengths of the arm.
+/// Default accuracy of a scene that gives neither elements nor an accuracy, as a fraction of the length of the arm.
 const DEFAULT: f64 = 1e-3;
 
-/// Least accuracy that a grid can be chosen for: below, rounding of long motions and the number of elements decide.
+/// Smallest accuracy that a grid can be chosen for; with a smaller one, rounding of long motions and the number of elements decide.
 const FINEST: f64 = 1e-8;
-/// Largest one: above, no shape is resolved.
+/// Largest accuracy that a grid can be chosen for; with a larger one, no shape is resolved.
 const COARSEST: f64 = 0.1;
 
-/// A key that a table has.
+/// A key of a table, with its value.
 struct Given {
     value: Value,
-    /// Whether the command line set it, whose keys take the place of those of the file.
+    /// Tells whether the command line set the key; keys of the command line replace those of the file.
     overrides: bool,
 }
 
@@ -108,7 +108,7 @@ pub(super) fn complete(
     Ok(())
 }
 
-/// Whether an accuracy is in its range.
+/// Checks that an accuracy is in its range.
 ///
 /// # Errors
 /// [`SceneError`] with the range.
@@ -147,8 +147,8 @@ fn index_of_a_node(table: &Table) -> Option<String> {
 }
 
 impl Scene {
-    /// The same scene with elements and a longest time step of their own in the place of an accuracy; indices of nodes go to the nodes at
-    /// the same places.
+    /// Returns the scene with elements and a longest time step of its own in the place of an accuracy; indices of nodes become those of the
+    /// nodes at the same places.
     #[must_use]
     pub fn with_grid(&self, discretization: &Discretization) -> Self {
         let mut out = self.clone();
@@ -175,13 +175,13 @@ impl Scene {
         out
     }
 
-    /// The accuracy that the scene asks for in the place of elements and a step, in lengths of the arm.
+    /// Returns the accuracy that the scene asks for in the place of elements and a step, as a fraction of the length of the arm.
     #[must_use]
     pub fn accuracy(&self) -> Option<f64> {
         self.rod.accuracy.map(Number::get)
     }
 
-    /// Whether every node that the scene names by its index is a node of a rod of so many elements.
+    /// Tells whether every node that the scene names by its index is a node of a rod of so many elements too.
     #[must_use]
     pub fn names_nodes_of(&self, elements: usize) -> bool {
         let own = self.rod.elements;
@@ -258,7 +258,7 @@ impl Scene {
         }
     }
 
-    /// Elements of the arm as it is.
+    /// Sets the number of elements of the plant.
     pub(crate) fn set_plant_elements(&mut self, elements: usize) {
         self.plant.get_or_insert_default().elements = Some(elements);
     }

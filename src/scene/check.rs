@@ -4,15 +4,15 @@ use super::keys::{Checked, Keys};
 use super::model::Scene;
 use super::{SceneError, SceneSource};
 
-/// Elements beyond this number are a typing error rather than a wish.
+/// Largest number of elements; a larger one is taken for a typing error.
 pub(crate) const MOST_ELEMENTS: usize = 5000;
 
-/// Blocks and iterations beyond this number are a typing error rather than a wish.
+/// Largest number of blocks or iterations; a larger one is taken for a typing error.
 pub(super) const LARGEST_COUNT: usize = 1_000_000;
 
 impl Scene {
-    /// Whether every number is finite and within range, and no key contradicts another; `source` says where they
-    /// are written. Whatever was read by [`Scene::load`] or [`Scene::from_toml`] has passed this check.
+    /// Checks that every number is finite and within range, and that no key contradicts another; `source` says where they are written.
+    /// Every scene from [`Scene::load`] or [`Scene::from_toml`] has passed this check.
     pub fn check(&self, source: &SceneSource) -> Result<(), SceneError> {
         let keys = Keys { source };
         keys.check_rod(&self.rod)?;

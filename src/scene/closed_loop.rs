@@ -27,19 +27,20 @@ pub struct ClosedLoopSetup {
     pub experiment: Experiment,
     /// Rod of the controller's model.
     pub model: Arc<Rod>,
-    /// Rod of the arm as it is.
+    /// Rod of the plant.
     pub plant: Arc<Rod>,
-    /// State of the arm as it is at time 0.
+    /// State of the plant at time 0.
     pub initial: State,
     /// The scene with every default and derived value written out.
     pub resolved: Scene,
-    /// Keys that play no part.
+    /// Warnings about keys without effect, and about a loop that goes on after its task.
     pub warnings: Vec<String>,
 }
 
-/// Distance from the surface that the tip sweeps, over the length, up to which a path lies on it.
+/// Distance from the surface that the tip sweeps, divided by the length, up to which a path lies on it.
 const ON_THE_SURFACE: f64 = 0.01;
-/// A horizon is this part of the first natural period, along a path at most this part of the scene's time, and at least so many samples.
+/// Default horizon: this fraction of the first natural period, along a path at most `PART_OF_TIME` of the scene's time, and at least
+/// `FEWEST_SAMPLES` samples.
 const PART_OF_PERIOD: f64 = 0.5;
 const PART_OF_TIME: f64 = 0.25;
 const FEWEST_SAMPLES: f64 = 10.0;
@@ -58,7 +59,8 @@ impl ClosedLoopSetup {
         })
     }
 
-    /// Closed paths of the tip that lie off the surface that it sweeps, a sentence each with their distances from it; none where `stop` is raised.
+    /// Returns a sentence for each closed path of the tip that lies off the surface that the tip sweeps, with its distances from it; none
+    /// if `stop` is raised.
     #[must_use]
     pub fn unbent_paths(&self, stop: &StopSignal) -> Vec<String> {
         let model = &*self.model;
@@ -93,7 +95,7 @@ impl ClosedLoopSetup {
 }
 
 impl Scene {
-    /// Longest horizon that is chosen where the scene names none, s: blocks are to be short beside the paths that the arm follows.
+    /// Longest default horizon, s: blocks have to be short beside the paths that the arm follows.
     fn longest_horizon(&self) -> f64 {
         let follows =
             (self.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
@@ -104,8 +106,8 @@ impl Scene {
         }
     }
 
-    /// The closed loop that the scene describes; `seed` is that of the noise where the scene has none, and `stop` ends the search for an
-    /// initial state.
+    /// Returns the closed loop that the scene describes; `seed` is that of the noise if the scene has none, and `stop` ends the search for
+    /// an initial state.
     ///
     /// # Errors
     /// [`SceneError`] if `[mpc]`, `[control]`, or both `[task]` and `[[objective.track]]` are missing, for features that a controller does not
@@ -270,7 +272,7 @@ impl Scene {
         })
     }
 
-    /// What a closed loop refuses, by the key of the scene that says it; `None` for what happens within a run.
+    /// Returns the error of a closed loop at the key of the scene that causes it; `None` for an error within a run.
     #[must_use]
     pub fn mpc_error(&self, source: &SceneSource, error: &MpcError) -> Option<SceneError> {
         let message = error.to_string();
@@ -296,7 +298,7 @@ impl Scene {
         }
     }
 
-    /// What no controller knows.
+    /// Refuses features that the controller does not support: waypoints, a free duration and cubic blocks.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
@@ -327,7 +329,7 @@ impl Scene {
         }
     }
 
-    /// Keys that play no part, and a loop that goes on after its task.
+    /// Returns warnings about keys without effect, and about a loop that goes on after its task.
     fn concerns(&self, due: Option<Positive<Instant>>, duration: f64) -> Vec<String> {
         let mut out = Vec::new();
         let kind = self.estimator.as_ref().map(|estimator| estimator.kind);
@@ -352,7 +354,7 @@ impl Scene {
         out
     }
 
-    /// The arm as it is.
+    /// Returns the plant: the arm that the controller acts on, with its discretization.
     fn plant(&self, arm: &Arm, discretization: &Discretization) -> (Arm, Discretization) {
         let keys = self.plant.clone().unwrap_or_default();
         let mut plant = arm.clone();
@@ -402,7 +404,7 @@ impl Scene {
         (plant, own)
     }
 
-    /// Settings of the sensors on this model, which can be made on this plant.
+    /// Returns the settings of the sensors on this model, after a check that this plant can have them.
     fn sensors(
         &self,
         source: &SceneSource,
@@ -421,7 +423,7 @@ impl Scene {
     }
 }
 
-/// Half of the first natural period about the start, s, at most `longest` and at least ten samples; a whole number of samples.
+/// Returns half of the first natural period about the start, s, at most `longest` and at least ten samples, as a whole number of samples.
 fn default_horizon(rod: &Rod, start: &State, period: f64, longest: f64) -> f64 {
     let frequency = SmallMotions::about(rod, &start.configuration, 0.0).first_frequency();
     let natural = frequency.map_or(rod.scales.time, |omega| TAU / omega);

@@ -9,11 +9,11 @@ use crate::output::open_regular;
 
 /// Most rows of a file.
 const MOST_ROWS: usize = 1_000_000;
-/// Bytes of the largest file: rows of eight numbers of 24 characters, with as many for separators and comments.
+/// Size of the largest file in bytes: rows of eight numbers of 24 characters, with as many for separators and comments.
 const LARGEST_FILE: u64 = 8 * 32 * MOST_ROWS as u64;
 
 impl Scene {
-    /// Reads the files of all tracks into their rows, so that the scene stands by itself.
+    /// Reads the files of all tracks into their rows, so that the scene no longer depends on them.
     pub(super) fn read_paths(&mut self, source: &SceneSource) -> Result<(), SceneError> {
         let tracks = self
             .objective

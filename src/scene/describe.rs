@@ -1,4 +1,4 @@
-//! Writes a problem that a program posed as a scene.
+//! Writes a problem that was posed in a program as a scene.
 
 use nalgebra::Vector3;
 
@@ -13,18 +13,18 @@ use crate::mechanics::{self, BaseCondition};
 use crate::sqp::SqpSettings;
 use crate::task::{self, PathLimit, Problem};
 
-/// A part of a problem that no scene can say.
+/// The feature of a problem that no scene can express.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no scene can describe this problem: {0}")]
 pub struct DescribeError(pub(super) &'static str);
 
 impl Scene {
-    /// The scene that describes a problem: read again, it is the same one, but for rounding of orientations and directions.
+    /// Returns the scene that describes a problem: read again, it gives the same problem, up to rounding of orientations and directions.
     ///
     /// # Errors
-    /// [`DescribeError`] for what scenes cannot say: sections that differ in their two transverse directions, goals at the end for other
-    /// places than the tip, a first actuator elsewhere, rates that differ among actuators, obstacles behind other limits, a tapered display of a
-    /// uniform arm.
+    /// [`DescribeError`] for features that scenes cannot express: sections that differ in their two transverse directions, goals at the end
+    /// for other places than the tip, a first actuator elsewhere, rates that differ among actuators, obstacles behind other limits, a
+    /// tapered display of a uniform arm.
     pub fn describing(problem: &Problem, settings: &SqpSettings) -> Result<Scene, DescribeError> {
         let (arm, task) = (&problem.arm, &problem.task);
         let chosen = &problem.discretization;

@@ -1,4 +1,4 @@
-//! A scene written into the text that another one came from, whose comments, blank lines and order stay.
+//! Writes a scene into the text that another one came from, and keeps its comments, blank lines and order.
 
 use toml::{Table, Value};
 use toml_edit::{ArrayOfTables, DocumentMut, InlineTable, Item, TableLike};
@@ -6,17 +6,17 @@ use toml_edit::{ArrayOfTables, DocumentMut, InlineTable, Item, TableLike};
 use super::overrides::Override;
 use super::{Scene, SceneSource};
 
-/// Rounds of change and reading: a first one for the scene, one for keys of the text that an override had put out of force, and one
-/// that finds nothing.
+/// Number of rounds of change and reading: a first one for the scene, one for keys of the text that an override had put out of force, and
+/// one that finds no difference.
 const ROUNDS: usize = 3;
 
-/// Stands for the value of an entry that is to go, so that the comments around its line are still found.
+/// Placeholder for the value of an entry that is to be removed, so that the comments around its line can still be found.
 const GONE: &str = "softarm: this entry goes";
 
 impl SceneSource {
-    /// The text of this source, changed only in the entries in which `scene` and what the source says, overrides included, differ.
+    /// Returns the text of this source, changed only in the entries that differ between `scene` and the source with its overrides.
     ///
-    /// It reads back as `scene`; `None` where no such text is found.
+    /// The text reads back as `scene`; `None` if no such text is found.
     pub(crate) fn text_with(&self, scene: &Scene) -> Option<String> {
         let written: Table = toml::from_str(&self.text).ok()?;
         let mut overridden = written.clone();
@@ -46,7 +46,7 @@ impl SceneSource {
         None
     }
 
-    /// Takes away what sections that were not there before need not say, their keys having these values anyway.
+    /// Removes the keys of new sections that have their default values anyway.
     fn prune(&self, document: &mut DocumentMut, written: &Table, scene: &Scene) {
         let added = |document: &DocumentMut| -> Vec<(String, String)> {
             let sections = (document.iter()).filter(|(name, _)| !written.contains_key(*name));
@@ -69,7 +69,8 @@ impl SceneSource {
     }
 }
 
-/// An accuracy and elements exclude each other, and a scene without elements asks for an accuracy.
+/// Replaces an accuracy by elements, unless the scene asks for an accuracy: the two exclude each other, and a scene without elements asks
+/// for an accuracy.
 fn settle_grid(document: &mut DocumentMut, scene: &Scene) {
     let Some(item) = document.get_mut("rod") else {
         return;
@@ -168,7 +169,7 @@ fn change_value(place: &mut toml_edit::Value, before: Option<&Value>, after: &Va
     *place.decor_mut() = decor;
 }
 
-/// Takes an entry away, or marks it where comments may stand around its line.
+/// Removes an entry, or marks it if comments may stand around its line.
 fn remove(section: &mut dyn TableLike, key: &str, inline: bool) {
     match section.get_mut(key) {
         Some(Item::Value(value)) if !inline => {
@@ -181,7 +182,7 @@ fn remove(section: &mut dyn TableLike, key: &str, inline: bool) {
     }
 }
 
-/// The text without the lines of entries that are to go; a comment on such a line becomes a line of its own.
+/// Returns the text without the lines of removed entries; a comment on such a line becomes a line of its own.
 fn without_gone(text: &str) -> String {
     let mark = format!("\"{GONE}\"");
     let mut out = String::with_capacity(text.len());
@@ -245,7 +246,7 @@ mod tests {
     use crate::sqp::HessianChoice;
     use crate::task::Discretization;
 
-    /// Comments, in their order, and how many lines are blank.
+    /// Returns the comments, in their order, and the number of blank lines.
     fn kept(text: &str) -> (Vec<&str>, usize) {
         let comments = text
             .lines()
@@ -254,7 +255,7 @@ mod tests {
         (comments.collect(), blank)
     }
 
-    /// The scene with elements and a step of its own, a solver that it may not name, and a horizon.
+    /// Returns the scene with twice the elements and this step, one more block, solver settings that it may not name, and a horizon.
     fn changed(scene: &Scene, step: Option<f64>) -> Scene {
         let own = scene.discretization();
         let mut out = scene.with_grid(&Discretization {
@@ -286,7 +287,7 @@ mod tests {
         edited
     }
 
-    /// Every built-in scene, changed as a recommendation changes it, has its comments, and reads as if every key were written out.
+    /// Every built-in scene, changed as a recommendation changes it, keeps its comments, and reads as if every key were written out.
     #[test]
     fn built_in_scenes_keep_their_comments() {
         for name in builtin::names() {
@@ -296,7 +297,7 @@ mod tests {
         }
     }
 
-    /// A scene that differs in nothing is the same text.
+    /// A scene without differences gives the same text.
     #[test]
     fn nothing_changed_is_the_same_text() {
         for name in builtin::names() {
@@ -333,7 +334,7 @@ step_s = 1e-3 # small
 # The end.
 ";
 
-    /// Keys of the command line are in the text, be they in force for themselves or put others out of force.
+    /// Keys of the command line are in the text, whether they are in force themselves or put others out of force.
     #[test]
     fn overrides_are_written() {
         let own = |scene: &Scene| scene.clone();
@@ -370,7 +371,7 @@ step_s = 1e-3 # small
         }
     }
 
-    /// Elements take the place of an accuracy, whose comments stay; of elements that the search began with, too.
+    /// Elements replace an accuracy, whose comments stay; so do the elements with which the search began.
     #[test]
     fn an_accuracy_gives_way() {
         let text = ARM

@@ -1,9 +1,9 @@
-//! Errors in a scene, with the place, what was expected, and what to do.
+//! Errors in a scene, with the place, the expected value and a remedy.
 
 use std::fmt;
 use std::ops::Range;
 
-/// What is wrong with a scene: the key, the place it was written at, what was expected and what may help.
+/// An error in a scene: the key, the place where it is written, the message, the expected value and a remedy.
 ///
 /// Displayed, it is a diagnosis of a few lines, of bounded length whatever the input was:
 /// ```text
@@ -25,14 +25,14 @@ struct Diagnosis {
     help: Option<String>,
 }
 
-/// Where a value was written.
+/// Place where a value is written.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Place {
-    /// Somewhere in the source of this name, or nowhere in it because it is missing.
+    /// The source of this name: the value is somewhere in it, or missing from it.
     Source(String),
-    /// In this `KEY=VALUE`.
+    /// This `KEY=VALUE` of the command line.
     Override(String),
-    /// In a line of the source.
+    /// A line of the source.
     Line(Line),
 }
 
@@ -71,13 +71,13 @@ impl SceneError {
         self
     }
 
-    /// Adds what was expected, which is shown beside the marked text.
+    /// Adds the expected value, which is shown beside the marked text.
     pub fn expecting(mut self, expected: impl Into<String>) -> SceneError {
         self.0.expected = Some(expected.into());
         self
     }
 
-    /// Adds what the user may do now.
+    /// Adds a remedy.
     pub fn with_help(mut self, help: impl Into<String>) -> SceneError {
         self.0.help = Some(help.into());
         self
@@ -104,17 +104,17 @@ impl SceneError {
         }
     }
 
-    /// What is wrong, in one sentence, without the key and the place.
+    /// The message in one sentence, without the key and the place.
     pub fn message(&self) -> &str {
         &self.0.message
     }
 
-    /// What was expected instead, where that adds to the message.
+    /// The expected value, if it adds to the message.
     pub fn expected(&self) -> Option<&str> {
         self.0.expected.as_deref()
     }
 
-    /// What the user may do now.
+    /// The remedy.
     pub fn help(&self) -> Option<&str> {
         self.0.help.as_deref()
     }
@@ -214,10 +214,10 @@ fn floor_char_boundary(text: &str, index: usize) -> usize {
         .unwrap_or(0)
 }
 
-/// No more than this many characters of what the user wrote are quoted in one place.
+/// Largest number of characters of the user's text that are quoted in one place.
 const EXCERPT_LENGTH: usize = 120;
 
-/// `text` in a form that is safe to print: one line, no control characters, no more than a line of it.
+/// Returns `text` in a form that is safe to print: one line, no control characters, at most [`EXCERPT_LENGTH`] characters.
 pub(super) fn excerpt(text: &str) -> String {
     let mut quoted: String = text.chars().take(EXCERPT_LENGTH).map(printable).collect();
     if text.chars().nth(EXCERPT_LENGTH).is_some() {
@@ -226,7 +226,7 @@ pub(super) fn excerpt(text: &str) -> String {
     quoted
 }
 
-/// Control characters could move the cursor, and directional marks could reorder the line.
+/// Replaces characters that could move the cursor (control characters) or reorder the line (directional marks).
 fn printable(character: char) -> char {
     match character {
         '\t' => ' ',
@@ -239,7 +239,7 @@ fn printable(character: char) -> char {
     }
 }
 
-/// The known word that `word` was most likely meant to be.
+/// Returns the known word that is nearest to `word`, if one is near enough to be meant.
 pub(super) fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     const CLOSE_ENOUGH: f64 = 0.8; // 1 is equal; separates `lenght` from words that merely share letters
     if word.len() > EXCERPT_LENGTH {

@@ -4,21 +4,21 @@ use super::model::{Damping, Gravity, Scene};
 use super::values::known;
 use crate::mechanics::{RodModel, StrainRule};
 
-/// Accelerations and rates of features that a scene does not have.
+/// Accelerations and rates of a feature that the scene itself does not have.
 const GRAVITY_M_S2: [f64; 3] = [0.0, 0.0, -9.81];
 const VISCOUS_1_S: f64 = 1.0;
-/// Kelvin-Voigt time over the time of a wave along the arm, `L²/sqrt(EI/ρA)`: it damps bending by some percent.
+/// Kelvin-Voigt time divided by the time of a bending wave along the arm, `L²/sqrt(EI/ρA)`: it damps bending by some percent.
 const INTERNAL: f64 = 1e-3;
 
 /// A scene with a feature and the same without it.
 pub(crate) struct Feature {
     /// Its name.
     pub name: &'static str,
-    /// Whether the scene has it.
+    /// Tells whether the scene itself has it.
     pub in_scene: bool,
-    /// With the feature.
+    /// The scene with the feature.
     pub with: Scene,
-    /// Without.
+    /// The scene without the feature.
     pub without: Scene,
 }
 

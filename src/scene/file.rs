@@ -5,13 +5,13 @@ use super::error::{SceneError, excerpt, nearest};
 use crate::output::{Unreadable, read_regular};
 use std::path::Path;
 
-/// A scene is some kilobytes; what is longer than this is not a scene.
+/// Size of the largest scene file in bytes; a scene has some kilobytes.
 const LARGEST_FILE: u64 = 1 << 20;
 
 pub(super) const EXAMPLE_HELP: &str =
     "`softarm example reach` prints a commented scene to start from";
 
-/// The text of the regular file at `path`, of at most the allowed length: a pipe would wait for ever, and a device never ends.
+/// Returns the text of the regular file at `path`, of at most the allowed length. Pipes and devices are refused, since they may never end.
 pub(super) fn read(path: &str) -> Result<String, SceneError> {
     let bytes = read_regular(Path::new(path), LARGEST_FILE).map_err(|error| match error {
         Unreadable::Io(_) => SceneError::of_source(path, error.to_string()),
@@ -32,7 +32,7 @@ pub(super) fn read(path: &str) -> Result<String, SceneError> {
     })
 }
 
-/// `path` is a directory; a result directory holds the scene that it was computed from.
+/// Returns the error for a `path` that is a directory; a result directory has the scene that it was computed from.
 pub(super) fn directory_error(path: &Path, name: &str) -> SceneError {
     let error = SceneError::of_source(name, "a directory, not a scene file");
     if path.join("scene.toml").is_file() {
@@ -46,7 +46,7 @@ pub(super) fn directory_error(path: &Path, name: &str) -> SceneError {
     }
 }
 
-/// `name` is neither a readable file nor a built-in scene.
+/// Returns the error for a `name` that is neither a readable file nor a built-in scene.
 pub(super) fn missing_error(name: &str, reason: &std::io::Error) -> SceneError {
     if reason.kind() != std::io::ErrorKind::NotFound {
         return SceneError::of_source(name, format!("cannot be read: {reason}"));

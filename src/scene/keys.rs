@@ -1,10 +1,10 @@
-//! What is asked of single keys, and how a refusal names them.
+//! Checks of single keys, with errors that name them.
 
 use super::model::LoadNode;
 use super::values::digits;
 use super::{SceneError, SceneSource};
 
-/// The keys of a scene, by dotted path. Each method names the key that does not hold.
+/// Checks of the keys of a scene, by dotted path. Each method returns an error at the first key that violates its condition.
 pub(super) struct Keys<'a> {
     pub source: &'a SceneSource,
 }
@@ -12,7 +12,8 @@ pub(super) struct Keys<'a> {
 pub(super) type Checked = Result<(), SceneError>;
 
 impl Keys<'_> {
-    /// Rows that begin with an increasing time; `without` is what there is without the table.
+    /// Checks that a table has rows and that each begins with a later time than the one before; `without` names the behavior without the
+    /// table, for the remedy.
     pub fn table<const N: usize>(&self, key: &str, rows: &[[f64; N]], without: &str) -> Checked {
         if rows.is_empty() {
             let help = format!("leave it out for {without}");
@@ -74,7 +75,7 @@ impl Keys<'_> {
         Ok(())
     }
 
-    /// Infinity is as good as any.
+    /// Checks that a number is 0 or above; infinity is allowed.
     pub fn not_below_zero(&self, key: &str, value: f64, quantity: &str, unit: &str) -> Checked {
         if !(value >= 0.0) {
             return Err(self.out_of_range(key, value, &format!("non-negative {quantity}"), unit));
@@ -82,7 +83,7 @@ impl Keys<'_> {
         Ok(())
     }
 
-    /// `unit` is empty for numbers without one.
+    /// Returns the error for a number out of range; `unit` is empty for numbers without one.
     pub fn out_of_range(&self, key: &str, value: f64, quantity: &str, unit: &str) -> SceneError {
         let unit = if unit.is_empty() {
             String::new()

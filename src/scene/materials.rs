@@ -1,7 +1,7 @@
 //! Materials by name: typical values, their sources, and the range of values in other sources.
 //!
-//! One number cannot describe a rubber: moduli differ by batch, cure, temperature, rate and stretch, and by a factor of two
-//! between one laboratory and the next. A preset is where a first arm begins; a measured modulus beside it takes its place.
+//! One number cannot describe a rubber: moduli differ by batch, cure, temperature, rate and stretch, and by a factor of two between one
+//! laboratory and the next. A preset is meant for a first arm; a measured modulus beside it takes precedence.
 
 use serde::{Deserialize, Serialize};
 
@@ -40,22 +40,22 @@ pub enum MaterialPreset {
     GlassFiber,
 }
 
-/// What a preset stands for.
+/// Figures of a material preset, with their source.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MaterialFigures {
     /// Name in scenes.
     pub name: &'static str,
-    /// What it is.
+    /// Description of the material in words.
     pub what: &'static str,
     /// Young's modulus, Pa; along the rod where the material is not isotropic.
     pub youngs_modulus_pa: f64,
-    /// Least and largest Young's modulus that [`source`](Self::source) gives reasons for, Pa.
+    /// Smallest and largest Young's modulus that [`source`](Self::source) gives reasons for, Pa.
     pub range_pa: [f64; 2],
     /// Resistance to shear.
     pub shear: Shear,
     /// Density, kg/m³.
     pub density_kg_m3: f64,
-    /// Where the figures are from, and how they are to be read.
+    /// Source of the figures, and how they are to be read.
     pub source: &'static str,
 }
 
@@ -68,13 +68,13 @@ pub enum Shear {
     Modulus(f64),
 }
 
-/// Pa in a pound per square inch.
+/// Pressure of one pound per square inch, Pa.
 const PSI: f64 = 6894.757;
-/// Tangent modulus at rest over the stress at 100 % strain, of a neo-Hookean solid: `σ = E (λ - λ⁻²)/3` is `7 E/12` at `λ = 2`.
+/// Tangent modulus at rest divided by the stress at 100 % strain, of a neo-Hookean solid: `σ = E (λ - λ⁻²)/3` is `7 E/12` at `λ = 2`.
 const NEO_HOOKEAN_TANGENT: f64 = 12.0 / 7.0;
 
-/// A silicone of which the data sheet gives the stress at 100 % strain. That stress, which is the secant modulus there, is the
-/// lower end of the range, and the modulus at rest of the neo-Hookean solid with this stress is the upper end.
+/// Returns the figures of a silicone whose data sheet gives the stress at 100 % strain. That stress, which is the secant modulus there, is
+/// the lower end of the range, and the modulus at rest of the neo-Hookean solid with this stress is the upper end.
 const fn silicone(
     name: &'static str,
     what: &'static str,
@@ -206,7 +206,7 @@ impl MaterialPreset {
         Self::GlassFiber,
     ];
 
-    /// The figures that the name stands for.
+    /// The figures of the preset.
     #[must_use]
     pub fn figures(self) -> &'static MaterialFigures {
         &TABLE[self as usize]
@@ -223,7 +223,7 @@ impl MaterialFigures {
         }
     }
 
-    /// The figures in a sentence: what a schema says of the name.
+    /// The figures in a sentence, for the description in the schema.
     #[must_use]
     pub fn in_words(&self) -> String {
         let shear = match self.shear {

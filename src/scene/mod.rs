@@ -18,7 +18,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A section that is absent is a feature that the scene does not have; it is `None` here and costs no time. `docs/scene-reference.md` lists every key.
+//! A section that is absent is a feature that the scene does not have; it is `None` here and costs no time. `docs/scene-reference.md` lists
+//! every key.
 
 mod accuracy;
 pub mod builtin;
@@ -122,7 +123,7 @@ impl Scene {
         Ok((scene, source))
     }
 
-    /// The same scene, whose tip only stops for an instant where the arm should stay.
+    /// Returns the scene whose tip only stops for an instant where the arm should stay.
     #[cfg(feature = "cli")]
     pub(crate) fn passing(&self) -> Self {
         let mut out = self.clone();
@@ -160,7 +161,7 @@ impl Scene {
     }
 }
 
-/// The kind and the name of the obstacle or limit that a key is within, whose path is given from the innermost key outward.
+/// Returns the kind and the name of the obstacle or limit that contains a key; the path of the key is given from the innermost key outward.
 fn item_name(scene: &toml::Value, path: &[String]) -> Option<(&'static str, String)> {
     let [.., index, list] = path else { return None };
     let index = index.parse::<usize>().ok()?;

@@ -7,13 +7,13 @@ use toml::{Table, Value};
 /// One override: the value, and the path of the entry that it sets.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Override {
-    /// As the user wrote it.
+    /// The text as the user wrote it.
     pub text: String,
     path: Vec<String>,
     value: Value,
 }
 
-/// Far more than any key of a scene has; bounds the depth of what an override can build.
+/// Largest number of keys in a path, far above that of any key of a scene; it bounds the depth of tables that an override can build.
 const DEEPEST_PATH: usize = 8;
 
 impl Override {
@@ -45,7 +45,7 @@ impl Override {
         })
     }
 
-    /// Sets the entry; sections that are not there yet are made, and an index one past the end appends.
+    /// Sets the entry; missing sections are made, and an index one past the end appends.
     pub fn apply(self, table: &mut Table) -> Result<(), SceneError> {
         let mut root = Value::Table(std::mem::take(table));
         let result = self.apply_to(&mut root);
@@ -108,12 +108,12 @@ impl Override {
             .expecting(expected)
     }
 
-    /// Whether this override gives the entry at `path` its value, itself or as part of a section.
+    /// Tells whether this override gives the entry at `path` its value, itself or as part of a section.
     pub fn sets(&self, path: &[&str]) -> bool {
         self.path.len() <= path.len() && self.path.iter().zip(path).all(|(own, other)| own == other)
     }
 
-    /// Whether this override sets something inside the section at `path`.
+    /// Tells whether this override sets something inside the section at `path`.
     pub fn is_within(&self, path: &[&str]) -> bool {
         self.path.len() > path.len() && self.path.iter().zip(path).all(|(own, other)| own == other)
     }

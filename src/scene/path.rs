@@ -9,13 +9,14 @@ use super::values::{Number, known};
 use crate::control::Tracking;
 use crate::mechanics::rotation::from_quaternion;
 
-/// Points a turn, and a ramp: chords between them are `r (1 - cos(π/360))`, four parts in 100 000 of the radius, off the circle.
+/// Number of points on a turn, and on a ramp: the chords between them are off the circle by `r (1 - cos(π/360))`, a fraction of 4e-5 of the
+/// radius.
 const POINTS: f64 = 360.0;
-/// Points beyond this number would be farther apart.
+/// Largest number of points; beyond it, points are farther apart.
 const MOST_POINTS: f64 = 1e6;
 
 impl Track {
-    /// Takes the weights that were chosen for it, of what it follows.
+    /// Takes the weights that the discretization chose for the quantities that the track follows.
     pub(super) fn take_weights(&mut self, chosen: &Tracking) {
         self.weight = (!chosen.path.is_empty()).then(|| known(chosen.weight));
         self.orientation_weight =
@@ -64,7 +65,7 @@ impl Track {
     }
 }
 
-/// The point of a closed path in its plane, in units of its size, from sine and cosine of the phase.
+/// Function that returns the point of a closed path in its plane, in units of its size, from sine and cosine of the phase.
 type Shape = fn(f64, f64) -> [f64; 2];
 
 fn circle_of(sin: f64, cos: f64) -> [f64; 2] {
@@ -75,13 +76,13 @@ fn eight_of(sin: f64, cos: f64) -> [f64; 2] {
     [sin, sin * cos]
 }
 
-/// Places that stand for a closed path.
+/// Number of places that represent a closed path.
 const ROUND: usize = 24;
 
-/// Time between the end of one place and the beginning of the next, over the time of the switch (at least 1 s): none, but for rounding.
+/// Time between the end of one place and the beginning of the next, divided by the time of the switch (at least 1 s): zero up to rounding.
 const SWITCH: f64 = 1e-9;
 
-/// Places that hold until the next one's time.
+/// Returns the points of a path that stays at each place until the time of the next one.
 fn held(rows: impl Iterator<Item = (f64, Vector3<f64>)>) -> Vec<(f64, Vector3<f64>)> {
     let mut out: Vec<(f64, Vector3<f64>)> = Vec::new();
     for (t, place) in rows {
@@ -96,7 +97,7 @@ fn held(rows: impl Iterator<Item = (f64, Vector3<f64>)>) -> Vec<(f64, Vector3<f6
     out
 }
 
-/// A closed path in a plane, turned for ever.
+/// A closed path in a plane, repeated without end.
 pub(super) struct Turns {
     pub center: [f64; 3],
     pub size: f64,

@@ -16,13 +16,13 @@ use toml::Value;
 /// An entry that does not fit the type which is read from it.
 #[derive(Debug)]
 pub(super) struct Misfit {
-    /// From the innermost key outward, in the order in which the reader returns through them.
+    /// Path of the entry from the innermost key outward, in the order in which the reader returns through the keys.
     pub path: Vec<String>,
     pub mark: Mark,
     pub message: String,
     pub expected: Option<String>,
     pub help: Option<String>,
-    /// Whether it is a number out of range, which is told with the name of the obstacle or limit that it belongs to.
+    /// Tells whether a number is out of range; its message then has the name of the obstacle or limit that contains it.
     pub is_out_of_range: bool,
 }
 
@@ -101,7 +101,7 @@ impl de::Error for Misfit {
         misfit
     }
 
-    /// The alternate form of `expected` is a hint that may say more, for example a unit.
+    /// Returns the misfit of a value; the alternate form of `expected` is a hint that may say more, for example a unit.
     fn invalid_value(found: Unexpected<'_>, expected: &dyn de::Expected) -> Misfit {
         let Unexpected::Float(value) = found else {
             return Misfit::new(format!("{found} does not fit here, expected {expected}"));

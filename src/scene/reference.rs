@@ -67,7 +67,7 @@ struct Page<'a> {
     definitions: &'a Value,
     /// Every table that has its section: the name of its definition, and its heading.
     sections: Vec<(&'a str, String)>,
-    /// Names of the definitions whose words are explained.
+    /// Names of the definitions whose words are already explained.
     choices: Vec<&'a str>,
 }
 

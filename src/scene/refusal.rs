@@ -1,4 +1,4 @@
-//! What the library refuses, by the key of the scene that says it.
+//! Errors of the library, at the key of the scene that causes them.
 
 use nalgebra::Vector3;
 
@@ -10,7 +10,7 @@ use crate::mechanics::equilibrium::EquilibriumError;
 use crate::task::{DiscretizeError, Obstruction};
 
 impl Scene {
-    /// What cannot be discretized, by the key of the scene that says it, with a remedy that a scene can follow.
+    /// Returns the error of a discretization at the key of the scene that causes it, with a remedy that a scene can follow.
     pub(crate) fn discretize_error(
         &self,
         source: &SceneSource,
@@ -127,7 +127,7 @@ impl Scene {
         }
     }
 
-    /// What [`Rod::new`] refuses, by the key of the scene that says it.
+    /// Returns the error of [`Rod::new`] at the key of the scene that causes it.
     fn rod_error(&self, source: &SceneSource, error: &RodError) -> SceneError {
         let RodError::OutOfRange {
             parameter, value, ..
@@ -199,7 +199,7 @@ impl Scene {
     }
 }
 
-/// What to do about a start that was not found.
+/// Returns the remedy for an initial state that was not found.
 fn start_remedy(error: &EquilibriumError) -> &'static str {
     match error {
         EquilibriumError::FreeBase => "set base.kind = \"clamped\", or initial.shape = \"rest\"",

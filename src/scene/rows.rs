@@ -1,17 +1,16 @@
-//! Steps that end where the rows of a result fall.
+//! Steps that end at the times of the rows of a result.
 
 use super::{SceneError, SceneSource};
 use crate::mechanics::TimeGrid;
 use crate::task::MOST_STEPS;
 
-/// Relative difference below which two intervals are one: roundings of a quotient.
+/// Relative difference below which two intervals are equal, up to rounding of a quotient.
 pub(super) const SAME_INTERVAL: f64 = 1e-9;
-/// Numbers of steps per row that are tried beyond the least: with ends that are no multiple of the interval, one of them may still divide
-/// both.
+/// Number of further counts of steps per row that are tried: if the end is no multiple of the interval, one of them may still divide both.
 const MORE_STEPS_PER_ROW: usize = 100;
 
-/// A grid with steps no longer than those of `grid` that divide the interval between rows, where there is one that ends at the same time:
-/// rows then fall where they were asked for.
+/// Returns a grid whose steps divide the interval between rows and are no longer than those of `grid`, if there is one that ends at the
+/// same time: rows then fall at the requested times.
 pub(super) fn row_grid(
     source: &SceneSource,
     grid: TimeGrid,

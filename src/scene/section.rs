@@ -35,7 +35,7 @@ impl Scene {
         Ok(circular(material, radii.ok_or_else(incomplete)?))
     }
 
-    /// The material of the rod; none where its stiffness is given directly.
+    /// The material of the rod; `None` if its stiffness is given directly.
     pub(super) fn material(&self) -> Option<Material> {
         let material = self.rod.material.as_ref()?;
         Some(Material {

@@ -6,18 +6,18 @@ use super::reader::Misfit;
 use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 
-/// Where a scene came from; kept so that anything found wrong with the scene later can still name its line.
+/// The origin of a scene: its text and overrides, kept so that every later error can still name its line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneSource {
     /// Path of the file or name of the built-in scene.
     pub name: String,
     /// The text as it was read.
     pub text: String,
-    /// `KEY=VALUE`, applied in order after the text.
+    /// Overrides `KEY=VALUE`, applied in order after the text.
     pub overrides: Vec<String>,
 }
 
-/// Which part of an entry an error marks.
+/// The half of an entry that an error marks: key or value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Mark {
     Key,
@@ -25,7 +25,7 @@ pub(super) enum Mark {
 }
 
 impl SceneSource {
-    /// A source that has been given rather than read.
+    /// Returns a source whose text is given rather than read from a file.
     pub fn new(name: &str, text: &str, overrides: &[String]) -> SceneSource {
         const BYTE_ORDER_MARK: char = '\u{feff}';
         SceneSource {
@@ -38,10 +38,9 @@ impl SceneSource {
         }
     }
 
-    /// An error about the value at the dotted `key_path`, as in `rod.length_m` or `load.0.force_n`.
+    /// Returns an error about the value at the dotted `key_path`, as in `rod.length_m` or `load.0.force_n`.
     ///
-    /// It points at the override that the value came from, else at the line, else (the key being absent) at the
-    /// closest section around it.
+    /// It points at the override that the value came from, else at its line, else (if the key is absent) at the closest section around it.
     pub fn error_at(
         &self,
         key_path: &str,
@@ -116,7 +115,7 @@ impl SceneSource {
     }
 }
 
-/// The bytes of an entry in the text. Of a section that is its header.
+/// Returns the bytes of an entry in the text; of a section, those of its header.
 fn span_in_table(table: &DeTable<'_>, path: &[&str], mark: Mark) -> Option<Range<usize>> {
     let (first, rest) = path.split_first()?;
     let (key, value) = table.iter().find(|(key, _)| key.get_ref() == first)?;

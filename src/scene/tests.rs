@@ -1,4 +1,4 @@
-//! What holds for every scene that can be read. What cannot be read is in `tests/scenes/scene_errors.rs`.
+//! Laws that hold for every scene that can be read. Scenes that cannot be read are tested in `tests/scenes/scene_errors.rs`.
 
 use super::*;
 use crate::mechanics::StrainRule;
@@ -63,7 +63,7 @@ fn full_scene_round_trips() {
     );
 }
 
-/// What a scene says of the base, the loads along the arm, the payload and the start is what the rod gets.
+/// The rod gets base, loads along the arm, payload and start as the scene gives them.
 #[test]
 fn motion_loads_payload_and_start_arrive() {
     let overrides = [
@@ -329,7 +329,7 @@ fn error_at_finds_nested_keys() {
     assert_eq!(position("task"), (None, None));
 }
 
-/// Where a description in the schema names a default and the schema has one, they are the same: those of the code.
+/// If a description in the schema names a default and the schema has one, the two are equal: the defaults of the code.
 #[cfg(feature = "schema")]
 #[test]
 fn described_defaults_are_true() {
@@ -382,7 +382,7 @@ fn described_defaults_are_true() {
 
 /// A part of a wrench that is not named does not act, nor does an axis of bound 0; infinity bounds nothing, alone or on an axis.
 #[test]
-fn what_is_not_named_does_not_act() {
+fn unnamed_parts_of_a_wrench_do_not_act() {
     let text = "\
 [rod]
 length_m = 1.0
@@ -441,8 +441,9 @@ blocks = 4
     }
 }
 
-/// A moment is priced by the weakest section that it acts on, a force by the whole arm: on a cone from 2 r to r the tip's moment counts
-/// as `E I(r)/L` but for the half element next to it, and a moment further down by more; without a moment nothing is asked.
+/// The scale of a moment is that of the weakest section that it acts on, the scale of a force that of the whole arm: on a cone from 2 r to
+/// r the tip's moment counts as `E I(r)/L` up to the half element next to it, and a moment further down by more; without a moment no scale
+/// is needed.
 #[test]
 fn moments_are_priced_by_the_section_they_act_on() {
     let scales = |control: &str| {

@@ -32,7 +32,7 @@ pub struct Simulation {
     pub grid: TimeGrid,
     /// Steps between two rows of the result.
     pub steps_per_row: usize,
-    /// Whether diagnostics are written.
+    /// Tells whether diagnostics are written.
     pub diagnostics: bool,
     /// State at time 0.
     pub initial: State,
@@ -48,8 +48,8 @@ impl Simulation {
         k / self.steps_per_row + 1 + usize::from(at_end)
     }
 
-    /// Where rows cannot fall at the times that `output.rate_hz` asks for, because the steps do not divide their interval: what they do
-    /// instead, in a sentence.
+    /// Returns a sentence on the times of the rows if the steps do not divide the interval that `output.rate_hz` asks for; `None` if they
+    /// do.
     #[must_use]
     pub fn row_warning(&self) -> Option<String> {
         let rate = self.resolved.output.as_ref()?.rate_hz?.get();
@@ -67,7 +67,7 @@ impl Simulation {
     }
 }
 
-/// An optimal-control problem, and how to solve it.
+/// An optimal-control problem, with the settings of its solve.
 #[derive(Clone, Debug)]
 pub struct OptimalControl {
     /// The arm.
@@ -80,24 +80,25 @@ pub struct OptimalControl {
     pub problem: OptimalControlProblem,
     /// Settings of the solver.
     pub settings: SqpSettings,
-    /// Where the solve starts.
+    /// Initial guesses of the solve.
     pub search: Search,
-    /// Weights of the regulator around the solution; none where there should be none.
+    /// Weights of the regulator around the solution; `None` if no gains are to be computed.
     pub feedback: Option<FeedbackWeights>,
-    /// Whether diagnostics are written.
+    /// Tells whether diagnostics are written.
     pub diagnostics: bool,
     /// The scene with every default and derived value written out.
     pub resolved: Scene,
 }
 
 impl OptimalControl {
-    /// The same with a duration that is `factor` times that of the grid: its scene, read again, describes that grid.
+    /// Returns the setup with a duration that is `factor` times that of the grid: its scene, read again, describes that grid.
     #[must_use]
     pub fn with_time_scale(&self, factor: f64) -> Self {
         self.around(&self.posed().with_time_scale(factor))
     }
 
-    /// The same around the problem of a solution, which may last longer or shorter: its scene, read again, describes that problem's grid.
+    /// Returns the setup around the problem of a solution, which may last longer or shorter: its scene, read again, describes that
+    /// problem's grid.
     #[must_use]
     pub fn around(&self, problem: &Problem) -> Self {
         let mut out = self.clone();
@@ -139,7 +140,7 @@ impl OptimalControl {
         self.posed().certify(solution, &self.check_limits())
     }
 
-    /// The limits of the check: those of optimality go with the solver's tolerance, as far as a certificate may.
+    /// Returns the limits of the check: those of optimality follow the solver's tolerance, as far as a certificate may.
     #[must_use]
     pub fn check_limits(&self) -> CheckLimits {
         CheckLimits::of(&self.settings)
@@ -203,7 +204,7 @@ impl Scene {
         self.optimal_control_until(source, &StopSignal::new(deadline, None))
     }
 
-    /// When a solve that began at an instant must end, by `solver.deadline_s`.
+    /// Returns the instant at which a solve that began at `began` must end, by `solver.deadline_s`.
     #[must_use]
     pub fn deadline(&self, began: Instant) -> Option<Instant> {
         let seconds = self.solver.as_ref()?.deadline_s?.get();
@@ -211,11 +212,11 @@ impl Scene {
         began.checked_add(Duration::try_from_secs_f64(seconds).ok()?)
     }
 
-    /// [`Self::optimal_control`] with another signal than the scene's own [deadline](Self::deadline), counted from here: `stop` ends
-    /// this, while the initial state is not found, and all work on the problem.
+    /// Returns the same as [`Self::optimal_control`], with another signal than the scene's own [deadline](Self::deadline), counted from
+    /// here: `stop` ends the search for the initial state, and later all work on the problem.
     ///
     /// # Errors
-    /// As [`Self::optimal_control`].
+    /// Those of [`Self::optimal_control`].
     pub fn optimal_control_until(
         &self,
         source: &SceneSource,
@@ -412,7 +413,7 @@ impl Scene {
         self.posed_task_until(source, end)
     }
 
-    /// The same, with paths that go on until `end`, s.
+    /// Returns the task that the scene describes, with paths that go on until `end`, s.
     pub(super) fn posed_task_until(
         &self,
         source: &SceneSource,
@@ -460,7 +461,7 @@ impl Scene {
         })
     }
 
-    /// Obstacles, then limits.
+    /// Returns the obstacles, then the limits.
     #[must_use]
     pub fn limits(&self) -> Vec<Limit> {
         let obstacles = self.obstacle.iter().enumerate();
@@ -477,7 +478,7 @@ impl Scene {
         resolved
     }
 
-    /// This scene with material, integrator, rotary inertia and time step as they are.
+    /// Returns this scene with material, integrator, rotary inertia and time step written out as they were chosen.
     pub(crate) fn resolved(&self, discretization: &Discretization) -> Scene {
         let mut resolved = self.with_material_resolved();
         resolved.rod.accuracy = None;
@@ -495,7 +496,7 @@ impl Scene {
 }
 
 impl Scene {
-    /// How long and how near the arm stays at its target; `None` where it need not.
+    /// Returns the duration and tolerance of the stay at the target; `None` if the arm need not stay.
     pub(crate) fn staying(&self) -> Option<Staying> {
         match self.task.as_ref()?.rest() {
             Rest::Staying(staying) => Some(staying),
@@ -508,7 +509,7 @@ fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {
     scene.time.step_s = TimeStep::Seconds(grid.step);
 }
 
-/// Columns of a rotation: the directors `d1`, `d2`, `d3`.
+/// Returns the columns of a rotation: the directors `d1`, `d2`, `d3`.
 #[must_use]
 pub fn directors(rotation: &Matrix3<f64>) -> [[f64; 3]; 3] {
     [0, 1, 2].map(|i| rotation.column(i).into_owned().into())

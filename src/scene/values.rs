@@ -1,5 +1,5 @@
-//! Numbers that check themselves: what a key measures, its unit and its range stand in its type, from which the reader of scenes, the
-//! messages about them and the JSON Schema take it.
+//! Numbers that check themselves: the type of a key has its quantity, its unit and its range, from which the reader of scenes, the messages
+//! about them and the JSON Schema take them.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -22,39 +22,39 @@ pub type PoissonRatio = Number<Elastic, Poisson>;
 /// A number in the range `R` that measures `Q`.
 pub struct Number<R, Q>(f64, PhantomData<(R, Q)>);
 
-/// Which numbers are meant.
+/// A range of numbers.
 pub trait Range {
-    /// Whether a number is in the range; none that is not finite is.
+    /// Tells whether a finite number is in the range; other numbers are not.
     fn contains(value: f64) -> bool;
 
-    /// A quantity in this range, in words without article.
+    /// Returns a quantity in this range, in words without article.
     fn describe(quantity: &str) -> String;
 
-    /// What to expect, where that says more than [`Self::describe`].
+    /// A description of the expected value, if it says more than [`Self::describe`].
     const HINT: Option<&'static str> = None;
 
-    /// The keywords of JSON Schema that say the same.
+    /// The keywords of JSON Schema that express the range.
     const KEYWORDS: &'static [(&'static str, f64)];
 }
 
-/// What a number measures.
+/// The quantity that a number measures.
 pub trait Quantity {
-    /// In words, without article.
+    /// Its name in words, without article.
     const NAME: &'static str;
-    /// In words or symbols; empty for pure numbers.
+    /// Its unit in words or symbols; empty for pure numbers.
     const UNIT: &'static str;
 }
 
-/// Above 0.
+/// The range of numbers above 0.
 pub struct AboveZero;
 
-/// 0 or above.
+/// The range of numbers of 0 or above.
 pub struct NotBelowZero;
 
-/// From 0 to 1.
+/// The range of numbers from 0 to 1.
 pub struct ZeroToOne;
 
-/// The Poisson's ratios of isotropic elastic materials.
+/// The range of the Poisson's ratios of isotropic elastic materials.
 pub struct Elastic;
 
 impl Range for AboveZero {
@@ -121,13 +121,13 @@ impl<R, Q> Number<R, Q> {
     }
 }
 
-/// A number that is known to be in its range.
+/// Returns a number that is known to be in its range.
 pub(super) const fn known<R, Q>(value: f64) -> Number<R, Q> {
     Number(value, PhantomData)
 }
 
 impl<R: Range, Q> Number<R, Q> {
-    /// `value`, if it is in the range.
+    /// Returns `value`, if it is in the range.
     #[must_use]
     pub fn new(value: f64) -> Option<Self> {
         R::contains(value).then_some(known(value))
@@ -181,7 +181,7 @@ impl<'de, R: Range, Q: Quantity> Deserialize<'de> for Number<R, Q> {
     }
 }
 
-/// What was expected instead of a number out of range; in the alternate form with its unit.
+/// The expected value in the message about a number out of range; in the alternate form with its unit.
 struct Expected<R, Q>(PhantomData<(R, Q)>);
 
 impl<R: Range, Q: Quantity> de::Expected for Expected<R, Q> {
@@ -222,7 +222,7 @@ impl<R: Range, Q> schemars::JsonSchema for Number<R, Q> {
     }
 }
 
-/// The shortest digits that read back as the same number, in powers of ten where it is very large or small.
+/// Returns the shortest digits that read back as the same number, in powers of ten if it is very large or small.
 pub(super) fn digits(value: f64) -> String {
     if value == 0.0 || !value.is_finite() || (1e-4..1e7).contains(&value.abs()) {
         value.to_string()

@@ -56,7 +56,8 @@ pub(super) fn save(
     Ok(directory.publish(|result| write(result, &scene, solution, examined, &summary, 1))?)
 }
 
-/// Publishes the result of a scene's solve by way of `directory`, or rescues it to another place; the summary names the place. Returns the directory.
+/// Publishes the result of a scene's solve by way of `directory`, or rescues it to another place; the summary names the place. Returns the
+/// directory.
 ///
 /// # Errors
 /// [`OutputError::Elsewhere`] where the result went to another place, and [`OutputError`] where no place takes it.

@@ -101,7 +101,7 @@ pub(crate) fn summarize(
     }
 }
 
-/// What a motion reaches, with its check or the reason why there is none.
+/// The results of a motion, with its check or the reason why there is none.
 pub(super) fn reached(
     problem: &OptimalControlProblem,
     motion: &Trajectory,
@@ -239,7 +239,7 @@ struct JudgedCurvature<'a> {
     verdict: &'static str,
     #[serde(flatten)]
     found: &'a SecondOrder,
-    /// What is left to gain along the most negative curvature, at most, over the objective; 0 at a minimum.
+    /// Upper bound of the gain along the most negative curvature, divided by the objective; 0 at a minimum.
     gain: f64,
 }
 

@@ -36,7 +36,7 @@ pub struct Arm {
     pub length: f64,
     /// Cross-section along the arm.
     pub section: SectionProfile,
-    /// How axial stretch enters stiffness and inertia.
+    /// Law by which axial stretch enters stiffness and inertia.
     pub model: RodModel,
     /// Stress-free curvature `κ`, 1/m, body frame.
     pub rest_curvature: Vector3<f64>,
@@ -44,9 +44,9 @@ pub struct Arm {
     pub rest_stretch: f64,
     /// The condition at the base: clamped, driven or free.
     pub base: BaseCondition,
-    /// Position of the base, m; what a driven base moves from.
+    /// Position of the base, m; a driven base moves from this position.
     pub base_position: Vector3<f64>,
-    /// Rotation of the base, body to space; the arm leaves it along its third column. What a driven base turns from.
+    /// Rotation of the base, body to space; the arm leaves it along its third column. A driven base turns from this rotation.
     pub base_rotation: Matrix3<f64>,
     /// Acceleration of gravity, m/s², spatial frame.
     pub gravity: Vector3<f64>,
@@ -118,7 +118,7 @@ impl Arm {
         )
     }
 
-    /// The same arm with its base turned so that it leaves it along `direction`, which need not be a unit vector.
+    /// Returns the arm with its base turned so that the arm leaves it along `direction`, which need not be a unit vector.
     #[must_use]
     pub fn pointing(self, direction: Vector3<f64>) -> Self {
         Self {
@@ -137,8 +137,8 @@ impl Arm {
         })
     }
 
-    /// What [`Rod::new`] builds the rod of a discretization from. An integrator or a rotary inertia that the discretization leaves open
-    /// is explicit, and that of the section.
+    /// Returns the parameters from which [`Rod::new`] builds the rod of a discretization. An integrator that the discretization leaves open
+    /// is the explicit one, and a rotary inertia that it leaves open is that of the section.
     #[must_use]
     pub fn rod_parameters(&self, discretization: &Discretization) -> RodParameters {
         let n_elements = discretization.elements;
@@ -196,7 +196,8 @@ pub enum StartShape {
     Equilibrium,
 }
 
-/// State of an arm at t = 0: a shape, and how it moves. An arm on a clamped base is at rest, one on a driven base moves with it as a rigid body.
+/// State of an arm at t = 0: a shape, and how it moves. An arm on a clamped base is at rest, one on a driven base moves with it as a rigid
+/// body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Start {
     /// The shape.

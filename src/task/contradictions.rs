@@ -1,17 +1,17 @@
 //! Hard goals that a hard limit excludes, whatever the actuators do: bounds that follow from the geometry of the arm alone.
 //!
-//! Every one of them is necessary for the goal, so that a task that is refused here has no solution; a task that passes may still have none. In the
-//! following `s` is the arc at rest from the base to the goal's node, `t(σ)` the third director of the section at `σ`, `t₀` that of the base, and `κ`
-//! the limit of the bending curvature.
+//! Every one of them is necessary for the goal, so that a task that is refused here has no solution; a task that passes may still have
+//! none. In the following `s` is the arc at rest from the base to the goal's node, `t(σ)` the third director of the section at `σ`, `t₀`
+//! that of the base, and `κ` the limit of the bending curvature.
 //!
-//! - **Direction.** The section turns about an axis `n` by `|ψ|` in an element; its third director by `a` with `sin(a/2) = |n⊥| sin(|ψ|/2) ≤
-//!   sin(|n⊥||ψ|/2)`, the sine being concave, so that `a ≤ |ψ⊥| ≤ κ l`. Angles of directions add up at most: `∠(t(σ), t₀) ≤ κ σ`.
+//! - **Direction.** The section turns about an axis `n` by `|ψ|` in an element; its third director by `a` with `sin(a/2) = |n⊥| sin(|ψ|/2)
+//!   ≤ sin(|n⊥||ψ|/2)`, the sine being concave, so that `a ≤ |ψ⊥| ≤ κ l`. Angles of directions add up at most: `∠(t(σ), t₀) ≤ κ σ`.
 //! - **Rotation.** Angles of rotations add up at most as well: `∠(R(s), R₀) ≤ s √(κ² + τ²)` with the limit `τ` of the twist.
-//! - **Position.** With the strain `V = λ₀ e₃ + ε`, `|ε| ≤ δ`, the node is at `∫ R V dσ` from the base. Along a unit vector `w` at the angle `β` from `t₀`
-//!   that is at most `h(β) = ∫ λ₀ cos(max(0, β - κ σ)) dσ + δ s`: the support function of a convex body. A target with `w·x > h(β)` for one `w` is
-//!   out of reach; the least `κ` without such a `w` bounds the needed curvature from below.
-//! - **Strain.** An arm at rest carries at most the force `N` of all loads, actuators and weights beyond a section, so that `δ = N / min(GA, EA)`. An
-//!   arm that moves, or whose forces are not bounded, is only known to stay within the range of the model, `δ = 0.3`.
+//! - **Position.** With the strain `V = λ₀ e₃ + ε`, `|ε| ≤ δ`, the node is at `∫ R V dσ` from the base. Along a unit vector `w` at the
+//!   angle `β` from `t₀` that is at most `h(β) = ∫ λ₀ cos(max(0, β - κ σ)) dσ + δ s`: the support function of a convex body. A target with
+//!   `w·x > h(β)` for one `w` is out of reach; the least `κ` without such a `w` bounds the needed curvature from below.
+//! - **Strain.** An arm at rest carries at most the force `N` of all loads, actuators and weights beyond a section, so that `δ = N /
+//!   min(GA, EA)`. An arm that moves, or whose forces are not bounded, is only known to stay within the range of the model, `δ = 0.3`.
 //! - **Stretch.** An arc of rest length `s` has a chord of at most `s` times the largest stretch.
 //! - **Speed.** A node that is at two places at two times has the mean speed of distance over time, which the largest speed is not below.
 
@@ -22,11 +22,11 @@ use crate::control::{Bound, Enforcement, Goal, OptimalControlProblem, PathEnforc
 use crate::mechanics::rotation::log;
 use crate::mechanics::{BaseCondition, Rod, RodModel};
 
-/// Strains up to which a rod models an arm; of a motion nothing more is known.
+/// Strains up to which a rod models an arm; the bound for an arm that moves, of whose strain nothing else is known.
 const RANGE_OF_THE_MODEL: f64 = 0.3;
-/// Directions in which the reach is looked at; every one of them is a bound of its own.
+/// Number of directions `β` in which the reach is tested; each of them gives a bound of its own.
 const DIRECTIONS: usize = 720;
-/// Part of a number that is rounding.
+/// Relative difference that is attributed to rounding.
 const ROUNDING: f64 = 1e-9;
 
 /// A hard goal with the tolerances that it has, m and rad.
@@ -34,9 +34,9 @@ struct Wanted<'a> {
     goal: &'a Goal,
     distance: f64,
     angle: f64,
-    /// s
+    /// Time of the goal, s.
     time: f64,
-    /// Whether the whole arm is at rest then.
+    /// Tells whether the whole arm is at rest at that time.
     rests: bool,
 }
 
@@ -111,7 +111,7 @@ pub(super) fn check_contradictions(
     Ok(())
 }
 
-/// Two numbers that contradict each other.
+/// A needed and an allowed quantity that contradict each other, with the reason.
 struct Contradiction {
     why: String,
     needed: f64,
@@ -120,7 +120,7 @@ struct Contradiction {
 }
 
 impl Contradiction {
-    /// Nothing where what is needed is allowed.
+    /// Returns the contradiction, or `None` if the needed quantity is allowed, up to [`ROUNDING`].
     fn of(why: String, needed: f64, allowed: f64, unit: &'static str) -> Option<Self> {
         (needed > allowed * (1.0 + ROUNDING)).then_some(Self {
             why,
@@ -131,7 +131,7 @@ impl Contradiction {
     }
 }
 
-/// A goal that cannot be come to in time from where its node starts, or from an earlier goal of the node.
+/// Returns the contradiction of a goal that its node cannot reach in time, from its start or from an earlier goal of the node.
 fn too_fast(
     problem: &OptimalControlProblem,
     goal: &Wanted,
@@ -179,7 +179,8 @@ fn arc(rod: &Rod, from: usize, to: usize) -> f64 {
         .sum()
 }
 
-/// A goal farther from the base, or from another goal at the same time, than the arm between them may be long.
+/// Returns the contradiction of a goal that is farther from the base, or from another goal at the same time, than the arm between them may
+/// be long.
 fn too_far(
     problem: &OptimalControlProblem,
     goal: &Wanted,
@@ -210,7 +211,8 @@ fn too_far(
         .max_by(|a, b| a.needed.total_cmp(&b.needed))
 }
 
-/// A goal that takes more bending than a limit allows, because of its direction, its rotation, or its position.
+/// Returns the contradiction of a goal that takes more bending than a limit allows, because of its direction, its rotation, or its
+/// position.
 fn too_bent(
     problem: &OptimalControlProblem,
     goal: &Wanted,
@@ -288,7 +290,7 @@ fn strain(problem: &OptimalControlProblem, goal: &Wanted) -> f64 {
     })
 }
 
-/// The force that a section carries at most while the arm is at rest, N; none where it is not bounded.
+/// The largest force that a section can carry while the arm is at rest, N; `None` if it is not bounded.
 fn largest_force(problem: &OptimalControlProblem) -> Option<f64> {
     let rod = &problem.rod;
     let wrenches = problem.wrench_actuators();
@@ -323,7 +325,7 @@ struct Reach {
     strain: f64,
     /// The target along the direction and beside it, m.
     target: [f64; 2],
-    /// Distance from the target that is good enough, m.
+    /// Distance from the target within which it counts as reached, m.
     tolerance: f64,
 }
 
@@ -349,8 +351,8 @@ impl Reach {
         })
     }
 
-    /// A curvature under which the target is out of reach still, and the largest such one to four digits; between one that misses and the
-    /// `most`, which is returned where all miss.
+    /// Returns the largest curvature, to four digits, under which the target is still out of reach. It lies between `misses`, which misses
+    /// the target, and `most`, which is returned if it misses the target too.
     fn needed(&self, misses: f64, most: f64) -> f64 {
         if most <= misses || self.misses(most) {
             return most.max(misses);

@@ -8,7 +8,7 @@ use crate::control::{
     Bound, Channel, FreeDuration, PathEnforcement, PathLimit, SharedActuator, StateCost,
 };
 
-/// Whether a goal must be met, or is paid for.
+/// Distinguishes goals that must be met from goals whose residual is penalized.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Hardness {
     /// A constraint, met within the goal's tolerances.
@@ -16,16 +16,16 @@ pub enum Hardness {
     Hard,
     /// A term of the objective, `½ weight Σ r²` over the scaled residuals of [`Goal`](crate::control::Goal).
     Soft {
-        /// Weight on the squared scaled residual; `None`: one that reaches, so that the goal is missed by about a thousandth of the way, ten times
-        /// what a track of default weight misses that holds its place for the horizon.
+        /// Weight on the squared scaled residual. `None`: a weight with which the goal is missed by about a thousandth of the way, ten
+        /// times as much as by a track of default weight that holds its place for the horizon.
         weight: Option<f64>,
     },
 }
 
-/// What the arm does once it is at a target.
+/// Motion of the arm once it is at a target.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Rest {
-    /// It passes.
+    /// The place of the target passes.
     #[default]
     Passing,
     /// The place of the target has neither velocity nor angular velocity for an instant; the rest of the arm may move.
@@ -34,16 +34,16 @@ pub enum Rest {
     Staying(Staying),
 }
 
-/// How long and how near an arm stays where it has arrived.
+/// Duration and tolerance of a stay: an arm that stays where it has arrived.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Staying {
-    /// How long, s; `None`: one first period of the held arm.
+    /// Duration of the stay, s; `None`: one first period of the held arm.
     pub seconds: Option<f64>,
     /// Largest distance of the tip from the target meanwhile, m; `None`: a hundredth of the arm's length.
     pub distance: Option<f64>,
 }
 
-/// Distance within which a tip stays, over the length of the arm.
+/// Default distance within which a tip stays, divided by the length of the arm.
 const STAYING_DISTANCE: f64 = 0.01;
 
 impl Staying {
@@ -67,9 +67,11 @@ pub struct Tolerances {
     pub spin: Option<f64>,
 }
 
-/// Speed of a tip at rest, over the length of the arm per duration: a hundredth of what moves the tip by the arm's length in that time.
+/// Default speed of a tip at rest, divided by the length of the arm per duration: a hundredth of the speed that moves the tip by the arm's
+/// length in that time.
 const REST_SPEED: f64 = 0.01;
-/// Angular speed of a tip at rest, in rad per duration: it has no scale that shrinks with the arm, and a light tip turns with every wave.
+/// Default angular speed of a tip at rest, in rad per duration. It does not scale with the length of the arm, since a light tip turns with
+/// every wave.
 const REST_SPIN: f64 = 0.1;
 
 impl Tolerances {
@@ -83,20 +85,20 @@ impl Tolerances {
     }
 }
 
-/// What a place of the arm must have reached at some time.
+/// Position, orientation, or both that a place of the arm must have at some time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Target {
     /// Name in reports.
     pub name: String,
     /// The place on the arm.
     pub at: Place,
-    /// When, s; the nearest time node counts. `None`: at the end of the horizon.
+    /// Time, s; the nearest time node counts. `None`: the end of the horizon.
     pub time: Option<f64>,
     /// Position, m.
     pub position: Option<Vector3<f64>>,
     /// Rotation, body to space.
     pub rotation: Option<Matrix3<f64>>,
-    /// Whether the arm passes or comes to rest; rest only at the end of the horizon.
+    /// Motion at the target: the arm passes or comes to rest; rest only at the end of the horizon.
     pub rest: Rest,
     /// Hard or soft.
     pub hardness: Hardness,
@@ -110,32 +112,32 @@ pub struct Target {
 pub struct Track {
     /// The place on the arm.
     pub at: Place,
-    /// Where it should be: `(t, x)` in s and m with increasing times; linear in between, constant outside. Empty: anywhere.
+    /// Positions to follow: `(t, x)` in s and m with increasing times; linear in between, constant outside. Empty: no position is followed.
     pub path: Vec<(f64, Vector3<f64>)>,
-    /// Weight, 1/s. `None`: the one at which a displacement of the tip that is held statically is missed by one part in 10 000 of itself.
+    /// Weight, 1/s. `None`: the one at which a displacement of the tip that is held statically is missed by a fraction of 1e-4 of itself.
     pub weight: Option<f64>,
-    /// How it should be turned: `(t, R*)`, body to space, with increasing times; at constant speed about one axis in between, constant
-    /// outside. Empty: in any way.
+    /// Orientations to follow: `(t, R*)`, body to space, with increasing times; at constant speed about one axis in between, constant
+    /// outside. Empty: no orientation is followed.
     pub rotations: Vec<(f64, Matrix3<f64>)>,
-    /// Weight of the orientation, 1/s. `None`: the one at which a turn of the tip that is held statically is missed by one part in 10 000 of
-    /// itself.
+    /// Weight of the orientation, 1/s. `None`: the one at which a turn of the tip that is held statically is missed by a fraction of 1e-4
+    /// of itself.
     pub rotation_weight: Option<f64>,
-    /// Weight of the difference of its velocity from that of the path, or of its velocity without one, 1/s; `L/T` counts as 1. Velocities are
-    /// means from one sample to the next.
+    /// Weight of the difference between the velocity of the place and that of the path, or of the velocity of the place if there is no
+    /// path, 1/s; `L/T` counts as 1. Velocities are means from one sample to the next.
     pub speed_weight: f64,
-    /// Time from which on it should be there, s: the place meets what moves along the path, and goes along with it.
+    /// Time from which on the place follows the path, s: it meets a target that moves along the path, and goes along with it.
     pub from: f64,
 }
 
-/// What is made as small as possible, in integrals over time:
-/// `effort/2 |u/u_s|² + rate/2 |u̇/u_s|² + energy U/(EI/L)`, `u` the wrenches and `u_s` their scales, and the tracks.
+/// The objective that is minimized, integrals over time: `effort/2 |u/u_s|² + rate/2 |u̇/u_s|² + energy U/(EI/L)` with the wrenches `u` and
+/// their scales `u_s`, and the tracks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cost {
     /// Weight of the squared controls.
     pub effort: f64,
     /// Weight of their squared rates, s².
     pub rate: f64,
-    /// Weight of the elastic energy over `EI/L`.
+    /// Weight of the elastic energy divided by `EI/L`.
     pub energy: f64,
     /// Places that should follow a path.
     pub tracks: Vec<Track>,
@@ -169,9 +171,9 @@ pub struct Limit {
     pub name: String,
     /// The quantity that is limited.
     pub kind: PathLimit,
-    /// Times per second at which it is kept, Hz. `None`: at every time step, or at about 1000 times of a longer motion.
+    /// Times per second at which the limit is enforced, Hz. `None`: every time step, or about 1000 times of a longer motion.
     pub rate: Option<f64>,
-    /// Hard, or at a price per scaled violation and second.
+    /// Enforcement: hard, or at a price per scaled violation and second.
     pub enforcement: PathEnforcement,
 }
 
@@ -190,7 +192,7 @@ pub struct ChannelLimits {
     pub bound: Option<Bound>,
     /// Largest rate of change, N/s or N m/s; `None`: unbounded.
     pub rate_bound: Option<Bound>,
-    /// Components that do not act, whatever their bound.
+    /// Components that are always zero, whatever their bound.
     pub off: [bool; 3],
 }
 
@@ -226,7 +228,7 @@ impl ChannelLimits {
     }
 }
 
-/// A wrench at a place that may be chosen.
+/// A wrench at a place, chosen by the optimizer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WrenchActuator {
     /// The place where it acts; no two actuators share a node.
@@ -240,13 +242,13 @@ pub struct WrenchActuator {
 /// One to three controls of an actuator of one's own that share a unit and limits: a vector, or a number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlGroup {
-    /// How many, 1 to 3.
+    /// Number of controls, 1 to 3.
     pub count: usize,
     /// Size that counts as 1 in the cost, and limits, in the unit of the controls; limits per axis are those of the first `count` axes.
     pub channel: Channel,
 }
 
-/// An actuator of one's own, and what may be chosen of its controls.
+/// An actuator of one's own, with the scales and limits of its controls.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnActuator {
     /// The actuator.
@@ -255,31 +257,31 @@ pub struct OwnActuator {
     pub controls: Vec<ControlGroup>,
 }
 
-/// What an arm is to do, in continuous time and space.
+/// The task of an arm, in continuous time and space.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Task {
-    /// Duration, s; where it is free, the one that the search begins with.
+    /// Duration, s; initial guess of the duration if it is free.
     pub horizon: f64,
-    /// Whether the duration may be chosen.
+    /// Range and price of a free duration; `None`: the duration is `horizon`.
     pub free_duration: Option<FreeDuration>,
     /// The state at t = 0.
     pub start: Start,
-    /// Goals at the end and points on the way.
+    /// Goals at the end, and waypoints.
     pub targets: Vec<Target>,
     /// Limits and obstacles that hold at all times.
     pub limits: Vec<Limit>,
-    /// The wrenches that may be chosen.
+    /// The wrenches that the optimizer chooses.
     pub actuators: Vec<WrenchActuator>,
     /// Actuators of one's own.
     pub own_actuators: Vec<OwnActuator>,
-    /// What is made as small as possible.
+    /// The objective that is minimized.
     pub cost: Cost,
 }
 
 impl Task {
-    /// The tip reaches a position in m after `horizon` seconds and stops there for an instant, within the default [`Tolerances`]; with the least
-    /// effort of a tip force of at most `largest_force` in N. [`Self::staying`] asks the arm to stay there, which few targets of a force
-    /// alone allow.
+    /// Returns the task to reach a position in m with the tip after `horizon` seconds, and to stop there for an instant, within the default
+    /// [`Tolerances`], with the least effort of a tip force of at most `largest_force` in N. [`Self::staying`] asks the arm to stay there,
+    /// which few targets of a force alone allow.
     #[must_use]
     pub fn reach(position: Vector3<f64>, horizon: f64, largest_force: f64) -> Self {
         Self {
@@ -303,7 +305,7 @@ impl Task {
         }
     }
 
-    /// The same task at whose end the whole arm comes to rest and stays, with the last wrenches held.
+    /// Returns the task at whose end the whole arm comes to rest and stays, with the last wrenches held.
     #[must_use]
     pub fn staying(mut self, staying: Staying) -> Self {
         for target in self
@@ -316,7 +318,7 @@ impl Task {
         self
     }
 
-    /// The same task at whose end a tip that should stay only stops for an instant.
+    /// Returns the task at whose end a tip that should stay only stops for an instant.
     #[must_use]
     pub(crate) fn stopping(mut self) -> Self {
         for target in &mut self.targets {
@@ -327,7 +329,7 @@ impl Task {
         self
     }
 
-    /// The same task that lasts `factor` times as long, its points on the way at the same parts of it.
+    /// Returns the task that lasts `factor` times as long, its waypoints at the same fractions of the duration.
     #[must_use]
     pub fn with_time_scale(&self, factor: f64) -> Self {
         let mut out = self.clone();

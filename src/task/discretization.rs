@@ -5,16 +5,18 @@ use crate::mechanics::{RotaryInertia, StrainRule, TimeScheme};
 
 /// Elements, strain rule, integrator, time step, course of the controls and samples.
 ///
-/// What is `None` is chosen by [`Task::discretize`](super::Task::discretize), whose [`Problem`](super::Problem) says what was chosen.
+/// [`Task::discretize`](super::Task::discretize) chooses every field that is `None`, and its [`Problem`](super::Problem) has the choices.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Discretization {
     /// Elements of the rod, at least 1.
     pub elements: usize,
-    /// How the strains of an element follow from its two nodes.
+    /// Rule by which the strains of an element follow from its two nodes.
     pub strain_rule: StrainRule,
-    /// How a time step is taken; `None`: explicit, or implicit where that is predicted to take at most half the time.
+    /// Integrator. `None`: explicit, or implicit if it is predicted to take at most a tenth of the time of explicit steps, and these more
+    /// than a second; a given `step` decides by its stability (see [`automatic_scheme`](super::prediction::automatic_scheme)).
     pub scheme: Option<TimeScheme>,
-    /// Rotary inertia of the nodes; `None`: that of the section, or that of segments where the section's would take five times as long.
+    /// Rotary inertia of the nodes. `None`: that of the section, or that of segments if the work is predicted to take more than a second
+    /// and five times as long with that of the section.
     pub rotary_inertia: Option<RotaryInertia>,
     /// Longest time step, s; it is shortened so that steps divide the blocks. `None`: a step that suits the rod and its integrator.
     pub step: Option<f64>,
@@ -22,7 +24,7 @@ pub struct Discretization {
     pub hold: Hold,
     /// Blocks of equal duration that the horizon is divided into, at least 1.
     pub blocks: usize,
-    /// Intervals between samples of what is integrated over states, at least 1.
+    /// Number of intervals between samples of terms that are integrated over states, at least 1.
     pub samples: usize,
 }
 

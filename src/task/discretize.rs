@@ -25,21 +25,22 @@ use crate::mechanics::{
 use crate::stop::StopSignal;
 use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
 
-/// Steps beyond this number would run for days.
+/// Largest number of steps; more would run for days.
 pub(crate) const MOST_STEPS: f64 = 1e10;
-/// Variables of the dense subproblem: beyond, one iteration takes minutes and gigabytes.
+/// Largest number of variables of the dense subproblem; with more, one iteration takes minutes and gigabytes.
 const MOST_VARIABLES: usize = 2000;
-/// Times at which a path constraint is kept where its limit names no rate: what an arm does in between is of higher order in the
-/// spacing, and the check looks at it.
+/// Number of times at which a path constraint is enforced if its limit names no rate. The motion in between differs by higher order in the
+/// spacing, and the check evaluates it.
 const MOST_SAMPLES: usize = 1000;
-/// Penetration of an obstacle that counts as touching, in rod lengths; and what else is scaled and rounded.
+/// Penetration of an obstacle that counts as touching, divided by the rod's length; likewise for other scaled quantities, which are
+/// rounded.
 const START_TOLERANCE: f64 = 1e-9;
-/// Weight of a soft goal over that of a track that holds its place for the horizon: the goal is missed by ten times as much.
+/// Weight of a soft goal, divided by that of a track that holds its place for the horizon: the goal is missed by ten times as much.
 const OF_A_TRACK: f64 = 0.1;
-/// States that a solve may hold; beyond, the trajectory alone would not fit in memory.
+/// Largest number of states of a solve; with more, the trajectory alone would not fit in memory.
 const MOST_STORED_STATES: f64 = 5e7;
 
-/// An arm, its task and a discretization in which every choice is made, and the discrete problem that they are.
+/// An arm, its task and a discretization in which every choice is made, and the discrete problem that follows from them.
 #[derive(Clone, Debug)]
 pub struct Problem {
     /// The arm.
@@ -48,11 +49,12 @@ pub struct Problem {
     pub task: Task,
     /// The discretization; nothing in it is left open.
     pub discretization: Discretization,
-    /// Minimize the objective subject to the discrete equations of motion (77) and (81), the bounds, the goals and the limits.
+    /// The discrete problem: minimize the objective subject to the discrete equations of motion (77) and (81), the bounds, the goals and
+    /// the limits.
     pub discrete: OptimalControlProblem,
 }
 
-/// A rod, a time grid and a state at its beginning: what a simulation needs.
+/// A rod, a time grid and a discretization without open choices, for a simulation.
 #[derive(Clone, Debug)]
 pub struct DiscreteMotion {
     /// The discretization; nothing in it is left open.
@@ -85,7 +87,8 @@ impl Arm {
         })
     }
 
-    /// The discretization with the integrator and the rotary inertia that suit `work` over `duration`, where it leaves them open, and its rod.
+    /// The discretization with the integrator and the rotary inertia that suit `work` over `duration`, where it leaves them open, and its
+    /// rod.
     pub(crate) fn choose(
         &self,
         discretization: &Discretization,
@@ -124,12 +127,12 @@ impl Arm {
 }
 
 impl Task {
-    /// The discrete problem of this task for an arm. Where an arm should stay and it is not known whether anything holds it at its target, the tip only
-    /// stops for an instant; the task of the problem says so.
+    /// Returns the discrete problem of this task for an arm. If the arm should stay and it is unknown whether anything holds it at its
+    /// target, the tip only stops for an instant, and the task of the returned problem says so.
     ///
     /// # Errors
-    /// [`DiscretizeError`] where a number is out of its range, the arm makes no rod, a step cannot be taken, there is no state to start from,
-    /// or hard goals and limits leave no room for each other.
+    /// [`DiscretizeError`] where a number is out of its range, the arm makes no rod, a step cannot be taken, there is no state to start
+    /// from, or hard goals and limits leave no room for each other.
     pub fn discretize(
         &self,
         arm: &Arm,
@@ -138,10 +141,11 @@ impl Task {
         self.discretize_until(arm, discretization, &StopSignal::default())
     }
 
-    /// [`Self::discretize`], unless `stop` is raised before the initial state is found; it ends all work on the problem.
+    /// Returns the same as [`Self::discretize`], unless `stop` is raised before the initial state is found. The signal ends all work on the
+    /// problem.
     ///
     /// # Errors
-    /// As [`Self::discretize`].
+    /// Those of [`Self::discretize`].
     pub fn discretize_until(
         &self,
         arm: &Arm,
@@ -251,7 +255,7 @@ impl Task {
         })
     }
 
-    /// What the rest of the work takes for granted.
+    /// Checks the ranges of all numbers, on which the rest of the discretization relies.
     fn check(&self, discretization: &Discretization) -> Result<(), DiscretizeError> {
         let refuse = |what, value, expected| {
             Err(DiscretizeError::OutOfRange {
@@ -335,7 +339,7 @@ impl Task {
         Ok(())
     }
 
-    /// A grid whose steps can be taken at the longest duration as well.
+    /// Returns a grid whose steps can also be taken at the longest duration.
     fn grid(
         &self,
         rod: &Rod,
@@ -366,7 +370,7 @@ impl Task {
         Ok(grid)
     }
 
-    /// How the arm stays at the end, where it does.
+    /// Returns the duration and tolerance of the stay at the end; `None` if no target asks for one.
     fn how_it_stays(&self) -> Option<Staying> {
         self.targets.iter().find_map(|target| match target.rest {
             Rest::Staying(staying) => Some(staying),
@@ -413,9 +417,9 @@ impl Task {
             .unwrap_or(rod.scales.moment * rod.scales.length)
     }
 
-    /// The discrete goals of a target: what may be met within tolerances is one of its own.
+    /// Returns the discrete goals of a target. A position, an orientation or a rest with a tolerance becomes a goal of its own.
     ///
-    /// Weights of tracks, which count per second, give that of a soft goal times the horizon.
+    /// Weights of tracks count per second; times the horizon, they give the default weight of a soft goal.
     fn goals(
         &self,
         target: &Target,
@@ -485,8 +489,8 @@ impl Task {
 }
 
 impl Problem {
-    /// The rod with `factor` times the elements, and the state in which it starts. Where the finer rod has no equilibrium, although the
-    /// coarse one had, it starts at rest.
+    /// Returns the rod with `factor` times the elements, and the state in which it starts. If the finer rod has no equilibrium, although
+    /// the coarse one had, it starts at rest.
     ///
     /// # Errors
     /// Those of [`Rod::new`].
@@ -517,7 +521,7 @@ impl Problem {
         )
     }
 
-    /// The same problem that lasts `factor` times as long, on as many steps.
+    /// Returns the problem that lasts `factor` times as long, with as many steps.
     #[must_use]
     pub fn with_time_scale(&self, factor: f64) -> Self {
         Self {
@@ -565,8 +569,8 @@ fn grid(
     Ok(TimeGrid::covering(end, step, multiple))
 }
 
-/// A goal whose parts may be met within tolerances: those that may become a goal of their own. `distance` and `angle` are exact where they are
-/// none, and the speed and the angular speed of rest where they are zero.
+/// Splits a goal into goals with tolerances. `distance` and `angle` are met exactly if they are `None`, and the speed and the angular speed
+/// of rest if they are zero.
 fn with_tolerances(
     goal: Goal,
     distance: Option<f64>,
@@ -601,7 +605,7 @@ fn with_tolerances(
         .collect()
 }
 
-/// Whether the arm, as it is at the start, keeps all that is hard: nothing could be done about it.
+/// Refuses a problem whose arm violates a hard limit at the start, where no control can act.
 fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
     let mut start = Trajectory::with_capacity(problem.rod.n_nodes(), 1);
     start.push(&problem.initial.configuration);
@@ -641,7 +645,7 @@ fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
     Ok(())
 }
 
-/// Whether hard goals leave room for each other, for the obstacles, and for what holds the base.
+/// Refuses hard goals that leave no room for each other, for the obstacles, or for the condition at the base.
 fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
     let rod = &problem.rod;
     let rounding = START_TOLERANCE * rod.scales.length;
@@ -729,12 +733,12 @@ fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
     Ok(())
 }
 
-/// Distance between two places, m; 0 where one is not given.
+/// Returns the distance between two places, m; 0 if one of them is not given.
 fn separation(a: &Option<Vector3<f64>>, b: &Option<Vector3<f64>>) -> f64 {
     a.zip(*b).map_or(0.0, |(a, b)| (a - b).norm())
 }
 
-/// Angle between two orientations, rad; 0 where one is not given.
+/// Returns the angle between two orientations, rad; 0 if one of them is not given.
 fn turn(a: &Option<Matrix3<f64>>, b: &Option<Matrix3<f64>>) -> f64 {
     a.zip(*b)
         .map_or(0.0, |(a, b)| log(&(a.transpose() * b)).norm())

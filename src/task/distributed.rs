@@ -1,4 +1,4 @@
-//! Couples along an arm: muscles, or what stands for them.
+//! Couples along an arm, as muscles exert them.
 
 use faer::Mat;
 use nalgebra::{DMatrix, DVector};
@@ -9,22 +9,22 @@ use crate::mechanics::{Actuator, Rod, SharedActuator, StateView, Wrench};
 
 /// A couple per rest length along the arm, `m(s)` in N m/m, in the body frame of every section.
 ///
-/// Each actuated component of `m` is the cubic spline through `n` points at `s_i = i L/(n + 1)`, whose values are the controls, and through 0 at
-/// both ends of the arm; its third derivative does not jump at the second point and at the last but one ("not a knot"; with one point it is a
-/// parabola). Node `q` has the moment `m(s_q) (l_{q-1} + l_q)/2`, with the rest lengths of the elements beside it.
+/// Each actuated component of `m` is the cubic spline through `n` points at `s_i = i L/(n + 1)`, whose values are the controls, and through
+/// 0 at both ends of the arm; its third derivative does not jump at the second point and at the last but one ("not a knot"; with one point
+/// it is a parabola). Node `q` has the moment `m(s_q) (l_{q-1} + l_q)/2`, with the rest lengths of the elements beside it.
 ///
 /// The controls are those of the first point, one of each actuated axis, then those of the second, and so on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DistributedCouple {
     /// Number `n` of points, at least 1.
     pub points: usize,
-    /// Which components act: bending about the first and the second director, and twist.
+    /// Components that act: bending about the first and the second director, and twist.
     pub axes: [bool; 3],
 }
 
 impl DistributedCouple {
-    /// The actuator of a task, whose values at every point have this bound, N m/m: axes with a bound of 0 do not act. `scale` (N m/m) counts as 1 in
-    /// the cost.
+    /// Returns the actuator of a task whose values at every point have this bound, N m/m; axes with a bound of 0 do not act. `scale` (N
+    /// m/m) counts as 1 in the cost.
     #[must_use]
     pub fn bounded(points: usize, bound: Bound, scale: f64) -> OwnActuator {
         let axes: [bool; 3] = std::array::from_fn(|axis| bound.actuates(axis));
@@ -57,7 +57,7 @@ impl DistributedCouple {
         (0..3).filter(|axis| self.axes[*axis])
     }
 
-    /// `6m × n` weights of the controls.
+    /// Returns the weights of the controls, six rows per node and one column per control: node wrenches are linear in the controls.
     fn weights(&self, rod: &Rod) -> Mat<f64> {
         let nodes = self.nodes(rod);
         let n_axes = self.acting_axes().count();
@@ -82,7 +82,7 @@ impl Actuator for DistributedCouple {
         self.points * self.acting_axes().count()
     }
 
-    /// All but the ends, where the couple is 0.
+    /// Returns all nodes but the ends, where the couple is 0.
     fn nodes(&self, rod: &Rod) -> Vec<usize> {
         (1..rod.tip()).collect()
     }
@@ -121,7 +121,7 @@ impl Actuator for DistributedCouple {
     }
 }
 
-/// Rest arc length of every node over the length of the rod.
+/// Returns the rest arc length of every node divided by the length of the rod.
 fn nodes_over_length(rod: &Rod) -> Vec<f64> {
     let mut ends = vec![0.0];
     for element in &rod.elements {
@@ -131,7 +131,8 @@ fn nodes_over_length(rod: &Rod) -> Vec<f64> {
     ends.iter().map(|end| end / length).collect()
 }
 
-/// Of every place (0 to 1) a row: the value there of the splines that are 1 at one of `n` inner points and 0 at the others and at both ends.
+/// Returns one row per place (0 to 1): the values there of the splines that are 1 at one of `n` inner points and 0 at the others and at
+/// both ends.
 fn basis(n: usize, places: &[f64]) -> DMatrix<f64> {
     let n_data = n + 2;
     let degree = 3.min(n_data - 1);
@@ -154,7 +155,7 @@ fn basis(n: usize, places: &[f64]) -> DMatrix<f64> {
     at(places) * coefficients.unwrap_or_else(|| DMatrix::zeros(n_data, n))
 }
 
-/// Values of all B-splines at a place, by the recursion of Cox and de Boor.
+/// Returns the values of all B-splines at a place, by the recursion of Cox and de Boor.
 fn splines(knots: &[f64], degree: usize, n: usize, s: f64) -> DVector<f64> {
     let s = s.clamp(0.0, 1.0);
     // The last span is closed.
@@ -185,7 +186,7 @@ mod tests {
     use crate::mechanics::Material;
     use crate::task::{Arm, Discretization};
 
-    /// A cubic that is 0 at both ends is its own spline; so is a parabola with one point, and with any number.
+    /// A cubic that is 0 at both ends is its own interpolating spline; so is a parabola, with one point and with any number.
     #[test]
     fn cubics_are_their_own_splines() {
         let places: Vec<f64> = (0..=50).map(|i| 0.02 * f64::from(i)).collect();
@@ -202,8 +203,8 @@ mod tests {
         }
     }
 
-    /// The spline goes through its points, and is twice continuously differentiable at them: second differences on both sides agree to the third
-    /// derivative over their distance.
+    /// The spline goes through its points, and is twice continuously differentiable at them: second differences on both sides agree to the
+    /// third derivative times their distance.
     #[test]
     fn splines_are_smooth() {
         let (n, h) = (6, 1e-3);
@@ -227,8 +228,8 @@ mod tests {
         }
     }
 
-    /// The moments of all nodes add up to the integral of the couple, to the second order of the elements' length: four times nearer with twice as
-    /// many elements. A parabola over the length is 2/3 in the mean.
+    /// The moments of all nodes add up to the integral of the couple, to the second order of the elements' length: four times nearer with
+    /// twice as many elements. A parabola over the length is 2/3 in the mean.
     #[test]
     fn moments_add_up() {
         let arm = Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 2.0, 0.05);

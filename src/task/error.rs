@@ -1,10 +1,10 @@
-//! Errors of a discretization: what the continuous problem or the requested numbers do not allow.
+//! Errors of a discretization, by the continuous problem or by the requested numbers.
 
 use crate::control::{DurationConflict, GoalPart};
 use crate::mechanics::RodError;
 use crate::mechanics::equilibrium::EquilibriumError;
 
-/// Why there is no discrete problem.
+/// Reason why there is no discrete problem.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum DiscretizeError {
     /// A number of the task or the discretization that is out of its range.
@@ -33,7 +33,7 @@ pub enum DiscretizeError {
         /// The step that is chosen if none is given, s.
         automatic: f64,
     },
-    /// A free duration whose longest makes steps that cannot be taken.
+    /// The steps of the longest free duration are above the stable step.
     #[error(
         "{n_steps} steps of this duration, {longest:.4e} s each, are above the stable step of this rod, {limit:.4e} s"
     )]
@@ -91,20 +91,20 @@ pub enum DiscretizeError {
         /// The most there may be.
         most: usize,
     },
-    /// A hard limit that the arm violates where it starts, which nothing could mend.
+    /// The arm violates a hard limit at the start, where no control can act.
     #[error("at t = 0 the arm is {amount:.3e} {unit}{relation} \"{name}\" at {place} {node}")]
     ViolatedAtStart {
         /// Index among the task's limits.
         limit: usize,
         /// Its name.
         name: String,
-        /// By how much.
+        /// Size of the violation.
         amount: f64,
-        /// In what unit, with a space behind it where there is one.
+        /// Unit of the size, followed by a space unless it is empty.
         unit: String,
-        /// Inside or beyond.
+        /// The word "inside" or "beyond".
         relation: &'static str,
-        /// A node, or the element from a node.
+        /// The words for a node, or for the element from a node.
         place: &'static str,
         /// The node.
         node: usize,
@@ -116,7 +116,7 @@ pub enum DiscretizeError {
         goal: String,
         /// The part of the goal.
         part: GoalPart,
-        /// By how much, in the part's unit.
+        /// Size of the conflict, in the unit of `part`.
         amount: f64,
         /// The reason, with the place of the obstruction.
         why: String,
@@ -125,28 +125,28 @@ pub enum DiscretizeError {
         /// The obstruction.
         with: Obstruction,
     },
-    /// A hard goal that a hard limit excludes, whatever acts.
+    /// A hard goal that a hard limit excludes, whatever the actuators do.
     #[error("{why}: that takes {needed:.4} {unit} or more, and \"{name}\" allows {allowed} {unit}")]
     LimitConflict {
         /// Index among the task's limits.
         limit: usize,
-        /// Its name.
+        /// Name of the limit.
         name: String,
-        /// What the goal asks for.
+        /// Reason why the goal needs that much.
         why: String,
-        /// The least that it takes.
+        /// Smallest value that the goal needs.
         needed: f64,
-        /// The most that the limit allows.
+        /// Largest value that the limit allows.
         allowed: f64,
         /// Unit of both.
         unit: &'static str,
     },
-    /// The problem has a part that a free duration does not allow.
+    /// A feature of the problem that a free duration does not allow.
     #[error("a free duration does not go with {what}")]
     Duration {
-        /// That part.
+        /// That feature.
         conflict: DurationConflict,
-        /// In words.
+        /// That feature in words.
         what: String,
     },
 }

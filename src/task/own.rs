@@ -1,4 +1,4 @@
-//! Actuators of one's own: the places of their controls, and whether they are what they say.
+//! Actuators of one's own: the places of their controls, and a check of their matrices.
 
 use super::definition::OwnActuator;
 use super::error::DiscretizeError;
@@ -6,7 +6,7 @@ use crate::control::{ActuatedNode, Bound, Channel};
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::{Actuator, Rod, State, StateView, Wrench};
 
-/// Where no control is.
+/// A channel without controls.
 const NONE: Channel = Channel {
     scale: 1.0,
     bound: Some(Bound::Norm(0.0)),
@@ -14,7 +14,8 @@ const NONE: Channel = Channel {
     axes: [true; 3],
 };
 
-/// What carries the controls after `first` wrenches, and where each of them is: every group in a force or a moment of its own.
+/// Returns the nodes that carry the controls after `first` wrenches, and the place of each control in them: every group has a force or a
+/// moment of its own.
 pub(super) fn acting(
     own: &[OwnActuator],
     first: usize,
@@ -70,7 +71,7 @@ fn refuse<T>(
     })
 }
 
-/// Nodes that there are, and matrices of the right size, at the start and without control.
+/// Checks that an actuator names nodes of the rod, once each, and returns matrices of the right size, at the start and without control.
 fn check(actuator: &dyn Actuator, rod: &Rod, start: &State) -> Result<(), DiscretizeError> {
     let nodes = actuator.nodes(rod);
     if nodes.is_empty() {

@@ -2,9 +2,9 @@
 //!
 //! Time goes with the node-steps `(K + 1) N`. A simulation takes one step of every node each. An iteration of a solve linearizes every
 //! step, differentiates it with respect to every variable, and rolls out about one trial point; the check replays on finer grids. The
-//! constants per node-step are processor seconds of one core, with AVX2, measured by `cargo bench --bench kernels` and `--bench stiff` (steps), and with
-//! `softarm solve --threads 1` of `reach` with 20 and 40 elements and 5 and 20 blocks, `reach` with implicit steps, `wire-reach`, and a
-//! steel wire (iterations and checks); a prediction is good to a factor of two or three, which suffices to rank.
+//! constants per node-step are processor seconds of one core, with AVX2, measured by `cargo bench --bench kernels` and `--bench stiff`
+//! (steps), and with `softarm solve --threads 1` of `reach` with 20 and 40 elements and 5 and 20 blocks, `reach` with implicit steps,
+//! `wire-reach`, and a steel wire (iterations and checks); a prediction is good to a factor of two or three, which suffices to rank.
 
 use crate::control::OptimalControlProblem;
 use crate::mechanics::stability::{automatic_step, stable_step};
@@ -12,31 +12,31 @@ use crate::mechanics::{Rod, RodModel, TimeScheme};
 
 /// Seconds per node-step of one kind of step.
 struct StepCosts {
-    /// Of a simulation.
+    /// Processor time of one step of a simulation.
     step: f64,
-    /// Of an iteration, without what follows.
+    /// Processor time of an iteration, apart from the part that grows with the number of variables.
     iteration: f64,
-    /// Of an iteration, for every variable.
+    /// Processor time of an iteration per variable.
     variable: f64,
-    /// Of the check.
+    /// Processor time of the check.
     check: f64,
 }
 
-/// Steps that are computed from what is known where they start.
+/// Steps whose momenta and configurations follow explicitly from the state at their start.
 const EXPLICIT: StepCosts = StepCosts {
     step: 6e-8,
     iteration: 1.8e-6,
     variable: 3e-9,
     check: 4e-6,
 };
-/// Implicit steps, with three to six corrections and factors that are kept.
+/// Implicit steps, with three to six corrections and factors that are reused.
 const IMPLICIT: StepCosts = StepCosts {
     step: 3e-7,
     iteration: 3e-6,
     variable: 2e-8,
     check: 4e-5,
 };
-/// Explicit steps with [internal damping](Rod::internal_damping), which are solved for from where the last ones lead.
+/// Explicit steps with [internal damping](Rod::internal_damping), whose equations are solved from an extrapolation of the last steps.
 const DAMPED: StepCosts = StepCosts {
     step: 1.2e-7,
     ..IMPLICIT
@@ -48,28 +48,30 @@ const SUBPROBLEM_S: f64 = 8.5e-4;
 const SUBPROBLEM_CONTROLS: f64 = 120.0;
 const SUBPROBLEM_POWER: f64 = 1.95;
 
-/// Iterations of a solve that is neither lucky nor hard: between the quartiles of `benches/reach_suite.md`.
+/// Iterations of a typical solve: between the quartiles of `benches/reach_suite.md`.
 pub const TYPICAL_ITERATIONS: usize = 15;
-/// Checks that take as long as the curvature over the directions that active constraints leave free, and the growth of disturbances: 50 to 80 in the
-/// built-in scenes (`softarm verify` with and without `--quick`).
+/// Time of the curvature over the directions that active constraints leave free, and of the growth of disturbances, divided by that of a
+/// check: 50 to 80 in the built-in scenes (`softarm verify` with and without `--quick`).
 const CHECKS_OF_CURVATURE: f64 = 60.0;
-/// Checks that take as long as the comparison of all derivatives with differences (`softarm derivatives`).
+/// Time of the comparison of all derivatives with differences (`softarm derivatives`), divided by that of a check.
 const CHECKS_OF_DERIVATIVES: f64 = 3.0;
-/// Below so many seconds nobody waits: the explicit integrator, whose steps resolve every wave, is kept.
+/// Predicted time in s below which the explicit integrator is kept, whose steps resolve every wave: a shorter time is not worth a choice.
 const WORTH_CHOOSING_S: f64 = 1.0;
-/// Implicit steps are chosen where they are predicted to take at most this part of the time of explicit ones. Waves that their long steps do not
-/// resolve ring with a wrong frequency, and an optimum that rests on few steps is harder to find: they have to be worth it.
+/// Largest fraction of the predicted time of explicit steps at which implicit ones are chosen. Waves that their long steps do not resolve
+/// oscillate at a wrong frequency, and an optimum that rests on few steps is harder to find, so that the gain has to be large.
 const CLEARLY_CHEAPER: f64 = 0.1;
-/// The same for the inertia of segments, which changes what is simulated, if only as a finer grid would.
+/// Largest fraction of the predicted time with the inertia of sections at which that of segments is chosen. It changes the simulated
+/// motion, though only as much as a finer grid would.
 const FAR_CHEAPER: f64 = 0.2;
 
-/// Fewest elements of a first grid, and of one that an order is fitted to: with fewer, an error does not show the second order that elements have.
+/// Smallest number of elements of a first grid, and of a grid that an order is fitted to: with fewer, an error does not show the second
+/// order of the elements.
 pub const FEWEST_ELEMENTS: usize = 4;
 
 /// Elements with which a search for an accuracy, in lengths of the arm, begins.
 ///
-/// A clamped arm that a force on its tip bends aside by half its length has the curvature `κ = F (L - s)/EI`. Elements of length `l` with one
-/// curvature each move its tip by `∫ (L - s)(κ - mean κ) ds = F l² L/(12 EI)`, which is `1/(8 K²)` of the length.
+/// A clamped arm that a force on its tip bends aside by half its length has the curvature `κ = F (L - s)/EI`. Elements of length `l` with
+/// one curvature each move its tip by `∫ (L - s)(κ - mean κ) ds = F l² L/(12 EI)`, which is `1/(8 K²)` of the length.
 #[must_use]
 pub fn first_elements(accuracy: f64) -> usize {
     ((1.0 / (8.0 * accuracy)).sqrt().ceil() as usize).max(FEWEST_ELEMENTS)
@@ -87,7 +89,7 @@ fn node_steps(rod: &Rod, n_steps: f64) -> f64 {
     rod.n_nodes() as f64 * n_steps
 }
 
-/// Seconds of a simulation of `n_steps`, without what it writes.
+/// Returns the predicted seconds of a simulation of `n_steps`, without writing its files.
 #[must_use]
 pub fn simulation_seconds(rod: &Rod, n_steps: f64) -> f64 {
     node_steps(rod, n_steps) * costs(rod).step
@@ -103,7 +105,7 @@ pub struct SolveTime {
 }
 
 impl SolveTime {
-    /// Of a solve with `n_variables` over `n_steps`, its subproblems condensed.
+    /// Returns the predicted time of a solve with `n_variables` over `n_steps`, its subproblems condensed.
     #[must_use]
     pub fn of(rod: &Rod, n_steps: f64, n_variables: usize) -> Self {
         let costs = costs(rod);
@@ -116,7 +118,7 @@ impl SolveTime {
         }
     }
 
-    /// Of a problem.
+    /// Returns the predicted time of a solve of this problem.
     #[must_use]
     pub fn of_problem(problem: &OptimalControlProblem) -> Self {
         let n_steps = problem.grid.n_steps as f64;
@@ -142,7 +144,7 @@ impl SolveTime {
     }
 }
 
-/// What an integrator is chosen for.
+/// Work for which an integrator is chosen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Work {
     /// One forward motion.
@@ -161,12 +163,12 @@ pub struct Candidate {
     pub scheme: TimeScheme,
     /// Its step, s.
     pub step: f64,
-    /// Seconds that the work takes with it.
+    /// Predicted seconds of the work with it.
     pub seconds: f64,
 }
 
 impl Candidate {
-    /// The rod's own integrator over `duration`.
+    /// Returns the rod's own integrator with its automatic step and its predicted time over `duration`.
     #[must_use]
     pub fn of(rod: &Rod, duration: f64, work: Work) -> Self {
         let step = automatic_step(rod);
@@ -182,8 +184,8 @@ impl Candidate {
     }
 }
 
-/// Whether `rotary_inertia = "auto"` stands for that of segments: where the work takes more than a second with that of sections, and at
-/// most a fifth of that time with the other.
+/// Tells whether `rotary_inertia = "auto"` stands for that of segments: the work must take more than a second with that of sections, and
+/// less than a fifth of that time with that of segments.
 #[must_use]
 pub fn prefers_segments(sections: &Rod, segments: &Rod, duration: f64, work: Work) -> bool {
     let seconds = |rod: &Rod| Candidate::of(rod, duration, work).seconds;
@@ -191,11 +193,11 @@ pub fn prefers_segments(sections: &Rod, segments: &Rod, duration: f64, work: Wor
     with_sections > WORTH_CHOOSING_S && seconds(segments) < FAR_CHEAPER * with_sections
 }
 
-/// The integrator that `integrator = "auto"` stands for, for a rod with explicit steps.
+/// Returns the integrator that `integrator = "auto"` stands for, for a rod with explicit steps.
 ///
-/// With a step that is given, explicit as long as that step is stable, and implicit up to its own automatic step. Otherwise the one that is
-/// predicted to be faster: implicit where it takes at most a tenth of the time of explicit steps, and these more than a second. Models with
-/// dilatation have explicit steps only.
+/// A given step is taken explicitly as long as it is stable, and implicitly up to the automatic step of the implicit integrator. Without a
+/// given step the integrator follows from the predicted times: implicit if it takes less than a tenth of the time of explicit steps, and
+/// these more than a second. Models with dilatation have explicit steps only.
 #[must_use]
 pub fn automatic_scheme(
     explicit: &Rod,

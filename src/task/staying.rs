@@ -1,4 +1,4 @@
-//! Where an arm stays after its task: the equilibrium at its target, with what holds it.
+//! The stay of an arm after its task: the equilibrium at its target, with the wrenches that hold it.
 
 use super::definition::Staying;
 use super::error::DiscretizeError;
@@ -7,12 +7,12 @@ use crate::control::{
 };
 use crate::mechanics::equilibrium::EquilibriumError;
 
-/// Where the arm stays from the end of the horizon of `problem` on, for an arm of `length` in m.
+/// Returns the stay from the end of the horizon of `problem` on, for an arm of `length` in m.
 ///
-/// `None` where it is not known whether anything holds the target.
+/// `None` if it is unknown whether anything holds the target.
 ///
 /// # Errors
-/// [`DiscretizeError::NotHeld`] where nothing within the bounds can hold the target.
+/// [`DiscretizeError::NotHeld`] if nothing within the bounds can hold the target.
 pub(super) fn stay(
     problem: &OptimalControlProblem,
     staying: Staying,
@@ -40,8 +40,9 @@ pub(super) fn stay(
     }
 }
 
-/// Verdict on holding the goal of `problem` over a stay, the same for a solve and for `check`: that of [`holding`], but an equilibrium whose deviations
-/// grow too little over the stay to matter is held, and one without a positive stiffness is not.
+/// Returns the verdict on holding the goal of `problem` over a stay, the same for a solve and for `check`. It is that of [`holding`],
+/// except that an equilibrium whose deviations grow too little over the stay to matter is held, and one without a positive stiffness is
+/// not.
 ///
 /// # Errors
 /// Those of [`holding`].
@@ -55,7 +56,8 @@ pub(crate) fn holding_over(
     Ok(verdict.map_or_else(|other| other, |(held, _)| Holding::Held(held)))
 }
 
-/// The equilibrium that holds the goal over a stay, with the stay there, from the verdict without regard to time; or the verdict that nothing is known to hold it.
+/// Returns the equilibrium that holds the goal over a stay, with the stay there, from the verdict without regard to time; or the verdict
+/// that nothing is known to hold it.
 fn judged(
     found: Holding,
     problem: &OptimalControlProblem,
@@ -79,7 +81,7 @@ fn judged(
     }
 }
 
-/// The stay at an equilibrium; `None` where its stiffness is not positive.
+/// Returns the stay at an equilibrium; `None` if its stiffness is not positive.
 fn stay_at(
     problem: &OptimalControlProblem,
     held: Held,
@@ -95,13 +97,13 @@ fn stay_at(
     Stay::at(&problem.rod, held, [seconds, distance], goal)
 }
 
-/// How long the arm stays, s: one first period of the held arm, where nothing else is asked.
+/// Returns the duration of the stay, s: one first period of the held arm, unless a duration is given.
 fn seconds(held: &Held, staying: Staying) -> f64 {
     (staying.seconds).unwrap_or(std::f64::consts::TAU / held.least_squared_frequency.sqrt())
 }
 
-/// Tells whether an equilibrium with a positive stiffness, which only a body moment makes unstable, lets deviations grow no more over the stay than
-/// the part of the distance that the motion leaves unused.
+/// Tells whether the deviations from an equilibrium grow, over the stay, by no more than the fraction of the distance that the motion
+/// leaves unused. The equilibrium must have a positive stiffness, so that only a body moment makes it unstable.
 fn grows_little(held: &Held, staying: Staying) -> bool {
     let growth = held.growth_rate.unwrap_or(f64::INFINITY);
     held.least_squared_frequency > 0.0 && growth * seconds(held, staying) < Stay::ROOM.ln()
@@ -113,8 +115,9 @@ mod tests {
     use crate::task::{Arm, Discretization, Task};
     use nalgebra::Vector3;
 
-    /// What only a body moment makes unstable is held where a deviation grows by no more than the stay leaves room for, a factor of two, and not where it grows by
-    /// more; what has no positive stiffness is not held, however slowly it leaves.
+    /// An equilibrium that only a body moment makes unstable is held if a deviation grows by no more than the stay leaves room for, a
+    /// factor of two, and not held if it grows by more; an equilibrium without a positive stiffness is not held, however slowly deviations
+    /// grow.
     #[test]
     fn slow_growth_is_held_over_a_short_stay() {
         let silicone = crate::mechanics::Material::isotropic(1e6, 0.5, 1000.0);

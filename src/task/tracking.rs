@@ -1,23 +1,24 @@
-//! The weights of a path to follow that has no weights of its own.
+//! The default weights of a path to follow.
 
 use crate::control::{ActuatedNode, Channel};
 use crate::mechanics::Rod;
 
-/// Part of a displacement that is missed where it is held statically.
+/// Fraction of a statically held displacement that a track of default weight misses.
 const MISSED: f64 = 1e-4;
 
-/// The weight `w` with which the least of `effort/2 |v|² + w/2 |ξ - ξ*|²`, over controls `v` that hold the displacement `ξ = c·v` of the tip
-/// over the length, misses `ξ*` by the part [`MISSED`] of itself: the miss is `effort ξ/(|c|² w)`.
+/// Returns the weights of a position and of an orientation, in this order. The weight `w` is that with which the minimum of `effort/2 |v|²
+/// + w/2 |ξ - ξ*|²`, over controls `v` that hold the displacement `ξ = c·v` of the tip divided by the length, misses `ξ*` by the fraction
+/// [`MISSED`] of itself: the miss is `effort ξ/(|c|² w)`.
 ///
-/// `c` are the displacements of a straight clamped arm over its length under one unit of each part of the wrench: `f L²/(3EI)` of a force
-/// `f` across the tip and `m L/(2EI)` of a moment `m`. For an orientation, `ξ` is a turn, and `c` are `f L²/(2EI)` and `m L/(EI)`. Actuators on
-/// other nodes count as if they were on the tip, and where there are only actuators of one's own, a force of the size of the rod counts in
-/// their place. The weight of a position comes first, then that of an orientation.
+/// `c` are the displacements of a straight clamped arm divided by its length under one unit of each part of the wrench: `f L²/(3EI)` of a
+/// force `f` across the tip and `m L/(2EI)` of a moment `m`. For an orientation, `ξ` is a turn, and `c` are `f L²/(2EI)` and `m L/(EI)`.
+/// Actuators on other nodes count as if they were on the tip; if there are only actuators of one's own, a force of the size of the rod's
+/// scale counts in their place.
 pub(super) fn default_weights(effort: f64, rod: &Rod, actuators: &[ActuatedNode]) -> [f64; 2] {
     [[3.0, 2.0], [2.0, 1.0]].map(|stiffness| default_weight(effort, rod, actuators, stiffness))
 }
 
-/// Of one of them; `stiffness` is that of the arm against a force and a moment, in `EI/L²` and `EI/L`.
+/// Returns one of the two weights; `stiffness` is that of the arm against a force and a moment, in `EI/L²` and `EI/L`.
 fn default_weight(
     effort: f64,
     rod: &Rod,

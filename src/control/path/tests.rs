@@ -166,7 +166,7 @@ fn derivatives_equal_differences() {
     }
 }
 
-/// A chord between two points that touch a sphere dips into it by less than promised.
+/// A chord between two points that touch a sphere dips into it by less than the bound of `points_per_element`.
 #[test]
 fn chords_dip_little() {
     for (chord, radius) in [(0.05, 0.15), (0.08, 0.11), (0.1, 10.0)] {

@@ -1,7 +1,8 @@
 //! The helical rule: one constant strain per element, from the exponential of SE(3).
 //!
 //! With `ψ = log(R_aᵀ R_b)`, `y = R_aᵀ dx` and `S(ψ) = I - ψ̂/2 + c ψ̂²`, `c = (1 - (θ/2) cot(θ/2))/θ²`, the strains times the length are
-//! `S y` and `ψ`. Their variations are `δψ = Sᵀ η_b - S η_a` and `δ(S y) = S (R_aᵀ δdx + ŷ η_a) + G δψ`, `G = ∂(S y)/∂ψ`. A stress `(n, m)` pulls with
+//! `S y` and `ψ`. Their variations are `δψ = Sᵀ η_b - S η_a` and `δ(S y) = S (R_aᵀ δdx + ŷ η_a) + G δψ`, `G = ∂(S y)/∂ψ`. A stress `(n, m)`
+//! pulls with
 //!
 //! ```text
 //! F = R_a w,   M_a = w × y - Sᵀ μ,   M_b = S μ,     w = Sᵀ n,   μ = m + Gᵀ n

@@ -110,7 +110,7 @@ pub(super) struct Stressed {
     thinned: Option<Thinned>,
 }
 
-/// The quantities that the stiffness of a section that thins needs.
+/// Quantities for the stiffness of a section that thins.
 struct Thinned {
     thinning: Thinning<Scalar>,
     /// `C₁ ε` at both ends and `C₂ κ`.
@@ -157,7 +157,7 @@ impl Element {
         self.length * density
     }
 
-    /// The stress of a strain. What `consistent` adds along the chord, `w ∂e/∂v`, is that of both ends.
+    /// Returns the stress of a strain. The term `w ∂e/∂v` along the chord, which the model `consistent` adds, is that of both ends.
     pub(super) fn stress_of(&self, strain: &ElementStrain) -> Stressed {
         let [a, b, kappa] = self.excess(strain);
         let [n_a, n_b] = [a, b].map(|eps| self.linear_stiffness.component_mul(&eps));

@@ -1,7 +1,7 @@
 //! The trapezoidal rule of the paper, equations (59)-(62): linear strains at both ends with half weight each.
 //!
-//! With `ψ = cay⁻¹(R_aᵀ R_b)`, `P = I + ψ̂/2 + ψψᵀ/4` and `v_i = R_iᵀ dx` the strains times the length are `v_a`, `v_b` and `ψ`. Their variations are
-//! `δv_i = R_iᵀ δdx + v̂_i η_i` and `δψ = P η_b - Pᵀ η_a`. A stress, with the weights of the ends in it, pulls with
+//! With `ψ = cay⁻¹(R_aᵀ R_b)`, `P = I + ψ̂/2 + ψψᵀ/4` and `v_i = R_iᵀ dx` the strains times the length are `v_a`, `v_b` and `ψ`. Their
+//! variations are `δv_i = R_iᵀ δdx + v̂_i η_i` and `δψ = P η_b - Pᵀ η_a`. A stress, with the weights of the ends in it, pulls with
 //!
 //! ```text
 //! F = R_a n_a + R_b n_b,   M_a = n_a × v_a - P m,   M_b = n_b × v_b + Pᵀ m

@@ -8,14 +8,14 @@ use crate::mechanics::load::Wrench;
 /// Multipliers of the defect rows of every time node, and of the terminal momenta.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AdjointSweep {
-    /// Covector of the momenta after the kick: of the linear rows `r_k`, in the order of [`Defects::linear`](super::Defects::linear), then of the linear
-    /// momenta at `N`; zero on fixed nodes.
+    /// Covector of the momenta after the kick: of the linear rows `r_k`, in the order of [`Defects::linear`](super::Defects::linear), then
+    /// of the linear momenta at `N`; zero on fixed nodes.
     pub linear: Vec<Vector3<f64>>,
-    /// Of the angular rows, then of the angular momenta at `N`.
+    /// Covector of the angular rows, then of the angular momenta at `N`.
     pub angular: Vec<Vector3<f64>>,
     /// Covector of the linear momenta that arrive at a time node, before its kick, in the same order.
     pub arriving_linear: Vec<Vector3<f64>>,
-    /// Of the angular ones.
+    /// Covector of the angular momenta that arrive, in the same order.
     pub arriving_angular: Vec<Vector3<f64>>,
     /// Covector of the state at the start, momenta before the first kick: the derivative along the initial state; zero on fixed
     /// nodes.
@@ -23,7 +23,7 @@ pub struct AdjointSweep {
 }
 
 impl AdjointSweep {
-    /// For so many nodes and time nodes.
+    /// Returns zeros for so many nodes and time nodes.
     pub(in crate::mechanics) fn zeros(n_nodes: usize, n_times: usize) -> Self {
         let zeros = vec![Vector3::zeros(); n_nodes * n_times];
         Self {

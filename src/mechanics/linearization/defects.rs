@@ -35,7 +35,7 @@ pub struct RightHandSide {
 }
 
 impl RightHandSide {
-    /// Nothing but a deviation of the state at the start, over `n_steps` steps.
+    /// Returns the right-hand side that has only a deviation of the state at the start, over `n_steps` steps.
     #[must_use]
     pub fn at_start(deviation: StateTangent, n_steps: usize) -> Self {
         let n_nodes = deviation.positions.len();

@@ -1,4 +1,4 @@
-//! How the wrenches of loads and of actuators of one's own follow the configuration.
+//! Derivatives of the wrenches of loads and of actuators of one's own along the configuration.
 
 use nalgebra::Matrix3;
 
@@ -17,7 +17,7 @@ pub struct LoadDerivative {
     pub moment: Matrix3<f64>,
 }
 
-/// Of all loads that turn with their node.
+/// Returns the derivatives of all loads that turn with their node.
 pub(in crate::mechanics) fn load_derivatives(
     motion: &Motion,
     trajectory: &Trajectory,
@@ -39,7 +39,7 @@ pub(in crate::mechanics) fn load_derivatives(
         .collect()
 }
 
-/// Of all actuators of one's own.
+/// Returns the derivatives of all actuators of one's own.
 pub(in crate::mechanics) fn acting_derivatives(
     motion: &Motion,
     trajectory: &Trajectory,

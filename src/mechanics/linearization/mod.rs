@@ -1,5 +1,5 @@
-//! The discrete equations of motion along a given trajectory, and the quantities of their linearization. What is evaluated of them, defects,
-//! linearized steps and the sweeps through these, is in [`sensitivity`](super::sensitivity).
+//! The discrete equations of motion along a given trajectory, and the quantities of their linearization. What is evaluated of them,
+//! defects, linearized steps and the sweeps through these, is in [`sensitivity`](super::sensitivity).
 //!
 //! A trajectory of configurations defines the half-step momenta `p^{k+½} = m (x^{k+1} - x^k)/h` and
 //! `g^{k+½} = (1/h) vee(F J_d - J_d Fᵀ)`, `F = R^{k,T} R^{k+1}`. The rows are, for `k = 0..N-1` and every free node
@@ -48,10 +48,10 @@ pub struct Motion<'a> {
     pub grid: TimeGrid,
     /// State at time 0; its configuration is the first of every trajectory.
     pub initial: &'a State,
-    /// What may end a sweep before it is done, if anything may.
+    /// Signal that may end a sweep early.
     pub stop: Option<&'a StopSignal>,
-    /// The control, where it has [actuators of one's own](super::Actuator): what is linearized contains how their wrenches follow the
-    /// configuration. Nothing else of it matters.
+    /// The control, if it has [actuators of one's own](super::Actuator): the linearization then contains the derivatives of their wrenches
+    /// along the configuration. Other controls are not read.
     pub control: Option<&'a ControlSignal>,
 }
 
@@ -100,8 +100,8 @@ impl Motion<'_> {
         1.0 / self.undamped()
     }
 
-    /// `1 - c h/2`: what damping leaves of the momentum of an interval where it ends. Where that is nothing, a rounding of
-    /// it stays, lest the impulses that [arrive](Self::arriving_impulse) with it are lost as well.
+    /// Returns `1 - c h/2`, the factor of damping on the momentum of an interval at its end. If it is zero, the rounding unit is returned,
+    /// so that the impulses that [arrive](Self::arriving_impulse) with that momentum are not lost.
     fn undamped(&self) -> f64 {
         let left = 1.0 - 0.5 * self.rod.viscous_damping * self.grid.step;
         if left == 0.0 { f64::EPSILON } else { left }

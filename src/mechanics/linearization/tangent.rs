@@ -51,7 +51,7 @@ impl StateTangent {
         self.part(component / 3)[node][component % 3]
     }
 
-    /// The same to write to.
+    /// Returns one of the four parts of the direction, for writing.
     pub(crate) fn part_mut(&mut self, part: usize) -> &mut [Vector3<f64>] {
         [
             &mut self.positions,

@@ -14,9 +14,9 @@ use crate::mechanics::rod::Rod;
 /// Components of the configuration with their coefficients: twelve of either element beside a node.
 pub(super) type Terms = [(usize, f64); 24];
 
-/// What the momentum in row `component` (6..12) of a node is at a time node besides what a tile carries: a sum over rows of the tile, in
-/// the order of [`NODE_COMPONENTS`]. `None` where it is nothing: before the first kick and after the last, of held nodes, and of other
-/// steps.
+/// Returns the momentum in row `component` (6..12) of a node at a time node, apart from the part that a tile carries: a sum over rows of
+/// the tile, in the order of [`NODE_COMPONENTS`]. `None` if it is zero: before the first kick and after the last, of held nodes, and of
+/// other steps.
 pub(super) fn arriving_terms(
     task: &Task,
     k: usize,
@@ -55,8 +55,8 @@ pub(super) fn arriving_terms(
     Some(terms)
 }
 
-/// `∂(B_{k+1}ᵀ σ)` along the configuration at `k + 1`, over `(δx_b - δx_a, ζ_a, ζ_b)` of an element and the interval from `k` to `k + 1`, with
-/// the weight of the impulse. Zero where no stress depends on both ends.
+/// `∂(B_{k+1}ᵀ σ)` along the configuration at `k + 1`, over `(δx_b - δx_a, ζ_a, ζ_b)` of an element and the interval from `k` to `k + 1`,
+/// with the weight of the impulse. Zero where no stress depends on both ends.
 fn arriving_stiffness(
     motion: &Motion,
     trajectory: &Trajectory,

@@ -1,5 +1,5 @@
-//! What the kernels of coupled drifts read, multiply and write: vectors of columns of a tile, several at a time, which share the broadcast
-//! of every coefficient.
+//! Kernels of coupled drifts: they read, multiply and write vectors of columns of a tile, several at a time, which share the broadcast of
+//! every coefficient.
 
 use pulp::Simd;
 
@@ -13,8 +13,8 @@ pub(super) type Wide<S, const V: usize> = [<S as Simd>::f64s; V];
 /// Vectors that a kernel works on at a time, where there are as many: their sums fill the registers of AVX2.
 pub(super) const AT_ONCE: usize = 2;
 
-/// Evaluates an expression for all vectors with columns, `at` the first of those at hand and `V` their number: [`AT_ONCE`] at a time and the last
-/// one by itself.
+/// Evaluates an expression for all vectors with columns, `at` the first of those at hand and `V` their number: [`AT_ONCE`] at a time and
+/// the last one by itself.
 macro_rules! for_all_vectors {
     ($at:expr, $used:expr, $V:ident => $call:expr) => {{
         $at = 0;

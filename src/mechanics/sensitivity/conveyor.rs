@@ -30,7 +30,7 @@ pub(super) enum Sense {
 type Pieces = Vec<RwLock<Vec<LinearizedStep>>>;
 
 thread_local! {
-    /// Those of the last sweep on this thread: the next one finds their memory in place, and writes all of it anew.
+    /// Pieces of the last sweep on this thread, whose memory the next one reuses and writes anew.
     static SPARE: RefCell<Pieces> = const { RefCell::new(Vec::new()) };
 }
 

@@ -33,23 +33,23 @@ use crate::mechanics::rotation::cay_inverse;
 use crate::mechanics::step_error::StepError;
 use crate::mechanics::time::TimeScheme;
 
-/// What is linearized.
+/// The motion that is linearized.
 #[derive(Clone)]
 pub(super) struct Along<'a> {
     pub motion: &'a Motion<'a>,
     pub trajectory: &'a Trajectory,
-    /// Where the second derivatives are asked for as well.
+    /// Multipliers, if second derivatives are asked for as well.
     pub multipliers: Option<&'a Multipliers<'a>>,
-    /// Half a kick is taken at either end of it, and what is before and after does not matter.
+    /// Time nodes of the stretch. Half a kick is taken at either end of it; the motion before and after it is not read.
     pub stretch: RangeInclusive<usize>,
 }
 
 /// Memory of a linearization, for motions of one rod.
 #[derive(Debug)]
 pub(super) struct Memory {
-    /// For one time node in each lane, if the [vectors know](is_possible) the rod.
+    /// Memory for one time node in each lane, if the [vectors know](is_possible) the rod.
     many: Option<Workspace>,
-    /// For one time node; made when it is needed first.
+    /// Memory for one time node; allocated when it is needed first.
     single: Option<Workspace>,
 }
 
@@ -233,12 +233,12 @@ pub(super) fn is_possible(motion: &Motion) -> bool {
 
 /// Elements that a linearization takes apart.
 pub(super) trait Reach<S: Simd> {
-    /// Whether these are all: bent by any angle, of sections that thin.
+    /// Tells whether the linearization takes all elements: bent by any angle, of sections that thin.
     const ALL: bool;
-    /// Margin of the quarter turn of a node: what is within it is left to a time node by itself.
+    /// Margin to the quarter turn of a node; within it a time node is linearized by itself.
     const MARGIN: f64;
 
-    /// What the rule needs of a pose.
+    /// Returns the data of a rule for a pose.
     fn pose<R: TangentRule>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> R::Pose<S>;
 
     /// The gradient `(F, M_a, M_b)` of an element's energy.
@@ -299,15 +299,15 @@ impl Reach<Scalar> for AnyTurn {
     }
 }
 
-/// What a group of time nodes needs, a number in each lane.
+/// Data of a group of time nodes, a number in each lane.
 #[derive(Debug)]
 pub(super) struct Workspace {
     /// [`POSE_ROWS`] of every node, and those a step later.
     pub poses: Buffer,
     pub next: Buffer,
-    /// Those a step earlier, of steps that are solved for.
+    /// Poses a step earlier, of steps that are solved for.
     pub before: Buffer,
-    /// Of steps that are solved for.
+    /// Data of steps that are solved for.
     pub solve: Option<SolveRows>,
     /// [`MULTIPLIER_ROWS`] of every node.
     pub multipliers: Buffer,
@@ -323,7 +323,7 @@ pub(super) struct Workspace {
 
 /// `λx` and `λr` times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends, then `λx` and `μx`.
 pub(super) const MULTIPLIER_ROWS: usize = 18;
-/// Those of three 6×6 matrices, the most that is on its way at once.
+/// Number of rows of three 6×6 matrices, the largest result that is on its way at once.
 const OUT_ROWS: usize = 108;
 
 impl Workspace {
@@ -509,12 +509,12 @@ impl Group<'_> {
         kick(self.along.motion, &self.along.stretch, k)
     }
 
-    /// Whether an interval of the stretch begins at a time node.
+    /// Tells whether an interval of the stretch begins at a time node.
     pub fn leaves(&self, k: usize) -> bool {
         k < *self.along.stretch.end()
     }
 
-    /// Whether one ends there.
+    /// Tells whether an interval of the stretch ends at a time node.
     pub fn arrives(&self, k: usize) -> bool {
         k > *self.along.stretch.start()
     }

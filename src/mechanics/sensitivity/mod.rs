@@ -64,7 +64,7 @@ const BATCH: usize = 4;
 /// Time nodes that tiles record before their blocks are added to, where several threads meet in between.
 const SHARED_ROUND: usize = 8;
 
-/// Which columns there are: each is a set of wrench components on nodes, with a weight at every time node.
+/// The columns of the controls: each is a set of wrench components on nodes, with a weight at every time node.
 pub trait ControlColumns: Sync {
     /// Number of columns.
     fn n_columns(&self) -> usize;
@@ -94,10 +94,10 @@ pub struct Sensitivities {
     /// Second derivative of the Lagrangian along the columns, where multipliers were given: `n_columns × n_columns`,
     /// symmetric; unit of the functional per unit of both columns. See [`curvature`](super::curvature).
     pub curvature: Option<Mat<f64>>,
-    /// The same form between every column and the answers to the sources, `n_columns × n_sources`: what defects add to the
-    /// gradient of the model.
+    /// Second derivative of the Lagrangian between every column and the responses to the sources, `n_columns × n_sources`: the contribution
+    /// of defects to the gradient of the model.
     pub curvature_sources: Option<Mat<f64>>,
-    /// The same form between the answers to the sources, `n_sources × n_sources`.
+    /// Second derivative of the Lagrangian between the responses to the sources, `n_sources × n_sources`.
     pub source_curvature: Option<Mat<f64>>,
     /// Derivatives of the forms along the state at the start, `n_forms × 12 n_free`: `(δx, ζ, δp, δπ)` of every free node, node
     /// by node, momenta before the first kick. Given by the reverse route, which ends with them; the forward route answers to
@@ -615,9 +615,9 @@ impl Task<'_> {
     }
 }
 
-/// Floating-point operations of one time node on the columns of a tile that reach so many nodes: 9×9 per element (multiply and add) with its
-/// scatter, four 3×3 products and the translation per node; the former once more and three 6×6 products per node where a step is
-/// solved for.
+/// Floating-point operations of one time node on the columns of a tile that reach so many nodes: 9×9 per element (multiply and add) with
+/// its scatter, four 3×3 products and the translation per node; the former once more and three 6×6 products per node where a step is solved
+/// for.
 fn step_flops(step: &LinearizedStep, n_nodes: usize) -> u64 {
     let n_elements = step.elements.len().min(n_nodes);
     let mut flops = n_elements * (162 + 15) + n_nodes * (72 + 12);

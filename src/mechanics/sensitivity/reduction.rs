@@ -12,7 +12,7 @@ use crate::mechanics::buffer::Buffer;
 use crate::mechanics::curvature::{OwnCurvature, own_within};
 use crate::mechanics::forms::NODE_COMPONENTS;
 
-/// What a tile keeps of one round of time nodes for the curvature.
+/// Rows of a tile at one round of time nodes, stored for the curvature.
 ///
 /// A slot holds the rows `ζ_0, dx_0, ζ_1, dx_1, … ζ_K` of one time node, so that an element's nine are consecutive.
 pub(super) struct Record<'a> {
@@ -25,9 +25,9 @@ pub(super) struct Record<'a> {
     /// The rows that own curvatures of this round take, one after the other, and their products.
     own_rows: Vec<f64>,
     own_product: Vec<f64>,
-    /// Where those of each time node of the round end.
+    /// Ends of those of each time node of the round.
     own_ends: Vec<usize>,
-    /// Whether any column of the tile has begun to act.
+    /// Tells whether any column of the tile has begun to act.
     active: bool,
 }
 
@@ -54,7 +54,7 @@ impl<'a> Record<'a> {
         self.own_ends.clear();
     }
 
-    /// What the own curvatures of time node `k` take of the tile.
+    /// Stores the rows of the tile that the own curvatures of time node `k` read, and their products.
     pub fn keep_own(&mut self, data: &[f64], k: usize) {
         for own in own_within(self.own, k..k + 1) {
             let start = self.own_rows.len();

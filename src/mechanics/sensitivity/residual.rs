@@ -42,7 +42,7 @@ pub fn defects(
     defects_on(Arch::new(), in_lanes, motion, trajectory, control)
 }
 
-/// Of a node: elastic force and moment, angular momentum that leaves and that arrives.
+/// Number of rows of a node: elastic force and moment, angular momentum that leaves and that arrives.
 const OUT_ROWS: usize = 12;
 
 /// [`defects`] on an instruction set, under a control without actuators of one's own; one time node in each lane, or each by itself.

@@ -15,14 +15,14 @@ use crate::mechanics::linearization::{AdjointSweep, StateTangent};
 #[derive(Debug)]
 pub(super) struct ReverseTile {
     first_form: usize,
-    /// Its forms.
+    /// Number of forms of the tile.
     n_used: usize,
-    /// Where the sum of all forms goes backward, in the first place: what it meets.
+    /// Covectors that the backward sweep of the sum of all forms meets; that sum then has the first place of the tile.
     pub sum: Option<AdjointSweep>,
     /// Time node of the last form; later ones do not matter.
     last: usize,
     data: Buffer,
-    /// What the covectors of `ζ` and arriving `π` become, where elements couple the drifts of their ends.
+    /// Covectors of `ζ` and arriving `π` after the drift, if elements couple the drifts of their ends.
     increments: Buffer,
     /// Values on sources and columns, form fastest.
     pub values: Vec<f64>,
@@ -161,7 +161,7 @@ impl ReverseTile {
         }
     }
 
-    /// What the forms say about a deviation of the state at the start, once they are there.
+    /// Adds the values of the forms on a deviation of the state at the start, once the sweep has arrived there.
     fn read_start(&mut self, task: &Task) {
         for (column, sources) in task.sources.iter().enumerate() {
             let Some(start) = &sources.start else {
@@ -472,8 +472,8 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
-    /// From the base to the tip: covectors of what the step adds to the configuration, the transpose of U, and the configuration that is
-    /// carried.
+    /// Solves from the base to the tip: covectors of the change that the step adds to the configuration, by the transpose of U, and of the
+    /// configuration that is carried.
     #[inline(always)]
     fn solve_upper_transposed<const V: usize>(&mut self, solve: &SolvedDrift, node: usize) {
         let spin = &solve.nodes[node];
@@ -503,7 +503,7 @@ impl<S: Simd> Columns<'_, S> {
         );
     }
 
-    /// And back: the transpose of L, and what the start of the interval did to the momenta that arrive.
+    /// Solves back from the tip to the base: the transpose of L, and the effect of the start of the interval on the momenta that arrive.
     #[inline(always)]
     fn solve_lower_transposed<const V: usize>(&mut self, solve: &SolvedDrift, node: usize) {
         if let Some(i) = node.checked_sub(self.step.first_free_node) {
@@ -523,7 +523,7 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
-    /// What the covectors of the arriving momenta say about `(F, M_a, M_b)` of element `q`.
+    /// Returns the covectors of `(F, M_a, M_b)` of element `q` that follow from those of the arriving momenta.
     #[inline(always)]
     fn arriving_pull<const V: usize>(&self, q: usize) -> [Wide<S, V>; 9] {
         let (a, b) = (self.increment(q, 0), self.increment(q + 1, 0));

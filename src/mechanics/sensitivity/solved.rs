@@ -10,8 +10,8 @@
 //! ```
 //!
 //! and the weights of both impulses add up to that of the kick: either scheme has the elastic stress of the time node with the kick's
-//! weight, and the changes of the strain with `β` and `-γ`. How the stress of the interval after it answers to the interval's end, `X`, is the only
-//! other matrix of an element; see [`SolvedDrift`](super::step::SolvedDrift).
+//! weight, and the changes of the strain with `β` and `-γ`. How the stress of the interval after it answers to the interval's end, `X`, is
+//! the only other matrix of an element; see [`SolvedDrift`](super::step::SolvedDrift).
 
 use pulp::Simd;
 
@@ -31,20 +31,20 @@ const COUPLING_ROWS: usize = 81;
 /// Factors on the elastic stress, and on those of the intervals after and before the time node, s.
 const WEIGHT_ROWS: usize = 3;
 
-/// What the time nodes of steps that are solved for need besides.
+/// Additional data of the time nodes of steps that are solved for.
 #[derive(Debug)]
 pub(super) struct SolveRows {
     spins: Buffer,
     couplings: Buffer,
     weights: Buffer,
-    /// How the strains at both ends of an interval make its stress.
+    /// Weights of the strains at both ends of an interval in its stress.
     rates: IntervalWeights,
-    /// Momenta that arrive at the end of an interval per those that leave at its start, by the same stress.
+    /// Momenta that arrive at the end of an interval, divided by those that leave at its start, by the same stress.
     ratio: f64,
 }
 
 impl SolveRows {
-    /// Where a stress depends on both ends of an interval.
+    /// Returns the data if stresses depend on both ends of an interval; `None` otherwise.
     pub fn of(motion: &Motion, n_lanes: usize) -> Option<Self> {
         let weights = IntervalWeights::of(motion.rod, motion.grid.step)?;
         let (n_nodes, n_elements) = (motion.rod.n_nodes(), motion.rod.n_elements());
@@ -119,7 +119,7 @@ impl<S: Simd> Weights<S> {
             .plus(strain.minus(R::strain(last)).times(self.past))
     }
 
-    /// How that strain changes with the strain here.
+    /// Returns the derivative of that strain along the strain here.
     #[inline(always)]
     pub fn scale(&self) -> Lanes<S> {
         self.elastic + (self.past - self.after)

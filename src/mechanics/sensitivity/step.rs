@@ -9,24 +9,24 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::LoadDerivative;
 use crate::mechanics::rod::Rod;
 
-/// The linearized equations of motion of one time node, laid out for the sweeps: a kick with the stiffness at `k`, whose weight is multiplied
-/// in, then the drift to `k + 1`.
+/// The linearized equations of motion of one time node, laid out for the sweeps: a kick with the stiffness at `k`, whose weight is
+/// multiplied in, then the drift to `k + 1`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinearizedStep {
     /// Decay of the momenta by the kick.
     pub decay: f64,
     /// Weight of forces in it, s.
     pub weight: f64,
-    /// What the momenta after the kick lose by the configuration: `weight` times the stiffness, row by row, and what stresses of
-    /// [intervals](SolvedDrift) add.
+    /// Decrease of the momenta after the kick along the configuration: `weight` times the stiffness, row by row, and the terms of stresses
+    /// of [intervals](SolvedDrift).
     pub elements: Vec<[[f64; 9]; 9]>,
     /// Node, then `weight ∂f/∂ζ` above `weight ∂τ/∂ζ`.
     pub loads: Vec<(usize, [[f64; 3]; 6])>,
-    /// Nodes, and what actuators of one's own add.
+    /// Nodes and matrices of actuators of one's own.
     pub(super) acting: Vec<ActingKick>,
-    /// Drift of every node; absent at the last time node, and where a step is solved for.
+    /// Drift of every node; absent at the last time node, and if a step is solved for.
     pub drifts: Vec<NodeDrift>,
-    /// How the dilatation of every element enters the drift; absent where it does not.
+    /// Derivative of the drift along the dilatation of every element; absent if the drift does not depend on it.
     pub element_drifts: Vec<ElementDrift>,
     /// First node that moves.
     pub first_free_node: usize,
@@ -35,7 +35,7 @@ pub struct LinearizedStep {
     pub(super) curvature: Option<StepCurvature>,
 }
 
-/// The drift of one node, linearized: `ζ⁺ = Fᵀ ζ + Θ δg`, `δ(Fᵀ g) = M δg`; see [`Drift`](crate::mechanics::lanes::tangent::Drift).
+/// The drift of one node, linearized: `ζ⁺ = Fᵀ ζ + Θ δg`, `δ(Fᵀ g) = M δg`; see `lanes::tangent::Drift`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NodeDrift {
     /// `h/m`, s/kg.
@@ -48,8 +48,8 @@ pub struct NodeDrift {
     pub momentum: [[f64; 3]; 3],
 }
 
-/// What a change `δe` of one element's dilatation adds to the drift of its two ends, and the kinetic reaction; for the
-/// dilatation at the start (0) and at the end (1) of the interval.
+/// Derivative of the drift of the two ends of an element along its dilatation `e`, and the kinetic reaction; for the dilatation at the
+/// start (0) and at the end (1) of the interval.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ElementDrift {
     /// `∂e/∂dx`, 1/m.
@@ -62,8 +62,8 @@ pub struct ElementDrift {
     pub reaction: Option<ReactionDrift>,
 }
 
-/// The kinetic reaction of an element, linearized: `δr = stiffness δdx + along Σ_ends spin·ω`, where `ω = ζ⁺ - Fᵀζ` is what the
-/// step adds to the rotation of an end.
+/// The kinetic reaction of an element, linearized: `δr = stiffness δdx + along Σ_ends spin·ω`, where `ω = ζ⁺ - Fᵀζ` is the rotation of an
+/// end relative to the one that the step carries along.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReactionDrift {
     /// 0 where it acts at the start of the interval, with the `δdx` there; 1 at its end.
@@ -76,17 +76,17 @@ pub struct ReactionDrift {
     pub spin: [[f64; 3]; 2],
 }
 
-/// What is solved for in a step whose stress depends on both ends of its interval; empty in other steps.
+/// Equations of a step whose stress depends on both ends of its interval; empty in other steps.
 ///
-/// With `z` the configuration at the start and `u` what the step adds to what it carries to the end, `(D + X) u` are the momenta
-/// after the kick, whose [`elements`](LinearizedStep::elements) have the rest of what the stress does there. The momenta that arrive
-/// are `D_p u - ratio Xᵀ z`, up to a stiffness at the end of the interval, which is a part of the next kick and of the forms of
-/// momenta; see [`arriving`](super::arriving).
+/// With `z` the configuration at the start and `u` the change that the step adds to the configuration that it carries to the end, `(D + X)
+/// u` are the momenta after the kick, whose [`elements`](LinearizedStep::elements) have the other terms of the stress. The momenta that
+/// arrive are `D_p u - ratio Xᵀ z`, up to a stiffness at the end of the interval, which belongs to the next kick and to the forms of
+/// momenta; see `arriving`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SolvedDrift {
     /// `X = ∂(B_kᵀ σ)` along the configuration at `k + 1`, over `(δx_b - δx_a, ζ_a, ζ_b)`, with the weight of the impulse.
     pub coupling: Vec<[[f64; 9]; 9]>,
-    /// Momenta that arrive at the end of the interval per those that leave at its start, by the same stress.
+    /// Momenta that arrive at the end of the interval, divided by those that leave at its start, by the same stress.
     pub ratio: f64,
     /// Every node.
     pub nodes: Vec<NodeSpin>,
@@ -220,7 +220,7 @@ impl LinearizedStep {
 /// inertia at `k` itself are added to those of an element.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct StepCurvature {
-    /// In the order `ζ_a, dx, ζ_b`, row by row: nine consecutive rows of a [`Record`].
+    /// Curvatures of the elements in the order `ζ_a, dx, ζ_b`, row by row: nine consecutive rows of a [`Record`].
     pub elements: Vec<[[f64; 9]; 9]>,
     /// Couplings of a node's `ζ_k` with `ζ_{k-1}` and `ζ_{k+1}`; zero before the start and after the end.
     pub couplings: Vec<[[[f64; 3]; 3]; 2]>,

@@ -77,22 +77,22 @@ fn owner(task: usize, n_threads: usize) -> usize {
 /// The round that all threads have reached.
 struct Progress {
     round: AtomicUsize,
-    /// Of every task, the first round in which it has not begun.
+    /// The first round in which each task has not begun.
     begun: Vec<AtomicUsize>,
     /// Tasks of the round that have ended.
     done: AtomicUsize,
-    /// A thread has panicked: nobody is to wait for it.
+    /// Tells whether a thread has panicked, so that the others must not wait for it.
     is_abandoned: AtomicBool,
 }
 
 impl Progress {
-    /// The present round, unless all have ended or one never will.
+    /// Returns the present round; `None` if all have ended or one thread has panicked.
     fn round_before(&self, n_rounds: usize) -> Option<usize> {
         let round = self.round.load(Ordering::Acquire);
         (round < n_rounds && !self.is_abandoned.load(Ordering::Relaxed)).then_some(round)
     }
 
-    /// Whether this call is the one that begins a task. Those of a round that has ended have all begun.
+    /// Tells whether this call is the one that begins a task. All tasks of a round that has ended have begun.
     fn begins(&self, round: usize, task: usize) -> bool {
         let begun = &self.begun[task];
         let seen = begun.load(Ordering::Relaxed);

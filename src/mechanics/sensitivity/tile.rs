@@ -17,7 +17,7 @@ use crate::mechanics::linearization::StateTangent;
 /// [`TILE`] columns: row `node * 12 + component`, column fastest.
 pub(super) struct Tile<'a> {
     first_column: usize,
-    /// Its columns.
+    /// Number of columns of the tile.
     n_used: usize,
     data: Buffer,
     /// Nodes whose rows need not be zero: what acts on a node reaches one more on either side with every step.
@@ -122,7 +122,7 @@ impl<'a> Tile<'a> {
         })
     }
 
-    /// That of all nodes.
+    /// Returns the sums of all nodes.
     pub fn sums(&self, n_nodes: usize) -> StateTangent {
         let part = |part: usize| (0..n_nodes).map(|node| self.sum(node, part)).collect();
         StateTangent {
@@ -512,8 +512,8 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
-    /// The drift that is solved for, in all vectors of the tile: one after the other at every node, whose matrices are then at hand. With `u`
-    /// what the step adds to the configuration, `(D + X) u` are the momenta after the kick.
+    /// The drift that is solved for, in all vectors of the tile: one after the other at every node, whose matrices are then at hand. With
+    /// `u` what the step adds to the configuration, `(D + X) u` are the momenta after the kick.
     #[inline(always)]
     fn drift_solved(&mut self, solve: &SolvedDrift) {
         let first = self.step.first_free_node;
@@ -529,7 +529,8 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
-    /// From the base to the tip: what the start of the interval does to the momenta that arrive, and the solution's first half.
+    /// Solves from the base to the tip: the effect of the start of the interval on the momenta that arrive, and the first half of the
+    /// solution.
     #[inline(always)]
     fn solve_first_half<const V: usize>(&mut self, solve: &SolvedDrift, node: usize) {
         if let Some(coupling) = solve.coupling.get(node) {
@@ -546,7 +547,8 @@ impl<S: Simd> Columns<'_, S> {
         self.set(node, 6, self.product(&solve.pivots[i], right));
     }
 
-    /// And back: what the step adds to the configuration, and then all that follows from it. `added` is that of the node after it.
+    /// Solves back from the tip to the base: the change that the step adds to the configuration, and then all that follows from it. `added`
+    /// is that of the next node.
     #[inline(always)]
     fn solve_second_half<const V: usize>(
         &mut self,

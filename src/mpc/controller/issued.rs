@@ -7,8 +7,8 @@ use crate::mpc::error::MpcError;
 
 /// The command of a sample whose next one is not prepared yet.
 ///
-/// The plant gets the command first, and [`prepare`](Self::prepare) follows. Without it, the next [`feedback`](Controller::feedback) responds to
-/// the state of the same sample again.
+/// The plant gets the command first, and [`prepare`](Self::prepare) follows. Without it, the next [`feedback`](Controller::feedback)
+/// responds to the state of the same sample again.
 #[derive(Debug)]
 #[must_use = "Issued::prepare makes the controller ready for the next sample"]
 pub struct Issued<'a>(pub(super) &'a mut Controller);

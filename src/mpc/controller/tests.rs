@@ -50,8 +50,8 @@ fn controller(bound: f64) -> Controller {
     Controller::new(&arm, &task, &discretization, &settings).unwrap()
 }
 
-/// The next iteration for a start that deviates by `s` times a tangent: by the linear term of the prepared model, and by a model that is
-/// simulated and linearized anew from there.
+/// Returns the next iteration for a start that deviates by `s` times a tangent, in two ways: by the linear term of the prepared model, and
+/// by a model that is simulated and linearized anew from there.
 fn both_ways(controller: &mut Controller, tangent: &StateTangent, s: f64) -> [Vec<f64>; 2] {
     let times = |v: &[Vector3<f64>]| v.iter().map(|v| v * s).collect();
     let deviation = StateTangent {

@@ -5,16 +5,16 @@ use serde_json::Value;
 
 use super::{ReportCommand, ReportData, figure};
 
-/// What the page of several results shows.
+/// The content of the page of several results.
 #[derive(Debug, Clone, Serialize)]
 pub struct ComparisonData {
     /// Title of the page.
     pub title: String,
-    /// What was run, the same in all.
+    /// The command, the same for all results.
     pub command: ReportCommand,
     /// The results.
     pub runs: Vec<ComparedRun>,
-    /// What differs, by section: scene and summaries.
+    /// Differences by section: scene and summaries.
     pub tables: Vec<ComparisonTable>,
     /// Computing time against error, where both are known.
     pub tradeoff: Vec<TradeoffPoint>,
@@ -29,7 +29,7 @@ pub struct ComparedRun {
     pub data: ReportData,
 }
 
-/// What differs between several results.
+/// Differences between several results.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ComparisonTable {
     /// Heading.
@@ -58,7 +58,7 @@ pub struct TradeoffPoint {
     pub wall_s: f64,
     /// Estimated error of any node from elements and steps, in meters.
     pub error_m: f64,
-    /// Whether no other result is both faster and more accurate.
+    /// Tells whether no other result is both faster and more accurate.
     pub on_front: bool,
 }
 
@@ -193,8 +193,8 @@ fn leaves(value: &Value) -> Leaves {
     out
 }
 
-/// The keys whose values differ by more than rounding, that of lengths (m) by more than rounding of `length`; with `partial` also those that only some
-/// results have.
+/// The keys whose values differ by more than rounding, that of lengths (m) by more than rounding of `length`; with `partial` also those
+/// that only some results have.
 fn differences(results: &[Leaves], partial: bool, length: f64) -> Vec<ComparisonRow> {
     let mut keys: Vec<&str> = Vec::new();
     for (key, _) in results.iter().flatten() {
@@ -301,7 +301,7 @@ fn are_alike(a: Option<&Value>, b: Option<&Value>, least: f64) -> bool {
     }
 }
 
-/// By how much a number changes: in percent, or as a factor where it more than doubles or halves.
+/// Returns the change of a number: in percent, or as a factor if it more than doubles or halves.
 fn change(a: &Value, b: &Value) -> Option<String> {
     let (a, b) = (a.as_f64()?, b.as_f64()?);
     let ratio = b / a;
@@ -350,7 +350,7 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    /// Only what differs is in the table: of numbers with the change, of keys that one result lacks with a dash.
+    /// The table has the differences only: of numbers with the change, of keys that one result lacks with a dash.
     #[test]
     fn differences_are_what_differs() {
         let of = |value: Value| leaves(&value);
@@ -374,7 +374,7 @@ mod tests {
         assert!(!alike(json!(4.9), json!(4.9001)));
     }
 
-    /// What is rounding of the arm's length, of the largest energy, or of the largest number of a list has no row.
+    /// Differences within rounding of the arm's length, of the largest energy, or of the largest number of a list have no row.
     #[test]
     fn rounding_is_no_difference() {
         let of = |noise: f64| {

@@ -20,7 +20,7 @@ pub struct ReportField {
     pub name: String,
     /// Its unit; may be empty.
     pub unit: String,
-    /// Whether its values are at the nodes, or else at the middles of the elements.
+    /// Tells whether its values are at the nodes, or else at the middles of the elements.
     pub at_nodes: bool,
     /// Value that has no color; of a magnitude none.
     pub neutral: Option<f64>,
@@ -36,7 +36,7 @@ impl ReportField {
     /// Steps between the least and the largest value: three digits, which is more than colors show.
     pub const CODES: u16 = 1000;
 
-    /// Of values that are known to about `noise`; `None` where they are all within it of the neutral value, or of zero.
+    /// Returns the range of values that are known to about `noise`; `None` if they are all within it of the neutral value, or of zero.
     ///
     /// The range is symmetric about a neutral value, and begins at zero without one.
     pub fn of(

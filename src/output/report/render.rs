@@ -182,7 +182,7 @@ mod tests {
         assert_eq!(body["shape"]["kind"], "half_space");
     }
 
-    /// The same data give the same bytes.
+    /// Equal data give equal bytes.
     #[test]
     fn page_is_deterministic() {
         assert_eq!(render_report(&data()), render_report(&data()));

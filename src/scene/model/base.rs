@@ -18,7 +18,7 @@ use crate::mechanics::{self, CubicSpline, LoadFrame, MotionCurve, RodError};
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Base {
-    /// Whether the base is held, driven, or free.
+    /// Condition of the base: held, driven, or free.
     pub kind: BaseKind,
     /// Position in m; for a driven base, the position from which it moves. Default: the origin.
     pub position_m: [f64; 3],
@@ -191,7 +191,8 @@ impl Keys<'_> {
     }
 }
 
-/// The motion of a base with this orientation: `exp(r) R_b = R_b exp(R_bᵀ r)` turns spatial rotation vectors into those of its frame.
+/// Returns the motion of a base with this orientation: `exp(r) R_b = R_b exp(R_bᵀ r)` turns spatial rotation vectors into those of its
+/// frame.
 pub(in crate::scene) fn base_motion(
     motion: &BaseMotion,
     orientation: &Matrix3<f64>,

@@ -1,4 +1,4 @@
-//! What the optimizer may choose.
+//! The controls that the optimizer may choose.
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -79,11 +79,11 @@ pub struct Distributed {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Feedback {
-    /// Weight of the energy of a deviation, twice over EI/L, on the way and at the end; not negative, default 1.
+    /// Weight of the energy of a deviation, twice the energy divided by EI/L, on the way and at the end; not negative, default 1.
     pub state: NonNegative<values::Weight>,
-    /// Weight of the square of a correction over its scale; positive, default 1.
+    /// Weight of the square of a correction divided by its scale; positive, default 1.
     pub input: Positive<values::Weight>,
-    /// Scaled residual of the task that counts as 1 (over the length, or in rad); positive, default 0.01.
+    /// Scaled residual of the task that counts as 1 (divided by the length, or in rad); positive, default 0.01.
     pub tolerance: Positive<values::Tolerance>,
 }
 
@@ -127,14 +127,14 @@ pub struct Actuator {
     expecting = "expected a number, which bounds the norm, or [x, y, z], which bounds each component"
 )]
 pub enum Bound {
-    /// On the Euclidean norm.
+    /// A bound on the Euclidean norm.
     Norm(f64),
-    /// On the magnitude of each component.
+    /// A bound on the magnitude of each component.
     PerAxis([f64; 3]),
 }
 
 impl Bound {
-    /// Whether it leaves nothing.
+    /// Tells whether the bound is zero in all components.
     pub fn is_zero(self) -> bool {
         match self {
             Self::Norm(norm) => norm == 0.0,
@@ -300,11 +300,11 @@ impl Keys<'_> {
     }
 }
 
-/// What to do where no part of a wrench acts.
+/// Remedy for a wrench of which no part acts.
 const NAME_A_PART: &str = "a force or moment acts only where it is named; give its largest magnitude, or `inf` for no bound: \
 force_max_n = inf";
 
-/// A bound; `None` where all of it is infinite.
+/// Returns the bound of the task; `None` if all of it is infinite.
 pub(in crate::scene) fn bound_of(bound: Bound) -> Option<control::Bound> {
     match bound {
         Bound::Norm(limit) => limit.is_finite().then_some(control::Bound::Norm(limit)),
@@ -314,7 +314,7 @@ pub(in crate::scene) fn bound_of(bound: Bound) -> Option<control::Bound> {
     }
 }
 
-/// `None` is what does not act, in a scene.
+/// Returns the bound as a scene has it, where `None` is a part that does not act.
 fn bound(bound: Option<control::Bound>) -> Option<Bound> {
     match bound {
         None => Some(Bound::Norm(f64::INFINITY)),

@@ -1,4 +1,4 @@
-//! Estimators of a closed loop: their keys, and what they find out.
+//! Estimators of a closed loop: their keys, and the unknowns that they estimate.
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -70,7 +70,7 @@ pub enum Unknown {
 }
 
 impl Estimator {
-    /// What is estimated besides the state.
+    /// Unknowns that are estimated besides the state.
     pub(crate) fn unknowns(&self) -> &[Unknown] {
         match (&self.disturbances, self.kind) {
             (Some(named), _) => named,
@@ -81,7 +81,7 @@ impl Estimator {
 }
 
 impl Unknown {
-    /// All of them.
+    /// All unknowns.
     pub(crate) const ALL: [Self; 8] = [
         Self::TipForce,
         Self::TipMoment,
@@ -95,7 +95,7 @@ impl Unknown {
 }
 
 impl Estimator {
-    /// The state and other unknowns from these sensors, or everything at once.
+    /// Returns the sensing that estimates the state and the unknowns from these sensors, or that knows the true state at once.
     pub(in crate::scene) fn sensing(&self, sensors: &[SensorSettings], seed: u32) -> Sensing {
         let has = |unknown| self.unknowns().contains(&unknown);
         let estimator = match self.kind {

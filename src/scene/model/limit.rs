@@ -120,8 +120,7 @@ pub struct Limit {
     /// Name in reports. Default: the key of what is limited.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Smallest and largest length of an element, over its length at rest. The model of the section holds for about
-    /// [0.7, 1.3].
+    /// Smallest and largest length of an element, divided by its length at rest. The model of the section holds for about [0.7, 1.3].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stretch: Option<[f64; 2]>,
     /// Largest bending curvature in 1/m, positive.
@@ -154,7 +153,7 @@ impl Limit {
         ("speed_max_m_s", "speed"),
     ];
 
-    /// Those keys, with whether each is given.
+    /// Returns these keys, each with whether it is given.
     fn given(&self) -> [(&'static str, bool); 4] {
         let given = [
             self.stretch.is_some(),
@@ -165,14 +164,14 @@ impl Limit {
         std::array::from_fn(|kind| (Self::KINDS[kind].0, given[kind]))
     }
 
-    /// Name in reports and errors: its own, or the word of the key that it has.
+    /// Name in reports and errors: its own, or that of its kind.
     #[must_use]
     pub fn name(&self) -> String {
         let given = self.given();
         Self::name_by(self.name.as_deref(), |key| given.contains(&(key, true)))
     }
 
-    /// [`Self::name`] of a limit of which no more is known than its own name and its keys.
+    /// Returns [`Self::name`] of a limit of which only its own name and its keys are known.
     pub(in crate::scene) fn name_by(own: Option<&str>, is_given: impl Fn(&str) -> bool) -> String {
         let kind = || Self::KINDS.iter().find(|(key, _)| is_given(key));
         own.or_else(|| kind().map(|(_, name)| *name))
@@ -399,7 +398,7 @@ impl Keys<'_> {
         self.check_price(&key("soft"), obstacle.soft)
     }
 
-    /// Errors say which limit they mean by its name as well: indices count from 0, and readers from 1.
+    /// Checks a limit; errors name it as well, since indices count from 0 and readers from 1.
     pub(in crate::scene) fn check_limit(
         &self,
         limit: &Limit,

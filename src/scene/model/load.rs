@@ -1,4 +1,4 @@
-//! What acts on the arm: gravity, damping, a payload, given forces and moments.
+//! Loads on the arm: gravity, damping, a payload, given forces and moments.
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -186,7 +186,7 @@ impl From<LoadNode> for LoadNodeKey {
 }
 
 impl Keys<'_> {
-    /// `list` is the section's name.
+    /// Checks a load; `list` is the name of the section.
     pub(in crate::scene) fn check_load(
         &self,
         list: &str,

@@ -10,7 +10,8 @@ use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::Scene;
 use crate::mpc::{self, EffortFrom, FallbackSettings, LoopSettings, MpcSettings};
 
-/// Jumps are dearer than by default in the library: a model coarser than the arm has its fast modes wrong, and must not chase them.
+/// Default weight of jumps, larger than that of the library: a model coarser than the arm has wrong fast modes, to which the controller
+/// must not react.
 const JUMP: f64 = 100.0;
 
 impl Default for Mpc {
@@ -117,9 +118,9 @@ pub struct Mpc {
     /// Delay of the actuators in s that the controller assumes, not negative. Absent: that of `[plant.actuator]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actuator_delay_s: Option<NonNegative<values::Time>>,
-    /// Whether the state is predicted over all delays, to the time at which the command acts. Default: true.
+    /// Prediction: with true, the state is predicted over all delays, to the time at which the command acts. Default: true.
     pub predict: bool,
-    /// Whether the controller's model includes the estimated disturbances. Default: true.
+    /// Compensation: with true, the controller's model includes the estimated disturbances. Default: true.
     pub compensate: bool,
     /// Seed of the noise; `--seed` takes precedence. Absent: that of `--seed`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -164,7 +165,7 @@ pub struct Fallback {
 }
 
 impl Mpc {
-    /// Settings of the loop, whose actuators are late by `actuator_delay` in s where no key says otherwise.
+    /// Returns the settings of the loop; `actuator_delay` in s is the delay of the actuators if no key gives another.
     pub(in crate::scene) fn loop_settings(&self, actuator_delay: f64) -> LoopSettings {
         let fallback = self.fallback.clone().unwrap_or_default();
         LoopSettings {

@@ -25,8 +25,7 @@ pub struct Objective {
     /// Weight in s of half the squared rates of change of the controls, integrated over time; not negative, default 0.
     /// A loop whose horizon recedes has 4 `effort` `mpc.block_s`² in the place of 0.
     pub rate: NonNegative<values::Weight>,
-    /// Weight in 1/s of the elastic energy over E I/L, integrated over time; not negative, default 0. Not for models
-    /// with dilatation.
+    /// Weight in 1/s of the elastic energy divided by EI/L, integrated over time; not negative, default 0. Not for models with dilatation.
     pub energy: NonNegative<values::Weight>,
     /// Paths that nodes follow.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -61,12 +60,12 @@ pub struct Track {
     /// Path as rows [t in s, x, y, z in m] with increasing t: linear in between, constant before and after.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub path_m: Vec<[f64; 4]>,
-    /// Whether the position of a row of `path_m` holds until the time of the next one, to which the node then switches.
+    /// Stepwise path: with true, the position of a row of `path_m` holds until the time of the next one, to which the node then switches.
     /// Default: false.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub switches: bool,
-    /// A CSV file with the rows of `path_m`, relative to the folder of the scene, instead of them; a first row of names and lines that begin
-    /// with # are passed over. Rows of eight numbers have the quaternion of `orientations_wxyz` after the position.
+    /// A CSV file with the rows of `path_m`, relative to the folder of the scene, instead of them; a first row of names and lines that
+    /// begin with # are passed over. Rows of eight numbers have the quaternion of `orientations_wxyz` after the position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub path_csv: Option<String>,
     /// A circle, instead of `path_m`.
@@ -75,9 +74,9 @@ pub struct Track {
     /// A figure eight, instead of `path_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub figure_eight: Option<FigureEight>,
-    /// Weight, positive. Absent: the one at which a displacement of the tip that is held statically is missed by one part in 10 000 of
+    /// Weight, positive. Absent: the one at which a displacement of the tip that is held statically is missed by a fraction of 1e-4 of
     /// itself: 10⁴ `effort` / (a² + b²), where a = `force_scale_n` L²/(3 E I) and b = `moment_scale_n_m` L/(2 E I) are the displacements
-    /// over L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
+    /// divided by L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
     /// Orientations to follow, as [t in s, w, x, y, z] with increasing t, quaternions of any length but zero, scalar
@@ -85,8 +84,8 @@ pub struct Track {
     /// Rows less than half a turn apart may add up to any turn. With a path or without.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub orientations_wxyz: Vec<[f64; 5]>,
-    /// Weight of the orientation, positive. Absent: the one at which a turn of the tip that is held statically is missed by one part in
-    /// 10 000 of itself, as of `weight` with a = `force_scale_n` L²/(2 E I) and b = `moment_scale_n_m` L/(E I).
+    /// Weight of the orientation, positive. Absent: the one at which a turn of the tip that is held statically is missed by a fraction of
+    /// 1e-4 of itself, as of `weight` with a = `force_scale_n` L²/(2 E I) and b = `moment_scale_n_m` L/(E I).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_weight: Option<Positive<values::Weight>>,
     /// Weight of the difference of the node's velocity from that along the path, or of its velocity if there is no
@@ -128,9 +127,9 @@ fn upward() -> [f64; 3] {
     [0.0, 0.0, 1.0]
 }
 
-/// Turns on a figure eight, the lemniscate of Gerono, from t = 0 for as long as the scene lasts: c + a (sin φ e₁ + sin φ cos φ e₂),
-/// φ = 2π t over `turn_s`, where e₁ and e₂ are the first two axes of the frame whose third one is `normal`, after the shortest rotation from
-/// the spatial frame. It begins in its center.
+/// Turns on a figure eight, the lemniscate of Gerono, from t = 0 for as long as the scene lasts: c + a (sin φ e₁ + sin φ cos φ e₂), φ = 2π
+/// t over `turn_s`, where e₁ and e₂ are the first two axes of the frame whose third one is `normal`, after the shortest rotation from the
+/// spatial frame. It begins in its center.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -193,7 +192,7 @@ impl Keys<'_> {
         Ok(())
     }
 
-    /// A table of points, a circle or a figure eight, or none of them where there are orientations; `section` is the key of the track.
+    /// Checks that a track has a table of points, a circle or a figure eight, or at least orientations; `section` is the key of the track.
     pub(in crate::scene) fn check_path(&self, section: &str, track: &Track) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
         let circle = track.circle.as_ref().map(Turns::from);
@@ -252,7 +251,7 @@ impl Keys<'_> {
 }
 
 impl Objective {
-    /// The cost of a task of an arm that is written with so many elements; paths that turn go on until `end`, s.
+    /// Returns the cost of a task of an arm that is written with so many elements; paths that turn go on until `end`, s.
     pub(in crate::scene) fn of_task(&self, elements: usize, end: f64) -> Cost {
         Cost {
             effort: self.effort.get(),

@@ -83,7 +83,7 @@ impl Default for Plant {
 }
 
 impl PlantActuator {
-    /// What lies between a command and the wrench that acts.
+    /// Dynamics between a command and the wrench that acts.
     pub(in crate::scene) fn dynamics(&self) -> ActuatorDynamics {
         ActuatorDynamics {
             delay: self.delay_s.get(),

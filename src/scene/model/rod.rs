@@ -1,4 +1,4 @@
-//! The rod: what it is made of, its section, and its stress-free shape.
+//! The rod: its material, its section, and its stress-free shape.
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -61,7 +61,7 @@ pub struct Rod {
     pub reference: Option<Reference>,
 }
 
-/// What [`complete`](super::super::accuracy::complete) replaces.
+/// Returns a placeholder for absent elements, which [`complete`](super::super::accuracy::complete) replaces.
 fn first_elements() -> usize {
     crate::task::prediction::first_elements(1e-3)
 }
@@ -204,7 +204,7 @@ impl Material {
         }
     }
 
-    /// The same material with its figures written out in place of its name.
+    /// Returns the material with its figures written out in place of its name.
     pub fn resolved(&self) -> Self {
         let shear = (self.shear_modulus_pa.is_none() && self.poisson_ratio.is_none())
             .then(|| self.figures().map(|figures| figures.shear))
@@ -320,7 +320,7 @@ impl Keys<'_> {
         Ok(())
     }
 
-    /// `name` is the section's key.
+    /// Checks a section; `name` is its key.
     pub(in crate::scene) fn check_section(&self, name: &str, section: &Section) -> Checked {
         let key = |quantity: &str, place: &str| format!("{name}.{quantity}_{place}m");
         // The keys that are given: what they measure, and where.
@@ -422,5 +422,5 @@ pub(in crate::scene) fn rotary_inertia(inertia: mechanics::RotaryInertia) -> Rot
     }
 }
 
-/// What to do where a figure of a material is missing.
+/// Remedy for a missing figure of a material.
 const NAME_A_PRESET: &str = "or else give rod.material.preset";

@@ -1,4 +1,4 @@
-//! Sensors of a closed loop: their keys, and what they measure of a model.
+//! Sensors of a closed loop: their keys, and the quantities that they measure.
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -53,7 +53,7 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// What a sensor measures of an arm with this model: its own numbers, and for the others those of its preset.
+    /// Returns the settings of the sensor on an arm with this model: its own numbers, and for absent ones those of its preset.
     pub(in crate::scene) fn settings(&self, model: &Rod) -> SensorSettings {
         let mut out = self
             .preset

@@ -1,4 +1,4 @@
-//! What the optimizer makes small, and how it works.
+//! Settings of the optimizer: tolerances, quadratic model, initial guesses, continuation and deadline.
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -124,8 +124,8 @@ impl Keys<'_> {
     }
 }
 
-/// Stages of a continuation beyond this number are a typing error rather than a wish.
+/// Largest number of stages of a continuation; a larger one is taken for a typing error.
 const MOST_STAGES: usize = 1000;
 
-/// A saddle with more to gain than this part of the objective is no result.
+/// Largest fraction of the objective that passing a saddle may be asked to gain; a saddle with more to gain is no result.
 const MOST_SADDLE_GAIN: f64 = 0.1;

@@ -1,4 +1,4 @@
-//! Where the tip should be, when, and what it passes on the way.
+//! The task of the tip: its target, the time, and the waypoints on the way.
 
 use nalgebra::Vector3;
 #[cfg(feature = "schema")]
@@ -46,7 +46,7 @@ pub struct Task {
     /// `rod.length_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_m: Option<Positive<values::Distance>>,
-    /// Whether the target is a constraint (true) or a term of the objective (false).
+    /// Enforcement of the target: a constraint (true) or a term of the objective (false).
     #[serde(default = "yes")]
     pub hard: bool,
     /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the target by about a
@@ -60,12 +60,12 @@ pub struct Task {
     /// exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad: Option<Positive<values::Angle>>,
-    /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and `hard`. Absent:
-    /// a hundredth of `rod.length_m` per duration of the task.
+    /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and `hard`.
+    /// Absent: a hundredth of `rod.length_m` per duration of the task.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m_s: Option<NonNegative<values::Speed>>,
-    /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and `hard`.
-    /// Absent: a tenth of a radian per duration of the task.
+    /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and
+    /// `hard`. Absent: a tenth of a radian per duration of the task.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad_s: Option<NonNegative<values::AngularSpeed>>,
     /// Waypoints that the arm passes on the way.
@@ -159,7 +159,7 @@ pub struct Via {
     /// Orientation as a quaternion, scalar first, of any length but zero.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
-    /// Whether the waypoint is a constraint (true) or a term of the objective (false).
+    /// Enforcement of the waypoint: a constraint (true) or a term of the objective (false).
     #[serde(default = "yes")]
     pub hard: bool,
     /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the waypoint by about a
@@ -176,7 +176,7 @@ pub struct Via {
 }
 
 impl Task {
-    /// When the tip should be there, in s, given the duration of the scene.
+    /// Returns the time in s at which the tip should be at the target, given the duration of the scene.
     pub fn instant(&self, end_s: f64) -> f64 {
         self.at_s.map_or(end_s, Number::get)
     }
@@ -304,7 +304,8 @@ impl Keys<'_> {
         )
     }
 
-    /// `tolerances` to a position and to an orientation, each with whether there is one.
+    /// Checks the enforcement of a goal; `distance` and `angle` have the tolerance of its position and of its orientation, each with
+    /// whether the goal has one.
     fn check_enforcement(
         &self,
         section: &str,
@@ -395,7 +396,7 @@ impl Keys<'_> {
     }
 }
 
-/// Four significant digits or so, for derived lengths.
+/// Returns about four significant digits of a derived length.
 fn rounded(value: f64) -> String {
     if (0.1..1e4).contains(&value) {
         format!("{value:.3}")
@@ -405,7 +406,7 @@ fn rounded(value: f64) -> String {
 }
 
 impl Task {
-    /// Writes out the weights of soft goals, which a discretization chooses where they are not given.
+    /// Writes out the weights of soft goals that the discretization chose.
     pub(in crate::scene) fn take_weights(&mut self, goals: &[Goal]) {
         let weight = |name: &str| {
             (goals.iter().filter(|goal| goal.name == name)).find_map(|goal| {
@@ -441,7 +442,7 @@ impl Task {
         }
     }
 
-    /// The points on the way, then the task itself.
+    /// Returns the waypoints, then the target of the task itself.
     pub(in crate::scene) fn targets(&self, elements: usize) -> Vec<Target> {
         let via = self.via.iter().enumerate().map(|(index, via)| Target {
             name: format!("task.via.{index}"),
@@ -479,7 +480,7 @@ fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
     }
 }
 
-/// The points on the way, and the goal of the tip at the end where there is one.
+/// Returns the waypoints, and the goal of the tip at the end if there is one.
 pub(in crate::scene) fn described_targets<'a>(
     task: &'a task::Task,
     elements: usize,
@@ -553,7 +554,7 @@ pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Ve
     }
 }
 
-/// A clamped rod may stretch on its way to a target; a strain beyond this is outside what the rod models.
+/// Largest stretch of a clamped rod on its way to a target; rods do not model larger strains.
 const LARGEST_STRETCH: f64 = 1.3;
 
 impl FreeDuration {

@@ -1,4 +1,4 @@
-//! The course of time: its end, its steps, its start and what is written of it.
+//! Time: duration, steps, initial state and the contents of the result files.
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -119,8 +119,8 @@ pub struct Output {
     /// step.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
-    /// Whether a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction of
-    /// the base, balances of momentum and power; the controls of a solve count among the loads. Default: false.
+    /// Diagnostics: with true, a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction of the
+    /// base, balances of momentum and power; the controls of a solve count among the loads. Default: false.
     pub diagnostics: bool,
 }
 
@@ -200,5 +200,5 @@ pub(in crate::scene) fn integrator(scheme: mechanics::TimeScheme) -> TimeScheme 
     }
 }
 
-/// Times shorter than this, s, are typing errors rather than wishes: momenta of a step overflow.
+/// Shortest time that is accepted, s; a shorter one is taken for a typing error, and momenta of such a step would overflow.
 const SHORTEST_TIME: f64 = 1e-200;

@@ -9,7 +9,8 @@ use crate::stop::StopSignal;
 /// Part of the length that the tip may be off at the end of a loop without a word about it, as the root mean square over the last quarter.
 const FAR: f64 = 0.01;
 
-/// What stands between a loop and its reference: an estimate that cannot be trusted, what the loop itself tells, and where the tip is far off at the end, what may be changed.
+/// Returns sentences on the errors of a loop: an estimate that cannot be trusted, fallbacks and bounds that the loop reports, and changes
+/// that may help if the tip is far off at the end.
 pub(super) fn advice(setup: &ClosedLoopSetup, run: &Outcome, others: &[Outcome]) -> Vec<String> {
     let mut out = estimate_advice(setup, run);
     out.extend(causes(setup, run, others));
@@ -79,7 +80,7 @@ fn causes(setup: &ClosedLoopSetup, run: &Outcome, others: &[Outcome]) -> Vec<Str
 /// Standard deviations from which on a delay is more than noise.
 const CERTAIN: f64 = 3.0;
 
-/// What the filter says about the scene.
+/// Returns the remarks on the scene that follow from the innovations of the filter.
 fn estimate_advice(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
     let mut out = Vec::new();
     if let Some(found) = (run.tally.innovations).filter(|found| found.is_off) {
@@ -128,7 +129,7 @@ fn estimate_advice(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
     out
 }
 
-/// What may be changed where the tip is far from its reference at the end.
+/// Returns changes that may help if the tip is far from its reference at the end.
 fn changes(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
     let own = &setup.experiment;
     let quarter = 0.75 * own.duration;

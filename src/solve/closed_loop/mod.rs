@@ -65,7 +65,7 @@ pub(crate) struct LoopOrder<'a> {
     pub setup: &'a ClosedLoopSetup,
     /// Name of the scene.
     pub name: &'a str,
-    /// Whether the [baselines](BASELINES) run as well.
+    /// Tells whether the [baselines](BASELINES) run as well.
     pub baselines: bool,
     pub target: &'a Path,
     pub started: Instant,

@@ -13,12 +13,12 @@ use crate::output::{
 use crate::scene::ClosedLoopSetup;
 use crate::solve::page::closed_loop_page;
 
-/// What becomes of the arm, a row at the beginning and after every sample, and what is sent to it.
+/// Recording of the arm's motion, a row at the beginning and after every sample, and of the commands that are sent to it.
 pub(super) struct Recording {
     trajectory: RowFiles,
     controls: Vec<ControlRow>,
     hold: Hold,
-    /// For the picture, with the last row.
+    /// Rows for the picture, with the last one.
     thinned: ThinnedMotion,
     row: MotionRecord,
     pub(super) limits: LimitWatch,

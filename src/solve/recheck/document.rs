@@ -4,24 +4,24 @@ use serde_json::Value;
 
 use super::file_check::{FileCheck, written};
 
-/// How far a value of a file may be from the recomputed one.
+/// Tolerance between a value of a file and the recomputed one.
 pub(super) enum Allowed<C> {
-    /// By this fraction of the recomputed value, and by an amount that may depend on the context and on the last index of the path.
+    /// A fraction of the recomputed value, and an amount that may depend on the context and on the last index of the path.
     Within(f64, fn(&C, usize) -> f64),
-    /// By anything: the value is not compared, and listed as such.
+    /// Any difference: the value is not compared, and listed as such.
     Anything,
     /// A list may go on after the recomputed entries; the rest of it is not compared.
     More,
 }
 
-/// Paths and their tolerances, of which the first one that matches counts. A path is dotted; `*` stands for any number of characters within a part, and
-/// a first part `**` for any number of parts.
+/// Paths and their tolerances, of which the first one that matches counts. A path is dotted; `*` stands for any number of characters within
+/// a part, and a first part `**` for any number of parts.
 pub(super) type Table<C> = [(&'static str, Allowed<C>)];
 
 /// The comparison of a file with a recomputed document.
 ///
-/// Numbers are compared by the table, integers, texts and truth values exactly, lists by their length first. Every key of the recomputed document must be
-/// in the file, but for those that `may_be_absent`.
+/// Numbers are compared by the table, integers, texts and truth values exactly, lists by their length first. Every key of the recomputed
+/// document must be in the file, but for those that `may_be_absent`.
 pub(super) struct Comparison<'a, C> {
     pub table: &'a Table<C>,
     pub context: &'a C,

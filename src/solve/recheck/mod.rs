@@ -1,5 +1,5 @@
-//! A result directory of a solve, checked again: its solution by [`forward_check`](crate::verify::forward_check), and its files against what
-//! follows from scene, motion and controls.
+//! A result directory of a solve, checked again: its solution by [`forward_check`](crate::verify::forward_check), and its files against
+//! what follows from scene, motion and controls.
 //!
 //! Numbers of files are compared within what rounding, or replays on another machine, can change.
 
@@ -68,7 +68,7 @@ pub(crate) struct SavedSolution<'a> {
 pub(crate) struct Rechecked {
     /// The check, with a criterion for every file.
     pub check: ForwardCheck,
-    /// How well the paths of `[[objective.track]]` are followed.
+    /// Errors along the paths of `[[objective.track]]`.
     pub tracking: Vec<TrackingError>,
     /// The files.
     pub cover: Cover,
@@ -83,7 +83,7 @@ pub(crate) struct Cover {
     pub not_covered: Vec<String>,
     /// Fields of `summary.json` that cannot be recomputed, by their dotted paths.
     pub summary_not_recomputed: Vec<String>,
-    /// Where files say something else than the solution, the worst place of each.
+    /// Differences between files and solution, the worst place of each file.
     pub mismatches: Vec<Mismatch>,
 }
 
@@ -104,7 +104,7 @@ pub(crate) struct VerifySummary {
     /// End of the tip; NaN without a check.
     #[serde(flatten)]
     tip: TipEnd,
-    /// How well every path of `[[objective.track]]` is followed, in their order; absent where there is none.
+    /// Errors along every path of `[[objective.track]]`, in their order; absent if there is none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     tracking: Vec<TrackingError>,
     /// Wall time, s.
@@ -125,13 +125,13 @@ impl VerifySummary {
         }
     }
 
-    /// Of a check that was made.
+    /// Returns the outcome of a check that was made.
     pub fn of(directory: &Path, found: &Rechecked, wall_s: f64) -> Self {
         let check = CheckRecord::Made(check_outcome(&found.check));
         Self::new(directory, check, Some(found), wall_s)
     }
 
-    /// Of a check that was stopped.
+    /// Returns the outcome of a check that was stopped.
     pub fn stopped(directory: &Path, stop: Stop, wall_s: f64) -> Self {
         Self::new(directory, CheckRecord::not_checked(stop), None, wall_s)
     }

@@ -24,7 +24,7 @@ pub(super) struct SummaryCheck {
     pub not_recomputed: Vec<String>,
 }
 
-/// What belongs to the solution beside the check itself.
+/// Data of the solution beside the check itself.
 pub(super) struct Expected<'a> {
     /// The problem.
     pub problem: &'a OptimalControlProblem,
@@ -172,11 +172,11 @@ struct Sizes {
     kkt: f64,
     /// Limits of the replay on the same grid: distance and turn.
     same_grid: [f64; 2],
-    /// What rounding explains of the momenta: linear and angular.
+    /// Differences of the momenta that rounding explains: linear and angular.
     momentum: [f64; 2],
-    /// How far the solver's own objective may be off.
+    /// Tolerance of the solver's own objective.
     objective: f64,
-    /// How far the observed orders in time and in space may be off: by anything where the changes are next to rounding.
+    /// Tolerances of the observed orders in time and in space; unbounded if the changes are next to rounding.
     orders: [f64; 2],
     /// 0, or infinite where the energy residuals are next to rounding.
     halving: f64,
@@ -188,7 +188,7 @@ struct Sizes {
 
 use Allowed::{Anything, More, Within};
 
-/// How far every number may be off; the first row that matches counts. A new number is compared by the rows of its unit at the end.
+/// Tolerance of every number; the first row that matches counts. A new number is compared by the rows of its unit at the end.
 const TABLE: &Table<Sizes> = &[
     // The solver's own value, with variables for the residuals of soft goals.
     ("objective", Within(0.0, |s, _| s.objective)),

@@ -1,4 +1,4 @@
-//! What a user should know before a scene runs.
+//! Remarks on a scene that a user should see before it runs.
 
 use super::hardly_meant::hardly_meant;
 use crate::mechanics::stability::{bent_step, stable_step};
@@ -34,7 +34,7 @@ pub(crate) fn what_weighs(rod: &Rod) -> &'static str {
     }
 }
 
-/// Whether a simulation writes more than a user may have meant.
+/// Tells whether a simulation writes more than a user may have meant.
 pub(crate) fn size_warning(output: &OutputSize) -> Option<String> {
     (output.bytes > LARGE_OUTPUT_BYTES).then(|| {
         format!(
@@ -45,7 +45,7 @@ pub(crate) fn size_warning(output: &OutputSize) -> Option<String> {
     })
 }
 
-/// What a user should know before a run.
+/// Returns the remarks that a user should see before a run.
 pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
     let mut out = hardly_meant(scene, rod);
     if rod.strain_rule == StrainRule::Trapezoidal && rod.locking_ratio() > LOCKING_LIMIT {

@@ -13,7 +13,7 @@ use crate::task::prediction::{SolveTime, TYPICAL_ITERATIONS, simulation_seconds}
 
 /// Seconds of a predicted solve from which it is said what would make it shorter.
 const LONG_S: f64 = 10.0;
-/// What a solve takes, for one that is about to begin: nothing where it takes no time to speak of.
+/// Returns the predicted time of a long solve that is about to begin, in words; `None` for at most [`LONG_S`] seconds.
 pub(crate) fn expectation(setup: &OptimalControl, n_threads: usize) -> Option<String> {
     let time = SolveTime::of_problem(&setup.problem);
     (time.total() > LONG_S).then(|| {
@@ -38,7 +38,7 @@ pub(crate) fn time_in_words(time: &SolveTime, memory: f64) -> String {
     )
 }
 
-/// What would make a long solve shorter: half the elements, on which the step depends too.
+/// Returns the change that would make a long solve shorter: half the elements, on which the step depends too.
 pub(super) fn shorter(setup: &OptimalControl, time: &SolveTime) -> Option<String> {
     let rod = &setup.problem.rod;
     let elements = rod.n_elements() / 2;
@@ -100,7 +100,7 @@ pub(super) fn cost(rod: &Rod, grid: &TimeGrid) -> CostEstimate {
     }
 }
 
-/// What a simulation writes.
+/// Returns the size of the files of a simulation.
 pub(crate) fn output_size(setup: &Simulation) -> OutputSize {
     let rows = setup.n_rows(setup.grid.n_steps);
     let mut row = row_bytes(&MotionRecord::empty(setup.rod.n_nodes()).arrays());

@@ -15,7 +15,8 @@ pub(crate) const UNSTABLE: &str = "unstable";
 pub(crate) const CANNOT: &str = "cannot-be-held";
 pub(crate) const NOT_FOUND: &str = "not-found";
 
-/// Says whether and by what the tip can be held at its goal, over a stay if the arm should stay; `None` where it has none, or the search was stopped.
+/// Says whether and by what the tip can be held at its goal, over a stay if the arm should stay; `None` where it has none, or the search
+/// was stopped.
 pub(super) fn need(
     problem: &OptimalControlProblem,
     staying: Option<Staying>,

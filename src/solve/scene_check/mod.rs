@@ -1,4 +1,4 @@
-//! What follows from a scene before anything runs: what the verb `check` calls.
+//! Properties of a scene that are known before anything runs, for the verb `check`.
 
 mod closed_loop;
 mod concerns;
@@ -35,7 +35,7 @@ use crate::task::prediction::{SolveTime, TYPICAL_ITERATIONS};
 
 /// Elements up to which an equilibrium and its frequencies take a fraction of a second.
 const MOST_ELEMENTS_AT_REST: usize = 1000;
-/// Of an actuator: a part that there is not.
+/// Word for an absent part of an actuator.
 pub(crate) const NO_WRENCH: &str = "none";
 
 /// A scene that is valid, and what follows from it.
@@ -43,9 +43,9 @@ pub(crate) struct SceneCheck {
     pub summary: CheckSummary,
     /// The arm, with its elements.
     pub rod: Arc<Rod>,
-    /// Of a run, s.
+    /// Duration of a run, s.
     pub duration: f64,
-    /// Of the target from where the tip starts, m.
+    /// Distance of the target from the initial position of the tip, m.
     pub distance: Option<f64>,
     /// Units of the controls of actuators that are no wrenches.
     pub own_units: Vec<&'static str>,
@@ -192,12 +192,12 @@ pub(crate) fn check_scene(
     })
 }
 
-/// What is asked of the actuators, and what a solve takes.
+/// Data of the actuators and of the predicted time of a solve.
 struct Plan {
     actuators: Vec<ActuatorSummary>,
     need: Option<StaticNeedSummary>,
     cost: SolveCost,
-    /// Of the target from where the tip starts, m.
+    /// Distance of the target from the initial position of the tip, m.
     distance: Option<f64>,
     /// Units of the controls of actuators that are no wrenches.
     own_units: Vec<&'static str>,

@@ -33,7 +33,7 @@ pub(crate) enum SimulationError {
     Directory(String),
 }
 
-/// How a run ended.
+/// Outcome of a run.
 pub(crate) enum End {
     Completed,
     Interrupted,
@@ -64,7 +64,7 @@ pub(crate) struct Simulated {
 pub(crate) enum SimulationEvent {
     /// Steps begin, with this one, at this time, s.
     Begins { step: usize, time: f64 },
-    /// So many steps are done.
+    /// Number of steps that are done.
     Step(usize),
 }
 

@@ -14,7 +14,7 @@ const SAME_STEP: f64 = 1e-9;
 /// Checkpoint of an earlier run.
 pub(super) struct Found {
     pub(super) checkpoint: Checkpoint,
-    /// Whether the run was killed: its rows are still in files of their own.
+    /// Tells whether the run was killed, so that its rows are still in files of their own.
     pub(super) killed: bool,
 }
 

@@ -22,16 +22,17 @@ use crate::solve::causes::causes;
 use crate::solve::page::simulation_page;
 use crate::stop::StopSignal;
 
-/// Steps between two whose energy counts as an extreme; a divisor of [`Stepper::SEAT`], so that a motion that goes on looks at the same ones.
+/// Steps between two whose energy counts as an extreme; a divisor of [`Stepper::SEAT`], so that a motion that goes on looks at the same
+/// ones.
 const ENERGY_EVERY: usize = 8;
-/// At most this much work is lost when the process is killed.
+/// Time between two checkpoints: the work of at most so long is lost when the process is killed.
 const CHECKPOINT_PERIOD: Duration = Duration::from_secs(1);
 
 /// A simulation on its way. Rows go to files, so that memory does not grow with them; from time to time, a checkpoint
 /// says how far they count.
 pub(super) struct Run<'a> {
     setup: &'a Simulation,
-    /// Where rows and checkpoints go.
+    /// Destination of rows and checkpoints.
     folder: PathBuf,
     pub(super) integrator: Stepper<'a>,
     trajectory: RowFiles,
@@ -49,7 +50,7 @@ pub(super) struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// From the beginning; what an earlier run left is removed.
+    /// Starts from the beginning; files of an earlier run are removed.
     pub(super) fn start(
         setup: &'a Simulation,
         directory: &RunDirectory,
@@ -81,7 +82,7 @@ impl<'a> Run<'a> {
         Ok(run)
     }
 
-    /// From a checkpoint, with the rows up to it.
+    /// Continues from a checkpoint, with the rows up to it.
     pub(super) fn resume(
         setup: &'a Simulation,
         directory: &RunDirectory,

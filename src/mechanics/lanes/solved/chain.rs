@@ -20,11 +20,11 @@ pub const ZERO: Square = [NONE; SIZE];
 /// Factors of a block-tridiagonal matrix. With `i` on the way to the middle and `j` the next node on it:
 #[derive(Clone, Debug)]
 struct Link {
-    /// `A_ji P_i`: what the right-hand side of `i` takes from that of `j`.
+    /// `A_ji P_i`: factor of the right-hand side of `i` that is subtracted from that of `j`.
     onward: Square,
     /// `P_i`, the inverse of the pivot.
     pivot: Square,
-    /// `P_i A_ij`: what the solution of `j` takes from that of `i`.
+    /// `P_i A_ij`: factor of the solution of `j` that is subtracted from that of `i`.
     back: Square,
 }
 
@@ -57,7 +57,7 @@ impl Chain {
         }
     }
 
-    /// Factors a matrix. A pivot that is singular leaves numbers that are none.
+    /// Factors a matrix. A singular pivot leaves numbers that are not finite.
     #[inline(always)]
     pub fn factor(&mut self, blocks: &impl Blocks) {
         let n = self.links.len();
@@ -75,7 +75,7 @@ impl Chain {
         self.links[middle].pivot = inverse(difference(&pivot, &fills[1]));
     }
 
-    /// Eliminates `i`, with `j` next; what that takes from the diagonal block of `j`.
+    /// Eliminates `i`, with `j` next; returns the block that is subtracted from the diagonal block of `j`.
     #[inline(always)]
     fn link(&mut self, blocks: &impl Blocks, i: usize, j: usize, fill: &Square) -> Square {
         let pivot = inverse(difference(&blocks.diagonal(i), fill));
@@ -157,7 +157,8 @@ fn difference(m: &Square, n: &Square) -> Square {
     out
 }
 
-/// By Gauss and Jordan; the pivots are the diagonal entries, which is stable where inertia and stiffness make them large.
+/// Returns the inverse by Gauss-Jordan elimination; the pivots are the diagonal entries, which is stable if inertia and stiffness make them
+/// large.
 #[inline(always)]
 fn inverse(mut m: Square) -> Square {
     for k in 0..SIZE {

@@ -1,4 +1,4 @@
-//! How the equations of a step change with the configuration at its end, one element per lane.
+//! Derivative of the equations of a step along the configuration at its end, one element per lane.
 
 use pulp::Simd;
 

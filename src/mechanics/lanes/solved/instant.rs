@@ -90,8 +90,8 @@ pub(super) fn instant<S: Simd, R: SolvedRule>(
     }
 }
 
-/// `C (γ (s^k - s_rest) + β (s^{k+1} - s_rest))` as `C (β (s^{k+1} - s^k) + (γ + β) (s^k - s_rest))`: what does not change is not
-/// lost in what does. The sum of the weights is one, or zero where the elastic stress is that of the time nodes.
+/// Returns `C (γ (s^k - s_rest) + β (s^{k+1} - s_rest))` as `C (β (s^{k+1} - s^k) + (γ + β) (s^k - s_rest))`, so that the constant part of
+/// a strain is not lost by rounding in its change. The sum of the weights is one, or zero if the elastic stress is that of the time nodes.
 #[inline(always)]
 pub(super) fn interval_stress<S: Simd, R: SolvedRule>(
     constants: &[Row<S>],
@@ -112,7 +112,7 @@ pub(super) fn interval_stress<S: Simd, R: SolvedRule>(
     stress::<S, R>(constants, [near, far], turn)
 }
 
-/// Of a strain at both ends, or at the one that the rule has.
+/// Returns the stress of a strain at both ends, or at the single end that the rule has.
 #[inline(always)]
 fn stress<S: Simd, R: SolvedRule>(
     constants: &[Row<S>],

@@ -2,15 +2,15 @@
 //! [`implicit`](crate::mechanics::implicit) has the equations.
 //!
 //! The stress of an interval depends on the strain where it ends. The iteration is the simplified Newton method (Hairer & Wanner 1996,
-//! section IV.8): the factors of the matrix are kept from correction to correction and from step to step, because in the body frames of
-//! the nodes they change with the shape and not with the motion of the rod as a whole. New ones are made at once where a correction leaves
-//! more than a tenth of the residual, for which an implicit step begins again, and for the next step where the old ones have cost more
+//! section IV.8): the factors of the matrix are kept from correction to correction and from step to step, because in the body frames of the
+//! nodes they change with the shape and not with the motion of the rod as a whole. New ones are made at once where a correction leaves more
+//! than a tenth of the residual, for which an implicit step begins again, and for the next step where the old ones have cost more
 //! corrections than new ones do. The residual is exact, so that what is accepted does not depend on the factors but by less than the
-//! tolerance. Steps that this does not solve are solved by Newton's method from rest, with new factors for every correction and corrections of
-//! bounded length.
+//! tolerance. Steps that this does not solve are solved by Newton's method from rest, with new factors for every correction and corrections
+//! of bounded length.
 //!
-//! An explicit step starts where the last ones, extrapolated, lead, so that one or two corrections lead to rounding. An implicit one
-//! starts from rest: its first correction is then the linearly implicit step, which is sound for whatever the time step does not resolve. Where
+//! An explicit step starts where the last ones, extrapolated, lead, so that one or two corrections lead to rounding. An implicit one starts
+//! from rest: its first correction is then the linearly implicit step, which is sound for whatever the time step does not resolve. Where
 //! the momenta of a time node would carry such waves, `hω` times their amplitude, is no place to start.
 //!
 //! The factors, the order of the extrapolation and the number of corrections follow from the steps since the motion was
@@ -48,37 +48,37 @@ use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::step_error::StepError;
 use crate::mechanics::time::TimeScheme;
 
-/// What solved steps need besides: memory that lasts, and what one step hands to the next.
+/// Memory of solved steps: matrices and factors that are reused, and the motions that one step hands to the next.
 #[derive(Clone, Debug)]
 pub struct Solver {
     slots: Slots,
     first: usize,
     weights: IntervalWeights,
-    /// Whether the elastic stress is that of the time nodes or of the intervals.
+    /// Scheme of the steps: the elastic stress is that of the time nodes or of the intervals.
     scheme: TimeScheme,
     /// `m/h` and `J/h` of the nodes that move.
     rates: Buffer,
     /// The end of the step under way.
     trial: Buffer,
-    /// Frames and strains at its start and at its end.
+    /// Frames and strains at the start and at the end of the step under way.
     instants: [Buffer; 2],
     /// Backward differences of the motions of the last steps.
     differences: Buffer,
-    /// How many of them there are.
+    /// Number of stored differences.
     depth: usize,
-    /// How many of them to extrapolate from.
+    /// Number of differences that are stored.
     order: usize,
     /// Blocks of the matrix that is factored.
     equations: Buffer,
     chain: Chain,
-    /// Whether the factors are to be made anew.
+    /// Tells whether the next step computes new factors.
     stale: bool,
     pace: Pace,
     rounding: Rounding,
     work: SolverWork,
 }
 
-/// What implicit steps need by the factors that are kept, against what they needed when these were new.
+/// Corrections of implicit steps with factors that are reused, compared with those of the step for which they were computed.
 #[derive(Clone, Copy, Debug, Default)]
 struct Pace {
     /// Corrections of the step that made the factors.
@@ -93,18 +93,18 @@ const MANY: usize = 2;
 /// have cost as much. That minimizes the sum of both where the excess grows from step to step.
 const WORTH_FACTORS: usize = 12;
 
-/// What steps that are solved for have taken so far.
+/// Work of all solved steps so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SolverWork {
-    /// Corrections.
+    /// Number of corrections.
     pub corrections: usize,
-    /// How often the matrix was factored.
+    /// Number of factorizations of the matrix.
     pub factorizations: usize,
-    /// Steps that were solved by Newton's method, because factors that are kept did not.
+    /// Number of steps that were solved by Newton's method, because reused factors did not solve them.
     pub newton_steps: usize,
 }
 
-/// What rounding of strains leaves in the equations, over [`STRAIN_ROUNDING`](step::STRAIN_ROUNDING): apart from that which
+/// Rounding error of strains in the equations, divided by [`STRAIN_ROUNDING`](step::STRAIN_ROUNDING): a constant part, and a part that
 /// grows with the distance from the origin.
 #[derive(Clone, Copy, Debug)]
 struct Rounding {
@@ -167,7 +167,8 @@ impl Solver {
         })
     }
 
-    /// For steps of another length and elements of another stiffness. The next motion [settles](Self::settle) before its first step.
+    /// Adapts the solver to steps of another length and elements of another stiffness. The next motion [settles](Self::settle) before its
+    /// first step.
     pub fn retune(&mut self, rod: &Rod, time_step: f64) {
         if let Some(weights) = IntervalWeights::of(rod, time_step) {
             self.weights = weights;
@@ -204,7 +205,7 @@ impl Solver {
         }
     }
 
-    /// Whether the next step makes new factors, after so many corrections.
+    /// Decides from the corrections of a step whether the next step computes new factors.
     fn note_corrections(&mut self, corrections: usize, with_new_factors: bool) {
         if corrections == 0 {
             return;
@@ -237,7 +238,7 @@ fn write_rates(rates: &mut [f64], slots: Slots, rod: &Rod, time_step: f64) {
 }
 
 impl LaneIntegrator<'_> {
-    /// Of all steps that were solved for so far.
+    /// Returns the work of all steps that were solved for so far.
     #[must_use]
     pub fn solver_work(&self) -> SolverWork {
         self.solver

@@ -31,7 +31,7 @@ pub const TURNED: usize = 10;
 /// Momenta after the kick of everything but the stress of the interval.
 pub const PUSHED: usize = 13;
 pub const SPUN: usize = 16;
-/// Of the equations; the linear part in the frame of the node where the interval starts.
+/// Residual of the equations; the linear part in the frame of the node at the start of the interval.
 pub const RESIDUAL: usize = 19;
 const CORRECTION: usize = 25;
 
@@ -45,41 +45,42 @@ const SPIN: usize = 4 * 36;
 /// Backward differences that are kept: the extrapolation is exact for polynomials of one degree less.
 pub const ORDERS: usize = 6;
 
-/// Residual over the largest momentum at which a step counts as solved.
+/// Largest residual, divided by the largest momentum, at which a step counts as solved.
 const RELATIVE_TOLERANCE: f64 = 2.5e-14;
-/// Units of rounding in a strain that the iteration has to reach.
+/// Error of a strain, in units of rounding, that the iteration has to reach.
 pub const STRAIN_ROUNDING: f64 = 2.0 * f64::EPSILON;
-/// A residual that shrinks no more is that of rounding up to this multiple of the tolerance.
+/// Largest multiple of the tolerance at which a residual that no longer shrinks is attributed to rounding.
 const STAGNATION: f64 = 4.0;
-/// The same with new factors, by which every correction is a Newton step.
+/// Largest multiple of the tolerance at which a residual is attributed to rounding after a correction with new factors, that is, after a
+/// Newton step.
 const ROUNDED: f64 = 4e3;
 /// Corrections of one step before it is given up: 2 to 4 Newton steps where the time step resolves the motion.
 const CORRECTION_LIMIT: usize = 50;
 /// Largest rotation of a correction, rad; Newton's method shortens longer ones.
 const LARGEST_CORRECTION: f64 = 0.5;
-/// A correction that leaves more than this part of the residual is followed by new factors.
+/// Fraction of the residual; a correction that leaves more of it is followed by new factors.
 const SLOW: f64 = 0.1;
 
-/// What became of a step.
+/// Outcome of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     Solved,
     /// Solved, but a momentum or a force at its end is not finite, or an element has folded.
     Lost,
-    /// Not solved by factors that are kept, with nothing changed.
+    /// The reused factors did not solve the step; the state is unchanged.
     Left,
-    /// Not solved by Newton's method: a residual is not finite, or is left after so many iterations.
+    /// Newton's method did not solve the step: a residual is not finite, or remains after so many iterations.
     Unsolved(usize),
     /// Solved by a node that turns by more than a quarter turn.
     TurnsTooFar,
 }
 
-/// How the equations of a step are solved.
+/// Method by which the equations of a step are solved.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Method {
-    /// By factors that are kept from step to step, from where the last steps lead.
+    /// Reused factors, from an extrapolation of the last steps.
     Simplified,
-    /// By Newton's method from rest, with new factors for every correction and corrections of bounded length.
+    /// Newton's method from rest, with new factors for every correction and corrections of bounded length.
     Newton,
 }
 
@@ -95,7 +96,7 @@ pub struct SolvedStep<'a, R> {
     /// `a = c h/2` of the viscous damping.
     pub half_damping: f64,
     pub time_step: f64,
-    /// Whether to bring the quaternions back to unit length.
+    /// Tells whether quaternions are brought back to unit length.
     pub normalize: bool,
     pub rule: PhantomData<R>,
 }
@@ -150,7 +151,7 @@ struct Sizes {
     distance: f64,
 }
 
-/// What a trial of the end of the step finds.
+/// Residual and momenta at a trial of the end of the step.
 struct Trial {
     /// Largest squares of the residual.
     linear: f64,
@@ -289,7 +290,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         }
     }
 
-    /// Of the linear and the angular equations.
+    /// Returns the tolerances of the linear and of the angular equations.
     #[inline(always)]
     fn tolerance(&self, sizes: &Sizes, trial: &Trial) -> [f64; 2] {
         let rounding = &self.solver.rounding;
@@ -465,8 +466,8 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         self.solver.work.factorizations += 1;
     }
 
-    /// Corrects the motions. Where a node would turn by more than [`LARGEST_CORRECTION`], the correction is shortened, or nothing is changed
-    /// and the answer is false.
+    /// Corrects the motions. If a node would turn by more than [`LARGEST_CORRECTION`], the correction is shortened, or nothing is changed
+    /// and `false` is returned.
     #[inline(always)]
     fn correct(&mut self, shortens: bool) -> bool {
         let simd = self.simd;
@@ -542,7 +543,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         true
     }
 
-    /// Whether every node turns by less than a quarter turn.
+    /// Tells whether every node turns by less than a quarter turn.
     #[inline(always)]
     fn turns_are_small(&self) -> bool {
         let mut largest = Lanes::splat(self.simd, 0.0);
@@ -690,7 +691,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
 /// Below the square of the Cayley vector of a quarter turn.
 const LARGEST_TURN: f64 = 4.0 * (1.0 - f64::EPSILON);
 
-/// Of the nodes that move, zero of the others.
+/// Returns the value for nodes that move, and zero for the others.
 #[inline(always)]
 fn of_free<S: Simd>(rate: Lanes<S>, value: Lanes<S>) -> Lanes<S> {
     rate.select_below(f64::MIN_POSITIVE, Lanes::splat(rate.simd, 0.0), value)

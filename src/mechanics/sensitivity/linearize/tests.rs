@@ -29,10 +29,10 @@ fn distance<'a>(a: impl Iterator<Item = &'a f64>, b: impl Iterator<Item = &'a f6
     a.zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / size
 }
 
-/// Time nodes in lanes are linearized as by themselves, which takes elements apart by another way, along motions with elements bent by up to 2
-/// rad and a time node at which one is bent beyond what lanes take: matrices to rounding, curvatures to what a difference of stiffnesses
-/// leaves, 1e-10 of the stiffness that is differenced and here a thousandth of that of the largest curvature; factors of what steps are solved
-/// for, up to a condition of a hundred. Instruction sets and the runs that the time nodes are taken in change no bit.
+/// Time nodes in lanes are linearized as by themselves, which takes elements apart by another way, along motions with elements bent by up
+/// to 2 rad and a time node at which one is bent beyond what lanes take: matrices to rounding, curvatures to what a difference of
+/// stiffnesses leaves, 1e-10 of the stiffness that is differenced and here a thousandth of that of the largest curvature; factors of what
+/// steps are solved for, up to a condition of a hundred. Instruction sets and the runs that the time nodes are taken in change no bit.
 #[test]
 fn lanes_equal_single_time_nodes() {
     let material = Material::isotropic(1e6, 0.5, 1000.0);
