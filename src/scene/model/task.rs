@@ -481,10 +481,10 @@ fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
 }
 
 /// Returns the waypoints, and the goal of the tip at the end if there is one.
-pub(in crate::scene) fn described_targets<'a>(
-    task: &'a task::Task,
+pub(in crate::scene) fn described_targets(
+    task: &task::Task,
     elements: usize,
-) -> Result<(Vec<Via>, Option<&'a Target>), DescribeError> {
+) -> Result<(Vec<Via>, Option<&Target>), DescribeError> {
     let (last, before) = match task.targets.split_last() {
         Some((last, before)) if last.time.is_none() => (Some(last), before),
         _ => (None, &task.targets[..]),
