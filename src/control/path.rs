@@ -54,6 +54,17 @@ pub enum PathLimit {
         /// Largest.
         largest: f64,
     },
+    /// Angle between an axis of a node and a direction in space, rad.
+    Tilt {
+        /// The place on the arm.
+        at: Place,
+        /// Axis of the node, body frame, of length 1.
+        axis: Vector3<f64>,
+        /// Direction in space, of length 1.
+        direction: Vector3<f64>,
+        /// Largest, below π.
+        largest: f64,
+    },
     /// Values of a term of one's own, at most zero.
     Term(SharedTerm),
 }
@@ -318,7 +329,7 @@ impl PathLimit {
                 let radius = shape.least_radius() + thinnest(radii) + *margin;
                 *points = Some(Self::points_per_element(chord, radius));
             }
-            Self::Speed { at, .. } => {
+            Self::Speed { at, .. } | Self::Tilt { at, .. } => {
                 let elements = rod.n_elements();
                 *at = Place::of_node(at.node(elements), elements);
             }
@@ -341,9 +352,10 @@ impl PathLimit {
     #[must_use]
     pub fn size(&self) -> Option<f64> {
         match self {
-            Self::Curvature { largest } | Self::Twist { largest } | Self::Speed { largest, .. } => {
-                Some(*largest)
-            }
+            Self::Curvature { largest }
+            | Self::Twist { largest }
+            | Self::Speed { largest, .. }
+            | Self::Tilt { largest, .. } => Some(*largest),
             Self::Clearance { .. } | Self::Stretch { .. } | Self::Term(_) => None,
         }
     }
@@ -366,7 +378,7 @@ impl PathLimit {
             Self::Clearance { .. } => self.points() * rod.n_elements() + 1,
             Self::Stretch { .. } | Self::Twist { .. } => 2 * rod.n_elements(),
             Self::Curvature { .. } => rod.n_elements(),
-            Self::Speed { .. } => 1,
+            Self::Speed { .. } | Self::Tilt { .. } => 1,
             Self::Term(term) => term.n_values(rod),
         }
     }
@@ -397,7 +409,7 @@ impl PathLimit {
             Self::Clearance { .. } => item / self.points(),
             Self::Stretch { .. } | Self::Twist { .. } => item / 2,
             Self::Curvature { .. } => item,
-            Self::Speed { at, .. } => at.node(rod.n_elements()),
+            Self::Speed { at, .. } | Self::Tilt { at, .. } => at.node(rod.n_elements()),
             Self::Term(term) => term.nodes(rod, item).first().copied().unwrap_or(0),
         }
     }
@@ -410,6 +422,7 @@ impl PathLimit {
             Self::Stretch { .. } => "",
             Self::Curvature { .. } | Self::Twist { .. } => "1/m",
             Self::Speed { .. } => "m/s",
+            Self::Tilt { .. } => "rad",
             Self::Term(term) => term.unit(),
         }
     }
@@ -420,7 +433,7 @@ impl PathLimit {
         let scales = &rod.scales;
         match self {
             Self::Clearance { .. } => scales.length,
-            Self::Stretch { .. } | Self::Term(_) => 1.0,
+            Self::Stretch { .. } | Self::Tilt { .. } | Self::Term(_) => 1.0,
             Self::Curvature { .. } | Self::Twist { .. } => 1.0 / scales.length,
             Self::Speed { .. } => scales.length / scales.time,
         }
@@ -528,6 +541,12 @@ impl PathLimit {
                 let node = at.node(rod_view.rod.n_elements());
                 Self::velocity(rod_view, [from, k], node).norm() - largest
             }
+            Self::Tilt {
+                at,
+                axis,
+                direction,
+                largest,
+            } => Inclination::of(rod_view, k, *at, [axis, direction]).angle() - largest,
             Self::Term(term) => term.value(&rod_view.view(k), item),
         };
         excess / self.scale(rod_view.rod)
@@ -601,6 +620,15 @@ impl PathLimit {
                 along(node, 0, &n).for_each(|term| write(0, term));
                 along(node, 0, &-n).for_each(|term| write(1, term));
             }
+            Self::Tilt {
+                at,
+                axis,
+                direction,
+                ..
+            } => {
+                let own = Inclination::of(rod_view, k, *at, [axis, direction]);
+                along(own.node, 3, &own.gradient()).for_each(|term| write(0, term));
+            }
             Self::Term(own) => {
                 let form = own.gradient(&rod_view.view(k), item);
                 form.terms.into_iter().for_each(|term| write(0, term));
@@ -670,8 +698,61 @@ impl PathLimit {
                     matrix: dynamic(&(norm_curvature(&v) * inverse)),
                 }
             }
+            Self::Tilt {
+                at,
+                axis,
+                direction,
+                ..
+            } => {
+                let own = Inclination::of(rod_view, k, *at, [axis, direction]);
+                RowCurvature {
+                    forms: vector_forms(k, own.node, 3),
+                    matrix: dynamic(&own.curvature()),
+                }
+            }
             Self::Term(term) => term_curvature(term, rod_view, k, item, 1.0),
         }
+    }
+}
+
+/// The angle `θ` between an axis `a` of a node, body frame, and a direction `d` in space, with `b = Rᵀ d`: `cos θ = a·b`.
+struct Inclination {
+    node: usize,
+    a: Vector3<f64>,
+    b: Vector3<f64>,
+}
+
+impl Inclination {
+    fn of(rod_view: &RodView, k: usize, at: Place, [axis, direction]: [&Vector3<f64>; 2]) -> Self {
+        let node = at.node(rod_view.rod.n_elements());
+        let r = rod_view.trajectory.rotations_at(k)[node];
+        Self {
+            node,
+            a: *axis,
+            b: r.tr_mul(direction),
+        }
+    }
+
+    /// `θ = atan2(|a × b|, a·b)`, rad.
+    fn angle(&self) -> f64 {
+        self.a.cross(&self.b).norm().atan2(self.a.dot(&self.b))
+    }
+
+    /// `∂θ/∂ζ = -(a × b)/sin θ`, from `δb = b × ζ`; zero where the angle has none, at 0 and π.
+    fn gradient(&self) -> Vector3<f64> {
+        -unit(&self.a.cross(&self.b))
+    }
+
+    /// Second derivative of `s ↦ θ(R exp(s ζ̂))`: `-((a bᵀ + b aᵀ)/2 - cos θ I + cos θ n nᵀ)/sin θ` with the gradient `n`; zero where the angle
+    /// has none.
+    fn curvature(&self) -> Matrix3<f64> {
+        let (sine, cosine) = (self.a.cross(&self.b).norm(), self.a.dot(&self.b));
+        if !(sine > 0.0) {
+            return Matrix3::zeros();
+        }
+        let (n, mixed) = (self.gradient(), self.a * self.b.transpose());
+        let of_cosine = (mixed + mixed.transpose()) * 0.5 - Matrix3::identity() * cosine;
+        -(of_cosine + n * n.transpose() * cosine) / sine
     }
 }
 

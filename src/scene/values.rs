@@ -286,4 +286,5 @@ quantities! {
     CoupleDensity: "couple", "N m/m";
     LargestCurvature: "limit", "1/m";
     LargestSpeed: "limit", "m/s";
+    LargestAngle: "limit", "radians";
 }

@@ -624,10 +624,15 @@ fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
         if worst.0 <= START_TOLERANCE {
             continue;
         }
-        let (unit, relation, place) = match limit {
-            PathLimit::Clearance { .. } => ("m", "inside", "node"),
-            _ => (limit.unit(), "beyond", "the element from node"),
+        let relation = match limit {
+            PathLimit::Clearance { .. } => "inside",
+            _ => "beyond",
         };
+        let place = match limit.rows_per_element() {
+            Some(_) => "the element from node",
+            None => "node",
+        };
+        let unit = limit.unit();
         return Err(DiscretizeError::ViolatedAtStart {
             limit: index,
             name: constraint.name.clone(),

@@ -152,6 +152,19 @@ impl Measure<'_> {
                 let node = at.node(self.rod.n_elements());
                 (here.x[node] - before.x[node]).norm() / self.step - largest
             }),
+            // 2 atan2(|u - v|, |u + v|) of two unit vectors.
+            PathLimit::Tilt {
+                at,
+                axis,
+                direction,
+                largest,
+            } => {
+                let turned = here.r[at.node(self.rod.n_elements())] * axis;
+                2.0 * (turned - direction)
+                    .norm()
+                    .atan2((turned + direction).norm())
+                    - largest
+            }
             PathLimit::Term(term) => term_value(&**term, self.rod, here, item),
         }
     }
@@ -175,7 +188,7 @@ impl Measure<'_> {
     fn support(&self, limit: &PathLimit, item: usize) -> Vec<usize> {
         let first = limit.node(self.rod, item);
         match limit {
-            PathLimit::Speed { .. } => vec![first],
+            PathLimit::Speed { .. } | PathLimit::Tilt { .. } => vec![first],
             PathLimit::Term(term) => term.nodes(self.rod, item),
             _ => vec![first, (first + 1).min(self.rod.tip())],
         }
@@ -229,6 +242,7 @@ impl Measure<'_> {
         match limit {
             PathLimit::Curvature { .. } => Some(self.bend(pose, item)),
             PathLimit::Twist { .. } => Some(self.bend(pose, item / 2)),
+            PathLimit::Tilt { at, axis, .. } => Some(pose.r[at.node(self.rod.n_elements())] * axis),
             _ => None,
         }
     }
@@ -272,9 +286,10 @@ impl Measure<'_> {
                 let along = unit(&(here.x[node] - before.x[node])) / self.step;
                 if along_before { -along } else { along }
             }
-            PathLimit::Curvature { .. } | PathLimit::Twist { .. } | PathLimit::Term(_) => {
-                Vector3::zeros()
-            }
+            PathLimit::Curvature { .. }
+            | PathLimit::Twist { .. }
+            | PathLimit::Tilt { .. }
+            | PathLimit::Term(_) => Vector3::zeros(),
         }
     }
 }
@@ -285,6 +300,10 @@ fn outward(limit: &PathLimit, item: usize, vector: &Vector3<f64>) -> Vector3<f64
         PathLimit::Curvature { .. } => unit(&Vector3::new(vector.x, vector.y, 0.0)),
         PathLimit::Twist { .. } if item.is_multiple_of(2) => Vector3::z(),
         PathLimit::Twist { .. } => -Vector3::z(),
+        // Away from the direction, across the axis.
+        PathLimit::Tilt { direction, .. } => {
+            unit(&(vector * vector.dot(direction) - direction * vector.norm_squared()))
+        }
         _ => unit(vector),
     }
 }

@@ -17,3 +17,4 @@ mod path_constraints;
 mod path_tracking;
 mod staying;
 mod terms;
+mod tilt;

@@ -139,6 +139,15 @@ energy = 0.3
                     largest: 5.0,
                 },
             ),
+            (
+                "tilt",
+                PathLimit::Tilt {
+                    at: Place::Tip,
+                    axis: Vector3::z(),
+                    direction: Vector3::new(0.6, 0.0, 0.8),
+                    largest: 0.5,
+                },
+            ),
         ];
         for (name, limit) in limits {
             problem.path.push(PathConstraint {

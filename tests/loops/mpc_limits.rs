@@ -97,7 +97,18 @@ fn limits_are_kept() {
         points: None,
     };
     let bend = PathLimit::Curvature { largest: 0.5 };
-    for (name, kind) in [("post", post), ("ball", ball), ("bend", bend)] {
+    let tilt = PathLimit::Tilt {
+        at: Place::Fraction(0.75),
+        axis: Vector3::z(),
+        direction: Vector3::z(),
+        largest: 0.15,
+    };
+    for (name, kind) in [
+        ("post", post),
+        ("ball", ball),
+        ("bend", bend),
+        ("tilt", tilt),
+    ] {
         let (without, _) = excess(&scene(Vec::new()), &kind);
         let limits = vec![limit(kind.clone(), PathEnforcement::Hard)];
         let (with, off) = excess(&scene(limits), &kind);

@@ -266,6 +266,28 @@ fn items_are_called_by_their_names() {
     let error = error_of("reach", &[two]);
     assert_eq!(error.key(), Some("limit.1.curvature_max_1_m"));
     assert!(error.message().contains("(limit \"bend\")"), "{error}");
+    for (tilt, key) in [
+        (
+            "axis = [0, 0, 0], direction = [0, 0, 1], max_rad = 1.0",
+            "axis",
+        ),
+        (
+            "axis = [0, 0, 1], direction = [0, 0, 0], max_rad = 1.0",
+            "direction",
+        ),
+        (
+            "axis = [0, 0, 1], direction = [0, 0, 1], max_rad = 4.0",
+            "max_rad",
+        ),
+        (
+            "axis = [0, 0, 1], direction = [0, 0, 1], max_rad = -1.0",
+            "max_rad",
+        ),
+    ] {
+        let error = error_of("reach", &[&format!("limit=[{{tilt = {{{tilt}}}}}]")]);
+        assert_eq!(error.key(), Some(&format!("limit.0.tilt.{key}")[..]));
+        assert!(error.message().contains("(limit \"tilt\")"), "{error}");
+    }
     for (name, called) in [("name = 'pipe', ", "pipe"), ("", "obstacle 0")] {
         let obstacle =
             format!("obstacle=[{{{name}sphere = {{center_m = [1.0, 0.0, 0.0], radius_m = 0.0}}}}]");

@@ -88,6 +88,12 @@ fn limits() -> Vec<PathLimit> {
             at: Place::Tip,
             largest: 1.0,
         },
+        PathLimit::Tilt {
+            at: Place::Tip,
+            axis: Vector3::new(0.6, 0.0, 0.8),
+            direction: Vector3::new(0.0, 0.8, -0.6),
+            largest: 1.0,
+        },
     ]
 }
 

@@ -188,6 +188,12 @@ fn slopes_of_all_rows_agree_with_differences() {
                 at: Place::Tip,
                 largest: 0.1,
             }),
+            limit(PathLimit::Tilt {
+                at: Place::Fraction(0.5),
+                axis: Vector3::x(),
+                direction: Vector3::z(),
+                largest: 0.5,
+            }),
             limit(PathLimit::Term(SharedTerm::new(TipTilt))),
         ],
         actuators: vec![WrenchActuator {

@@ -112,7 +112,7 @@ pub struct Price {
     pub quadratic: NonNegative<values::PriceOfViolation>,
 }
 
-/// A limit on the strain of every element, or on the speed of a node: exactly one of the four.
+/// A limit on the strain of every element, or on the speed or the tilt of a node: exactly one of the five.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -132,7 +132,10 @@ pub struct Limit {
     /// Largest speed of a node in m/s, positive.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_max_m_s: Option<Positive<values::LargestSpeed>>,
-    /// Node whose speed is limited; only with `speed_max_m_s`. Absent: "tip".
+    /// Largest angle between an axis of a node and a direction in space.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tilt: Option<Tilt>,
+    /// Node whose speed or tilt is limited; only with `speed_max_m_s` or `tilt`. Absent: "tip".
     #[serde(skip_serializing_if = "Option::is_none")]
     pub node: Option<LoadNode>,
     /// Price of a violation. Absent: the constraint is hard.
@@ -144,22 +147,37 @@ pub struct Limit {
     pub rate_hz: Option<Positive<values::Rate>>,
 }
 
+/// An angle between an axis of a node and a direction in space.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Tilt {
+    /// Axis of the node in its body frame, of any length but zero; [0, 0, 1] is along the arm.
+    pub axis: [f64; 3],
+    /// Direction in space, of any length but zero.
+    pub direction: [f64; 3],
+    /// Largest angle in rad, positive and below π.
+    pub max_rad: Positive<values::LargestAngle>,
+}
+
 impl Limit {
     /// The keys of which a limit has exactly one, with the words in its default name.
-    const KINDS: [(&'static str, &'static str); 4] = [
+    const KINDS: [(&'static str, &'static str); 5] = [
         ("stretch", "stretch"),
         ("curvature_max_1_m", "curvature"),
         ("twist_max_1_m", "twist"),
         ("speed_max_m_s", "speed"),
+        ("tilt", "tilt"),
     ];
 
     /// Returns these keys, each with whether it is given.
-    fn given(&self) -> [(&'static str, bool); 4] {
+    fn given(&self) -> [(&'static str, bool); 5] {
         let given = [
             self.stretch.is_some(),
             self.curvature_max_1_m.is_some(),
             self.twist_max_1_m.is_some(),
             self.speed_max_m_s.is_some(),
+            self.tilt.is_some(),
         ];
         std::array::from_fn(|kind| (Self::KINDS[kind].0, given[kind]))
     }
@@ -188,6 +206,13 @@ impl Limit {
             PathLimit::Curvature { largest }
         } else if let Some(largest) = self.twist_max_1_m.map(Number::get) {
             PathLimit::Twist { largest }
+        } else if let Some(tilt) = &self.tilt {
+            PathLimit::Tilt {
+                at,
+                axis: unit(tilt.axis).into(),
+                direction: unit(tilt.direction).into(),
+                largest: tilt.max_rad.get(),
+            }
         } else {
             let largest = self.speed_max_m_s?.get();
             PathLimit::Speed { at, largest }
@@ -208,6 +233,7 @@ impl Limit {
             curvature_max_1_m: None,
             twist_max_1_m: None,
             speed_max_m_s: None,
+            tilt: None,
             node: None,
             soft: price(limit.enforcement),
             rate_hz: limit.rate.map(known),
@@ -219,6 +245,19 @@ impl Limit {
             PathLimit::Twist { largest } => out.twist_max_1_m = Some(known(largest)),
             PathLimit::Speed { at, largest } => {
                 out.speed_max_m_s = Some(known(largest));
+                out.node = Some(LoadNode::of(at, elements));
+            }
+            PathLimit::Tilt {
+                at,
+                axis,
+                direction,
+                largest,
+            } => {
+                out.tilt = Some(Tilt {
+                    axis: axis.into(),
+                    direction: direction.into(),
+                    max_rad: known(largest),
+                });
                 out.node = Some(LoadNode::of(at, elements));
             }
         }
@@ -425,8 +464,18 @@ impl Keys<'_> {
         }
         if let Some(node) = limit.node {
             self.node(&key("node"), node, elements)?;
-            if limit.speed_max_m_s.is_none() {
-                return Err(self.missing(&key("speed_max_m_s"), "goes with node"));
+            if limit.speed_max_m_s.is_none() && limit.tilt.is_none() {
+                let relation = "or tilt; goes with node";
+                return Err(self.missing(&key("speed_max_m_s"), relation));
+            }
+        }
+        if let Some(tilt) = &limit.tilt {
+            self.nonzero(&key("tilt.axis"), &tilt.axis)?;
+            self.nonzero(&key("tilt.direction"), &tilt.direction)?;
+            let largest = tilt.max_rad.get();
+            if largest >= std::f64::consts::PI {
+                let key = key("tilt.max_rad");
+                return Err(self.out_of_range(&key, largest, "angle below π", "radians"));
             }
         }
         self.check_price(&key("soft"), limit.soft)
