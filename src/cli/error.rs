@@ -81,7 +81,7 @@ impl CliError {
         stop.raised().map_or(Self::Scene(error), Self::Stopped)
     }
 
-    /// What a simulation without a result is to the user, who may have ended its setting up.
+    /// Returns the error of a simulation without a result, or the stop if the user ended its setting up.
     pub(super) fn of_simulation(error: SimulationError, stop: &StopSignal) -> Self {
         match error {
             SimulationError::Scene(error) => Self::of_scene(error, stop),
@@ -91,7 +91,7 @@ impl CliError {
         }
     }
 
-    /// What a loop that could not begin is to the user, who may have ended that.
+    /// Returns the error of a loop that could not begin, or the stop if the user ended that.
     pub(super) fn of_loop(error: MpcError, scene: &Scene, source: &SceneSource) -> Self {
         if let MpcError::Stopped(stop) = error {
             return Self::Stopped(stop);

@@ -327,7 +327,7 @@ fn table_row(row: &IterationRecord) -> String {
     )
 }
 
-/// What `--json-lines` prints of an iteration.
+/// The line of an iteration in the output of `--json-lines`.
 #[derive(Serialize)]
 struct IterationEvent<'a> {
     /// Number of the start, from 0.
@@ -446,7 +446,7 @@ fn conclude(
     }
 }
 
-/// What the gains do on arms that differ from the model; where they do harm, in any case.
+/// Prints the effect of the gains on arms that differ from the model; always if they do harm.
 fn show_mismatches(mismatches: &[ModelMismatch], console: &Console) {
     if mismatches.is_empty() {
         return;
@@ -479,7 +479,7 @@ fn show_mismatches(mismatches: &[ModelMismatch], console: &Console) {
     }
 }
 
-/// How well the paths are followed.
+/// Prints the errors of the tracked paths.
 pub(super) fn show_tracking(tracking: &[TrackingError], console: &Console) {
     for error in tracking {
         console.say(&format!("path of node {}: missed by {error}", error.node));

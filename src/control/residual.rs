@@ -60,9 +60,9 @@ pub(crate) struct Residual {
     pub weight: f64,
 }
 
-/// The motion that residuals are evaluated on.
+/// The states on which residuals are evaluated: a motion, with the momenta in which it ends.
 #[derive(Clone, Copy)]
-pub(crate) struct Motion<'a> {
+pub(crate) struct States<'a> {
     /// Configurations at all time nodes.
     pub view: RodView<'a>,
     /// Linear (space) and angular momenta (body) of all nodes at the last time node. Derivatives do not need them.
@@ -123,8 +123,8 @@ impl Residual {
     }
 
     /// Writes the values `sqrt(w) r`.
-    pub fn values(&self, problem: &OptimalControlProblem, motion: &Motion, write: &mut WriteValue) {
-        let view = &motion.view;
+    pub fn values(&self, problem: &OptimalControlProblem, states: &States, write: &mut WriteValue) {
+        let view = &states.view;
         let (k, root) = (self.time_node, self.weight.sqrt());
         let t = view.grid.time(k);
         let mut vector = |factor: f64, off: Vector3<f64>| {
@@ -173,7 +173,7 @@ impl Residual {
                 }
             }
             ResidualKind::Goal { goal, part, longer } => {
-                let off = goal_vector(problem, motion, [goal, k], part, longer);
+                let off = goal_vector(problem, states, [goal, k], part, longer);
                 let scale = problem.goal_scale(part);
                 for axis in 0..3 {
                     write(axis, root * (off[axis] / scale));
@@ -183,8 +183,8 @@ impl Residual {
     }
 
     /// Writes the derivatives of the values, term by term.
-    pub fn slopes(&self, problem: &OptimalControlProblem, motion: &Motion, write: &mut WriteTerm) {
-        let view = &motion.view;
+    pub fn slopes(&self, problem: &OptimalControlProblem, states: &States, write: &mut WriteTerm) {
+        let view = &states.view;
         let (rod, root) = (&problem.rod, self.weight.sqrt());
         let k = self.time_node;
         let one = |node: usize, component: usize, coefficient: f64| FormTerm {
@@ -247,7 +247,7 @@ impl Residual {
                         (0..3).for_each(|axis| write(axis, 0, one(node, axis, inverse)));
                     }
                     GoalPart::Orientation => {
-                        let psi = goal_vector(problem, motion, [goal, k], part, longer);
+                        let psi = goal_vector(problem, states, [goal, k], part, longer);
                         write_turn(node, &psi, inverse, write);
                     }
                     GoalPart::Velocity => {
@@ -276,7 +276,7 @@ impl Residual {
     }
 
     /// The rows' derivatives, each a sum of forms at one or two time nodes.
-    pub fn gradients(&self, problem: &OptimalControlProblem, motion: &Motion) -> Vec<RowGradient> {
+    pub fn gradients(&self, problem: &OptimalControlProblem, states: &States) -> Vec<RowGradient> {
         let instants: Vec<usize> = self.before.into_iter().chain([self.time_node]).collect();
         let empty = |time_node: &usize| StateForm {
             time_node: *time_node,
@@ -286,7 +286,7 @@ impl Residual {
             .map(|_| instants.iter().map(empty).collect())
             .collect();
         let last = instants.len() - 1;
-        self.slopes(problem, motion, &mut |row, instant, term| {
+        self.slopes(problem, states, &mut |row, instant, term| {
             rows[row][last - instant].terms.push(term);
         });
         rows
@@ -369,16 +369,16 @@ fn track_turn(
 /// A goal's vector before scaling at time node `k`.
 fn goal_vector(
     problem: &OptimalControlProblem,
-    motion: &Motion,
+    states: &States,
     [goal, k]: [usize; 2],
     part: GoalPart,
     longer: Option<bool>,
 ) -> Vector3<f64> {
     let goal = &problem.goals[goal];
     let inertia = &problem.rod.nodes[goal.node];
-    let trajectory = motion.view.trajectory;
+    let trajectory = states.view.trajectory;
     let x = trajectory.positions_at(k)[goal.node];
-    let [linear, angular] = motion.momenta;
+    let [linear, angular] = states.momenta;
     match part {
         GoalPart::Position => x - goal.position.unwrap_or(x),
         GoalPart::Orientation => (goal.rotation.as_ref()).map_or_else(Vector3::zeros, |to| {
@@ -532,7 +532,7 @@ pub(crate) fn goal_residuals(
 pub(crate) fn goal_curvature(
     problem: &OptimalControlProblem,
     residuals: &[Residual],
-    motion: &Motion,
+    states: &States,
     multipliers: &[f64],
 ) -> Vec<RowCurvature> {
     let of = |index: usize| Vector3::from_fn(|axis, _| multipliers[3 * index + axis]);
@@ -545,7 +545,7 @@ pub(crate) fn goal_curvature(
         let k = residual.time_node;
         match part {
             GoalPart::Orientation => {
-                let psi = goal_vector(problem, motion, [goal, k], part, longer);
+                let psi = goal_vector(problem, states, [goal, k], part, longer);
                 out.push(turn_curvature(
                     k,
                     problem.goals[goal].node,
@@ -559,7 +559,7 @@ pub(crate) fn goal_curvature(
     }
     if let Some(stay) = &problem.stay {
         let k = problem.goals[stay.goal].time_node;
-        let r = motion.view.trajectory.rotations_at(k);
+        let r = states.view.trajectory.rotations_at(k);
         out.extend(stay.free_nodes().map(|node| {
             let turned = stay.on_turn(node, &along_stay);
             turn_curvature(k, node, &stay.turn(node, &r[node]), &turned)

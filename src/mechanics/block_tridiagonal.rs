@@ -180,8 +180,8 @@ pub(super) fn multiply<S: Simd>(a: &Square<S>, b: &Square<S>, out: &mut Square<S
     }
 }
 
-/// Of a matrix whose upper left quarter is regular as well, by the quarters. Where one of the two pivots is singular it has entries that are no
-/// numbers.
+/// Inverts a matrix whose upper left quarter is regular as well, by quarters. If one of the two pivots is singular, the result has entries
+/// that are no numbers.
 #[inline(always)]
 pub(super) fn invert<S: Simd>(m: &mut Square<S>) {
     let first = m[0][0].inverse();

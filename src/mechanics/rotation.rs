@@ -163,6 +163,11 @@ pub fn quaternion(rotation: &Matrix3<f64>) -> Quaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&r).into_inner()
 }
 
+/// Returns the components of a quaternion, scalar first.
+pub(crate) fn wxyz(q: &Quaternion<f64>) -> [f64; 4] {
+    [q.w, q.i, q.j, q.k]
+}
+
 /// Returns the unit quaternion `(1, f/2)/sqrt(1 + |f|²/4)` of [`cay`]`(f)`.
 pub(crate) fn cayley_quaternion(f: &Vector3<f64>) -> Quaternion<f64> {
     let w = 1.0 / (1.0 + 0.25 * f.norm_squared()).sqrt();

@@ -87,7 +87,7 @@ pub(super) struct Horizon {
     pub stop: StopSignal,
     /// Parameters by which the model of the present horizon differs from the one without a disturbance.
     parameters: ModelParameters,
-    /// What disturbs every node, constant in time.
+    /// Disturbing wrench of every node, constant in time.
     pub disturbing: Vec<Wrench>,
     /// By how much later commands act than they say, s.
     delay: f64,
@@ -182,7 +182,7 @@ impl Horizon {
         }
         let rows = {
             let whole = evaluated(&problem, &trajectory, grid, &start);
-            Rows::new(&problem, &whole.motion, weight, price, n_states)
+            Rows::new(&problem, &whole.states, weight, price, n_states)
         };
         let sweep = {
             let motion = Motion {
@@ -369,7 +369,7 @@ impl Horizon {
         self.parameters
     }
 
-    /// What the plan applies at time `t`, scaled, one of each component.
+    /// Writes the scaled controls that the plan applies at time `t`, one for each component.
     pub fn control(&self, plan: &[f64], t: f64, out: &mut [f64]) {
         let n = self.components.len();
         out.fill(0.0);
@@ -555,7 +555,7 @@ fn evaluated<'a>(
 ) -> Evaluated<'a> {
     Evaluated {
         problem,
-        motion: residual::Motion {
+        states: residual::States {
             view: RodView {
                 rod: &problem.rod,
                 radii: &problem.radii,

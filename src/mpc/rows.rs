@@ -9,7 +9,7 @@ use faer::Mat;
 use super::limits::{LimitRow, Maxima, limit_rows};
 use super::soft_rows::SoftRows;
 use crate::control::path::RodView;
-use crate::control::residual::{Motion, Residual, ResidualKind, cost_residuals, goal_residuals};
+use crate::control::residual::{Residual, ResidualKind, States, cost_residuals, goal_residuals};
 use crate::control::{GoalPart, OptimalControlProblem};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::sensitivity::RepeatedReverse;
@@ -25,7 +25,7 @@ type RowForms = [Option<usize>; 2];
 #[derive(Clone, Copy)]
 pub(super) struct Evaluated<'a> {
     pub problem: &'a OptimalControlProblem,
-    pub motion: Motion<'a>,
+    pub states: States<'a>,
     /// The grid for the motion of obstacles.
     pub grid: TimeGrid,
 }
@@ -67,17 +67,15 @@ struct First {
 fn residuals(problem: &OptimalControlProblem, weight: f64) -> Vec<Residual> {
     let mut out = cost_residuals(problem);
     out.extend(goal_residuals(problem, None).into_iter().map(|residual| {
-        let is_stay = |kind: ResidualKind| {
-            let ResidualKind::Goal { part, .. } = kind else {
-                return false;
-            };
-            matches!(part, GoalPart::Deviation(_))
-        };
         let scales = &problem.rod.scales;
-        let factor = match &problem.stay {
-            Some(stay) if is_stay(residual.kind) => {
-                stay.compliance * scales.moment / scales.length.powi(2)
-            }
+        let factor = match (&problem.stay, residual.kind) {
+            (
+                Some(stay),
+                ResidualKind::Goal {
+                    part: GoalPart::Deviation(_),
+                    ..
+                },
+            ) => stay.compliance * scales.moment / scales.length.powi(2),
             _ => 1.0,
         };
         Residual {
@@ -93,7 +91,7 @@ impl Rows {
     /// Creates the rows. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated hard limit.
     pub fn new(
         problem: &OptimalControlProblem,
-        motion: &Motion,
+        states: &States,
         weight: f64,
         price: f64,
         n_states: usize,
@@ -149,7 +147,7 @@ impl Rows {
         // All forms have their terms once, so that no later evaluation needs room.
         for index in 0..out.residuals.len() {
             let residual = out.residuals[index];
-            out.write_slopes(index, &residual, problem, motion);
+            out.write_slopes(index, &residual, problem, states);
         }
         out
     }
@@ -229,13 +227,13 @@ impl Rows {
             ..whole
         };
         let is_whole = before.is_none_or(|before| before.is_some());
-        if !is_whole || !residual.counts(at.problem, &at.motion.view.grid) {
+        if !is_whole || !residual.counts(at.problem, &at.states.view.grid) {
             return;
         }
-        residual.values(at.problem, &at.motion, &mut |row, value| {
+        residual.values(at.problem, &at.states, &mut |row, value| {
             self.values[start + row] = value;
         });
-        self.write_slopes(index, &residual, at.problem, &at.motion);
+        self.write_slopes(index, &residual, at.problem, &at.states);
     }
 
     fn write_slopes(
@@ -243,11 +241,11 @@ impl Rows {
         index: usize,
         residual: &Residual,
         problem: &OptimalControlProblem,
-        motion: &Motion,
+        states: &States,
     ) {
         let row_forms = &self.row_forms[self.starts[index]..];
         let forms = &mut self.forms;
-        residual.slopes(problem, motion, &mut |row, instant, term| {
+        residual.slopes(problem, states, &mut |row, instant, term| {
             if let Some(form) = row_forms[row][instant] {
                 forms[form].terms.push(term);
             }
@@ -267,7 +265,7 @@ impl Rows {
         };
         let view = RodView {
             grid: at.grid,
-            ..at.motion.view
+            ..at.states.view
         };
         let Some(item) = self.maxima.item(limit, &view, [from, k], row.rank) else {
             return;

@@ -35,7 +35,7 @@ pub struct ReportData {
     pub title: String,
     /// The command that made the result.
     pub command: ReportCommand,
-    /// What the page says in words, and its charts.
+    /// The words of the page, and its charts.
     #[serde(flatten)]
     pub words: Words,
     /// The summary, shown as it is in a folded section.

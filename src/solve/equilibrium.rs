@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::statics::{Statics, StaticsOptions};
 use crate::mechanics::diagnostics::ElementStress;
-use crate::mechanics::rotation::quaternion;
+use crate::mechanics::rotation::{quaternion, wxyz};
 use crate::mechanics::{
     Configuration, Critical, Energy, Kept, LoadedShape, Loss, Rod, Stability, State, Varied, Wrench,
 };
@@ -227,7 +227,7 @@ impl EquilibriumSummary {
             varied: options.varied,
             tip: TipPose {
                 position_m: own.shape.positions[tip].into(),
-                orientation_wxyz: [q.w, q.i, q.j, q.k],
+                orientation_wxyz: wxyz(&q),
             },
             tip_displacement_m: (own.shape.positions[tip] - start.shape.positions[tip]).norm(),
             refined_space_m: found.refined_space,
@@ -312,8 +312,8 @@ pub(crate) fn write_tables(
     };
     let n = rod.n_elements() as f64;
     let mut nodes = (own.positions.iter().zip(&own.rotations).enumerate()).map(|(node, (x, r))| {
-        let q = quaternion(r);
-        let numbers = [node as f64 / n, x.x, x.y, x.z, q.w, q.i, q.j, q.k];
+        let [w, i, j, k] = wxyz(&quaternion(r));
+        let numbers = [node as f64 / n, x.x, x.y, x.z, w, i, j, k];
         let mut row = vec![node.to_string()];
         row.extend(numbers.map(|value| value.to_string()));
         row

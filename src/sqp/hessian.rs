@@ -36,7 +36,7 @@ impl HessianChoice {
     }
 }
 
-/// What was put into the subproblem.
+/// Hessian of a subproblem.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HessianKind {

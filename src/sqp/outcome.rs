@@ -24,7 +24,7 @@ pub enum SqpStatus {
     Failed(String),
 }
 
-/// How an iteration left its point.
+/// The way in which an iteration left its point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Leave {
@@ -40,7 +40,7 @@ pub enum Leave {
 /// The kind of a step: how its point was left, and with which model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StepKind {
-    /// How the point was left.
+    /// The way in which the point was left.
     pub left: Leave,
     /// Hessian of the step.
     pub hessian: HessianKind,

@@ -336,7 +336,7 @@ fn decades(range: &Range<f64>) -> Vec<f64> {
         .collect()
 }
 
-/// What is recommended, in a sentence.
+/// Describes the recommended setting in a sentence.
 #[must_use]
 pub fn sentence(found: &Tradeoff, usual: &Setting) -> String {
     let tolerance = found.tolerance;

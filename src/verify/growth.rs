@@ -14,7 +14,7 @@ use super::probe::{Probe, roll_out};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{BaseCondition, Rod, State};
 
-/// What small disturbances become at the end of the horizon.
+/// Effects of small disturbances at the end of the horizon.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Growth {
     /// Largest ratio of the sizes of a deviation at the end and at the start.
@@ -22,11 +22,11 @@ pub struct Growth {
     /// Energy of a deviation of one percent at the start, J: 1e-4 of `½ EI/L`.
     #[serde(rename = "disturbance_J")]
     pub disturbance: f64,
-    /// How far such a deviation moves the tip at the end, at most, m.
+    /// Largest displacement of the tip at the end by such a deviation, m.
     #[serde(rename = "tip_from_state_m")]
     pub tip_from_state: f64,
-    /// The same for an error of one percent in every coefficient of the control, of the largest that this force or moment has, m: a
-    /// bound.
+    /// Upper bound of the displacement of the tip by an error of one percent in every coefficient of the control, relative to the largest
+    /// coefficient of its force or moment, m.
     #[serde(rename = "tip_from_control_m")]
     pub tip_from_control: f64,
     /// Length of the rod, m.

@@ -211,7 +211,7 @@ pub struct ForwardCheck {
     pub strains: PeakStrains,
     /// Recomputed optimality conditions.
     pub kkt: KktResidual,
-    /// The same by parts, with the worst row of each.
+    /// Parts of the conditions, with the worst row of each.
     pub kkt_parts: [KktPart; 5],
     /// Work in, change of energy and dissipation of the replay.
     pub energy: EnergyAccount,

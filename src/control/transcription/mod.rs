@@ -12,9 +12,7 @@ use crate::control::path::{
     PathConstraint, PathLimit, PathMultiplier, RodView, RowCurvature, RowGradient,
 };
 use crate::control::problem::{Component, GoalRow, OptimalControlProblem};
-use crate::control::residual::{
-    Motion as States, Residual, cost_residuals, goal_curvature, goal_residuals,
-};
+use crate::control::residual::{Residual, States, cost_residuals, goal_curvature, goal_residuals};
 use crate::control::turns::longer_ways;
 use crate::mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
 use crate::mechanics::sensitivity::{ControlColumns, defects, direction};

@@ -4,12 +4,11 @@ use nalgebra::Vector3;
 
 use super::LaneIntegrator;
 use super::place::BASE;
-use super::singly::wxyz;
 use super::sweep::{
     ANGULAR_MOMENTUM, LAST_TURN, LINEAR_MOMENTUM, POSITION, ROTATION, SPIN_ROWS, STATE_ROWS,
 };
 use crate::mechanics::base_motion::BaseState;
-use crate::mechanics::rotation::{cayley_quaternion, quaternion};
+use crate::mechanics::rotation::{cayley_quaternion, quaternion, wxyz};
 
 /// The pose of a clamped or driven base.
 #[derive(Clone, Debug)]

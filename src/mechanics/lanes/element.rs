@@ -8,7 +8,7 @@ use crate::mechanics::rod::Rod;
 
 pub const LINEAR_STIFFNESS: usize = 0;
 pub const ANGULAR_STIFFNESS: usize = 3;
-/// Of end a, then of end b.
+/// The quantity at end a, then at end b.
 const REST_LINEAR: usize = 6;
 const REST_ANGULAR: usize = 12;
 /// Rows of an element's constants: those above.
@@ -18,7 +18,7 @@ pub const STRESS_ROWS: usize = 15;
 const REST_STRETCH: usize = 15;
 /// Factor of `Σ (y - y_rest)·n` that makes it `ε·C₁ε/2`, N.
 const LINEAR_DENSITY: usize = 16;
-/// The same for `κ·C₂κ/2`.
+/// Returns the same as above for `κ·C₂κ/2`.
 const ANGULAR_DENSITY: usize = 17;
 /// `EA |v_rest|²`
 const AXIAL: usize = 18;
@@ -142,9 +142,9 @@ pub fn fold<S: Simd>(constants: &[Row<S>], w: Lanes<S>) -> Lanes<S> {
 pub trait SectionLaw {
     /// Rows of an element's constants.
     const ROWS: usize;
-    /// Whether stiffness and inertia follow the dilatation.
+    /// Tells whether stiffness and inertia follow the dilatation.
     const THINS: bool;
-    /// Whether the kinetic energy pulls at the elements.
+    /// Tells whether the kinetic energy pulls at the elements.
     const REACTS: bool;
 
     /// Stress at `ENDS` ends from `y_i` (the linear strain times `l`), and from the angular strain, both in the scale

@@ -27,7 +27,7 @@ use self::constants::{Constants, HELD_INERTIA};
 use self::element::{Consistent, Dilatation, SectionLaw, Standard};
 use self::place::{BASE, Place, Slots};
 use self::rule::Rule;
-use self::singly::{SingleTurns, wxyz};
+use self::singly::SingleTurns;
 pub use self::solved::SolverWork;
 use self::solved::{SolvedRule, Solver};
 use self::sweep::{
@@ -44,7 +44,7 @@ use super::guards::approach_base;
 use super::inertia::InertiaRule;
 use super::load::Wrench;
 use super::rod::{BaseCondition, Rod};
-use super::rotation::{from_quaternion, quaternion};
+use super::rotation::{from_quaternion, quaternion, wxyz};
 use super::signal::NodeWrenches;
 use super::step_error::StepError;
 use super::time::Clock;

@@ -1,16 +1,12 @@
 //! Nodes that are turned one at a time, by the scalar solver.
 
-use nalgebra::{Quaternion, Vector3};
+use nalgebra::Vector3;
 
 use super::place::{Place, Slots};
 use super::sweep::TurnSingly;
 use crate::mechanics::rod::Rod;
-use crate::mechanics::rotation::{cay, cayley_quaternion};
+use crate::mechanics::rotation::{cay, cayley_quaternion, wxyz};
 use crate::mechanics::rotation_step::solve_rotation;
-
-pub fn wxyz(q: &Quaternion<f64>) -> [f64; 4] {
-    [q.w, q.i, q.j, q.k]
-}
 
 /// A node that cannot be turned, its angular momentum and inertia.
 #[derive(Clone, Copy, Debug)]

@@ -1,5 +1,7 @@
 //! Motions of the model that begin at an estimate.
 
+use std::ops::Range;
+
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
 use crate::mpc::controller::Command;
 use crate::mpc::motions::Motions;
@@ -31,10 +33,15 @@ pub(super) struct Steps {
 }
 
 impl Steps {
+    /// Returns the time after `k` steps, s.
+    fn time(&self, k: usize) -> f64 {
+        self.start + k as f64 * self.step
+    }
+
     /// Returns at most `most` of the steps, from step `first` on.
     pub fn part(&self, first: usize, most: usize) -> Self {
         Self {
-            start: self.start + first as f64 * self.step,
+            start: self.time(first),
             n: most.min(self.n - first),
             ..*self
         }
@@ -153,36 +160,10 @@ impl Predictor {
         steps: Steps,
         command: &Command,
         disturbance: &Disturbance,
-        mut visit: impl FnMut(&Stepper),
+        visit: impl FnMut(&Stepper),
     ) -> Result<(), StepError> {
-        self.changed(disturbance);
-        let Self {
-            rod,
-            parameters,
-            motions,
-            nodes,
-            wrenches: [now, next],
-            end,
-            ..
-        } = self;
-        let at = |k: usize| steps.start + k as f64 * steps.step;
-        end.clone_from(from);
-        let model = (&*rod, *parameters);
-        motions.run(model, steps.step, (steps.start, end), |stepper| {
-            write_wrenches(rod, command, at(0), disturbance, now);
-            let mut outcome = Ok(());
-            for k in 0..steps.n {
-                write_wrenches(rod, command, at(k + 1), disturbance, next);
-                let on = |wrenches| NodeWrenches::on(nodes, wrenches);
-                outcome = stepper.advance([on(now), on(next)]);
-                if outcome.is_err() {
-                    break;
-                }
-                visit(stepper);
-                std::mem::swap(now, next);
-            }
-            outcome
-        })
+        self.end.clone_from(from);
+        self.walk((steps, 0..steps.n), command, disturbance, visit)
     }
 
     /// Simulates steps from a state, which `visit` may change after each of them; it is given the time and the length of the last step.
@@ -197,27 +178,43 @@ impl Predictor {
     ) -> Result<(), StepError> {
         self.end.clone_from(from);
         for k in 0..steps.n {
-            self.changed(disturbance);
-            let Self {
-                rod,
-                parameters,
-                motions,
-                nodes,
-                wrenches: [now, next],
-                end,
-                ..
-            } = self;
-            let [start, stop] = [k, k + 1].map(|k| steps.start + k as f64 * steps.step);
-            write_wrenches(rod, command, start, disturbance, now);
-            write_wrenches(rod, command, stop, disturbance, next);
-            let on = |wrenches| NodeWrenches::on(nodes, wrenches);
-            let model = (&*rod, *parameters);
-            motions.run(model, steps.step, (start, end), |stepper| {
-                stepper.advance([on(now), on(next)])
-            })?;
-            visit(stop, &mut self.end, disturbance);
+            self.walk((steps, k..k + 1), command, disturbance, |_| ())?;
+            visit(steps.time(k + 1), &mut self.end, disturbance);
         }
         Ok(())
+    }
+
+    /// Moves the state at the [`end`](Self::end) through those of the steps whose numbers are given, and calls `visit` after each of them.
+    fn walk(
+        &mut self,
+        (steps, numbers): (Steps, Range<usize>),
+        command: &Command,
+        disturbance: &Disturbance,
+        mut visit: impl FnMut(&Stepper),
+    ) -> Result<(), StepError> {
+        self.changed(disturbance);
+        let Self {
+            rod,
+            parameters,
+            motions,
+            nodes,
+            wrenches: [now, next],
+            end,
+            ..
+        } = self;
+        let start = steps.time(numbers.start);
+        let model = (&*rod, *parameters);
+        motions.run(model, steps.step, (start, end), |stepper| {
+            write_wrenches(rod, command, start, disturbance, now);
+            for k in numbers {
+                write_wrenches(rod, command, steps.time(k + 1), disturbance, next);
+                let on = |wrenches| NodeWrenches::on(nodes, wrenches);
+                stepper.advance([on(now), on(next)])?;
+                visit(stepper);
+                std::mem::swap(now, next);
+            }
+            Ok(())
+        })
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a page says in words: sentences, facts, tables, and which columns its charts draw, by templates.
+//! The words of a page, made by templates: sentences, facts, tables, and the columns that its charts draw.
 //!
 //! A template is Jinja (`minijinja`). It renders to lines, of which blank ones count for nothing. `[part]` or `[part a | b]` begins a part,
 //! with cells in its head; every other line is a row, `name: cell | cell`. The lines of a sentence are its clauses, which are joined by
@@ -21,18 +21,18 @@ pub type Columns = BTreeMap<String, Vec<f64>>;
 /// Pairs of label and value.
 pub type Facts = Vec<(String, String)>;
 
-/// What a page says in words.
+/// The words of a page.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Words {
     /// The outcome, beside the title.
     pub verdict: ReportVerdict,
-    /// What moved where, with which force, and what became of it: one sentence.
+    /// One sentence: the motion, its forces, and its outcome.
     pub lead: String,
     /// Why that can be trusted, or why not: one sentence.
     pub trust: String,
     /// The arm.
     pub arm_facts: Facts,
-    /// What acts on it.
+    /// Facts about the loads and controls.
     pub acting: Facts,
     /// The run.
     pub facts: Facts,
@@ -46,7 +46,7 @@ pub struct Words {
     pub advice: Vec<String>,
     /// The solves that the iterations belong to.
     pub attempts: Vec<ReportAttempt>,
-    /// What was checked afterwards, with the verdicts.
+    /// Checks that were made afterwards, with their verdicts.
     pub checks: Vec<ReportCheck>,
 }
 
@@ -505,7 +505,7 @@ mod tests {
         assert_eq!(words.lead, "The tip goes, at rest; done.");
     }
 
-    /// What a summary lacks is a dash or nothing, and no error: other versions wrote fewer fields.
+    /// A field that a summary lacks is a dash or nothing, and no error: other versions wrote fewer fields.
     #[test]
     fn missing_fields_are_nothing() {
         let template = "[facts]

@@ -79,7 +79,7 @@ fn single(vectors: &[Vector3<f64>]) -> Vec<[f32; 3]> {
         .collect()
 }
 
-/// What the controls exert.
+/// Arrows of the controls.
 pub(super) fn controls(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
@@ -146,7 +146,7 @@ fn tip_wrench(record: &MotionRecord, row: usize) -> [Vector3<f64>; 2] {
         .map(|values| Vector3::from_column_slice(&values[3 * row..3 * row + 3]))
 }
 
-/// What the actuators of a closed loop exert on the tip.
+/// Arrows of the actuators of a closed loop at the tip.
 #[cfg(feature = "cli")]
 pub(super) fn on_tip(record: &MotionRecord) -> Vec<ReportArrow> {
     let rows = record.thinned_rows(FRAMES);
@@ -164,7 +164,7 @@ pub(super) fn on_tip(record: &MotionRecord) -> Vec<ReportArrow> {
     arrows.finish()
 }
 
-/// What the loads that are given beside a control are called.
+/// Names of the loads that are given beside a control.
 pub(super) const LOAD: &str = "load";
 
 /// The loads, the `i`-th of them by the name `name(i)`, and the weight.

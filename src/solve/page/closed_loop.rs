@@ -87,7 +87,7 @@ pub(crate) fn closed_loop_page(
     })
 }
 
-/// What the template speaks of: the arm with the loads that the controller knows told from the others, and beside the model as it is.
+/// Returns the values of the template: the plant, with the loads that the controller knows told apart from the others, and the model.
 fn context(
     setup: &ClosedLoopSetup,
     samples: &[SampleRow],
@@ -127,7 +127,7 @@ fn context(
     })
 }
 
-/// Whether the load of this index on the arm as it is belongs to the controller's model, in a word.
+/// Returns a word that tells whether the plant's load of this index belongs to the controller's model.
 ///
 /// Point loads come first, then those of the nodes of distributed ones.
 fn load_name(setup: &ClosedLoopSetup, index: usize) -> &'static str {
@@ -179,7 +179,7 @@ fn path(setup: &ClosedLoopSetup, samples: &[&SampleRow], record: &MotionRecord) 
     }
 }
 
-/// What the tip is told, from sample to sample.
+/// Commands to the tip, from sample to sample.
 fn controls(setup: &ClosedLoopSetup, samples: &[&SampleRow]) -> ReportControls {
     let own = &setup.experiment;
     let tip = own.task.actuators.first();
@@ -223,7 +223,7 @@ const ESTIMATED: [&str; 14] = [
 /// Index of the time of the whole sample.
 const WHOLE: usize = 4;
 
-/// What charts over samples draw; references only where every sample has one.
+/// Columns of the charts over samples; references only if every sample has one.
 fn columns(samples: &[&SampleRow], period: f64) -> Columns {
     let mut out = Columns::new();
     let mut add = |name: &str, of: &dyn Fn(&SampleRow) -> f64| {
@@ -254,7 +254,7 @@ fn columns(samples: &[&SampleRow], period: f64) -> Columns {
     out
 }
 
-/// How many samples took how long, with the period, ms.
+/// Histogram of the durations of samples, with the period, ms.
 fn histogram(samples: &[SampleRow], period: f64) -> Columns {
     let timed = samples.get(1..).unwrap_or(&[]);
     let mut sorted: Vec<f64> = timed.iter().map(|sample| sample.times_ms[WHOLE]).collect();

@@ -1,10 +1,10 @@
-//! What a check found beside its criteria, in sentences for the console.
+//! Findings of a check beside its criteria, in sentences for the console.
 
 use crate::verify::ForwardCheck;
 use crate::verify::growth::Growth;
 use crate::verify::second_order::Extremum;
 
-/// What the check found beside its criteria: the worst row of every part of the conditions by name, the kind of extremum, and the
+/// Returns the findings of a check beside its criteria: the worst row of every part of the conditions by name, the kind of extremum, and the
 /// growth of disturbances.
 pub(crate) fn findings(check: &ForwardCheck) -> Vec<String> {
     let rows = (check.kkt_parts.iter())

@@ -52,7 +52,7 @@ const TEMPLATES: [(&str, &str); 5] = [
     ("solve.jinja", include_str!("solve.jinja")),
 ];
 
-/// What a page says of `context` and `columns`; a context that a template cannot use is a summary that is none.
+/// Returns the words of a page from `context` and `columns`; a context that a template cannot use is reported as a malformed summary.
 fn words(template: &str, context: &Value, columns: &Columns) -> Result<Words, OutputError> {
     Words::of(&TEMPLATES, template, context, columns)
         .map_err(|error| OutputError::malformed(Path::new("summary.json"), format!("{error:#}")))

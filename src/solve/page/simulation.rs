@@ -49,7 +49,7 @@ pub(crate) fn simulation_page(
     })
 }
 
-/// How far the tip goes from where it begins, when that is, where it ends, and after which time.
+/// Largest distance of the tip from its start with its time, and the end of the motion with its time.
 fn way(record: &MotionRecord) -> Value {
     let tip = |row: usize| record.position(row, record.n_nodes - 1);
     let last = record.n_rows() - 1;

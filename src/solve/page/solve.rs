@@ -16,7 +16,7 @@ use crate::solve::step_kind::{MEANINGS, step_kind};
 use crate::sqp::IterationRecord;
 use crate::task::Problem;
 
-/// What the page of a solve is made of: a run has it, and so do the files that it wrote.
+/// Inputs of the page of a solve: a run has them, and so do the files that it wrote.
 pub(in crate::solve) struct SolvePage<'a> {
     /// The problem, on the grid of the solution.
     pub problem: &'a Problem,
@@ -82,7 +82,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, Output
     })
 }
 
-/// What was asked, and the largest force (N) and moment (N m) of any actuator.
+/// Describes the task, and the largest force (N) and moment (N m) of any actuator.
 fn posed(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Value {
     let goals = || problem.final_goals();
     let position = goals().find_map(|goal| Some((goal.position?, &goal.enforcement)));
@@ -131,7 +131,7 @@ fn nearest(obstacles: &ReportObstacles) -> Value {
     json!({ "n": obstacles.bodies.len(), "nearest": nearest })
 }
 
-/// What the tip should reach at the end; `None` where there is nothing.
+/// Describes the target of the tip at the end; `None` without one.
 fn target(problem: &OptimalControlProblem) -> Option<ReportTarget> {
     let goals = || problem.final_goals();
     goals().next().map(|_| ReportTarget {

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::resuming::Found;
 use super::tally::Tally;
 use super::{End, SimulationError};
-use crate::mechanics::rotation::quaternion;
+use crate::mechanics::rotation::{quaternion, wxyz};
 use crate::mechanics::{
     Diagnostics, Energy, NodeWrenches, PowerBalance, Rod, State, StepError, Stepper, Wrench,
 };
@@ -387,7 +387,7 @@ impl<'a> Run<'a> {
                 / (self.stepping.as_secs_f64()).max(f64::MIN_POSITIVE),
             tip: TipPose {
                 position_m: position.into(),
-                orientation_wxyz: [q.w, q.i, q.j, q.k],
+                orientation_wxyz: wxyz(&q),
             },
             energy: EnergySummary {
                 initial: self.tally.initial,
