@@ -730,6 +730,7 @@ impl OptimalControlProblem {
             nodes: self.actuated_nodes(),
             wrenches,
             acting: self.acting.clone(),
+            efforts: None,
         }
     }
 }

@@ -196,6 +196,17 @@ impl PartialEq for SharedActuator {
     }
 }
 
+/// Returns the number at a place among the wrenches from `first` on: six for each wrench, force before moment.
+pub(crate) fn component_at(wrenches: &[Wrench], first: usize, place: usize) -> f64 {
+    let wrench = &wrenches[first + place / 6];
+    let axis = place % 6;
+    if axis < 3 {
+        wrench.force[axis]
+    } else {
+        wrench.moment[axis - 3]
+    }
+}
+
 /// A user-defined actuator, and the places of its controls in a [signal](super::ControlSignal).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Acting {
@@ -212,15 +223,7 @@ impl Acting {
     #[must_use]
     pub fn controls(&self, wrenches: &[Wrench]) -> Vec<f64> {
         (self.places.iter())
-            .map(|&place| {
-                let wrench = &wrenches[self.first + place / 6];
-                let axis = place % 6;
-                if axis < 3 {
-                    wrench.force[axis]
-                } else {
-                    wrench.moment[axis - 3]
-                }
-            })
+            .map(|&place| component_at(wrenches, self.first, place))
             .collect()
     }
 

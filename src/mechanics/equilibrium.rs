@@ -612,6 +612,10 @@ impl CostFunction for PotentialEnergy<'_> {
         let mut energy = self.rod.elastic_energy(&at.positions, &at.rotations)
             + self.rod.gravity_energy(&at.positions)
             + self.spring.energy(&at.positions[tip], &at.rotations[tip]);
+        if !self.rod.actuators.is_empty() {
+            let efforts = self.rod.actuators.efforts(self.t);
+            energy += (self.rod).actuator_energy(&at.positions, &at.rotations, &efforts);
+        }
         for (load, s) in self.frozen.iter().skip(1).zip(&step) {
             energy -=
                 load.force.dot(&s.fixed_rows::<3>(0)) + load.moment.dot(&s.fixed_rows::<3>(3));

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::element::ElementGradient;
 use super::rod::Rod;
 use super::time::{TimeNode, TimeScheme};
 
@@ -24,7 +25,7 @@ impl NodalForces {
         }
     }
 
-    /// Computes `-dU/dx`, `-dU/dη`, gravity and loads at the instant `t`. Control wrenches are not included.
+    /// Computes `-dU/dx`, `-dU/dη`, gravity, loads and the given efforts of actuators at the instant `t`. Controls are not included.
     pub fn evaluate(
         &mut self,
         rod: &Rod,
@@ -39,6 +40,33 @@ impl NodalForces {
             after: 0.0,
         };
         self.add_loads(rod, rotations, &instant);
+        self.add_active(rod, positions, rotations, &rod.actuators.efforts(t));
+    }
+
+    /// Adds the forces of the actuators with the given efforts at one instant.
+    pub fn add_active(
+        &mut self,
+        rod: &Rod,
+        positions: &[Vector3<f64>],
+        rotations: &[Matrix3<f64>],
+        efforts: &[f64],
+    ) {
+        if efforts.iter().all(|effort| *effort == 0.0) {
+            return;
+        }
+        for q in 0..rod.n_elements() {
+            let pose = Rod::element_pose(q, positions, rotations);
+            if let Some(gradient) = rod.active_gradient(q, &pose, efforts) {
+                self.add_gradient(q, &gradient);
+            }
+        }
+    }
+
+    fn add_gradient(&mut self, q: usize, gradient: &ElementGradient) {
+        self.forces[q] += gradient.force;
+        self.forces[q + 1] -= gradient.force;
+        self.moments[q] -= gradient.moment_a;
+        self.moments[q + 1] -= gradient.moment_b;
     }
 
     /// Computes `-dU/dx`, `-dU/dη` and gravity, whatever the time scheme is.
@@ -94,10 +122,7 @@ impl NodalForces {
         for (q, element) in rod.elements.iter().enumerate() {
             let gradient =
                 element.gradient(rod.strain_rule, &Rod::element_pose(q, positions, rotations));
-            self.forces[q] += gradient.force;
-            self.forces[q + 1] -= gradient.force;
-            self.moments[q] -= gradient.moment_a;
-            self.moments[q + 1] -= gradient.moment_b;
+            self.add_gradient(q, &gradient);
         }
     }
 

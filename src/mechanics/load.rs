@@ -6,6 +6,8 @@
 //! of the load, and its first moment in time, exactly, wherever the jump lies between the nodes, and the motion remains of second order in
 //! the step.
 
+pub(crate) mod profile;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::time::TimeNode;
@@ -111,67 +113,20 @@ impl Load {
     /// Returns the factor of the profile at the instant `t`: at a jump the value just after it, at the end of the table the last one.
     #[must_use]
     pub fn factor(&self, t: f64) -> f64 {
-        let (Some(first), Some(last)) = (self.profile.first(), self.profile.last()) else {
+        if self.profile.is_empty() {
             return 1.0;
-        };
-        // A NaN also counts as outside.
-        if !(first.0..=last.0).contains(&t) {
-            return 0.0;
         }
-        let next = self.profile.partition_point(|&(time, _)| time <= t);
-        let (t0, f0) = self.profile[next.saturating_sub(1)];
-        let Some(&(t1, f1)) = self.profile.get(next) else {
-            return f0;
-        };
-        f0 + (f1 - f0) * (t - t0) / (t1 - t0)
+        profile::value(&self.profile, t)
     }
 
     /// Returns the factor at a time node for the steps on both sides: [`Self::factor`], with jumps shared between the time nodes beside
     /// them (see the [module](self)).
     #[must_use]
     pub fn factor_at_node(&self, node: &TimeNode) -> f64 {
-        let &TimeNode {
-            time: t,
-            before,
-            after,
-        } = node;
-        let mut factor = self.factor(t);
-        if self.profile.is_empty() || !(before + after > 0.0) {
-            return factor;
+        if self.profile.is_empty() {
+            return 1.0;
         }
-        // The node's share of a step function that rises at `start`.
-        let share = |start: f64| {
-            let part = |length: f64, distance: f64| {
-                // Fraction of the half of the hat of the given `length` that lies farther than `distance` from the node.
-                let rest = (1.0 - distance / length).clamp(0.0, 1.0);
-                if length > 0.0 {
-                    length * rest * rest
-                } else {
-                    0.0
-                }
-            };
-            let covered = if start >= t {
-                part(after, start - t)
-            } else {
-                after + before - part(before, t - start)
-            };
-            covered / (before + after)
-        };
-        let mut jump = |start: f64, size: f64, is_in: bool| {
-            factor += size * (share(start) - f64::from(u8::from(is_in)));
-        };
-        let (first, last) = (self.profile[0], self.profile[self.profile.len() - 1]);
-        jump(first.0, first.1, first.0 <= t);
-        // At the end of the table [`Self::factor`] has the last value.
-        jump(last.0, -last.1, last.0 < t);
-        let from = self.profile.partition_point(|&(own, _)| own < t - before);
-        let to = self.profile.partition_point(|&(own, _)| own <= t + after);
-        for pair in self.profile[from..to].windows(2) {
-            if pair[0].0 == pair[1].0 {
-                jump(pair[0].0, pair[1].1 - pair[0].1, pair[0].0 <= t);
-            }
-        }
-        factor
+        profile::at_node(&self.profile, node)
     }
 
     /// Tells whether the wrench depends on the rotation of the node.

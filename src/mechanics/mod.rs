@@ -85,6 +85,8 @@ mod step_error;
 pub mod stepper;
 mod stiffness;
 #[doc(hidden)]
+pub mod strain_actuator;
+#[doc(hidden)]
 pub mod strain_coordinates;
 mod swept;
 pub(crate) mod tangent;
@@ -98,7 +100,7 @@ pub use actuator::{Actuator, SharedActuator, StateView};
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
 pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
-pub use element::{RodModel, StrainRule};
+pub use element::{Density, RodModel, StrainRule};
 pub use energy::Energy;
 #[doc(hidden)]
 pub use energy_norm::EnergyNorm;
@@ -114,11 +116,12 @@ pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile,
 };
-pub use signal::{ControlSignal, NodeWrenches};
+pub use signal::{ControlSignal, Efforts, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
+pub use strain_actuator::{PlacedPoint, Route, StrainActuator, StrainActuators};
 pub use swept::SweptSurface;
 pub use tangent::Stability;
 pub use time::{Clock, TimeGrid, TimeNode, TimeScheme};

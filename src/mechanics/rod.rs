@@ -9,6 +9,7 @@ use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::forces::NodalForces;
 use super::load::{DistributedLoad, Load, Wrench};
 use super::rotation::{exp, log_tangent};
+use super::strain_actuator::{StrainActuator, StrainActuators};
 use super::time::TimeScheme;
 
 pub use super::section::{Material, Section, SectionProfile};
@@ -106,6 +107,8 @@ pub struct RodParameters {
     pub loads: Vec<Load>,
     /// Given loads along the rod.
     pub distributed_loads: Vec<DistributedLoad>,
+    /// Actuators on the strains.
+    pub actuators: Vec<StrainActuator>,
     /// A rigid body on the tip node, with its center of mass there and its principal axes along the node's.
     pub payload: Option<NodeInertia>,
 }
@@ -133,6 +136,7 @@ impl RodParameters {
             scheme: TimeScheme::Explicit,
             loads: Vec::new(),
             distributed_loads: Vec::new(),
+            actuators: Vec::new(),
             payload: None,
         }
     }
@@ -204,6 +208,8 @@ pub struct Rod {
     pub scheme: TimeScheme,
     /// Given loads on nodes; distributed ones are lumped.
     pub loads: Vec<Load>,
+    /// Actuators on the strains, and where they pass the elements.
+    pub actuators: StrainActuators,
     /// Reference magnitudes.
     pub scales: Scales,
 }
@@ -244,7 +250,7 @@ impl RodError {
 /// Largest `|RᵀR - I|` of a rotation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-9;
 
-fn require(
+pub(super) fn require(
     parameter: &'static str,
     value: f64,
     holds: impl Fn(f64) -> bool,
@@ -470,6 +476,8 @@ impl Rod {
         for load in &p.distributed_loads {
             loads.extend(load.lumped(p.length, k));
         }
+        let lengths: Vec<f64> = elements.iter().map(|element| element.length).collect();
+        let actuators = StrainActuators::new(p.actuators.clone(), &lengths)?;
         Ok(Self {
             strain_rule: p.strain_rule,
             model: p.model,
@@ -486,6 +494,7 @@ impl Rod {
             internal_damping: p.internal_damping,
             scheme: p.scheme,
             loads,
+            actuators,
             scales,
         })
     }

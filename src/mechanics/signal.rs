@@ -1,6 +1,6 @@
 //! Control wrenches on nodes of the rod, as functions of time.
 
-use super::actuator::{Acting, StateView};
+use super::actuator::{Acting, StateView, component_at};
 use super::configuration::Trajectory;
 use super::load::Wrench;
 use super::rod::Rod;
@@ -11,10 +11,12 @@ use super::time::TimeGrid;
 pub struct NodeWrenches<'a> {
     /// Indices of the nodes; the wrenches of a repeated node add up.
     pub nodes: &'a [usize],
-    /// A wrench for each of the nodes, followed by the controls of user-defined actuators, six to a wrench.
+    /// A wrench for each of the nodes, followed by the controls of user-defined actuators and by efforts, six to a wrench.
     pub wrenches: &'a [Wrench],
     /// User-defined actuators.
     pub acting: &'a [Acting],
+    /// Efforts of the actuators of the rod.
+    pub efforts: Option<&'a Efforts>,
 }
 
 impl<'a> NodeWrenches<'a> {
@@ -23,6 +25,7 @@ impl<'a> NodeWrenches<'a> {
         nodes: &[],
         wrenches: &[],
         acting: &[],
+        efforts: None,
     };
 
     /// Returns wrenches on nodes, one each.
@@ -31,7 +34,7 @@ impl<'a> NodeWrenches<'a> {
         Self {
             nodes,
             wrenches,
-            acting: &[],
+            ..Self::NONE
         }
     }
 
@@ -47,6 +50,29 @@ impl<'a> NodeWrenches<'a> {
     }
 }
 
+/// The places of efforts among the wrenches of a signal.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Efforts {
+    /// Indices of the actuators of the rod that the signal drives; their given efforts add up with those of the signal.
+    pub actuators: Vec<usize>,
+    /// Index of the first of the signal's wrenches, at one time node, whose components are efforts.
+    pub first: usize,
+    /// Place of the effort of every driven actuator from there on: six for each wrench, force before moment.
+    pub places: Vec<usize>,
+}
+
+impl NodeWrenches<'_> {
+    /// Adds the efforts of the signal to those of all actuators of a rod.
+    pub fn add_efforts(&self, out: &mut [f64]) {
+        let Some(efforts) = self.efforts else {
+            return;
+        };
+        for (&actuator, &place) in efforts.actuators.iter().zip(&efforts.places) {
+            out[actuator] += component_at(self.wrenches, efforts.first, place);
+        }
+    }
+}
+
 /// Wrenches on the same nodes at every time node. The default is no control, on any time grid.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ControlSignal {
@@ -57,6 +83,8 @@ pub struct ControlSignal {
     pub wrenches: Vec<Wrench>,
     /// User-defined actuators.
     pub acting: Vec<Acting>,
+    /// Efforts of the actuators of the rod.
+    pub efforts: Option<Efforts>,
 }
 
 impl ControlSignal {
@@ -66,7 +94,7 @@ impl ControlSignal {
         Self {
             nodes,
             wrenches,
-            acting: Vec::new(),
+            ..Self::default()
         }
     }
 
@@ -79,11 +107,13 @@ impl ControlSignal {
     /// Returns the number of wrenches of one time node, including those that hold controls.
     #[must_use]
     pub fn width(&self) -> usize {
-        let carriers = |acting: &Acting| {
-            let last = acting.places.iter().max();
-            last.map_or(0, |place| acting.first + place / 6 + 1)
+        let carriers = |first: usize, places: &[usize]| {
+            let last = places.iter().max();
+            last.map_or(0, |place| first + place / 6 + 1)
         };
-        (self.acting.iter().map(carriers)).fold(self.nodes.len(), usize::max)
+        let own = (self.acting.iter()).map(|acting| carriers(acting.first, &acting.places));
+        let efforts = (self.efforts.iter()).map(|efforts| carriers(efforts.first, &efforts.places));
+        own.chain(efforts).fold(self.nodes.len(), usize::max)
     }
 
     /// Returns the wrenches of time node `k`.
@@ -97,6 +127,7 @@ impl ControlSignal {
             nodes: &self.nodes,
             wrenches: &self.wrenches[k * n..][..n],
             acting: &self.acting,
+            efforts: self.efforts.as_ref(),
         }
     }
 

@@ -6,14 +6,19 @@ use super::block_tridiagonal::BlockTridiagonal;
 use super::configuration::Configuration;
 use super::rod::Rod;
 
-/// Returns the derivative of minus the forces and body moments on the free nodes (elements, and loads at their value at time `t`) along
+/// Returns the derivative of minus the forces and body moments on the free nodes (elements, loads at their value at time `t`, and
+/// actuators with their given efforts) along
 /// `(δx, η)` of these nodes, the first of them in block 0. It is symmetric at an equilibrium under loads with a potential.
 pub(super) fn tangent_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
     let first = rod.first_free_node();
+    let efforts = rod.actuators.efforts(t);
     let mut out = BlockTridiagonal::zeros(rod.n_nodes() - first);
     for (q, element) in rod.elements.iter().enumerate() {
         let pose = Rod::element_pose(q, &at.positions, &at.rotations);
-        let (_, k) = element.stiffness(rod.strain_rule, &pose);
+        let (_, mut k) = element.stiffness(rod.strain_rule, &pose);
+        if let Some(active) = rod.active_stiffness(q, &pose, &efforts) {
+            k += active;
+        }
         out.add_element(first, q, &k);
     }
     for load in rod.loads.iter().filter(|load| load.node >= first) {

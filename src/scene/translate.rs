@@ -339,6 +339,7 @@ impl Scene {
             },
             base_position: self.base.position_m.into(),
             base_rotation,
+            actuators: Vec::new(),
             gravity: self
                 .gravity
                 .as_ref()

@@ -8,7 +8,8 @@ use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibr
 use crate::mechanics::rotation::from_direction;
 use crate::mechanics::{
     BaseCondition, DistributedLoad, Load, LoadFrame, Material, NodeInertia, Rod, RodError,
-    RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State, TimeScheme,
+    RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State, StrainActuator,
+    TimeScheme,
 };
 use crate::stop::StopSignal;
 
@@ -58,6 +59,8 @@ pub struct Arm {
     pub loads: Vec<PointLoad>,
     /// Given loads along the arm.
     pub distributed_loads: Vec<DistributedLoad>,
+    /// Actuators on the strains of the arm: tendons, chambers, muscles.
+    pub actuators: Vec<StrainActuator>,
     /// A rigid body at the tip, with its center of mass there and its principal axes along the tip's.
     pub payload: Option<NodeInertia>,
     /// Radius at base and tip, m, for distances from obstacles and for pictures; `None` for a line without thickness.
@@ -90,6 +93,7 @@ impl Arm {
             internal_damping: 0.0,
             loads: Vec::new(),
             distributed_loads: Vec::new(),
+            actuators: Vec::new(),
             payload: None,
             radii,
         }
@@ -170,6 +174,7 @@ impl Arm {
                 })
                 .collect(),
             distributed_loads: self.distributed_loads.clone(),
+            actuators: self.actuators.clone(),
             payload: self.payload,
         }
     }

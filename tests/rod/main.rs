@@ -13,3 +13,4 @@ mod lanes;
 mod load_jumps;
 mod paper;
 mod published_dynamics;
+mod strain_actuators;

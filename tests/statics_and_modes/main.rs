@@ -6,4 +6,5 @@ mod common;
 mod published_frequencies;
 mod published_statics;
 mod statics;
+mod strain_actuators;
 mod vibration;

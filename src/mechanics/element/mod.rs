@@ -18,6 +18,7 @@
 //! vector; the methods of [`Element`] and [`StrainRule`] are the same code with one lane. `law.rs` has the stress that follows from a
 //! strain.
 
+mod active;
 pub(crate) mod helical;
 mod law;
 pub(crate) mod rule;
@@ -26,6 +27,8 @@ pub(crate) mod trapezoidal;
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use pulp::Scalar;
 
+pub use self::active::Density;
+pub(crate) use self::active::{ActivePoint, ActiveTangent};
 pub use self::law::RodModel;
 pub(crate) use self::law::Thinning;
 pub(crate) use self::rule::{

@@ -18,7 +18,7 @@ pub struct Helical;
 pub struct Trapezoidal;
 
 /// A stress, or a strain times the length: linear at the two ends, and angular. The helical rule uses the first linear one only.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub struct Stress<S: Simd> {
     pub linear: [Vec3<S>; 2],
     pub angular: Vec3<S>,

@@ -1,6 +1,7 @@
 //! The [step](super::stepper), several nodes at a time, with unit quaternions for rotations: exactly the same on every instruction set.
 //! Tests compare it with the check's [`ReferenceStepper`](crate::verify::ReferenceStepper).
 
+mod active;
 mod base;
 mod constants;
 pub(super) mod curved;
@@ -22,6 +23,7 @@ use std::marker::PhantomData;
 use nalgebra::{Matrix3, Quaternion, Vector3};
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
+use self::active::ActiveLanes;
 use self::base::HeldBase;
 use self::constants::{Constants, HELD_INERTIA};
 use self::element::{Consistent, Dilatation, SectionLaw, Standard};
@@ -72,6 +74,8 @@ pub struct LaneIntegrator<'a> {
     seating: NodalForces,
     /// Present if steps are solved for.
     solver: Option<Box<Solver>>,
+    /// Present if the rod has actuators on its strains.
+    active: Option<Box<ActiveLanes>>,
 }
 
 /// The memory of a [`LaneIntegrator`] without its rod, kept between two motions of the same rod with the same step, so that the second one
@@ -90,6 +94,7 @@ pub(crate) struct LaneMemory {
     control: Vec<(usize, Wrench)>,
     seating: NodalForces,
     solver: Option<Box<Solver>>,
+    active: Option<Box<ActiveLanes>>,
 }
 
 impl LaneMemory {
@@ -113,6 +118,7 @@ impl LaneMemory {
             control: self.control,
             seating: self.seating,
             solver: self.solver,
+            active: self.active,
         };
         integrator.seat(initial, 0);
         integrator
@@ -195,6 +201,7 @@ impl<'a> LaneIntegrator<'a> {
             control: Vec::new(),
             seating: NodalForces::zeros(rod.n_nodes()),
             solver: Solver::new(rod, slots, clock.step).map(Box::new),
+            active: ActiveLanes::new(rod, slots),
         }
     }
 
@@ -213,6 +220,7 @@ impl<'a> LaneIntegrator<'a> {
             control: self.control,
             seating: self.seating,
             solver: self.solver,
+            active: self.active,
         }
     }
 
@@ -239,6 +247,9 @@ impl<'a> LaneIntegrator<'a> {
         let Self { rod, slots, .. } = *self;
         self.step = step;
         self.control.clear();
+        if let Some(active) = &mut self.active {
+            active.rest();
+        }
         for slot in 0..slots.len() {
             let place = slots.place(slot);
             self.state[slots.index(place, STATE_ROWS, ROTATION)] = 1.0;
@@ -466,6 +477,7 @@ impl<'a> LaneIntegrator<'a> {
     ) -> Result<(), StepError> {
         self.add_control(control[0]);
         self.share_jumps();
+        self.prepare_efforts(control);
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }
@@ -499,6 +511,7 @@ impl<'a> LaneIntegrator<'a> {
                 nodes: &self.constants.nodes,
                 elements: &self.constants.elements,
                 kinds: &self.constants.kinds,
+                active: self.active.as_deref(),
                 spin: &mut self.spin,
                 exchange: &mut self.exchange,
                 singly: &mut singly,

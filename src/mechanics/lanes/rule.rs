@@ -8,11 +8,13 @@
 
 use pulp::Simd;
 
+use super::active::ActiveBlocks;
 use super::element::{
     Chord, Gradient, Pose, SectionLaw, THINNING_ROWS, constants, fold, inverse_length,
 };
 use super::logarithm::{Logarithm, logarithm};
 use super::vector::{Frame, Lanes, Quaternion, Row, Vec3, row};
+pub(crate) use crate::mechanics::element::Stress;
 use crate::mechanics::element::{Helical, Trapezoidal};
 use crate::mechanics::rod::Rod;
 
@@ -41,11 +43,22 @@ pub struct Pull<S: Simd> {
     pub moment_b: Vec3<S>,
 }
 
-/// Stress in the scale of a rule: at the ends where it takes the strain, and of the rotation.
-#[derive(Clone, Copy, Debug)]
-pub struct Stress<S: Simd> {
-    pub linear: [Vec3<S>; 2],
-    pub angular: Vec3<S>,
+impl<S: Simd> Strained<S> {
+    /// Returns the strain times `l`, with the rotation in the measure of the rule.
+    #[inline(always)]
+    pub fn measures(&self) -> Stress<S> {
+        Stress {
+            linear: self.linear,
+            angular: self.psi,
+        }
+    }
+
+    /// Returns the mean of two strains times `l`.
+    #[inline(always)]
+    pub fn mean(&self, other: &Self) -> Stress<S> {
+        let half = Lanes::splat(self.w.simd, 0.5);
+        self.measures().plus(other.measures()).times(half)
+    }
 }
 
 /// Rows of a stored [`Strained`].
@@ -71,11 +84,21 @@ pub trait Rule {
     fn pull<S: Simd>(strained: &Strained<S>, frames: [&Frame<S>; 2], stress: &Stress<S>)
     -> Pull<S>;
 
+    /// Subtracts what the actuators of a block do from the stress of its elements at a strain, see [`Strained::measures`].
+    fn add_active<S: Simd>(
+        active: &ActiveBlocks<S>,
+        block: usize,
+        strain: &Stress<S>,
+        stress: &mut Stress<S>,
+    );
+
+    /// Returns the gradient of the energy of the elements of a block, with the actuators that pass them.
     fn gradient<S: Simd, L: SectionLaw>(
         constants: &[Row<S>],
         a: &Pose<S>,
         b: &Pose<S>,
         chord: &Chord<S>,
+        active: Option<(ActiveBlocks<S>, usize)>,
     ) -> Gradient<S>;
 }
 
@@ -159,11 +182,22 @@ impl Rule for Trapezoidal {
     }
 
     #[inline(always)]
+    fn add_active<S: Simd>(
+        active: &ActiveBlocks<S>,
+        block: usize,
+        strain: &Stress<S>,
+        stress: &mut Stress<S>,
+    ) {
+        active.add_stress::<2>(block, strain.linear, strain.angular * 2.0, stress);
+    }
+
+    #[inline(always)]
     fn gradient<S: Simd, L: SectionLaw>(
         constants: &[Row<S>],
         a: &Pose<S>,
         b: &Pose<S>,
         chord: &Chord<S>,
+        active: Option<(ActiveBlocks<S>, usize)>,
     ) -> Gradient<S> {
         let strained = Self::strained(a, b, chord);
         let (linear, angular) = L::stress(
@@ -172,8 +206,11 @@ impl Rule for Trapezoidal {
             chord.inverse_length,
             strained.psi,
         );
-        Self::pull(&strained, [&a.frame, &b.frame], &Stress { linear, angular })
-            .with_fold(fold(constants, strained.w))
+        let mut stress = Stress { linear, angular };
+        if let Some((active, block)) = active {
+            Self::add_active(&active, block, &strained.measures(), &mut stress);
+        }
+        Self::pull(&strained, [&a.frame, &b.frame], &stress).with_fold(fold(constants, strained.w))
     }
 }
 
@@ -263,19 +300,33 @@ impl Rule for Helical {
     }
 
     #[inline(always)]
+    fn add_active<S: Simd>(
+        active: &ActiveBlocks<S>,
+        block: usize,
+        strain: &Stress<S>,
+        stress: &mut Stress<S>,
+    ) {
+        active.add_stress::<1>(block, strain.linear, strain.angular, stress);
+    }
+
+    #[inline(always)]
     fn gradient<S: Simd, L: SectionLaw>(
         constants: &[Row<S>],
         a: &Pose<S>,
         b: &Pose<S>,
         chord: &Chord<S>,
+        active: Option<(ActiveBlocks<S>, usize)>,
     ) -> Gradient<S> {
         let strained = Self::strained(a, b, chord);
         let strain = strained.linear[0];
         let ([n], angular) = L::stress(constants, [strain], inverse_length(strain), strained.psi);
-        let stress = Stress {
+        let mut stress = Stress {
             linear: [n; 2],
             angular,
         };
+        if let Some((active, block)) = active {
+            Self::add_active(&active, block, &strained.measures(), &mut stress);
+        }
         Self::pull(&strained, [&a.frame, &b.frame], &stress).with_fold(fold(constants, strained.w))
     }
 }

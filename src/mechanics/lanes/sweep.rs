@@ -9,6 +9,7 @@ use std::marker::PhantomData;
 
 use pulp::{Simd, WithSimd};
 
+use super::active::{ActiveBlocks, ActiveLanes};
 use super::element::{Chord, Pose, SectionLaw};
 use super::rule::Rule;
 use super::turn::{Gyration, TURN_LIMIT, Turn};
@@ -94,6 +95,8 @@ pub struct Sweep<'a, R, L, T> {
     pub elements: &'a [f64],
     /// Indices of the blocks of `nodes` and of `elements` with the constants of a block.
     pub kinds: &'a [[usize; 2]],
+    /// Actuators on the strains, if there are any.
+    pub active: Option<&'a ActiveLanes>,
     /// Empty if the inertia is constant.
     pub spin: &'a mut [f64],
     pub exchange: &'a mut [f64],
@@ -133,6 +136,7 @@ impl<R: Rule, L: SectionLaw, T: TurnSingly> WithSimd for Sweep<'_, R, L, T> {
             nodes: blocks::<S, NODE_ROWS>(self.nodes),
             elements: rows::<S>(self.elements),
             kinds: self.kinds,
+            active: self.active.map(ActiveLanes::blocks),
             spin: blocks_mut::<S, SPIN_ROWS>(self.spin),
             exchange: self.exchange,
             singly: self.singly,
@@ -172,6 +176,7 @@ struct Work<'a, S: Simd, R, L, T> {
     nodes: &'a [[Row<S>; NODE_ROWS]],
     elements: &'a [Row<S>],
     kinds: &'a [[usize; 2]],
+    active: Option<ActiveBlocks<'a, S>>,
     spin: &'a mut [[Row<S>; SPIN_ROWS]],
     exchange: &'a mut [f64],
     singly: &'a mut T,
@@ -233,7 +238,13 @@ impl<'a, S: Simd, R: Rule, L: SectionLaw, T: TurnSingly> Work<'a, S, R, L, T> {
                 let i = ahead - 2;
                 let constants = self.element(i);
                 let chord = Chord::between(left.position, right.position);
-                let gradient = R::gradient::<S, L>(constants, &left, &right, &chord);
+                let gradient = R::gradient::<S, L>(
+                    constants,
+                    &left,
+                    &right,
+                    &chord,
+                    self.active.map(|active| (active, i)),
+                );
                 let weight = Vec3::load(simd, self.node(i), WEIGHT);
                 let block = &mut self.blocks[i];
                 let force = weight + gradient.force - pull;

@@ -4,9 +4,10 @@ use pulp::Simd;
 
 use crate::mechanics::element::helical::{inverse_tangent, tangent_derivative};
 use crate::mechanics::element::{Helical, Trapezoidal};
+use crate::mechanics::lanes::active::ActiveBlocks;
 use crate::mechanics::lanes::element::{ANGULAR_STIFFNESS, LINEAR_STIFFNESS};
 use crate::mechanics::lanes::logarithm::Logarithm;
-use crate::mechanics::lanes::rule::{Rule, Strained};
+use crate::mechanics::lanes::rule::{Rule, Strained, Stress};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3};
 
 /// Blocks over the motion and the rotation of end a, then of end b.
@@ -41,6 +42,48 @@ pub trait SolvedRule: Rule {
     /// starts, rotations in their own.
     fn coupling<S: Simd>(constants: &[Row<S>], start: &Instant<S>, end: &Instant<S>)
     -> Coupling<S>;
+
+    /// Adds `share B_startᵀ T B_end`, with the derivative `T` of the stress of the actuators of a block at a strain.
+    fn add_active_coupling<S: Simd>(
+        active: &ActiveBlocks<S>,
+        block: usize,
+        strain: &Stress<S>,
+        share: Lanes<S>,
+        instants: [&Instant<S>; 2],
+        coupling: &mut Coupling<S>,
+    );
+}
+
+/// Adds `share Lᵀ T R`, with the blocks of `T` over a linear strain and the angular one, and the derivatives `L` and `R` of both strains.
+#[inline(always)]
+fn add_tangent<S: Simd, const N: usize>(
+    coupling: &mut Coupling<S>,
+    left: (&Derivative<S, N>, &Derivative<S, 2>),
+    [linear, mixed, angular]: [Mat3<S>; 3],
+    right: (&Derivative<S, N>, &Derivative<S, 2>),
+) {
+    let mut stressed = |column: usize, n: Mat3<S>, m: Mat3<S>| {
+        for (i, row) in left.0.along.into_iter().enumerate() {
+            let block = &mut coupling[row][column];
+            *block = *block + left.0.blocks[i].transposed_product(n);
+        }
+        for (i, row) in left.1.along.into_iter().enumerate() {
+            let block = &mut coupling[row][column];
+            *block = *block + left.1.blocks[i].transposed_product(m);
+        }
+    };
+    for (j, column) in right.0.along.into_iter().enumerate() {
+        let moved = right.0.blocks[j];
+        stressed(
+            column,
+            linear.product(moved),
+            mixed.transposed_product(moved),
+        );
+    }
+    for (j, column) in right.1.along.into_iter().enumerate() {
+        let turned = right.1.blocks[j];
+        stressed(column, mixed.product(turned), angular.product(turned));
+    }
 }
 
 #[inline(always)]
@@ -121,6 +164,26 @@ impl SolvedRule for Helical {
         add(&mut coupling, &started.1, stiffness, &ended.1);
         coupling
     }
+
+    #[inline(always)]
+    fn add_active_coupling<S: Simd>(
+        active: &ActiveBlocks<S>,
+        block: usize,
+        strain: &Stress<S>,
+        share: Lanes<S>,
+        [start, end]: [&Instant<S>; 2],
+        coupling: &mut Coupling<S>,
+    ) {
+        let tangent = active.tangent::<1>(block, strain.linear, strain.angular);
+        let blocks = [tangent.linear[0], tangent.mixed[0], tangent.angular].map(|b| b * share);
+        let (ended, started) = (helical(end, start), helical(start, start));
+        add_tangent(
+            coupling,
+            (&started.0, &started.1),
+            blocks,
+            (&ended.0, &ended.1),
+        );
+    }
 }
 
 /// `δy_i = R_iᵀ δdx + ŷ_i η_i` at end `i`.
@@ -171,5 +234,25 @@ impl SolvedRule for Trapezoidal {
         let stiffness = Vec3::load(simd, constants, ANGULAR_STIFFNESS) * 0.5;
         add(&mut coupling, &bend(start), stiffness, &bend(end));
         coupling
+    }
+
+    #[inline(always)]
+    fn add_active_coupling<S: Simd>(
+        active: &ActiveBlocks<S>,
+        block: usize,
+        strain: &Stress<S>,
+        share: Lanes<S>,
+        [start, end]: [&Instant<S>; 2],
+        coupling: &mut Coupling<S>,
+    ) {
+        let tangent = active.tangent::<2>(block, strain.linear, strain.angular * 2.0);
+        let (turned, turning) = (bend(start), bend(end));
+        let none = Mat3::zero(share.simd);
+        for at in 0..2 {
+            let (started, ended) = (stretch(start, start, at), stretch(end, start, at));
+            let angular = if at == 0 { tangent.angular } else { none };
+            let blocks = [tangent.linear[at], tangent.mixed[at], angular].map(|b| b * share);
+            add_tangent(coupling, (&started, &turned), blocks, (&ended, &turning));
+        }
     }
 }

@@ -257,6 +257,7 @@ impl LaneIntegrator<'_> {
         };
         self.add_control(control[0]);
         self.share_jumps();
+        self.prepare_efforts(control);
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }
@@ -274,6 +275,7 @@ impl LaneIntegrator<'_> {
                 nodes,
                 elements,
                 kinds,
+                active: self.active.as_deref(),
                 solver: &mut solver,
                 held,
                 half_damping: 0.5 * self.rod.viscous_damping * self.clock.step,

@@ -10,6 +10,7 @@ use super::coupling::SolvedRule;
 use super::instant::{
     INSTANT_ROWS, STRAINED, elastic_stress, framed, instant, interval_stress, next_lane, pose,
 };
+use crate::mechanics::lanes::active::{ActiveBlocks, ActiveLanes};
 use crate::mechanics::lanes::element::{Chord, STRESS_ROWS, fold};
 use crate::mechanics::lanes::place::Slots;
 use crate::mechanics::lanes::rule::Pull;
@@ -90,6 +91,8 @@ pub struct SolvedStep<'a, R> {
     pub nodes: &'a [f64],
     pub elements: &'a [f64],
     pub kinds: &'a [[usize; 2]],
+    /// Actuators on the strains, if there are any.
+    pub active: Option<&'a ActiveLanes>,
     pub solver: &'a mut Solver,
     /// Pose of a base that is held, at the end of the step.
     pub held: Option<[f64; 7]>,
@@ -113,6 +116,7 @@ impl<R: SolvedRule> WithSimd for SolvedStep<'_, R> {
             nodes: blocks::<S, NODE_ROWS>(self.nodes),
             elements: rows::<S>(self.elements),
             kinds: self.kinds,
+            active: self.active.map(ActiveLanes::blocks),
             solver: self.solver,
             held: self.held,
             kick: Lanes::splat(simd, self.time_step * scale),
@@ -131,6 +135,7 @@ struct Work<'a, S: Simd, R> {
     nodes: &'a [[Row<S>; NODE_ROWS]],
     elements: &'a [Row<S>],
     kinds: &'a [[usize; 2]],
+    active: Option<ActiveBlocks<'a, S>>,
     solver: &'a mut Solver,
     held: Option<[f64; 7]>,
     /// `h/(1 + a)`
@@ -372,7 +377,12 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             R::store(&strained, &mut end[i][STRAINED..]);
             folded = folded.max(fold(constants, strained.w));
             let before = R::load(simd, &start[i][STRAINED..]);
-            let stress = interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
+            let mut stress =
+                interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
+            if let (Some(active), TimeScheme::Implicit) = (&self.active, *scheme) {
+                let mean = before.mean(&strained);
+                R::add_active(active, i, &mean, &mut stress);
+            }
             let pull = R::pull(&before, [&frame_a, &frame_b], &stress);
             let trial = &mut trial[i];
             // In the order in which the first block gets them, whose element to the left comes last.
@@ -424,6 +434,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             trial,
             instants: [start, end],
             weights,
+            scheme,
             equations,
             chain,
             ..
@@ -440,7 +451,20 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
                     instant::<S, R>(simd, start, i),
                     instant::<S, R>(simd, end, i),
                 );
-                let coupling = R::coupling(constants, &before, &after);
+                let mut coupling = R::coupling(constants, &before, &after);
+                if let (Some(active), TimeScheme::Implicit) = (&self.active, *scheme) {
+                    // The mean strain changes with half of that at the end.
+                    let share = Lanes::splat(simd, 0.5 / weights.end);
+                    let mean = before.strained.mean(&after.strained);
+                    R::add_active_coupling(
+                        active,
+                        i,
+                        &mean,
+                        share,
+                        [&before, &after],
+                        &mut coupling,
+                    );
+                }
                 let factor = self.weight * weights.end;
                 for (p, blocks) in coupling.iter().enumerate() {
                     for (q, block) in blocks.iter().enumerate() {
@@ -601,11 +625,19 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             let elastic = match scheme {
                 TimeScheme::Implicit => None,
                 TimeScheme::Explicit => {
-                    let stress = elastic_stress::<S, R>(constants, &strained);
+                    let mut stress = elastic_stress::<S, R>(constants, &strained);
+                    if let Some(active) = &self.active {
+                        R::add_active(active, i, &strained.measures(), &mut stress);
+                    }
                     Some(R::pull(&strained, frames, &stress))
                 }
             };
-            let stress = interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
+            let mut stress =
+                interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
+            if let (Some(active), TimeScheme::Implicit) = (&self.active, *scheme) {
+                let mean = before.mean(&strained);
+                R::add_active(active, i, &mean, &mut stress);
+            }
             let Pull {
                 force: f,
                 moment_a,

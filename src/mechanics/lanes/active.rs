@@ -1,0 +1,214 @@
+//! The stress of [actuators](crate::mechanics::strain_actuator) in the elements of a block, one element per lane.
+
+use nalgebra::Vector3;
+use pulp::Simd;
+
+use super::LaneIntegrator;
+use super::place::{Place, Slots};
+use super::rule::Stress;
+use super::sweep::{FORCE, MOMENT};
+use super::vector::{Lanes, Row, Vec3, row};
+use crate::mechanics::buffer::Buffer;
+use crate::mechanics::element::{ActivePoint, ActiveTangent, Density};
+use crate::mechanics::forces::NodalForces;
+use crate::mechanics::rod::Rod;
+use crate::mechanics::signal::NodeWrenches;
+use crate::mechanics::time::TimeScheme;
+
+/// Rows of a point in the elements of a block: weight over length, offset, way, inverse length.
+const POINT_ROWS: usize = 6;
+
+/// Actuators of a motion: their points in all blocks of elements, and their efforts.
+#[derive(Clone, Debug)]
+pub struct ActiveLanes {
+    /// The actuators of the points of every block, in the order of the rows.
+    kinds: Vec<(usize, Density)>,
+    rows: Buffer,
+    n_lanes: usize,
+    /// Efforts that the forces at the time node contain: those just before it, or none after the motion was [seated](super::LaneIntegrator).
+    pub present: Vec<f64>,
+    /// Efforts of the interval under way: its mean under the implicit scheme, otherwise those at its end.
+    pub coming: Vec<f64>,
+}
+
+impl ActiveLanes {
+    /// Returns the points of the actuators of a rod; `None` if it has none.
+    pub fn new(rod: &Rod, slots: Slots) -> Option<Box<Self>> {
+        if rod.actuators.is_empty() {
+            return None;
+        }
+        // An actuator has so many points at most in one element.
+        let mut most = vec![0; rod.actuators.len()];
+        let each = |q: usize, visit: &mut dyn FnMut(usize, usize)| {
+            let mut seen = vec![0; rod.actuators.len()];
+            for (index, point) in rod.actuators.on(q).iter().enumerate() {
+                visit(index, seen[point.actuator]);
+                seen[point.actuator] += 1;
+            }
+        };
+        for q in 0..rod.n_elements() {
+            each(q, &mut |index, nth| {
+                let most = &mut most[rod.actuators.on(q)[index].actuator];
+                *most = (nth + 1).max(*most);
+            });
+        }
+        let mut kinds = Vec::new();
+        let mut first = Vec::new();
+        for (index, actuator) in rod.actuators.iter().enumerate() {
+            first.push(kinds.len());
+            kinds.extend((0..most[index]).map(|_| (index, actuator.density)));
+        }
+        let n_lanes = slots.n_lanes;
+        let mut rows = Buffer::zeros(slots.n_blocks * kinds.len() * POINT_ROWS * n_lanes);
+        // Lanes without the actuator divide by a stretch that is a number.
+        for point in rows.chunks_exact_mut(POINT_ROWS * n_lanes) {
+            point[5 * n_lanes..].fill(1.0);
+        }
+        for q in 0..rod.n_elements() {
+            let Place { block, lane } = slots.place(q);
+            let length = rod.elements[q].length;
+            each(q, &mut |index, nth| {
+                let point = &rod.actuators.on(q)[index];
+                let at = block * kinds.len() + first[point.actuator] + nth;
+                let numbers = [
+                    point.weight / length,
+                    point.offset[0],
+                    point.offset[1],
+                    point.slope[0] * length,
+                    point.slope[1] * length,
+                    1.0 / length,
+                ];
+                for (row, number) in numbers.into_iter().enumerate() {
+                    rows[(at * POINT_ROWS + row) * n_lanes + lane] = number;
+                }
+            });
+        }
+        let none = vec![0.0; rod.actuators.len()];
+        Some(Box::new(Self {
+            kinds,
+            rows,
+            n_lanes,
+            present: none.clone(),
+            coming: none,
+        }))
+    }
+
+    /// Returns the points of all blocks under the coming efforts.
+    pub fn blocks<S: Simd>(&self) -> ActiveBlocks<'_, S> {
+        ActiveBlocks {
+            kinds: &self.kinds,
+            rows: super::vector::rows::<S>(&self.rows),
+            efforts: &self.coming,
+        }
+    }
+
+    /// Forgets the efforts that act.
+    pub fn rest(&mut self) {
+        self.present.fill(0.0);
+    }
+}
+
+/// The points of actuators in all blocks of elements, with efforts.
+#[derive(Clone, Copy)]
+pub struct ActiveBlocks<'a, S: Simd> {
+    kinds: &'a [(usize, Density)],
+    rows: &'a [Row<S>],
+    efforts: &'a [f64],
+}
+
+impl<S: Simd> ActiveBlocks<'_, S> {
+    #[inline(always)]
+    fn point(&self, simd: S, at: usize) -> ActivePoint<S> {
+        let rows = &self.rows[at * POINT_ROWS..][..POINT_ROWS];
+        ActivePoint {
+            weight: row(simd, rows, 0),
+            offset: [row(simd, rows, 1), row(simd, rows, 2)],
+            way: [row(simd, rows, 3), row(simd, rows, 4)],
+            inverse_length: row(simd, rows, 5),
+        }
+    }
+
+    /// Subtracts `u ∂y/∂(l v, ψ)` of all actuators of a block from the stress of its elements; `ends` are those of the rule.
+    #[inline(always)]
+    pub fn add_stress<const ENDS: usize>(
+        &self,
+        block: usize,
+        linear: [Vec3<S>; 2],
+        psi: Vec3<S>,
+        stress: &mut Stress<S>,
+    ) {
+        let simd = psi.x.simd;
+        for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
+            let effort = Lanes::splat(simd, -self.efforts[actuator]);
+            let point = self.point(simd, block * self.kinds.len() + i);
+            let slopes = point.slopes::<ENDS>(density, linear, psi);
+            *stress = stress.plus(slopes.times(effort));
+        }
+    }
+
+    /// Returns minus the second derivative of `Σ u y` of a block along `(l v, ψ)`.
+    #[inline(always)]
+    pub fn tangent<const ENDS: usize>(
+        &self,
+        block: usize,
+        linear: [Vec3<S>; 2],
+        psi: Vec3<S>,
+    ) -> ActiveTangent<S> {
+        let simd = psi.x.simd;
+        let mut sum = ActiveTangent::zero(simd);
+        for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
+            let point = self.point(simd, block * self.kinds.len() + i);
+            let bends = point.bends::<ENDS>(density, linear, psi);
+            sum = sum.plus(bends, Lanes::splat(simd, -self.efforts[actuator]));
+        }
+        sum
+    }
+}
+
+impl LaneIntegrator<'_> {
+    /// Prepares the efforts of the step that begins: adds to the forces at this time node half of what the efforts just after it differ by
+    /// from those before, and finds the efforts of the interval. `controls` act just after this time node and just before the next.
+    pub(super) fn prepare_efforts(&mut self, controls: [NodeWrenches; 2]) {
+        let Some(mut active) = self.active.take() else {
+            return;
+        };
+        let ends = self.clock.ends_of_step(self.step);
+        let write = |end: usize, out: &mut Vec<f64>| {
+            self.rod.actuators.write_efforts(&ends[end], out);
+            controls[end].add_efforts(out);
+        };
+        write(0, &mut active.coming);
+        if self.rod.scheme == TimeScheme::Implicit {
+            std::mem::swap(&mut active.present, &mut active.coming);
+            write(1, &mut active.coming);
+            for (mean, start) in active.coming.iter_mut().zip(&active.present) {
+                *mean = 0.5 * (*mean + start);
+            }
+        } else {
+            if active.present != active.coming {
+                let halves = active.present.iter().zip(&active.coming);
+                let jump: Vec<f64> = halves
+                    .map(|(before, after)| 0.5 * (after - before))
+                    .collect();
+                self.add_jump(&jump);
+            }
+            write(1, &mut active.coming);
+            active.present.copy_from_slice(&active.coming);
+        }
+        self.active = Some(active);
+    }
+
+    /// Adds the forces of the actuators with these efforts at the present configuration.
+    fn add_jump(&mut self, efforts: &[f64]) {
+        let n = self.rod.n_nodes();
+        let positions: Vec<Vector3<f64>> = (0..n).map(|node| self.position(node)).collect();
+        let rotations: Vec<_> = (0..n).map(|node| self.rotation(node)).collect();
+        let mut forces = NodalForces::zeros(n);
+        forces.add_active(self.rod, &positions, &rotations, efforts);
+        for node in self.rod.first_free_node()..n {
+            let place = self.slots.place(node);
+            self.add(place, FORCE, &forces.forces[node]);
+            self.add(place, MOMENT, &forces.moments[node]);
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! Motions of arms with tendons, push rods, chambers, muscles and braids: balances of energy and momentum, and orders.
+
+use nalgebra::Vector3;
+use softarm::mechanics::{
+    Density, Energy, Material, NodeWrenches, Rod, RodModel, RodParameters, Route, Section,
+    SectionProfile, State, Stepper, StrainActuator, StrainRule, TimeScheme, stable_step,
+};
+
+const LENGTH: f64 = 0.3;
+
+fn silicone() -> Material {
+    Material::isotropic(1e5, 0.4, 1070.0)
+}
+
+/// A helical tendon over a part of the arm, a push rod, a chamber, a muscle and a braid, all with an effect on the motion.
+fn actuators() -> Vec<StrainActuator> {
+    let area = 1e-4;
+    let of = |density, scale, route, effort: f64| StrainActuator {
+        density,
+        scale,
+        route,
+        effort: vec![(0.0, effort)],
+    };
+    vec![
+        of(
+            Density::Shortening,
+            1.0,
+            Route {
+                from: 0.1,
+                to: 0.83,
+                turns: 0.7,
+                ..Route::straight([8e-3, 2e-3])
+            },
+            0.3,
+        ),
+        of(
+            Density::Lengthening,
+            1.0,
+            Route {
+                offset_to: [2e-3, -4e-3],
+                ..Route::straight([-3e-3, -8e-3])
+            },
+            0.1,
+        ),
+        of(Density::Volume, area, Route::straight([0.0, 7e-3]), 1e3),
+        of(
+            Density::Muscle,
+            1e4 * area,
+            Route {
+                to: 0.6,
+                ..Route::straight([-6e-3, 0.0])
+            },
+            0.6,
+        ),
+        of(
+            Density::Braid {
+                fibre: 2.0,
+                turns: 30.0,
+            },
+            1.0,
+            Route::straight([0.0, -5e-3]),
+            50.0,
+        ),
+    ]
+}
+
+fn arm(
+    rule: StrainRule,
+    model: RodModel,
+    scheme: TimeScheme,
+    actuators: Vec<StrainActuator>,
+) -> Rod {
+    let section = SectionProfile::Uniform(Section::circle(&silicone(), 0.01));
+    Rod::new(&RodParameters {
+        strain_rule: rule,
+        model,
+        scheme,
+        gravity: Vector3::new(-9.81, 0.0, 0.0),
+        rest_curvature: Vector3::new(0.0, 2.0, 1.0),
+        actuators,
+        ..RodParameters::straight(LENGTH, 10, section)
+    })
+    .expect("a rod")
+}
+
+fn potential(rod: &Rod, state: &State) -> f64 {
+    let at = &state.configuration;
+    let efforts = rod.actuators.efforts(0.0);
+    Energy::of(rod, state).total() + rod.actuator_energy(&at.positions, &at.rotations, &efforts)
+}
+
+/// Runs for a time, and returns the change of energy with constant efforts at the end, and the largest on the way.
+fn wander(rod: &Rod, step: f64, duration: f64) -> [f64; 2] {
+    let mut stepper = Stepper::new(rod, step, State::at_rest(rod.rest.clone()));
+    let start = potential(rod, &stepper.state());
+    let mut most = 0.0_f64;
+    let mut last = 0.0;
+    for _ in 0..(duration / step).round() as usize {
+        stepper.advance([NodeWrenches::NONE; 2]).expect("a step");
+        last = potential(rod, &stepper.state()) - start;
+        most = most.max(last.abs());
+    }
+    [last, most]
+}
+
+/// With constant efforts `E - Σ u y` has no drift, and what it wanders falls with the square of the step.
+#[test]
+fn energy_and_efforts_balance() {
+    for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
+        for (model, scheme) in [
+            (RodModel::Standard, TimeScheme::Explicit),
+            (RodModel::Consistent, TimeScheme::Explicit),
+            (RodModel::Standard, TimeScheme::Implicit),
+        ] {
+            let rod = arm(rule, model, scheme, actuators());
+            let step = 0.5 * stable_step(&rod);
+            let coarse = wander(&rod, step, 0.2);
+            let fine = wander(&rod, 0.5 * step, 0.2);
+            eprintln!("{rule:?} {model:?} {scheme:?}: {coarse:?} {fine:?}");
+            assert!(
+                fine[1] < 0.35 * coarse[1],
+                "{rule:?} {model:?} {scheme:?}: {coarse:?} {fine:?}"
+            );
+        }
+    }
+}
