@@ -7,21 +7,33 @@ use super::problem::{Component, OptimalControlProblem};
 use crate::mechanics::actuator::{StateView, flat};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::linearization::{AdjointSweep, Motion};
-use crate::mechanics::sensitivity::Sensitivities;
-use crate::mechanics::{ControlSignal, FormTerm, StateForm, Trajectory, Wrench};
+use crate::mechanics::sensitivity::{EffortPulls, Sensitivities, interval_share};
+use crate::mechanics::{ControlSignal, FormTerm, StateForm, TimeScheme, Trajectory, Wrench};
 
-/// Returns, for every component, the user-defined actuator that it controls and the index of the control; `None` for a component of a
-/// wrench.
-pub(super) fn own_controls(
-    problem: &OptimalControlProblem,
-    components: &[Component],
-) -> Vec<Option<(usize, usize)>> {
+/// What a component of the control acts on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Target {
+    /// A node, as a component of its wrench.
+    Node,
+    /// A user-defined actuator, and the index of its control.
+    Own(usize, usize),
+    /// An actuator of the rod: its index among those that are driven.
+    Effort(usize),
+}
+
+/// Returns what every component acts on.
+pub(super) fn targets(problem: &OptimalControlProblem, components: &[Component]) -> Vec<Target> {
     (components.iter())
-        .map(|component| problem.own_control(component))
+        .map(|component| {
+            let own =
+                (problem.own_control(component)).map(|(actuator, i)| Target::Own(actuator, i));
+            let effort = || problem.effort(component).map(Target::Effort);
+            own.or_else(effort).unwrap_or(Target::Node)
+        })
         .collect()
 }
 
-/// The user-defined actuators along a trajectory under a control.
+/// The user-defined actuators, and those of the rod, along a trajectory under a control.
 pub(super) struct ActingAlong<'a> {
     problem: &'a OptimalControlProblem,
     /// The controls.
@@ -30,6 +42,8 @@ pub(super) struct ActingAlong<'a> {
     nodes: Vec<Vec<usize>>,
     /// Derivative of the wrenches along the controls at every time node, actuator by actuator.
     jacobians: Vec<Vec<Mat<f64>>>,
+    /// Wrenches of unit efforts of the driven actuators of the rod.
+    pulls: Option<EffortPulls>,
 }
 
 impl<'a> ActingAlong<'a> {
@@ -39,7 +53,7 @@ impl<'a> ActingAlong<'a> {
         signal: ControlSignal,
         trajectory: &Trajectory,
     ) -> Option<Self> {
-        if problem.acting.is_empty() {
+        if !problem.depends_on_configuration() {
             return None;
         }
         let rod = &problem.rod;
@@ -58,21 +72,34 @@ impl<'a> ActingAlong<'a> {
             nodes: (problem.acting.iter())
                 .map(|acting| acting.actuator.nodes(rod))
                 .collect(),
+            pulls: (problem.efforts.as_ref()).map(|efforts| {
+                EffortPulls::of(&problem.motion(), trajectory, &efforts.actuators, None)
+            }),
             problem,
             signal,
             jacobians,
         })
     }
 
-    /// Calls `visit(node, component, derivative)` for every component of a wrench at time node `k` that one control changes.
-    pub fn visit(&self, k: usize, own: (usize, usize), visit: &mut dyn FnMut(usize, usize, f64)) {
-        let (actuator, control) = own;
+    /// Calls `visit(time, node, component, derivative)` for every component of a wrench at time node `k` that one control changes by its
+    /// value at the time node `time`.
+    pub fn visit(&self, k: usize, target: Target, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
+        let (actuator, control) = match target {
+            Target::Node => return,
+            Target::Own(actuator, control) => (actuator, control),
+            Target::Effort(index) => {
+                if let Some(pulls) = &self.pulls {
+                    pulls.visit(k, index, visit);
+                }
+                return;
+            }
+        };
         let jacobian = &self.jacobians[actuator][k];
         for (i, &node) in self.nodes[actuator].iter().enumerate() {
             for component in 0..6 {
                 let slope = jacobian[(6 * i + component, control)];
                 if slope != 0.0 {
-                    visit(node, component, slope);
+                    visit(k, node, component, slope);
                 }
             }
         }
@@ -80,8 +107,15 @@ impl<'a> ActingAlong<'a> {
 
     /// Returns the first-order change of all wrenches with a change of the controls.
     pub fn change(&self, change: &ControlSignal) -> ControlSignal {
+        let n_nodes = self.problem.rod.n_nodes();
+        let driven = self
+            .problem
+            .efforts
+            .as_ref()
+            .map(|efforts| efforts.actuators.len());
         let mut nodes = change.nodes.clone();
         nodes.extend(self.nodes.iter().flatten());
+        nodes.extend(0..if driven.is_some() { n_nodes } else { 0 });
         let mut wrenches = Vec::with_capacity(nodes.len() * (self.problem.grid.n_steps + 1));
         for k in 0..=self.problem.grid.n_steps {
             let here = change.at(k);
@@ -98,6 +132,20 @@ impl<'a> ActingAlong<'a> {
                         Wrench::from_array(std::array::from_fn(|c| row(6 * node + c)))
                     }));
             }
+            let Some(driven) = driven else {
+                continue;
+            };
+            let mut sums = vec![[0.0; 6]; n_nodes];
+            for index in 0..driven {
+                self.visit(
+                    k,
+                    Target::Effort(index),
+                    &mut |time, node, component, slope| {
+                        sums[node][component] += slope * change.at(time).effort(index);
+                    },
+                );
+            }
+            wrenches.extend(sums.into_iter().map(Wrench::from_array));
         }
         ControlSignal::on(nodes, wrenches)
     }
@@ -112,7 +160,7 @@ impl<'a> ActingAlong<'a> {
         components: &[Component],
     ) -> (Vec<OwnCurvature>, Vec<ControlCurvature>) {
         let problem = self.problem;
-        let own = own_controls(problem, components);
+        let own = targets(problem, components);
         let (mut along_states, mut along_controls) = (Vec::new(), Vec::new());
         for k in 0..=problem.grid.n_steps {
             let at = StateView::of(&problem.rod, &motion.grid, trajectory, k);
@@ -139,7 +187,7 @@ impl<'a> ActingAlong<'a> {
                         let mut entries = Vec::new();
                         for (coefficient, weight) in problem.control.weights(k) {
                             for (i, component) in components.iter().enumerate() {
-                                if own[i] == Some((index, control)) && weight != 0.0 {
+                                if own[i] == Target::Own(index, control) && weight != 0.0 {
                                     let unit = problem.channel(component).unit();
                                     entries
                                         .push((coefficient * components.len() + i, weight * unit));
@@ -154,13 +202,15 @@ impl<'a> ActingAlong<'a> {
                     .collect();
                 along_controls.push(ControlCurvature {
                     forms: (bent.iter())
-                        .map(|&i| StateForm {
-                            time_node: k,
-                            terms: vec![FormTerm {
-                                node: rows[i].0,
-                                component: rows[i].1,
-                                coefficient: 1.0,
-                            }],
+                        .map(|&i| {
+                            vec![StateForm {
+                                time_node: k,
+                                terms: vec![FormTerm {
+                                    node: rows[i].0,
+                                    component: rows[i].1,
+                                    coefficient: 1.0,
+                                }],
+                            }]
                         })
                         .collect(),
                     cross: Mat::from_fn(bent.len(), u.len(), |i, c| matrix[(bent[i], n + c)]),
@@ -169,15 +219,100 @@ impl<'a> ActingAlong<'a> {
                 });
             }
         }
+        if let Some(efforts) = &problem.efforts {
+            let driven = &efforts.actuators;
+            self.effort_curvature(
+                motion,
+                trajectory,
+                costates,
+                driven,
+                &own,
+                &mut along_controls,
+            );
+        }
         (along_states, along_controls)
+    }
+
+    /// Appends the mixed second derivatives of the wrenches of the rod's actuators, along efforts and configuration: one form for every
+    /// effort and time node, or under the implicit scheme for every effort and interval. Those along the configuration alone belong to the
+    /// elements.
+    fn effort_curvature(
+        &self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        costates: &AdjointSweep,
+        driven: &[usize],
+        targets: &[Target],
+        out: &mut Vec<ControlCurvature>,
+    ) {
+        let problem = self.problem;
+        let n_steps = problem.grid.n_steps;
+        let intervals = problem.rod.scheme == TimeScheme::Implicit;
+        let covector = |set: usize, end: usize, node: usize| {
+            let wrench = costates.wrench(motion, set + end, node);
+            let share = if intervals {
+                interval_share(set + end, n_steps)
+            } else {
+                1.0
+            };
+            Wrench {
+                force: wrench.force * share,
+                moment: wrench.moment * share,
+            }
+        };
+        let pulls = EffortPulls::of(motion, trajectory, driven, Some(&covector));
+        let (n_sets, ends) = if intervals {
+            (n_steps, 2)
+        } else {
+            (n_steps + 1, 1)
+        };
+        let n_components = targets.len();
+        let form = |set: usize, end: usize, index: usize| StateForm {
+            time_node: set + end,
+            terms: (pulls.slopes(set, end, index).iter().enumerate())
+                .filter(|(_, slope)| **slope != 0.0)
+                .map(|(at, slope)| FormTerm {
+                    node: at / 6,
+                    component: at % 6,
+                    coefficient: *slope,
+                })
+                .collect(),
+        };
+        for set in 0..n_sets {
+            let columns = (0..driven.len())
+                .map(|index| {
+                    let mut entries = Vec::new();
+                    for time in set..set + ends {
+                        for (coefficient, weight) in problem.control.weights(time) {
+                            for (at, target) in targets.iter().enumerate() {
+                                if *target == Target::Effort(index) && weight != 0.0 {
+                                    let unit = problem.unit_of_effort(index);
+                                    let column = coefficient * n_components + at;
+                                    entries.push((column, weight * unit / ends as f64));
+                                }
+                            }
+                        }
+                    }
+                    entries
+                })
+                .collect();
+            out.push(ControlCurvature {
+                forms: (0..driven.len())
+                    .map(|index| (0..ends).map(|end| form(set, end, index)).collect())
+                    .collect(),
+                cross: Mat::identity(driven.len(), driven.len()),
+                own: Mat::zeros(driven.len(), driven.len()),
+                columns,
+            });
+        }
     }
 }
 
 /// Second derivatives of an actuator's term in the Lagrangian at one time node, with respect to its controls and to controls and
 /// configuration.
 pub(super) struct ControlCurvature {
-    /// Forms of the configuration on which the wrenches depend.
-    pub forms: Vec<StateForm>,
+    /// Forms of the configuration on which the wrenches depend, each a sum.
+    pub forms: Vec<RowGradient>,
     /// Mixed derivatives, forms by controls.
     cross: Mat<f64>,
     /// Derivatives along two controls.
@@ -189,7 +324,7 @@ pub(super) struct ControlCurvature {
 impl ControlCurvature {
     /// Returns the forms as rows of a sweep.
     pub fn gradients(&self) -> impl Iterator<Item = RowGradient> {
-        self.forms.iter().map(|form| vec![form.clone()])
+        self.forms.iter().cloned()
     }
 
     /// Adds these derivatives to a Hessian over the columns. The forms are the rows from `first` on of `values` (by columns) and of
@@ -210,6 +345,9 @@ impl ControlCurvature {
             for &(column, weight) in entries {
                 for i in 0..self.forms.len() {
                     let factor = weight * self.cross[(i, control)];
+                    if factor == 0.0 {
+                        continue;
+                    }
                     for other in 0..values.ncols() {
                         let product = factor * values[(first + i, other)];
                         curvature[(column, other)] += product;

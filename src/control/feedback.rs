@@ -27,7 +27,7 @@ use faer::linalg::solvers::Solve as _;
 use faer::matrix_free::eigen::{PartialEigenParams, partial_svd, partial_svd_scratch};
 use faer::{Accum, Col, Mat, Par, Side};
 
-use super::acting::{ActingAlong, own_controls};
+use super::acting::{ActingAlong, Target, targets};
 use super::problem::OptimalControlProblem;
 use super::transcription::Transcription;
 use crate::mechanics::forms::NODE_COMPONENTS;
@@ -153,20 +153,21 @@ impl Feedback {
         }
         let control = problem.signal(&problem.control, coefficients);
         let motion = Motion {
-            control: (!problem.acting.is_empty()).then_some(&control),
+            control: problem.depends_on_configuration().then_some(&control),
             ..problem.motion()
         };
-        let own = own_controls(problem, &components);
+        let targets = targets(problem, &components);
         let acting = ActingAlong::of(problem, control.clone(), trajectory);
         let visit: &InputVisitor = &|k, visit| {
             for (index, &(node, axis)) in inputs.iter().enumerate() {
-                match (own[index], &acting) {
-                    (Some(own), Some(acting)) => {
-                        acting.visit(k, own, &mut |node, axis, slope| {
+                match (targets[index], &acting) {
+                    (Target::Node, _) | (_, None) => visit(index, node, axis, 1.0),
+                    // The input is constant over the block.
+                    (target, Some(acting)) => {
+                        acting.visit(k, target, &mut |_, node, axis, slope| {
                             visit(index, node, axis, slope);
                         });
                     }
-                    _ => visit(index, node, axis, 1.0),
                 }
             }
         };

@@ -12,7 +12,7 @@ use super::tracking::Tracking;
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::sparse_motion::SparseMotion;
-use crate::mechanics::{ControlSignal, Rod, State, TimeGrid, Wrench};
+use crate::mechanics::{ControlSignal, Efforts, Rod, State, TimeGrid, Wrench};
 use crate::stop::StopSignal;
 
 /// Limit of one of the two vectors of a wrench.
@@ -140,7 +140,8 @@ impl Channel {
     }
 }
 
-/// A controllable wrench on one node, or six controls of a [user-defined actuator](crate::mechanics::Actuator).
+/// A controllable wrench on one node, or six controls of a [user-defined actuator](crate::mechanics::Actuator), or six efforts of
+/// [actuators on the strains](crate::mechanics::StrainActuator).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActuatedNode {
     /// Index of the node; for a user-defined actuator its first node.
@@ -313,6 +314,9 @@ pub struct OptimalControlProblem {
     pub actuators: Vec<ActuatedNode>,
     /// User-defined actuators. Their controls are the last of the `actuators`, in the order of force and moment.
     pub acting: Vec<Acting>,
+    /// The actuators of the rod whose efforts are controls, beside their given efforts; `None` if there are none. The efforts follow the
+    /// controls of user-defined actuators among the `actuators`, in the order of force and moment.
+    pub efforts: Option<Efforts>,
     /// Goals to be reached.
     pub goals: Vec<Goal>,
     /// Equilibrium in which the arm stays from the end of the horizon on; `None` if it may go on moving.
@@ -426,10 +430,10 @@ impl OptimalControlProblem {
     }
 
     /// Returns the number of unknowns of the configurations for the sparse route, if it [supports](SparseMotion::unknowns_per_time_node)
-    /// the rod; `None` with user-defined actuators.
+    /// the rod; `None` with user-defined actuators or actuators on the strains.
     #[must_use]
     pub fn n_states(&self) -> Option<usize> {
-        if !self.acting.is_empty() {
+        if !self.acting.is_empty() || !self.rod.actuators.is_empty() {
             return None;
         }
         SparseMotion::unknowns_per_time_node(&self.motion())
@@ -458,6 +462,7 @@ impl OptimalControlProblem {
                 moment,
             }],
             acting: Vec::new(),
+            efforts: None,
             goals: vec![goal],
             stay: None,
             path: Vec::new(),
@@ -560,7 +565,9 @@ impl OptimalControlProblem {
 
     /// Tells whether a component exists: in a wrench, or as a control of a user-defined actuator.
     fn is_control(&self, component: &Component) -> bool {
-        component.actuator < self.wrench_actuators().len() || self.own_control(component).is_some()
+        component.actuator < self.wrench_actuators().len()
+            || self.own_control(component).is_some()
+            || self.effort(component).is_some()
     }
 
     /// Returns the indices of the user-defined actuator and of its control, if the component is one.
@@ -573,11 +580,39 @@ impl OptimalControlProblem {
         })
     }
 
+    /// Returns the index of the driven actuator of the rod whose effort the component is, if it is one.
+    #[must_use]
+    pub fn effort(&self, component: &Component) -> Option<usize> {
+        let efforts = self.efforts.as_ref()?;
+        let place = 6 * component.actuator.checked_sub(efforts.first)? + component.axis;
+        efforts.places.iter().position(|own| *own == place)
+    }
+
+    /// Returns the magnitude that counts as 1 in the solver of a driven actuator's effort, by its index among those.
+    pub(super) fn unit_of_effort(&self, index: usize) -> f64 {
+        self.efforts.as_ref().map_or(1.0, |efforts| {
+            let place = efforts.places[index];
+            self.channel(&Component {
+                actuator: efforts.first + place / 6,
+                axis: place % 6,
+            })
+            .unit()
+        })
+    }
+
+    /// Tells whether a control acts by wrenches that depend on the configuration.
+    #[must_use]
+    pub fn depends_on_configuration(&self) -> bool {
+        !self.acting.is_empty() || self.efforts.is_some()
+    }
+
     /// Returns the actuators that are wrenches on nodes.
     #[must_use]
     pub fn wrench_actuators(&self) -> &[ActuatedNode] {
-        let first = (self.acting.first()).map_or(self.actuators.len(), |acting| acting.first);
-        &self.actuators[..first]
+        let own = self.acting.first().map(|acting| acting.first);
+        let efforts = self.efforts.as_ref().map(|efforts| efforts.first);
+        let first = own.into_iter().chain(efforts).min();
+        &self.actuators[..first.unwrap_or(self.actuators.len())]
     }
 
     /// Returns the nodes with a controllable wrench.
@@ -730,7 +765,7 @@ impl OptimalControlProblem {
             nodes: self.actuated_nodes(),
             wrenches,
             acting: self.acting.clone(),
-            efforts: None,
+            efforts: self.efforts.clone(),
         }
     }
 }

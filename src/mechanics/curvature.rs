@@ -37,6 +37,7 @@ use super::lanes::curved::{CurvedEnd, StressBlocks};
 use super::lanes::vector::{Mat3, Vec3};
 use super::linearization::{AdjointSweep, Motion};
 use super::load::LoadFrame;
+use super::rod::Rod;
 use super::rotation::exp;
 
 /// Second derivative along `(δx_b - δx_a, ζ_a, ζ_b)` of an element; symmetric.
@@ -168,24 +169,9 @@ pub fn element_curvature(
     covector: &SVector<f64, 9>,
 ) -> ElementCurvature {
     if element.model.has_potential() {
-        let vectors = [0, 3, 6].map(|at| covector.fixed_rows::<3>(at).into_owned());
-        let displacement = Displacement::along(
-            vectors.each_ref().map(|v| Vec3::splat(Scalar, v)),
-            element.length,
-        );
-        let moved = |sign: f64| {
-            let turns = [pose.rotation_a, pose.rotation_b].map(Mat3::of_matrix);
-            let (dx, turns) = displacement.moved(Vec3::splat(Scalar, &pose.dx), turns, sign);
-            let [a, b] = turns.map(Mat3::matrix);
-            let pose = ElementPose {
-                dx: dx.vector(),
-                rotation_a: &a,
-                rotation_b: &b,
-            };
-            blocks_of(&element.stiffness(rule, &pose).1)
-        };
-        let found = [blocks_of(stiffness), moved(1.0), moved(-1.0)];
-        return nine_by_nine(&displacement.curvature(&found));
+        return conservative_curvature(element.length, pose, stiffness, covector, |pose| {
+            element.stiffness(rule, pose).1
+        });
     }
     let stiffness_at = |dx: Vector3<f64>, turn_a: &Matrix3<f64>, turn_b: &Matrix3<f64>| {
         let pose = ElementPose {
@@ -211,6 +197,48 @@ pub fn element_curvature(
     });
     let curvature = ElementCurvature::from_columns(&columns);
     0.5 * (curvature + curvature.transpose())
+}
+
+/// Second derivative of `λ·∇(-Σ u y)` of the actuators in element `q` with the given efforts, as [`element_curvature`] has that of the
+/// elastic energy; `stiffness` is [`Rod::active_stiffness`] at the same pose.
+#[must_use]
+pub fn active_curvature(
+    rod: &Rod,
+    q: usize,
+    pose: &ElementPose,
+    stiffness: &ElementStiffness,
+    efforts: &[f64],
+    covector: &SVector<f64, 9>,
+) -> ElementCurvature {
+    conservative_curvature(rod.elements[q].length, pose, stiffness, covector, |pose| {
+        let stiffness = rod.active_stiffness(q, pose, efforts);
+        stiffness.unwrap_or_else(ElementStiffness::zeros)
+    })
+}
+
+/// The curvature of a potential, from its stiffness at the pose and at poses that are moved along the covector.
+fn conservative_curvature(
+    length: f64,
+    pose: &ElementPose,
+    stiffness: &ElementStiffness,
+    covector: &SVector<f64, 9>,
+    stiffness_at: impl Fn(&ElementPose) -> ElementStiffness,
+) -> ElementCurvature {
+    let vectors = [0, 3, 6].map(|at| covector.fixed_rows::<3>(at).into_owned());
+    let displacement =
+        Displacement::along(vectors.each_ref().map(|v| Vec3::splat(Scalar, v)), length);
+    let moved = |sign: f64| {
+        let turns = [pose.rotation_a, pose.rotation_b].map(Mat3::of_matrix);
+        let (dx, turns) = displacement.moved(Vec3::splat(Scalar, &pose.dx), turns, sign);
+        let [a, b] = turns.map(Mat3::matrix);
+        blocks_of(&stiffness_at(&ElementPose {
+            dx: dx.vector(),
+            rotation_a: &a,
+            rotation_b: &b,
+        }))
+    };
+    let found = [blocks_of(stiffness), moved(1.0), moved(-1.0)];
+    nine_by_nine(&displacement.curvature(&found))
 }
 
 /// The [`StressCurvature`] of an element, from its pose and the components `w` at both ends of the interval.

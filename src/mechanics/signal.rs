@@ -4,6 +4,7 @@ use super::actuator::{Acting, StateView, component_at};
 use super::configuration::Trajectory;
 use super::load::Wrench;
 use super::rod::Rod;
+use super::strain_actuator::StrainActuators;
 use super::time::TimeGrid;
 
 /// Wrenches on some nodes at one time node. They have no effect on a held or driven node.
@@ -62,6 +63,24 @@ pub struct Efforts {
 }
 
 impl NodeWrenches<'_> {
+    /// Returns the efforts of the signal, in the order of the actuators that it drives.
+    fn effort_values(&self) -> Vec<f64> {
+        self.efforts.map_or_else(Vec::new, |efforts| {
+            let places = efforts.places.iter();
+            places
+                .map(|&place| component_at(self.wrenches, efforts.first, place))
+                .collect()
+        })
+    }
+
+    /// Returns the effort of a driven actuator, by its index among those.
+    #[must_use]
+    pub fn effort(&self, index: usize) -> f64 {
+        self.efforts.map_or(0.0, |efforts| {
+            component_at(self.wrenches, efforts.first, efforts.places[index])
+        })
+    }
+
     /// Adds the efforts of the signal to those of all actuators of a rod.
     pub fn add_efforts(&self, out: &mut [f64]) {
         let Some(efforts) = self.efforts else {
@@ -70,6 +89,68 @@ impl NodeWrenches<'_> {
         for (&actuator, &place) in efforts.actuators.iter().zip(&efforts.places) {
             out[actuator] += component_at(self.wrenches, efforts.first, place);
         }
+    }
+}
+
+/// Efforts of all actuators of a rod along a motion: those that are given, and those of a control.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EffortTable {
+    /// Number of actuators.
+    pub n_actuators: usize,
+    /// Efforts at every time node, actuator by actuator: the mean of both sides where they jump.
+    pub nodes: Vec<f64>,
+    /// Efforts of every interval, actuator by actuator: the mean of those at its two ends.
+    pub intervals: Vec<f64>,
+}
+
+impl EffortTable {
+    /// Returns the efforts on a time grid.
+    #[must_use]
+    pub fn of(
+        actuators: &StrainActuators,
+        grid: &TimeGrid,
+        control: Option<&ControlSignal>,
+    ) -> Self {
+        let n = actuators.len();
+        let mut table = Self {
+            n_actuators: n,
+            nodes: vec![0.0; n * (grid.n_steps + 1)],
+            intervals: vec![0.0; n * grid.n_steps],
+        };
+        if n == 0 {
+            return table;
+        }
+        for (k, out) in table.nodes.chunks_exact_mut(n).enumerate() {
+            actuators.write_efforts(&grid.node(k), out);
+            if let Some(control) = control {
+                control.at(k).add_efforts(out);
+            }
+        }
+        for (k, out) in table.intervals.chunks_exact_mut(n).enumerate() {
+            write_interval_efforts(actuators, grid, control, k, out);
+        }
+        table
+    }
+}
+
+/// Writes the efforts of the interval from time node `k` to the next: the mean of those just after its start and just before its end.
+pub(super) fn write_interval_efforts(
+    actuators: &StrainActuators,
+    grid: &TimeGrid,
+    control: Option<&ControlSignal>,
+    k: usize,
+    out: &mut [f64],
+) {
+    let mut end = vec![0.0; out.len()];
+    for (side, node) in grid.clock().ends_of_step(k).into_iter().enumerate() {
+        let target = if side == 0 { &mut *out } else { &mut end[..] };
+        actuators.write_efforts(&node, target);
+        if let Some(control) = control {
+            control.at(k + side).add_efforts(target);
+        }
+    }
+    for (mean, end) in out.iter_mut().zip(end) {
+        *mean = 0.5 * (*mean + end);
     }
 }
 
@@ -131,18 +212,34 @@ impl ControlSignal {
         }
     }
 
-    /// Returns the wrenches along a trajectory, including those of user-defined actuators.
+    /// Returns the wrenches along a trajectory, including those of user-defined actuators, with the efforts of the signal.
     #[must_use]
     pub fn along(&self, rod: &Rod, grid: &TimeGrid, trajectory: &Trajectory) -> Self {
         let mut nodes = self.nodes.clone();
         nodes.extend((self.acting.iter()).flat_map(|acting| acting.actuator.nodes(rod)));
+        let efforts = self.efforts.as_ref().map(|efforts| Efforts {
+            actuators: efforts.actuators.clone(),
+            first: nodes.len(),
+            places: (0..efforts.places.len()).collect(),
+        });
         let mut wrenches = Vec::with_capacity(nodes.len() * (grid.n_steps + 1));
         for k in 0..=grid.n_steps {
             let here = self.at(k);
             wrenches.extend(here.iter().map(|(_, wrench)| *wrench));
             let view = StateView::of(rod, grid, trajectory, k);
             wrenches.extend(here.acting_on(view).map(|(_, wrench)| wrench));
+            let values = here.effort_values();
+            wrenches.extend(values.chunks(6).map(|values| {
+                Wrench::from_array(std::array::from_fn(|i| {
+                    values.get(i).copied().unwrap_or(0.0)
+                }))
+            }));
         }
-        Self::on(nodes, wrenches)
+        Self {
+            nodes,
+            wrenches,
+            acting: Vec::new(),
+            efforts,
+        }
     }
 }

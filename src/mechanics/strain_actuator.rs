@@ -9,7 +9,7 @@
 //! interval, with the mean of the efforts at its two ends.
 
 use nalgebra::{SMatrix, Vector3};
-use pulp::Scalar;
+use pulp::{Scalar, Simd};
 
 use super::element::{
     ActivePoint, ActiveTangent, Density, ElementGradient, ElementPose, ElementStiffness,
@@ -151,12 +151,13 @@ pub struct PlacedPoint {
 
 impl PlacedPoint {
     /// Returns the point in an element of rest length `length` (m).
-    pub(super) fn in_element(&self, length: f64) -> ActivePoint<Scalar> {
-        let of = |value: f64| Lanes::splat(Scalar, value);
+    #[inline(always)]
+    pub(super) fn in_element<S: Simd>(&self, simd: S, length: f64) -> ActivePoint<S> {
+        let of = |value: f64| Lanes::splat(simd, value);
         ActivePoint {
             weight: of(self.weight / length),
-            offset: self.offset.map(of),
-            way: self.slope.map(|slope| of(slope * length)),
+            offset: [of(self.offset[0]), of(self.offset[1])],
+            way: [of(self.slope[0] * length), of(self.slope[1] * length)],
             inverse_length: of(1.0 / length),
         }
     }
@@ -300,7 +301,7 @@ impl Rod {
             angular: Vector3::zeros(),
         };
         for point in points {
-            let at = point.in_element(length);
+            let at = point.in_element(Scalar, length);
             // Stresses at the ends count half under the trapezoidal rule.
             let (slopes, ends) = match self.strain_rule {
                 StrainRule::Helical => (at.slopes::<1>(point.density, linear, psi), 1.0),
@@ -327,7 +328,7 @@ impl Rod {
         let (linear, psi) = stretched(strain, length);
         let mut sum = ActiveTangent::zero(Scalar);
         for point in self.actuators.on(q) {
-            let at = point.in_element(length);
+            let at = point.in_element(Scalar, length);
             let bends = match self.strain_rule {
                 StrainRule::Helical => at.bends::<1>(point.density, linear, psi),
                 StrainRule::Trapezoidal => at.bends::<2>(point.density, linear, psi),
@@ -377,6 +378,23 @@ impl Rod {
         Some(bent + b.transpose() * self.active_tangent(q, &strain, efforts) * b)
     }
 
+    /// Returns the derivative along the pose at the end of an interval of the pull there of the stress at the mean strain; `None` if no
+    /// actuator passes the element.
+    pub(super) fn arriving_active_stiffness(
+        &self,
+        q: usize,
+        poses: &[ElementPose; 2],
+        efforts: &[f64],
+    ) -> Option<ElementStiffness> {
+        let (element, rule) = (&self.elements[q], self.strain_rule);
+        let start = rule.strain(element.length, &poses[0]);
+        let (end, b) = rule.strain_derivative(element.length, &poses[1]);
+        let mean = start.mean(&end);
+        let stress = self.active_stress(q, &mean, efforts)?;
+        let bent = element.stiffness_under(rule, &poses[1], &stress, 0.0);
+        Some(bent + b.transpose() * self.active_tangent(q, &mean, efforts) * b * 0.5)
+    }
+
     /// Returns the coordinates `y` of the actuators in a configuration, each in the unit of work over that of its effort.
     #[must_use]
     pub fn actuator_coordinates(
@@ -398,7 +416,7 @@ impl Rod {
                 StrainRule::Trapezoidal => 2,
             };
             for point in points {
-                let at = point.in_element(element.length);
+                let at = point.in_element(Scalar, element.length);
                 out[point.actuator] += at.value(point.density, &linear[..ends], psi);
             }
         }

@@ -221,6 +221,7 @@ impl Task {
             control,
             actuators,
             acting,
+            efforts: None,
             rod: Arc::new(rod),
         };
         check_start(&discrete)?;

@@ -253,7 +253,7 @@ pub(crate) fn signal(
         nodes: problem.actuated_nodes(),
         wrenches,
         acting: problem.acting.clone(),
-        efforts: None,
+        efforts: problem.efforts.clone(),
     }
 }
 

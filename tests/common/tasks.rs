@@ -150,6 +150,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
         initial: State::at_rest(rod.rest.clone()),
         control: ControlGrid::new(Hold::Cubic, 4, BUSY_STEPS, grid.step).unwrap(),
         acting: Vec::new(),
+        efforts: None,
         actuators: vec![actuator(rod.tip()), actuator(2)],
         goals: vec![via, near],
         path: limits(),

@@ -601,6 +601,7 @@ fn kernels_equal_the_clear_code() {
         let trajectory = random_trajectory(&rod, &initial, grid, &mut dice);
         let control = ControlSignal {
             nodes: Vec::new(),
+            efforts: None,
             acting: vec![Acting {
                 actuator: SharedActuator::new(Cable),
                 first: 0,

@@ -54,6 +54,7 @@ fn free_rod(
         initial: State::at_rest(rod.rest.clone()),
         control,
         acting: Vec::new(),
+        efforts: None,
         actuators: (0..2)
             .map(|node| ActuatedNode {
                 node,

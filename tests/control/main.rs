@@ -16,5 +16,6 @@ mod optimal_control;
 mod path_constraints;
 mod path_tracking;
 mod staying;
+mod strain_actuators;
 mod terms;
 mod tilt;

@@ -62,6 +62,7 @@ impl Case {
             initial: State::at_rest(rod.rest.clone()),
             control: ControlGrid::new(Hold::Constant, 5, n_steps, step).unwrap(),
             acting: Vec::new(),
+            efforts: None,
             actuators: vec![ActuatedNode {
                 node: rod.tip(),
                 force: Channel::new(scales.force, None),
@@ -218,6 +219,7 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
         initial: State::at_rest(rod.rest.clone()),
         control: ControlGrid::new(Hold::Constant, n_blocks, n_steps, step).unwrap(),
         acting: Vec::new(),
+        efforts: None,
         actuators: vec![ActuatedNode {
             node: rod.tip(),
             force: Channel::new(2.0, Some(Bound::PerAxis(Vector3::new(0.0, 0.0, 1e3)))),

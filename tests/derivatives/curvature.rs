@@ -382,6 +382,7 @@ impl Blocks {
     fn nothing(&self) -> ControlSignal {
         ControlSignal {
             acting: Vec::new(),
+            efforts: None,
             nodes: vec![self.node],
             wrenches: vec![Wrench::default(); self.n_steps + 1],
         }
@@ -467,6 +468,7 @@ impl Case {
             initial,
             control: ControlSignal {
                 acting: Vec::new(),
+                efforts: None,
                 nodes: vec![node],
                 wrenches,
             },

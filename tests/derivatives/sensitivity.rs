@@ -65,6 +65,7 @@ impl Blocks {
             nodes: self.nodes.clone(),
             wrenches,
             acting: Vec::new(),
+            efforts: None,
         }
     }
 }

@@ -65,6 +65,7 @@ fn problem(look: Look) -> OptimalControlProblem {
         },
         control: ControlGrid::new(look.hold, BLOCKS, look.steps, step).unwrap(),
         acting: Vec::new(),
+        efforts: None,
         actuators: vec![ActuatedNode {
             node: tip,
             force: Channel::new(scales.force, None),

@@ -72,7 +72,7 @@ impl Feedback {
         trajectory: &Trajectory,
     ) -> Result<Vec<ModelMismatch>, StepError> {
         let mut out = Vec::new();
-        if !problem.acting.is_empty() {
+        if problem.depends_on_configuration() {
             return Ok(out);
         }
         for quantity in [Quantity::Stiffness, Quantity::Mass, Quantity::Damping] {

@@ -45,7 +45,7 @@ impl Transcription<'_> {
         multipliers: &Multipliers,
     ) -> Result<AdjointSweep, Failure> {
         let outcome = self.outcome(point, costs, multipliers);
-        let own = (!self.problem.acting.is_empty()).then(|| self.signal(&point.variables));
+        let own = (self.problem.depends_on_configuration()).then(|| self.signal(&point.variables));
         let motion = Motion {
             control: own.as_ref(),
             ..self.problem.motion()

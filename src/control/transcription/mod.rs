@@ -284,7 +284,7 @@ impl<'a> Transcription<'a> {
 
     /// Evaluates user-defined actuators at a point; `None` if there are none.
     fn acting(&self, point: &LiftedPoint) -> Option<ActingAlong<'_>> {
-        if self.problem.acting.is_empty() {
+        if !self.problem.depends_on_configuration() {
             return None;
         }
         ActingAlong::of(

@@ -2,7 +2,7 @@
 
 use faer::Mat;
 
-use crate::control::acting::{ActingAlong, own_controls};
+use crate::control::acting::{ActingAlong, Target, targets};
 use crate::control::path::RowGradient;
 use crate::control::problem::{Component, OptimalControlProblem};
 use crate::mechanics::sensitivity::ControlColumns;
@@ -72,8 +72,8 @@ pub(super) struct Columns<'a> {
     pub(super) problem: &'a OptimalControlProblem,
     pub(super) components: &'a [Component],
     pub(super) acting: Option<&'a ActingAlong<'a>>,
-    /// Control of a user-defined actuator that each component is, if any.
-    pub(super) own: Vec<Option<(usize, usize)>>,
+    /// What each component acts on.
+    pub(super) targets: Vec<Target>,
 }
 
 impl<'a> Columns<'a> {
@@ -86,7 +86,7 @@ impl<'a> Columns<'a> {
             problem,
             components,
             acting,
-            own: own_controls(problem, components),
+            targets: targets(problem, components),
         }
     }
 }
@@ -97,30 +97,31 @@ impl ControlColumns for Columns<'_> {
     }
 
     fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
-        for (coefficient, weight) in self.problem.control.weights(k) {
-            if weight == 0.0 {
-                continue;
-            }
-            for (at, component) in self.components.iter().enumerate() {
-                let column = coefficient * self.components.len() + at;
-                let weight = weight * self.problem.channel(component).unit();
-                match (self.own[at], self.acting) {
-                    (None, _) => {
-                        let node = self.problem.actuators[component.actuator].node;
-                        visit(column, node, component.axis, weight);
+        let n = self.components.len();
+        for (at, component) in self.components.iter().enumerate() {
+            let unit = self.problem.channel(component).unit();
+            let mut visit_at = |time: usize, node: usize, axis: usize, slope: f64| {
+                for (coefficient, weight) in self.problem.control.weights(time) {
+                    if weight != 0.0 {
+                        visit(coefficient * n + at, node, axis, weight * unit * slope);
                     }
-                    (Some(own), Some(acting)) => {
-                        acting.visit(k, own, &mut |node, component, slope| {
-                            visit(column, node, component, weight * slope);
-                        });
-                    }
-                    (Some(_), None) => {}
                 }
+            };
+            match (self.targets[at], self.acting) {
+                (Target::Node, _) => {
+                    let node = self.problem.actuators[component.actuator].node;
+                    visit_at(k, node, component.axis, 1.0);
+                }
+                (target, Some(acting)) => acting.visit(k, target, &mut visit_at),
+                (_, None) => {}
             }
         }
     }
 
     fn n_started(&self, k: usize) -> usize {
+        // Under the implicit scheme an effort acts from the interval before its time node on.
+        let early = usize::from(self.problem.efforts.is_some());
+        let k = (k + early).min(self.problem.grid.n_steps);
         self.problem.control.n_started(k) * self.components.len()
     }
 }

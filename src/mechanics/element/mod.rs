@@ -70,6 +70,17 @@ pub struct ElementStrain {
     pub curvature: Vector3<f64>,
 }
 
+impl ElementStrain {
+    /// Returns the mean of two strains.
+    #[must_use]
+    pub fn mean(&self, other: &Self) -> Self {
+        Self {
+            linear: [0, 1].map(|end| 0.5 * (self.linear[end] + other.linear[end])),
+            curvature: 0.5 * (self.curvature + other.curvature),
+        }
+    }
+}
+
 /// Stress of one element over an [interval](super::implicit), conjugate to an [`ElementStrain`]: the energy changes by
 /// `l/2 Σ_ends n·δv + l m·δκ`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -195,6 +195,26 @@ impl<S: Simd> Displacement<S> {
         }
     }
 
+    /// Returns displacements along two covectors at once, by the same step.
+    #[inline(always)]
+    pub fn along_both(start: [Vec3<S>; 3], end: [Vec3<S>; 3], length: f64) -> [Self; 2] {
+        let [start, end] = [start, end].map(|covector| Self::along(covector, length));
+        // A zero covector has size one, which is no size to compare with.
+        let none = |d: &Self| {
+            let [dx, a, b] = d.covector.map(|v| v.dot(v));
+            dx + a + b
+        };
+        let own = |d: &Self| {
+            let zero = Lanes::splat(d.size.simd, 0.0);
+            none(d).select_below(f64::MIN_POSITIVE, zero, d.size)
+        };
+        let one = Lanes::splat(start.size.simd, 1.0);
+        let size = own(&start).max(own(&end));
+        let size = size.select_below(f64::MIN_POSITIVE, one, size);
+        let step = one / size * DIFFERENCE_STEP;
+        [start, end].map(|d| Self { size, step, ..d })
+    }
+
     /// Returns the pose moved by `sign` steps.
     #[inline(always)]
     pub fn moved(&self, dx: Vec3<S>, [a, b]: [Mat3<S>; 2], sign: f64) -> (Vec3<S>, [Mat3<S>; 2]) {
@@ -210,16 +230,31 @@ impl<S: Simd> Displacement<S> {
         (ahead - behind) * (self.size * (0.5 / DIFFERENCE_STEP))
     }
 
-    /// Returns the curvature, from the stiffness here, ahead and behind.
+    /// Returns the derivative along the pose of the gradient's product with the covector, from the gradients here, ahead and behind: `Kᵀ λ =
+    /// E_λ g + λ × g`, the second term for rotations only.
     #[inline(always)]
-    pub fn curvature(&self, [here, ahead, behind]: &[Blocks<S>; 3]) -> Blocks<S> {
+    pub fn slope(&self, [here, ahead, behind]: &[[Vec3<S>; 3]; 3]) -> [Vec3<S>; 3] {
+        let scale = self.size * (0.5 / DIFFERENCE_STEP);
+        let change = |i: usize| (ahead[i] - behind[i]) * scale;
+        let turned = |i: usize| change(i) + self.covector[i].cross(here[i]);
+        [change(0), turned(1), turned(2)]
+    }
+
+    /// Returns the block of the curvature with rows along the pose of this displacement and columns along that of another one, which moved
+    /// by the same step, from the derivatives of the gradient here, ahead and behind.
+    #[inline(always)]
+    pub fn mixed_curvature(
+        &self,
+        other: &Self,
+        [here, ahead, behind]: &[Blocks<S>; 3],
+    ) -> Blocks<S> {
         let simd = self.size.simd;
         let mut k = [[Mat3::zero(simd); 3]; 3];
         for i in 0..3 {
             for j in 0..3 {
                 let mut block = self.difference(ahead[i][j], behind[i][j]);
                 if j > 0 {
-                    block = block - here[i][j].product_hat(self.covector[j]);
+                    block = block - here[i][j].product_hat(other.covector[j]);
                 }
                 if i > 0 {
                     block = block + Mat3::hat_product(self.covector[i], here[i][j]);
@@ -227,6 +262,13 @@ impl<S: Simd> Displacement<S> {
                 k[i][j] = block;
             }
         }
+        k
+    }
+
+    /// Returns the curvature, from the stiffness here, ahead and behind.
+    #[inline(always)]
+    pub fn curvature(&self, found: &[Blocks<S>; 3]) -> Blocks<S> {
+        let mut k = self.mixed_curvature(self, found);
         for i in 0..3 {
             k[i][i] = k[i][i].symmetric();
             for j in 0..i {

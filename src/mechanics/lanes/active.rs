@@ -24,7 +24,6 @@ pub struct ActiveLanes {
     /// The actuators of the points of every block, in the order of the rows.
     kinds: Vec<(usize, Density)>,
     rows: Buffer,
-    n_lanes: usize,
     /// Efforts that the forces at the time node contain: those just before it, or none after the motion was [seated](super::LaneIntegrator).
     pub present: Vec<f64>,
     /// Efforts of the interval under way: its mean under the implicit scheme, otherwise those at its end.
@@ -87,7 +86,6 @@ impl ActiveLanes {
         Some(Box::new(Self {
             kinds,
             rows,
-            n_lanes,
             present: none.clone(),
             coming: none,
         }))

@@ -10,6 +10,8 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::rod::Rod;
+use crate::mechanics::signal::write_interval_efforts;
+use crate::mechanics::time::TimeScheme;
 
 /// Components of the configuration with their coefficients: twelve of either element beside a node.
 pub(super) type Terms = [(usize, f64); 24];
@@ -73,5 +75,12 @@ fn arriving_stiffness(
     let [start, end] = (poses.each_ref()).map(|pose| rod.strain_rule.strain(element.length, pose));
     let stress = weights.stress(element, &start, &end);
     let arriving = 0.5 * grid.step * motion.arriving_impulse();
-    element.stiffness_under(rod.strain_rule, &poses[1], &stress, weights.end) * arriving
+    let mut stiffness = element.stiffness_under(rod.strain_rule, &poses[1], &stress, weights.end);
+    if rod.scheme == TimeScheme::Implicit && !rod.actuators.is_empty() {
+        let mut efforts = vec![0.0; rod.actuators.len()];
+        write_interval_efforts(&rod.actuators, &grid, motion.control, k, &mut efforts);
+        let active = rod.arriving_active_stiffness(q, &poses, &efforts);
+        stiffness += active.unwrap_or_else(ElementStiffness::zeros);
+    }
+    stiffness * arriving
 }

@@ -2,6 +2,7 @@
 
 use pulp::Simd;
 
+use super::active::sum;
 use super::linearize::{Group, MULTIPLIER_ROWS, Reach, store_block};
 use super::solved::element_at;
 use crate::mechanics::curvature::StressCurvature;
@@ -11,6 +12,7 @@ use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::curved::{CurvedEnd, stress_curvature};
 use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS};
 use crate::mechanics::lanes::vector::{Lanes, Row, Vec3, rows};
+use crate::mechanics::time::TimeScheme;
 
 type Part = fn(&mut StressCurvature) -> &mut ElementStiffness;
 
@@ -59,7 +61,14 @@ impl Group<'_> {
             let ends = [end(poses, [12, 6], leaving), end(next, [15, 9], arriving)];
             let law = Elasticity::of::<R>(simd, element);
             let pose = P::pose::<R>;
-            let found = stress_curvature::<S, R>(&law, element.length, weights, &ends, pose);
+            let mut found = stress_curvature::<S, R>(&law, element.length, weights, &ends, pose);
+            if let (TimeScheme::Implicit, Some(active)) = (rod.scheme, &workspace.active) {
+                let active = active.part::<S>(&rod.actuators, 0);
+                let own = active.curvature::<R>(element, q, &ends, pose);
+                found.start = sum(found.start, own.start);
+                found.cross = sum(found.cross, own.cross);
+                found.end = sum(found.end, own.end);
+            }
             let parts: [(Blocks<S>, Part); 3] = [
                 (found.start, |stress| &mut stress.start),
                 (found.cross, |stress| &mut stress.cross),

@@ -7,14 +7,15 @@ use std::ops::RangeInclusive;
 use nalgebra::{SVector, Vector3};
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
+use super::active::ActiveTimes;
 use super::dilated::element_drifts;
 use super::solved::SolveRows;
 use super::step::{LinearizedStep, NodeDrift, add_reordered, pack_acting, pack_loads, square};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::curvature::{
-    InertiaCurvature, IntervalCurvature, Multipliers, StressCurvature, element_curvature,
-    load_curvatures,
+    InertiaCurvature, IntervalCurvature, Multipliers, StressCurvature, active_curvature,
+    element_curvature, load_curvatures,
 };
 use crate::mechanics::element::{
     Blocks, Displacement, Element, ElementPose, ElementStiffness, Helical, RodModel, StrainRule,
@@ -30,6 +31,7 @@ use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::{Kick, Motion, acting_derivatives, load_derivatives};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::cay_inverse;
+use crate::mechanics::signal::ControlSignal;
 use crate::mechanics::step_error::StepError;
 use crate::mechanics::time::TimeScheme;
 
@@ -58,8 +60,8 @@ impl Memory {
         let n_lanes = dispatch(arch, CountLanes);
         let possible = is_possible(motion);
         Self {
-            many: possible.then(|| Workspace::new(motion, n_lanes)),
-            single: (!possible).then(|| Workspace::new(motion, 1)),
+            many: possible.then(|| Workspace::new(motion, motion.control, n_lanes)),
+            single: (!possible).then(|| Workspace::new(motion, motion.control, 1)),
         }
     }
 
@@ -126,7 +128,8 @@ impl Memory {
     }
 
     fn single(&mut self, motion: &Motion) -> &mut Workspace {
-        self.single.get_or_insert_with(|| Workspace::new(motion, 1))
+        self.single
+            .get_or_insert_with(|| Workspace::new(motion, motion.control, 1))
     }
 }
 
@@ -319,6 +322,8 @@ pub(super) struct Workspace {
     pub intervals: Vec<IntervalCurvature>,
     /// Inertia of every node where the interval after the one time node starts and where it ends, if it is not that at rest.
     pub rotary: Option<[Vec<Vector3<f64>>; 2]>,
+    /// Efforts of the actuators, if the rod has any.
+    pub active: Option<ActiveTimes>,
 }
 
 /// `λx` and `λr` times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends, then `λx` and `μx`.
@@ -327,7 +332,7 @@ pub(super) const MULTIPLIER_ROWS: usize = 18;
 const OUT_ROWS: usize = 108;
 
 impl Workspace {
-    pub fn new(motion: &Motion, n_lanes: usize) -> Self {
+    pub fn new(motion: &Motion, control: Option<&ControlSignal>, n_lanes: usize) -> Self {
         let n_nodes = motion.rod.n_nodes();
         let solve = SolveRows::of(motion, n_lanes);
         let poses = || Buffer::zeros(n_nodes * POSE_ROWS * n_lanes);
@@ -345,6 +350,7 @@ impl Workspace {
             out: Buffer::zeros(OUT_ROWS * n_lanes),
             intervals: vec![IntervalCurvature::default(); n_lanes],
             rotary: None,
+            active: ActiveTimes::of(motion, control, n_lanes),
         }
     }
 
@@ -528,6 +534,9 @@ impl Group<'_> {
             let k = self.time_node(lane);
             self.workspace.weights[lane] = self.kick(k).weight;
             let workspace = &mut *self.workspace;
+            if let Some(active) = &mut workspace.active {
+                active.put(k, lane, n_lanes);
+            }
             let Some(multipliers) = self.along.multipliers else {
                 continue;
             };
@@ -741,10 +750,13 @@ impl Group<'_> {
         let weight = self.kick(k).weight;
         let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
         let step = &mut self.steps[0];
+        let efforts = (self.workspace.active.as_ref()).map(ActiveTimes::single);
         for (q, element) in rod.elements.iter().enumerate() {
             let pose = Rod::element_pose(q, positions, rotations);
             let (_, stiffness) = element.stiffness(rod.strain_rule, &pose);
-            step.elements[q] = square(&(stiffness * weight));
+            let active = efforts.and_then(|efforts| rod.active_stiffness(q, &pose, efforts));
+            let total = active.map_or(stiffness, |active| stiffness + active);
+            step.elements[q] = square(&(total * weight));
             if let (Some(multipliers), Some(packed)) = (multipliers, &mut step.curvature) {
                 let [a, b] = [q, q + 1].map(|node| multipliers.at(motion, k, node));
                 // The element pulls a with +F and b with -F, and turns them with -M.
@@ -753,6 +765,10 @@ impl Group<'_> {
                 let curvature =
                     element_curvature(element, rod.strain_rule, &pose, &stiffness, &covector);
                 add_reordered(&mut packed.elements[q], &curvature);
+                if let (Some(active), Some(efforts)) = (active, efforts) {
+                    let curvature = active_curvature(rod, q, &pose, &active, efforts, &covector);
+                    add_reordered(&mut packed.elements[q], &curvature);
+                }
             }
         }
     }
@@ -769,8 +785,11 @@ impl Group<'_> {
             multipliers,
             weights,
             out,
+            active,
             ..
         } = &mut *self.workspace;
+        let actuators = &self.along.motion.rod.actuators;
+        let active = active.as_ref().map(|active| active.part::<S>(actuators, 0));
         let poses = rows::<S>(poses);
         let multipliers = rows::<S>(multipliers);
         let weight = Lanes {
@@ -803,7 +822,10 @@ impl Group<'_> {
                 } else {
                     displacement.moved(dx, turns, *sign)
                 };
-                *found = R::stiffness(element, dx, a, b);
+                *found = match &active {
+                    Some(active) => active.stiffness::<R>(element, q, dx, a, b),
+                    None => R::stiffness(element, dx, a, b),
+                };
             }
             for (i, blocks) in found[0].iter().enumerate() {
                 for (j, block) in blocks.iter().enumerate() {

@@ -12,6 +12,7 @@
 //! every tile records its rows `Z_k`, multiplies them by the banded `Q`, and each pair of tiles adds up its block of
 //! `H` over a batch of time nodes.
 
+mod active;
 mod arriving;
 mod bent;
 mod columns;
@@ -48,6 +49,7 @@ use super::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use super::signal::ControlSignal;
 use super::step_error::StepError;
 
+pub use self::active::{Covectors, EffortPulls, interval_share};
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;
 pub use self::step::{

@@ -58,7 +58,7 @@ pub(super) fn defects_on(
     } = *motion;
     let (n, h) = (rod.n_nodes(), grid.step);
     let first = rod.first_free_node();
-    let mut many = in_lanes.then(|| Memory::new(motion, dispatch(arch, CountLanes)));
+    let mut many = in_lanes.then(|| Memory::new(motion, control, dispatch(arch, CountLanes)));
     let mut single = None;
     let n_lanes = many.as_ref().map_or(1, |memory| memory.n_lanes);
     let zeros = vec![Vector3::zeros(); n * grid.n_steps];
@@ -82,7 +82,7 @@ pub(super) fn defects_on(
             let (memory, lane) = match &many {
                 Some(memory) if memory.is_regular(motion, lane) => (memory, lane),
                 _ => {
-                    let memory = single.get_or_insert_with(|| Memory::new(motion, 1));
+                    let memory = single.get_or_insert_with(|| Memory::new(motion, control, 1));
                     memory.evaluate_one(motion, trajectory, k)?;
                     (&*memory, 0)
                 }
@@ -165,9 +165,9 @@ struct Memory {
 }
 
 impl Memory {
-    fn new(motion: &Motion, n_lanes: usize) -> Self {
+    fn new(motion: &Motion, control: &ControlSignal, n_lanes: usize) -> Self {
         Self {
-            workspace: Workspace::new(motion, n_lanes),
+            workspace: Workspace::new(motion, Some(control), n_lanes),
             out: Buffer::zeros((motion.rod.n_nodes() * OUT_ROWS + 1) * n_lanes),
             n_lanes,
             turns: Vec::new(),
@@ -188,6 +188,11 @@ impl Memory {
     fn gather(&mut self, motion: &Motion, trajectory: &Trajectory, start: usize, end: usize) {
         let (n_lanes, n_steps) = (self.n_lanes, motion.grid.n_steps);
         self.workspace.put_poses(trajectory, start, end, n_lanes);
+        if let Some(active) = &mut self.workspace.active {
+            for lane in 0..n_lanes {
+                active.put((start + lane).min(n_steps), lane, n_lanes);
+            }
+        }
         if let Some(solve) = &mut self.workspace.solve {
             for lane in 0..n_lanes {
                 let k = (start + lane).min(n_steps);
@@ -313,7 +318,12 @@ impl Group<'_> {
                 irregular = irregular + folded_here + folded_there + folded_last;
                 let law = Elasticity::of::<R>(simd, element);
                 let strain = weights.strain::<R>(&law, &here, &there, &last);
-                let [f, m_a, m_b] = R::pull(&here, &law.stress(strain));
+                let mut stress = law.stress(strain);
+                if let Some(active) = &workspace.active {
+                    let poses = [&here, &there, &last];
+                    stress = stress.plus(weights.active::<R>(active, rod, q, poses));
+                }
+                let [f, m_a, m_b] = R::pull(&here, &stress);
                 force = force + f;
                 moment = moment - m_a;
                 (pull, twist) = (f, m_b);
@@ -325,7 +335,14 @@ impl Group<'_> {
                     irregular = irregular + (-margin).select_below(-LEAST_MARGIN, zero, one);
                 }
                 let dx = b.position - a.position;
-                let [f, m_a, m_b] = P::gradient::<R>(element, dx, a.rotation, b.rotation);
+                let [mut f, mut m_a, mut m_b] =
+                    P::gradient::<R>(element, dx, a.rotation, b.rotation);
+                if let Some(active) = &workspace.active {
+                    let pose = P::pose::<R>(dx, a.rotation, b.rotation);
+                    let efforts = active.part(&rod.actuators, 0);
+                    let [force, near, far] = efforts.gradient::<R>(q, element.length, &pose);
+                    (f, m_a, m_b) = (f + force, m_a + near, m_b + far);
+                }
                 force = force + f;
                 moment = moment - m_a;
                 (pull, twist) = (f, m_b);

@@ -514,10 +514,10 @@ impl<S: Simd> Columns<'_, S> {
             }
             self.set(node, 6, self.product_transposed(&solve.pivots[i], right));
         }
-        if let Some(coupling) = solve.coupling.get(node) {
+        if let Some((ratio, coupling)) = solve.arriving(node) {
             let mut pull: [Wide<S, V>; 9] = self.arriving_pull(node);
             for value in &mut pull {
-                *value = self.times(solve.ratio, *value);
+                *value = self.times(ratio, *value);
             }
             self.add_element(node, self.product(coupling, pull));
         }

@@ -15,14 +15,17 @@
 
 use pulp::Simd;
 
+use super::active::{ActiveTimes, sum, times};
 use super::linearize::{Group, Reach, matrix, scatter, store, store_block};
 use crate::mechanics::block_tridiagonal::{Square, invert, multiply, negate};
 use crate::mechanics::buffer::Buffer;
-use crate::mechanics::element::{Blocks, Elasticity, Stress, TangentRule};
+use crate::mechanics::element::{ActiveTangent, Blocks, Elasticity, Stress, TangentRule};
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, spin};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::linearization::{Kick, Motion};
+use crate::mechanics::rod::Rod;
+use crate::mechanics::time::TimeScheme;
 
 /// Rows of a node: `Fᵀ` and `Θ⁻¹`.
 const SPIN_ROWS: usize = 18;
@@ -41,6 +44,8 @@ pub(super) struct SolveRows {
     rates: IntervalWeights,
     /// Momenta that arrive at the end of an interval, divided by those that leave at its start, by the same stress.
     ratio: f64,
+    /// The same of a stress on which both strains have the same weight.
+    even_ratio: f64,
 }
 
 impl SolveRows {
@@ -55,11 +60,18 @@ impl SolveRows {
             weights: Buffer::zeros(WEIGHT_ROWS * n_lanes),
             rates: weights,
             ratio: weights.start / weights.end * undamped / motion.kick(0).impulse,
+            even_ratio: undamped / motion.kick(0).impulse,
         })
     }
 }
 
 impl SolveRows {
+    /// Returns the momenta that arrive at the end of an interval, divided by those that leave at its start: by the elastic and viscous
+    /// stress, and by that of actuators.
+    fn ratios(&self) -> [f64; 2] {
+        [self.ratio, self.even_ratio]
+    }
+
     /// Weights of a time node, to one lane: of the intervals after and before it where there are any.
     pub fn put_weights(
         &mut self,
@@ -91,6 +103,7 @@ impl SolveRows {
             elastic,
             after: leaving * self.rates.end,
             past: arriving * -self.rates.start,
+            impulses: [leaving, arriving],
         }
     }
 }
@@ -101,6 +114,8 @@ pub(super) struct Weights<S: Simd> {
     pub elastic: Lanes<S>,
     pub after: Lanes<S>,
     pub past: Lanes<S>,
+    /// Weights of the stresses of the intervals after and before the time node, s.
+    pub impulses: [Lanes<S>; 2],
 }
 
 impl<S: Simd> Weights<S> {
@@ -117,6 +132,57 @@ impl<S: Simd> Weights<S> {
         (strain.minus(law.rest).times(self.elastic))
             .plus(R::strain(there).minus(strain).times(self.after))
             .plus(strain.minus(R::strain(last)).times(self.past))
+    }
+
+    /// Returns the stress of the actuators in element `q`, times the weight of its impulse at a time node, from the poses there, at the next
+    /// and at the last time node: that at the time node itself, or under the implicit scheme those at the mean strains of the intervals.
+    #[inline(always)]
+    pub fn active<R: TangentRule>(
+        &self,
+        active: &ActiveTimes,
+        rod: &Rod,
+        q: usize,
+        poses: [&R::Pose<S>; 3],
+    ) -> Stress<S> {
+        let [here, there, last] = poses.map(R::strain);
+        let length = rod.elements[q].length;
+        let of = |part: usize, strain: Stress<S>, weight: Lanes<S>| {
+            let efforts = active.part(&rod.actuators, part);
+            efforts.stress::<R>(q, length, &strain).times(weight)
+        };
+        if rod.scheme == TimeScheme::Explicit {
+            return of(0, here, self.elastic);
+        }
+        let half = Lanes::splat(self.elastic.simd, 0.5);
+        let [after, before] = [there, last].map(|other| here.plus(other).times(half));
+        of(0, after, self.impulses[0]).plus(of(1, before, self.impulses[1]))
+    }
+
+    /// Returns the derivatives of [`Self::active`] along the strain at the time node, and along that at the next one.
+    #[inline(always)]
+    pub fn active_tangents<R: TangentRule>(
+        &self,
+        active: &ActiveTimes,
+        rod: &Rod,
+        q: usize,
+        poses: [&R::Pose<S>; 3],
+    ) -> [ActiveTangent<S>; 2] {
+        let simd = self.elastic.simd;
+        let [here, there, last] = poses.map(R::strain);
+        let length = rod.elements[q].length;
+        let none = ActiveTangent::zero(simd);
+        let of = |part: usize, strain: Stress<S>, weight: Lanes<S>| {
+            let efforts = active.part(&rod.actuators, part);
+            none.plus(efforts.tangent::<R>(q, length, &strain), weight)
+        };
+        if rod.scheme == TimeScheme::Explicit {
+            return [of(0, here, self.elastic), none];
+        }
+        let half = Lanes::splat(simd, 0.5);
+        let [after, before] = [there, last].map(|other| here.plus(other).times(half));
+        let after = of(0, after, self.impulses[0] * 0.5);
+        let before = of(1, before, self.impulses[1] * 0.5);
+        [after.plus(before, Lanes::splat(simd, 1.0)), after]
     }
 
     /// Returns the derivative of that strain along the strain here.
@@ -141,12 +207,21 @@ impl Group<'_> {
             }
         }
         let ratio = self.workspace.solve.as_ref().map_or(0.0, |s| s.ratio);
+        let is_uneven = (self.workspace.solve.as_ref()).is_some_and(|s| s.ratio != s.even_ratio);
+        let rod = self.along.motion.rod;
+        let is_active = !rod.actuators.is_empty() && rod.scheme == TimeScheme::Implicit;
+        let n_arriving = if is_uneven && is_active {
+            n_elements
+        } else {
+            0
+        };
         for i in 0..self.steps.len() {
             let leaves = self.leaves(self.first + i);
             let step = &mut self.steps[i].solve;
             step.ratio = if leaves { ratio } else { 0.0 };
             let n = |n: usize| if leaves { n } else { 0 };
             step.coupling.resize(n(n_elements), [[0.0; 9]; 9]);
+            step.arriving.resize(n(n_arriving), [[0.0; 9]; 9]);
             step.nodes.resize_with(n(n_nodes), Default::default);
             step.pivots.resize(n(n_free), [[0.0; 6]; 6]);
             step.below.resize(n(n_free - 1), [[0.0; 6]; 6]);
@@ -207,7 +282,10 @@ impl Group<'_> {
         let (poses, next) = (rows::<S>(&workspace.poses), rows::<S>(&workspace.next));
         let before = rows::<S>(&workspace.before);
         let weights = solve.weights(simd);
-        for (q, element) in self.along.motion.rod.elements.iter().enumerate() {
+        let rod = self.along.motion.rod;
+        let active = workspace.active.as_ref();
+        let ratios = solve.ratios();
+        for (q, element) in rod.elements.iter().enumerate() {
             let (here, folded_here) = element_at::<S, R, P>(simd, poses, q);
             let (there, folded_there) = element_at::<S, R, P>(simd, next, q);
             let (last, folded_last) = element_at::<S, R, P>(simd, before, q);
@@ -215,8 +293,25 @@ impl Group<'_> {
             let law = Elasticity::of::<R>(simd, element);
             let strain = weights.strain::<R>(&law, &here, &there, &last);
             let scaled = law.times(weights.scale());
-            let mut kicked = R::stiffness_under(&scaled, &here, &law.stress(strain));
-            let coupling = R::coupling(&law.times(weights.after), &here, &there);
+            let mut stress = law.stress(strain);
+            let active = active.map(|active| {
+                let poses = [&here, &there, &last];
+                stress = stress.plus(weights.active::<R>(active, rod, q, poses));
+                let [own, after] = weights.active_tangents::<R>(active, rod, q, poses);
+                let derivative = R::derivative(&here);
+                let coupling = after.between::<R>(&derivative, &R::derivative(&there));
+                (own.between::<R>(&derivative, &derivative), coupling)
+            });
+            let mut kicked = R::stiffness_under(&scaled, &here, &stress);
+            let mut coupling = R::coupling(&law.times(weights.after), &here, &there);
+            let mut arriving = None;
+            if let Some((own, after)) = active {
+                kicked = sum(kicked, own);
+                if ratios[0] != ratios[1] {
+                    arriving = Some(sum(times(coupling, ratios[0]), times(after, ratios[1])));
+                }
+                coupling = sum(coupling, after);
+            }
             // What the step carries to its end.
             let turned = rows::<S>(&solve.spins);
             let carry = [
@@ -238,6 +333,14 @@ impl Group<'_> {
             for (lane, step) in self.steps.iter_mut().enumerate() {
                 if let Some(packed) = step.solve.coupling.get_mut(q) {
                     scatter::<S>(target, lane, packed);
+                }
+            }
+            if let Some(arriving) = arriving {
+                store_blocks(&mut workspace.out, &arriving);
+                for (lane, step) in self.steps.iter_mut().enumerate() {
+                    if let Some(packed) = step.solve.arriving.get_mut(q) {
+                        scatter::<S>(&workspace.out, lane, packed);
+                    }
                 }
             }
         }

@@ -86,6 +86,8 @@ pub struct ReactionDrift {
 pub struct SolvedDrift {
     /// `X = ∂(B_kᵀ σ)` along the configuration at `k + 1`, over `(δx_b - δx_a, ζ_a, ζ_b)`, with the weight of the impulse.
     pub coupling: Vec<[[f64; 9]; 9]>,
+    /// `ratio X` where not all stresses have the same ratio; otherwise empty.
+    pub arriving: Vec<[[f64; 9]; 9]>,
     /// Momenta that arrive at the end of the interval, divided by those that leave at its start, by the same stress.
     pub ratio: f64,
     /// Every node.
@@ -116,9 +118,18 @@ impl SolvedDrift {
         self.nodes.is_empty()
     }
 
+    /// Returns a factor and a matrix whose product is `ratio X` of an element.
+    pub(super) fn arriving(&self, q: usize) -> Option<(f64, &[[f64; 9]; 9])> {
+        match self.arriving.get(q) {
+            Some(own) => Some((1.0, own)),
+            None => self.coupling.get(q).map(|own| (self.ratio, own)),
+        }
+    }
+
     /// Forgets all; the memory stays.
     pub(super) fn clear(&mut self) {
         self.coupling.clear();
+        self.arriving.clear();
         self.nodes.clear();
         self.pivots.clear();
         self.below.clear();

@@ -533,8 +533,8 @@ impl<S: Simd> Columns<'_, S> {
     /// solution.
     #[inline(always)]
     fn solve_first_half<const V: usize>(&mut self, solve: &SolvedDrift, node: usize) {
-        if let Some(coupling) = solve.coupling.get(node) {
-            self.arrive_from::<V>(node, solve.ratio, coupling);
+        if let Some((ratio, coupling)) = solve.arriving(node) {
+            self.arrive_from::<V>(node, ratio, coupling);
         }
         let Some(i) = node.checked_sub(self.step.first_free_node) else {
             return;

@@ -1,0 +1,547 @@
+//! Actuators on the strains, at several time nodes at a time: what their stress adds to the elements of the linearized motion.
+
+use std::marker::PhantomData;
+
+use pulp::{Arch, Simd, WithSimd};
+
+use crate::mechanics::buffer::Buffer;
+use crate::mechanics::configuration::Trajectory;
+use crate::mechanics::element::{
+    ActivePoint, ActiveTangent, Blocks, Displacement, Elasticity, Element, Helical, StrainRule,
+    Stress, TangentRule, Trapezoidal,
+};
+use crate::mechanics::lanes::curved::{CurvedEnd, StressBlocks};
+use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS, put_pose};
+use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
+use crate::mechanics::lanes::{CountLanes, dispatch};
+use crate::mechanics::linearization::Motion;
+use crate::mechanics::load::Wrench;
+use crate::mechanics::rod::Rod;
+use crate::mechanics::signal::{ControlSignal, EffortTable};
+use crate::mechanics::strain_actuator::StrainActuators;
+use crate::mechanics::time::TimeScheme;
+
+/// Efforts along a motion, and those of a group of time nodes, one in each lane.
+#[derive(Debug)]
+pub(super) struct ActiveTimes {
+    table: EffortTable,
+    /// Efforts of the time nodes, or of the intervals after them and then of those before them.
+    lanes: Buffer,
+    intervals: bool,
+}
+
+impl ActiveTimes {
+    /// Returns the efforts along a motion under a control; `None` if the rod has no actuators on its strains.
+    pub fn of(motion: &Motion, control: Option<&ControlSignal>, n_lanes: usize) -> Option<Self> {
+        let actuators = &motion.rod.actuators;
+        if actuators.is_empty() {
+            return None;
+        }
+        let intervals = motion.rod.scheme == TimeScheme::Implicit;
+        let n_rows = actuators.len() * if intervals { 2 } else { 1 };
+        Some(Self {
+            table: EffortTable::of(actuators, &motion.grid, control),
+            lanes: Buffer::zeros(n_rows * n_lanes),
+            intervals,
+        })
+    }
+
+    /// Writes the efforts of time node `k` to one lane. Before the first and after the last interval of the grid there is none.
+    pub fn put(&mut self, k: usize, lane: usize, n_lanes: usize) {
+        let n = self.table.n_actuators;
+        for actuator in 0..n {
+            if self.intervals {
+                let of =
+                    |k: Option<usize>| k.and_then(|k| self.table.intervals.get(k * n + actuator));
+                let ends = [Some(k), k.checked_sub(1)].map(|k| of(k).copied().unwrap_or(0.0));
+                for (part, effort) in ends.into_iter().enumerate() {
+                    self.lanes[(part * n + actuator) * n_lanes + lane] = effort;
+                }
+            } else {
+                self.lanes[actuator * n_lanes + lane] = self.table.nodes[k * n + actuator];
+            }
+        }
+    }
+
+    /// Returns the efforts of the one time node of a group.
+    pub fn single(&self) -> &[f64] {
+        &self.lanes[..self.table.n_actuators]
+    }
+
+    /// Returns the efforts of the time nodes (`part` 0), or of the intervals after (0) and before (1) them.
+    #[inline(always)]
+    pub fn part<'a, S: Simd>(
+        &'a self,
+        actuators: &'a StrainActuators,
+        part: usize,
+    ) -> ActiveEfforts<'a, S> {
+        let n = self.table.n_actuators;
+        ActiveEfforts {
+            actuators,
+            efforts: &rows::<S>(&self.lanes)[part * n..][..n],
+        }
+    }
+}
+
+/// The actuators of a rod with an effort in each lane.
+#[derive(Clone, Copy)]
+pub(super) struct ActiveEfforts<'a, S: Simd> {
+    actuators: &'a StrainActuators,
+    efforts: &'a [Row<S>],
+}
+
+impl<S: Simd> ActiveEfforts<'_, S> {
+    /// Returns the stress `-Σ u ∂y/∂(l v, ψ)` in element `q` at a strain times its length.
+    #[inline(always)]
+    pub fn stress<R: TangentRule>(&self, q: usize, length: f64, strain: &Stress<S>) -> Stress<S> {
+        let simd = strain.angular.x.simd;
+        let zero = Vec3::zero(simd);
+        let mut sum = Stress {
+            linear: [zero; 2],
+            angular: zero,
+        };
+        for point in self.actuators.on(q) {
+            let at = point.in_element(simd, length);
+            let slopes = if R::END_WEIGHT == 1.0 {
+                at.slopes::<1>(point.density, strain.linear, strain.angular)
+            } else {
+                at.slopes::<2>(point.density, strain.linear, strain.angular)
+            };
+            sum = sum.minus(slopes.times(self.effort(simd, point.actuator)));
+        }
+        sum
+    }
+
+    /// Returns the derivative of [`Self::stress`] along the strain.
+    #[inline(always)]
+    pub fn tangent<R: TangentRule>(
+        &self,
+        q: usize,
+        length: f64,
+        strain: &Stress<S>,
+    ) -> ActiveTangent<S> {
+        let simd = strain.angular.x.simd;
+        let mut sum = ActiveTangent::zero(simd);
+        for point in self.actuators.on(q) {
+            let at: ActivePoint<S> = point.in_element(simd, length);
+            let bends = if R::END_WEIGHT == 1.0 {
+                at.bends::<1>(point.density, strain.linear, strain.angular)
+            } else {
+                at.bends::<2>(point.density, strain.linear, strain.angular)
+            };
+            sum = sum.plus(bends, -self.effort(simd, point.actuator));
+        }
+        sum
+    }
+
+    #[inline(always)]
+    fn effort(&self, simd: S, actuator: usize) -> Lanes<S> {
+        Lanes {
+            simd,
+            value: self.efforts[actuator],
+        }
+    }
+
+    /// Returns the gradient `(F, M_a, M_b)` of `-Σ u y` of element `q` in a pose.
+    #[inline(always)]
+    pub fn gradient<R: TangentRule>(
+        &self,
+        q: usize,
+        length: f64,
+        pose: &R::Pose<S>,
+    ) -> [Vec3<S>; 3] {
+        R::pull(pose, &self.stress::<R>(q, length, &R::strain(pose)))
+    }
+
+    /// Returns the stiffness of element `q` with its actuators in a pose.
+    #[inline(always)]
+    pub fn stiffness<R: TangentRule>(
+        &self,
+        element: &Element,
+        q: usize,
+        dx: Vec3<S>,
+        a: Mat3<S>,
+        b: Mat3<S>,
+    ) -> Blocks<S> {
+        let law = Elasticity::of::<R>(dx.x.simd, element);
+        let pose = R::pose(dx, a, b);
+        let strain = R::strain(&pose);
+        let active = self.stress::<R>(q, element.length, &strain);
+        let stress = law.stress(strain.minus(law.rest)).plus(active);
+        let derivative = R::derivative(&pose);
+        let tangent = self.tangent::<R>(q, element.length, &strain);
+        sum(
+            R::stiffness_under(&law, &pose, &stress),
+            tangent.between::<R>(&derivative, &derivative),
+        )
+    }
+
+    /// Returns the second derivatives of the effect of the stress at the mean strain of the interval on element `q`, for the weights of its
+    /// impulses in the covectors of both ends.
+    ///
+    /// The impulses are the gradient of `Φ = -Σ u y((s_start + s_end)/2)` over both poses, so that this is the third derivative of `Φ` along
+    /// the covectors: the difference of its second derivatives at poses that are moved along them, in the chart of
+    /// [`Displacement::curvature`].
+    #[inline(always)]
+    pub fn curvature<R: TangentRule>(
+        &self,
+        element: &Element,
+        q: usize,
+        ends: &[CurvedEnd<S>; 2],
+        pose: impl Fn(Vec3<S>, Mat3<S>, Mat3<S>) -> R::Pose<S> + Copy,
+    ) -> StressBlocks<S> {
+        let length = element.length;
+        let simd = ends[0].dx.x.simd;
+        let none = Elasticity::of::<R>(simd, element).times(Lanes::splat(simd, 0.0));
+        let both = Displacement::along_both(ends[0].covector, ends[1].covector, length);
+        let found = [0.0, 1.0, -1.0].map(|sign| {
+            let [start, end] = [0, 1].map(|i| {
+                let end = &ends[i];
+                let (dx, [a, b]) = both[i].moved(end.dx, end.rotations, sign);
+                pose(dx, a, b)
+            });
+            let mean = R::strain(&start)
+                .plus(R::strain(&end))
+                .times(Lanes::splat(simd, 0.5));
+            let stress = self.stress::<R>(q, length, &mean);
+            let tangent = self.tangent::<R>(q, length, &mean);
+            let [left, right] = [R::derivative(&start), R::derivative(&end)];
+            let own = |pose: &R::Pose<S>, b: &Blocks<S>| {
+                let half = times(tangent.between::<R>(b, b), 0.25);
+                // The weight of a strain in the mean is one half.
+                let bent = times(R::stiffness_under(&none, pose, &stress), 0.5);
+                sum(bent, half)
+            };
+            [
+                own(&start, &left),
+                times(tangent.between::<R>(&left, &right), 0.25),
+                own(&end, &right),
+            ]
+        });
+        let of = |part: usize| [0, 1, 2].map(|i: usize| found[i][part]);
+        // The covectors have the weights of the impulses, which are twice the derivative along one of both strains.
+        StressBlocks {
+            start: times(both[0].curvature(&of(0)), 2.0),
+            cross: times(both[0].mixed_curvature(&both[1], &of(1)), 2.0),
+            end: times(both[1].curvature(&of(2)), 2.0),
+        }
+    }
+}
+
+/// Returns the sum of two matrices.
+#[inline(always)]
+pub(super) fn sum<S: Simd>(a: Blocks<S>, b: Blocks<S>) -> Blocks<S> {
+    let mut out = a;
+    for (row, other) in out.iter_mut().zip(&b) {
+        for (block, other) in row.iter_mut().zip(other) {
+            *block = *block + *other;
+        }
+    }
+    out
+}
+
+/// Returns a matrix times a number.
+#[inline(always)]
+pub(super) fn times<S: Simd>(mut blocks: Blocks<S>, factor: f64) -> Blocks<S> {
+    for block in blocks.as_flattened_mut() {
+        *block = *block * factor;
+    }
+    blocks
+}
+
+/// Wrenches on the nodes under a unit effort of each of some actuators, and their derivatives along the configuration.
+///
+/// Under the explicit scheme there is one set for every time node. Under the implicit scheme there is one for each interval, with the
+/// wrenches where it starts and those where it ends: the stress at the mean strain acts at both.
+#[derive(Clone, Debug)]
+pub struct EffortPulls {
+    n_nodes: usize,
+    n_actuators: usize,
+    /// Number of ends: 1 explicit, 2 implicit.
+    ends: usize,
+    /// Six numbers of every node, for every set, end and actuator: force, spatial, and moment, body frame, per effort.
+    wrenches: Vec<f64>,
+    /// The derivative of the covectors' product with the wrenches, `(δx, ζ)` of every node, in the same order; empty without covectors.
+    slopes: Vec<f64>,
+}
+
+/// Covector of the wrench on a node at one end of a set: of its force (spatial) and of its moment (body frame).
+pub type Covectors<'a> = dyn Fn(usize, usize, usize) -> Wrench + 'a;
+
+impl EffortPulls {
+    /// Evaluates unit efforts of the given actuators along a trajectory. `covectors` gives those of `(set, end, node)`, if slopes are asked
+    /// for.
+    #[must_use]
+    pub fn of(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        actuators: &[usize],
+        covectors: Option<&Covectors>,
+    ) -> Self {
+        let rod = motion.rod;
+        let implicit = rod.scheme == TimeScheme::Implicit;
+        let (n_sets, ends) = if implicit {
+            (motion.grid.n_steps, 2)
+        } else {
+            (motion.grid.n_steps + 1, 1)
+        };
+        let n = n_sets * ends * actuators.len() * rod.n_nodes() * 6;
+        let mut out = Self {
+            n_nodes: rod.n_nodes(),
+            n_actuators: actuators.len(),
+            ends,
+            wrenches: vec![0.0; n],
+            slopes: vec![0.0; if covectors.is_some() { n } else { 0 }],
+        };
+        let mut index = vec![None; rod.actuators.len()];
+        for (own, &actuator) in actuators.iter().enumerate() {
+            index[actuator] = Some(own);
+        }
+        let arch = Arch::new();
+        let n_lanes = dispatch(arch, CountLanes);
+        let mut poses = [0, 1].map(|_| Buffer::zeros(rod.n_nodes() * POSE_ROWS * n_lanes));
+        let mut covector_rows = Buffer::zeros(ends * rod.n_nodes() * 6 * n_lanes);
+        for first in (0..n_sets).step_by(n_lanes) {
+            for lane in 0..n_lanes {
+                let set = (first + lane).min(n_sets - 1);
+                for (end, poses) in poses.iter_mut().enumerate().take(ends) {
+                    let x = trajectory.positions_at(set + end);
+                    let r = trajectory.rotations_at(set + end);
+                    for (node, rows) in poses.chunks_exact_mut(POSE_ROWS * n_lanes).enumerate() {
+                        put_pose(rows, n_lanes, lane, &x[node], &r[node]);
+                    }
+                }
+                if let Some(covectors) = covectors {
+                    for end in 0..ends {
+                        for node in 0..rod.n_nodes() {
+                            let numbers = covectors(set, end, node).to_array();
+                            for (row, number) in numbers.into_iter().enumerate() {
+                                let at = (end * rod.n_nodes() + node) * 6 + row;
+                                covector_rows[at * n_lanes + lane] = number;
+                            }
+                        }
+                    }
+                }
+            }
+            let work = PullGroup {
+                rod,
+                index: &index,
+                first,
+                n_sets: n_sets.min(first + n_lanes) - first,
+                poses: &poses,
+                covectors: covectors.map(|_| &covector_rows[..]),
+                out: &mut out,
+            };
+            match rod.strain_rule {
+                StrainRule::Helical => dispatch(arch, RuledPulls::<Helical>(work, PhantomData)),
+                StrainRule::Trapezoidal => {
+                    dispatch(arch, RuledPulls::<Trapezoidal>(work, PhantomData));
+                }
+            }
+        }
+        out
+    }
+
+    fn at(&self, set: usize, end: usize, actuator: usize) -> usize {
+        ((set * self.ends + end) * self.n_actuators + actuator) * self.n_nodes * 6
+    }
+
+    /// Returns the six numbers of every node's wrench in a set, at one of its ends.
+    #[must_use]
+    pub fn wrenches(&self, set: usize, end: usize, actuator: usize) -> &[f64] {
+        &self.wrenches[self.at(set, end, actuator)..][..self.n_nodes * 6]
+    }
+
+    /// Returns the slopes in the same way, `δx` and then `ζ` of every node.
+    #[must_use]
+    pub fn slopes(&self, set: usize, end: usize, actuator: usize) -> &[f64] {
+        &self.slopes[self.at(set, end, actuator)..][..self.n_nodes * 6]
+    }
+
+    /// Calls `visit(time, node, component, wrench)` for the wrench on a node at time node `k` that follows from a unit effort at time node
+    /// `time`: at `k` itself, and under the implicit scheme at its neighbors too. Before the first and after the last interval there is no
+    /// other one, so that the only interval beside an end of the grid counts whole.
+    pub fn visit(
+        &self,
+        k: usize,
+        actuator: usize,
+        visit: &mut dyn FnMut(usize, usize, usize, f64),
+    ) {
+        let mut all = |times: &[usize], weight: f64, wrenches: &[f64]| {
+            for (at, wrench) in wrenches.iter().enumerate() {
+                if *wrench != 0.0 {
+                    for &time in times {
+                        visit(time, at / 6, at % 6, weight * wrench);
+                    }
+                }
+            }
+        };
+        if self.ends == 1 {
+            all(&[k], 1.0, self.wrenches(k, 0, actuator));
+            return;
+        }
+        let n_sets = self.wrenches.len() / (2 * self.n_actuators * self.n_nodes * 6);
+        let weight = 0.5 * interval_share(k, n_sets);
+        if k < n_sets {
+            all(&[k, k + 1], weight, self.wrenches(k, 0, actuator));
+        }
+        if k > 0 {
+            all(&[k - 1, k], weight, self.wrenches(k - 1, 1, actuator));
+        }
+    }
+}
+
+/// Returns the part that each interval beside time node `k` of `n_steps + 1` has in the mean force there.
+#[must_use]
+pub fn interval_share(k: usize, n_steps: usize) -> f64 {
+    if k == 0 || k == n_steps { 1.0 } else { 0.5 }
+}
+
+/// Sets whose time nodes lie in the lanes.
+struct PullGroup<'a> {
+    rod: &'a Rod,
+    /// Place of every actuator of the rod among those that are asked for.
+    index: &'a [Option<usize>],
+    first: usize,
+    n_sets: usize,
+    poses: &'a [Buffer; 2],
+    covectors: Option<&'a [f64]>,
+    out: &'a mut EffortPulls,
+}
+
+struct RuledPulls<'a, R>(PullGroup<'a>, PhantomData<R>);
+
+impl<R: TangentRule> WithSimd for RuledPulls<'_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        self.0.run::<S, R>(simd);
+    }
+}
+
+impl PullGroup<'_> {
+    #[inline(always)]
+    fn run<S: Simd, R: TangentRule>(self, simd: S) {
+        let Self { rod, out, .. } = self;
+        let ends = out.ends;
+        let mut numbers = Buffer::zeros(12 * S::F64_LANES);
+        for (q, element) in rod.elements.iter().enumerate() {
+            let points = rod.actuators.on(q);
+            if points.is_empty() {
+                continue;
+            }
+            let end_of = |end: usize| {
+                let poses = rows::<S>(&self.poses[end]);
+                let a = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]);
+                let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
+                let zero = Vec3::zero(simd);
+                let covector = self.covectors.map_or([zero; 3], |numbers| {
+                    let numbers = rows::<S>(numbers);
+                    let of = |node: usize, at: usize| {
+                        Vec3::load(simd, &numbers[(end * rod.n_nodes() + node) * 6..], at)
+                    };
+                    // The element pulls a with +F and b with -F, and turns them with -M.
+                    [of(q, 0) - of(q + 1, 0), -of(q, 3), -of(q + 1, 3)]
+                });
+                CurvedEnd {
+                    dx: b.position - a.position,
+                    rotations: [a.rotation, b.rotation],
+                    covector,
+                }
+            };
+            let near = end_of(0);
+            let far = if ends == 2 { end_of(1) } else { near };
+            let both = if ends == 2 {
+                Displacement::along_both(near.covector, far.covector, element.length)
+            } else {
+                [Displacement::along(near.covector, element.length); 2]
+            };
+            let posed = |sign: f64| {
+                [0, 1].map(|i| {
+                    let end = if i == 0 { &near } else { &far };
+                    let (dx, [a, b]) = if sign == 0.0 {
+                        (end.dx, end.rotations)
+                    } else {
+                        both[i].moved(end.dx, end.rotations, sign)
+                    };
+                    R::pose(dx, a, b)
+                })
+            };
+            let signs: &[f64] = if self.covectors.is_some() {
+                &[0.0, 1.0, -1.0]
+            } else {
+                &[0.0]
+            };
+            let poses = [0.0, 1.0, -1.0].map(|sign| {
+                let poses = posed(sign);
+                let [start, end] = [R::strain(&poses[0]), R::strain(&poses[1])];
+                let half = Lanes::splat(simd, 0.5);
+                let strain = if ends == 2 {
+                    start.plus(end).times(half)
+                } else {
+                    start
+                };
+                (poses, strain)
+            });
+            for point in points {
+                let Some(actuator) = self.index[point.actuator] else {
+                    continue;
+                };
+                let at = point.in_element(simd, element.length);
+                let zero = Vec3::zero(simd);
+                let mut pulls = [[[zero; 3]; 2]; 3];
+                for (pulls, (poses, strain)) in pulls.iter_mut().zip(&poses).take(signs.len()) {
+                    let slopes = if R::END_WEIGHT == 1.0 {
+                        at.slopes::<1>(point.density, strain.linear, strain.angular)
+                    } else {
+                        at.slopes::<2>(point.density, strain.linear, strain.angular)
+                    };
+                    // The potential is minus the coordinate.
+                    let stress = slopes.times(Lanes::splat(simd, -1.0));
+                    for end in 0..ends {
+                        pulls[end] = R::pull(&poses[end], &stress);
+                    }
+                }
+                for end in 0..ends {
+                    let base = out.at(self.first, end, actuator);
+                    let set = out.at(1, 0, 0);
+                    let place = (base + q * 6, set, self.n_sets);
+                    let [force, a, b] = pulls[0][end];
+                    add(
+                        &mut out.wrenches,
+                        place,
+                        [force, -a, -force, -b],
+                        &mut numbers,
+                    );
+                    if self.covectors.is_some() {
+                        let found = [0, 1, 2].map(|i: usize| pulls[i][end]);
+                        let [dx, a, b] = both[end].slope(&found);
+                        add(&mut out.slopes, place, [-dx, a, dx, b], &mut numbers);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Adds the vectors of both nodes of an element to every set: linear and angular of one node, then of the other. `place` has the place of
+/// the first set, the distance of two sets, and their number.
+#[inline(always)]
+fn add<S: Simd>(
+    out: &mut [f64],
+    (base, distance, n_sets): (usize, usize, usize),
+    vectors: [Vec3<S>; 4],
+    numbers: &mut [f64],
+) {
+    let rows: &mut [Row<S>] = S::as_mut_simd_f64s(numbers).0;
+    for (i, vector) in vectors.into_iter().enumerate() {
+        vector.store(rows, 3 * i);
+    }
+    for lane in 0..n_sets {
+        let target = &mut out[base + lane * distance..][..12];
+        for (row, target) in target.iter_mut().enumerate() {
+            *target += numbers[row * S::F64_LANES + lane];
+        }
+    }
+}
