@@ -22,6 +22,13 @@ pub enum Bound {
     Norm(f64),
     /// `|u_i| ≤ limit_i` per axis; an axis with limit 0 is not actuated.
     PerAxis(Vector3<f64>),
+    /// `lower_i ≤ u_i ≤ upper_i` per axis, with zero between; an axis where both are 0 is not actuated.
+    Between {
+        /// `lower`, at most 0.
+        lower: Vector3<f64>,
+        /// `upper`, at least 0.
+        upper: Vector3<f64>,
+    },
 }
 
 impl Bound {
@@ -31,6 +38,27 @@ impl Bound {
         match self {
             Self::Norm(limit) => *limit > 0.0,
             Self::PerAxis(limits) => limits[axis] > 0.0,
+            Self::Between { lower, upper } => upper[axis] > lower[axis],
+        }
+    }
+
+    /// Returns the least and the largest value of component `axis`, if components are bounded each by itself.
+    #[must_use]
+    pub fn interval(&self, axis: usize) -> Option<[f64; 2]> {
+        match self {
+            Self::Norm(_) => None,
+            Self::PerAxis(limits) => Some([-limits[axis], limits[axis]]),
+            Self::Between { lower, upper } => Some([lower[axis], upper[axis]]),
+        }
+    }
+
+    /// Returns the largest size that any component, or the whole vector, may have.
+    #[must_use]
+    pub fn largest(&self) -> f64 {
+        match self {
+            Self::Norm(limit) => *limit,
+            Self::PerAxis(limits) => limits.max(),
+            Self::Between { lower, upper } => upper.max().max(-lower.min()),
         }
     }
 
@@ -41,6 +69,9 @@ impl Bound {
             Self::Norm(limit) => (u.norm() - limit).max(0.0),
             Self::PerAxis(limits) => (0..3)
                 .map(|i| (u[i].abs() - limits[i]).max(0.0))
+                .fold(0.0, f64::max),
+            Self::Between { lower, upper } => (0..3)
+                .map(|i| (u[i] - upper[i]).max(lower[i] - u[i]).max(0.0))
                 .fold(0.0, f64::max),
         }
     }
@@ -70,6 +101,8 @@ pub struct Channel {
     pub rate_bound: Option<Bound>,
     /// Components that may act, whatever their bound is.
     pub axes: [bool; 3],
+    /// Tells whether the first coefficient is zero.
+    pub from_rest: bool,
 }
 
 impl Channel {
@@ -81,6 +114,7 @@ impl Channel {
             bound,
             rate_bound: None,
             axes: [true; 3],
+            from_rest: false,
         }
     }
 
@@ -88,11 +122,7 @@ impl Channel {
     /// in the tolerances of the subproblem.
     #[must_use]
     pub fn unit(&self) -> f64 {
-        let largest = match self.bound {
-            Some(Bound::Norm(limit)) => limit,
-            Some(Bound::PerAxis(limits)) => limits.max(),
-            None => f64::INFINITY,
-        };
+        let largest = self.bound.map_or(f64::INFINITY, |bound| bound.largest());
         if largest > 0.0 {
             self.scale.min(largest)
         } else {
@@ -129,6 +159,7 @@ impl Channel {
                 if norm > limit { u * (limit / norm) } else { u }
             }
             Some(Bound::PerAxis(limits)) => u.zip_map(&limits, |u, limit| u.clamp(-limit, limit)),
+            Some(Bound::Between { lower, upper }) => u.sup(&lower).inf(&upper),
         }
     }
 

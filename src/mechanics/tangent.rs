@@ -105,18 +105,22 @@ const QR_STEPS: usize = 100;
 impl Tangent {
     /// Returns the matrix with the given blocks.
     pub fn of(blocks: BlockTridiagonal) -> Self {
-        let n_blocks = blocks.diagonal.len();
-        let mut all = BTreeMap::new();
-        for (i, block) in blocks.diagonal.into_iter().enumerate() {
-            all.insert((i, i), block);
+        let mut out = Self {
+            n_blocks: blocks.diagonal.len(),
+            blocks: BTreeMap::new(),
+        };
+        out.add_blocks(blocks);
+        out
+    }
+
+    /// Adds a block-tridiagonal matrix.
+    pub fn add_blocks(&mut self, blocks: BlockTridiagonal) {
+        for (i, block) in blocks.diagonal.iter().enumerate() {
+            self.add(i, i, block);
         }
-        for (i, (below, above)) in blocks.below.into_iter().zip(blocks.above).enumerate() {
-            all.insert((i + 1, i), below);
-            all.insert((i, i + 1), above);
-        }
-        Self {
-            n_blocks,
-            blocks: all,
+        for (i, (below, above)) in blocks.below.iter().zip(&blocks.above).enumerate() {
+            self.add(i + 1, i, below);
+            self.add(i, i + 1, above);
         }
     }
 

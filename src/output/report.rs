@@ -384,6 +384,8 @@ pub enum Bound {
     Norm(f64),
     /// A limit on the magnitude of each component.
     Axes([f64; 3]),
+    /// The least and the largest value of each component.
+    Between([f64; 3], [f64; 3]),
 }
 
 /// Force and moment on the tip over time.

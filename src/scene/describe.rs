@@ -56,6 +56,9 @@ impl Scene {
             }),
         };
         describe_section(arm, &mut rod)?;
+        if !arm.actuators.is_empty() {
+            return Err(DescribeError("its arm has actuators on its strains"));
+        }
         let obstacles = (task.limits.iter())
             .take_while(|limit| limit.is_obstacle())
             .count();

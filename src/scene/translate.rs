@@ -455,6 +455,7 @@ impl Scene {
             targets: task.map_or_else(Vec::new, |task| task.targets(elements)),
             limits: self.limits(),
             actuators: control.of_task(elements),
+            efforts: Vec::new(),
             own_actuators: (control.distributed.iter())
                 .map(model::Distributed::of_task)
                 .collect(),

@@ -306,6 +306,10 @@ fn largest_force(problem: &OptimalControlProblem) -> Option<f64> {
                 false => 0.0,
             })
             .norm(),
+            Bound::Between { lower, upper } => {
+                let most = upper.zip_map(&lower, |upper, lower| upper.max(-lower));
+                actuator.force.acting(&most).norm()
+            }
         };
     }
     for load in &rod.loads {

@@ -4,6 +4,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::arm::{Place, Start};
+use super::effort::EffortControl;
 use crate::control::{
     Bound, Channel, FreeDuration, PathEnforcement, PathLimit, SharedActuator, StateCost,
 };
@@ -274,6 +275,8 @@ pub struct Task {
     pub actuators: Vec<WrenchActuator>,
     /// Actuators of one's own.
     pub own_actuators: Vec<OwnActuator>,
+    /// Actuators of the arm whose efforts the optimizer chooses.
+    pub efforts: Vec<EffortControl>,
     /// The objective that is minimized.
     pub cost: Cost,
 }
@@ -301,6 +304,7 @@ impl Task {
                 moment: ChannelLimits::NONE,
             }],
             own_actuators: Vec::new(),
+            efforts: Vec::new(),
             cost: Cost::default(),
         }
     }

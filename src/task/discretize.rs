@@ -8,6 +8,7 @@ use super::arm::Arm;
 use super::contradictions::check_contradictions;
 use super::definition::{Hardness, Rest, Staying, Target, Task};
 use super::discretization::Discretization;
+use super::effort;
 use super::error::{DiscretizeError, Obstruction};
 use super::own;
 use super::prediction::{Work, automatic_scheme, prefers_segments};
@@ -155,7 +156,9 @@ impl Task {
         self.check(discretization)?;
         let blocks = discretization.blocks;
         let work = Work::Solve {
-            n_variables: blocks.saturating_mul(6 * self.actuators.len() + self.n_own_controls()),
+            n_variables: blocks.saturating_mul(
+                6 * self.actuators.len() + self.n_own_controls() + self.efforts.len(),
+            ),
         };
         let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
         let (chosen, rod) = arm.choose(discretization, longest, work)?;
@@ -178,7 +181,9 @@ impl Task {
         let actuators = self.actuators(&rod);
         let default_weights = default_weights(self.cost.effort, &rod, &actuators);
         let (carriers, acting) = own::acting(&self.own_actuators, actuators.len(), &rod, &initial)?;
-        let actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
+        let mut actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
+        let (carriers, efforts) = effort::efforts(&self.efforts, actuators.len(), &rod)?;
+        actuators.extend(carriers);
         // A rate of samples is counted on the longest duration, so that it does not depend on where the search begins.
         let samples_on = match self.free_duration {
             None => grid,
@@ -221,7 +226,7 @@ impl Task {
             control,
             actuators,
             acting,
-            efforts: None,
+            efforts,
             rod: Arc::new(rod),
         };
         check_start(&discrete)?;

@@ -40,6 +40,20 @@ impl DistributedCouple {
                 }
                 Bound::PerAxis(own)
             }
+            Bound::Between { lower, upper } => {
+                let acting = || (0..3).filter(|axis| axes[*axis]);
+                let packed = |limits: nalgebra::Vector3<f64>| {
+                    let mut own = nalgebra::Vector3::zeros();
+                    for (to, from) in acting().enumerate() {
+                        own[to] = limits[from];
+                    }
+                    own
+                };
+                Bound::Between {
+                    lower: packed(lower),
+                    upper: packed(upper),
+                }
+            }
         };
         OwnActuator {
             actuator: SharedActuator::new(Self { points, axes }),

@@ -24,6 +24,7 @@ mod definition;
 mod discretization;
 mod discretize;
 mod distributed;
+mod effort;
 mod error;
 mod own;
 #[doc(hidden)]
@@ -41,4 +42,5 @@ pub use discretization::Discretization;
 pub(crate) use discretize::MOST_STEPS;
 pub use discretize::{DiscreteMotion, Problem};
 pub use distributed::DistributedCouple;
+pub use effort::EffortControl;
 pub use error::{DiscretizeError, Obstruction};

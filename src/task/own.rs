@@ -12,6 +12,7 @@ const NONE: Channel = Channel {
     bound: Some(Bound::Norm(0.0)),
     rate_bound: None,
     axes: [true; 3],
+    from_rest: false,
 };
 
 /// Returns the nodes that carry the controls after `first` wrenches, and the place of each control in them: every group has a force or a

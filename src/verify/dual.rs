@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use pulp::Arch;
 
 use crate::mechanics::element::{Element, ElementPose};
-use crate::mechanics::{RodModel, StrainRule};
+use crate::mechanics::{Density, PlacedPoint, RodModel, StrainRule};
 
 /// Number of directions: of `y = R_aᵀ dx`, and `η` of `A = R_aᵀ R_b`, which moves to `A (I + η̂)`. Strains depend on the pose through these
 /// only.
@@ -230,6 +230,71 @@ pub(super) fn strain(
         }
     }
     (SVector::from_fn(|i, _| entry(i).value), derivative)
+}
+
+/// Returns the coordinate of an actuator at a point, the mean over both ends of the element, and its derivative along `(v_a, v_b, κ)`.
+pub(super) fn coordinate(
+    point: &PlacedPoint,
+    strain: &SVector<f64, POSE_DIRECTIONS>,
+) -> (f64, SVector<f64, POSE_DIRECTIONS>) {
+    let mut value = 0.0;
+    let mut slope = SVector::<f64, POSE_DIRECTIONS>::zeros();
+    for end in 0..2 {
+        let of = |i: usize, at: usize| {
+            let mut out = Dual::constant(strain[at]);
+            out.slope[i] = 1.0;
+            out
+        };
+        let v: Vector = [0, 1, 2].map(|i| of(i, 3 * end + i));
+        let kappa: Vector = [0, 1, 2].map(|i| of(3 + i, 6 + i));
+        let own = along_line(point, &v, &kappa).scale(0.5 * point.weight);
+        value += own.value;
+        for i in 0..3 {
+            slope[3 * end + i] += own.slope[i];
+            slope[6 + i] += own.slope[3 + i];
+        }
+    }
+    (value, slope)
+}
+
+/// Returns the density of an actuator, of the tangent `p = v + κ × d + d'` of its line and of the twist.
+fn along_line(point: &PlacedPoint, v: &Vector, kappa: &Vector) -> Dual {
+    let constant = |[x, y]: [f64; 2]| [x, y, 0.0].map(Dual::constant);
+    let turned = cross(kappa, &constant(point.offset));
+    let slope = constant(point.slope);
+    let p: Vector = [0, 1, 2].map(|i| v[i] + turned[i] + slope[i]);
+    let stretch = dot(&p, &p).sqrt();
+    match point.density {
+        Density::Shortening => -stretch,
+        Density::Lengthening => stretch,
+        Density::Volume => p[2],
+        Density::Muscle => {
+            // The zeros of the force between which the muscle pulls.
+            let (from, to) = (0.577_292_198_778_78, 1.595_965_216_125_02);
+            let bounded = if stretch.value < from {
+                Dual::constant(from)
+            } else if stretch.value > to {
+                Dual::constant(to)
+            } else {
+                stretch
+            };
+            let work = |x: Dual| {
+                let mut sum = Dual::constant(0.0);
+                let mut power = x;
+                for (n, coefficient) in [-6.44, 18.01, -13.64, 3.06].into_iter().enumerate() {
+                    sum = sum + power.scale(coefficient / (n + 1) as f64);
+                    power = power * x;
+                }
+                sum
+            };
+            work(Dual::constant(1.0)) - work(bounded)
+        }
+        Density::Braid { fibre, turns } => {
+            let whole = Dual::constant(2.0 * std::f64::consts::PI * turns) + kappa[2];
+            let radius = (Dual::constant(fibre * fibre) - stretch * stretch) / (whole * whole);
+            (stretch * radius).scale(std::f64::consts::PI)
+        }
+    }
 }
 
 /// The pose of an element: chord and relative rotation.

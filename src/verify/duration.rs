@@ -107,6 +107,12 @@ fn rate_room(problem: &OptimalControlProblem, rates: &[[f64; 6]]) -> f64 {
             let normal = Vector3::from_column_slice(&normals[3 * c..3 * c + 3]);
             let room = match bounds[c] {
                 Some(Bound::PerAxis(limits)) => (0..3).map(|i| leeway(normal[i], limits[i])).sum(),
+                Some(Bound::Between { lower, upper }) => (0..3)
+                    .map(|i| match normal[i] {
+                        z if z < 0.0 => leeway(z, -lower[i]),
+                        z => leeway(z, upper[i]),
+                    })
+                    .sum(),
                 Some(Bound::Norm(limit)) => normal.norm() * limit,
                 None => 0.0,
             };

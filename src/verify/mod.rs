@@ -7,6 +7,7 @@
 mod acting;
 mod dual;
 mod duration;
+mod efforts;
 #[doc(hidden)]
 pub mod growth;
 pub(crate) mod hold;

@@ -13,8 +13,9 @@
 use nalgebra::Vector3;
 
 use super::dual;
+use super::efforts;
 use super::interval;
-use super::kkt::motion::{Conditions, Gradient, kick, momentum_after};
+use super::kkt::motion::{Conditions, Gradient, applied, kick, momentum_after};
 use crate::control::OptimalControlProblem;
 use crate::mechanics::{ControlSignal, Rod, TimeScheme, Trajectory, Wrench};
 
@@ -96,7 +97,9 @@ impl Conditions<'_> {
             linear += push;
             angular += x[q].cross(&push) + r[q] * twist;
         };
-        let applied = self.applied(k, &outside);
+        // The stress of actuators is internal, like the elastic one.
+        let node = self.problem.grid.node(k);
+        let applied = applied(&node, &self.view(k), self.control.at(k), &outside);
         for q in rod.first_free_node()..rod.n_nodes() {
             let (before, before_angular) = self.arriving(k, q, arriving.as_ref());
             let Wrench { force, moment } = applied[q];
@@ -129,8 +132,14 @@ impl Conditions<'_> {
                 self.trajectory.rotations_at(k),
             );
             let [force, moment, _] = dual::gradient(element, rod.strain_rule, &pose);
-            push += weight * force;
-            twist -= weight * moment;
+            let own = efforts::at_node(rod, &self.problem.grid.node(k), &self.control.at(k));
+            let (x, r) = (
+                self.trajectory.positions_at(k),
+                self.trajectory.rotations_at(k),
+            );
+            let active = efforts::gradient_of(rod, 0, x, r, &own);
+            push += weight * (force + active.fixed_rows::<3>(0));
+            twist -= weight * (moment + active.fixed_rows::<3>(3));
         }
         if let Some(weights) = interval::weights(rod, h) {
             let strained = |k: usize| {
@@ -142,11 +151,19 @@ impl Conditions<'_> {
             };
             let (here, b) = strained(k);
             let mut stress = interval::Nine::zeros();
+            let implicit = rod.scheme == TimeScheme::Implicit;
+            let mut add = |k: usize, start: &interval::Nine, end: &interval::Nine| {
+                stress += interval::stress(element, weights, start, end);
+                if implicit {
+                    let mean = (start + end) * 0.5;
+                    stress += efforts::stress(rod, 0, &mean, &self.interval_efforts(k));
+                }
+            };
             if k > 0 {
-                stress += interval::stress(element, weights, &strained(k - 1).0, &here);
+                add(k - 1, &strained(k - 1).0, &here);
             }
             if k < n {
-                stress += interval::stress(element, weights, &here, &strained(k + 1).0);
+                add(k, &here, &strained(k + 1).0);
             }
             let pull = b.tr_mul(&stress) * (0.5 * h * impulse);
             push += pull.fixed_rows::<3>(0);

@@ -3,13 +3,14 @@
 use nalgebra::Vector3;
 
 use super::acting;
+use super::efforts;
 use super::interval::{self, Strained};
 use super::kkt;
 use super::stepper::ReferenceStepper;
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
     Configuration, ControlSignal, Energy, NodeWrenches, Rod, State, StateView, StepError, Stepper,
-    TimeGrid, TimeNode, Trajectory, Wrench,
+    TimeGrid, TimeNode, TimeScheme, Trajectory, Wrench,
 };
 use crate::stop::StopSignal;
 
@@ -144,12 +145,19 @@ impl<'a> Simulation<'a> {
     }
 
     /// Returns the wrench on node 0 except that of the base's drive, on the side of the time node that `node` names; zero without a drive.
-    fn base_wrench(&self, rod: &Rod, node: &TimeNode) -> Wrench {
+    fn base_wrench(&self, rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Wrench {
         let Self::Reference(stepper) = self else {
             return Wrench::default();
         };
         let mut acting = stepper.passive_wrench(0);
-        let rotation = &stepper.state().configuration.rotations[0];
+        let at = &stepper.state().configuration;
+        let rotation = &at.rotations[0];
+        if rod.scheme == TimeScheme::Explicit {
+            let own = efforts::at_node(rod, node, control);
+            let pull = efforts::gradient_of(rod, 0, &at.positions, &at.rotations, &own);
+            acting.force += pull.fixed_rows::<3>(0);
+            acting.moment -= pull.fixed_rows::<3>(3);
+        }
         for load in rod.loads.iter().filter(|load| load.node == 0) {
             let wrench = load.wrench_at_node(node, rotation);
             acting.force += wrench.force;
@@ -184,14 +192,15 @@ pub(super) fn account(
         stop.check_at(k)?;
         let pair = [control.at(k), control.at(k + 1)];
         let ends = grid.clock().ends_of_step(k);
-        let base_before = simulation.base_wrench(rod, &ends[0]);
+        let base_before = simulation.base_wrench(rod, &ends[0], &pair[0]);
         simulation.advance(pair)?;
         let before = std::mem::replace(&mut after, simulation.state());
         balance.work += step_work(rod, grid, k, &before, &after, &pair);
         balance.dissipation += step_dissipation(rod, grid.step, &before, &after);
-        let mut passive = [base_before, simulation.base_wrench(rod, &ends[1])];
+        let mut passive = [base_before, simulation.base_wrench(rod, &ends[1], &pair[1])];
         if let Some(internal) = &mut internal {
-            balance.dissipation += internal.advance(&after, &mut passive);
+            let own = efforts::of_interval(rod, grid, k, pair);
+            balance.dissipation += internal.advance(&after, &own, &mut passive);
         }
         if rod.driven_base(0.0).is_some() {
             balance.work += drive_work(rod, &before, &after, &passive);
@@ -244,19 +253,22 @@ impl<'a> InternalAccount<'a> {
 
     /// Advances to the end of a step: returns the dissipation of Kelvin-Voigt damping, J, and adds the effects of the stresses on node 0 at
     /// both ends.
-    fn advance(&mut self, after: &State, passive: &mut [Wrench; 2]) -> f64 {
+    fn advance(&mut self, after: &State, own: &[f64], passive: &mut [Wrench; 2]) -> f64 {
         let (rod, h) = (self.rod, self.time_step);
         let Configuration {
             positions,
             rotations,
         } = &after.configuration;
         let end = interval::strains(rod, positions, rotations);
-        let stress = interval::stress(
+        let mut stress = interval::stress(
             &rod.elements[0],
             self.weights,
             &self.strains[0].0,
             &end[0].0,
         );
+        if rod.scheme == TimeScheme::Implicit {
+            stress += efforts::stress(rod, 0, &((self.strains[0].0 + end[0].0) * 0.5), own);
+        }
         for (wrench, (_, b)) in passive.iter_mut().zip([&self.strains[0], &end[0]]) {
             let pull = b.tr_mul(&stress);
             wrench.force += pull.fixed_rows::<3>(0);
@@ -324,6 +336,16 @@ fn step_work(
                 let (dx, turn) = displacement(before, after, node);
                 work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));
             }
+        }
+    }
+    if !rod.actuators.is_empty() {
+        let efforts = efforts::of_interval(rod, grid, k, *control);
+        let [from, to] = [before, after].map(|state| {
+            let at = &state.configuration;
+            efforts::coordinates(rod, &at.positions, &at.rotations)
+        });
+        for (effort, (from, to)) in efforts.iter().zip(from.iter().zip(&to)) {
+            work += effort * (to - from);
         }
     }
     for load in &rod.loads {

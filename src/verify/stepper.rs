@@ -15,6 +15,7 @@
 
 use nalgebra::{Matrix3, SMatrix, Vector3, Vector6};
 
+use super::efforts;
 use super::interval::{self, Nine, Strained};
 use super::kkt::motion::{
     Gradient, applied, element_spin, energy_gradient, j_d, kinetic_reaction, momentum_after,
@@ -27,7 +28,7 @@ use crate::mechanics::guards::{
 use crate::mechanics::rotation::{cay_inverse, exp, orthonormalized, quaternion};
 use crate::mechanics::{
     BaseState, Clock, Configuration, NodeWrenches, Rod, RodModel, State, StateView, StepError,
-    TimeNode, Wrench,
+    TimeNode, TimeScheme, Wrench,
 };
 
 /// Steps between two projections of the rotations to the group, which products of rotations leave by rounding.
@@ -63,6 +64,8 @@ struct Stressed {
     weights: [f64; 2],
     /// Strains at the present time node.
     strains: Vec<Strained>,
+    /// Efforts of the interval under way.
+    efforts: Vec<f64>,
 }
 
 /// Momenta of an interval in the frames of its start, `P` and `G`, and the rotations of the nodes.
@@ -95,6 +98,7 @@ impl<'a> ReferenceStepper<'a> {
             stressed: interval::weights(rod, clock.step).map(|weights| Stressed {
                 weights,
                 strains: interval::strains(rod, x, r),
+                efforts: Vec::new(),
             }),
             rod,
             clock,
@@ -159,6 +163,7 @@ impl<'a> ReferenceStepper<'a> {
         }
         let stresses = match self.stressed.take() {
             Some(mut stressed) => {
+                stressed.efforts = efforts::mean(rod, [start, end], control);
                 let stresses = self.solve(&mut stressed, &mut interval, base.as_ref())?;
                 self.stressed = Some(stressed);
                 stresses
@@ -194,6 +199,7 @@ impl<'a> ReferenceStepper<'a> {
         Ok(())
     }
 
+    /// Returns force and moment on every node on one side of the present time node.
     fn applied(&self, node: &TimeNode, control: NodeWrenches) -> Vec<Wrench> {
         let at = &self.state.configuration;
         let view = StateView {
@@ -202,7 +208,10 @@ impl<'a> ReferenceStepper<'a> {
             positions: &at.positions,
             rotations: &at.rotations,
         };
-        applied(node, &view, control, &self.gradient)
+        let mut out = applied(node, &view, control, &self.gradient);
+        let own = efforts::at_node(self.rod, node, &control);
+        efforts::add_at_node(self.rod, &at.positions, &at.rotations, &own, &mut out);
+        out
     }
 
     /// Moves the arm over an interval without stress of its own. If the inertia follows the dilatation, an interval of `dilatation` leaves
@@ -394,7 +403,9 @@ impl<'a> ReferenceStepper<'a> {
         let (rod, h) = (self.rod, self.clock.step);
         let weight = self.impulse_weight();
         let end = interval::strains(rod, &to.positions, &to.rotations);
-        let stresses = interval::stresses(rod, stressed.weights, &stressed.strains, &end);
+        let mut stresses = interval::stresses(rod, stressed.weights, &stressed.strains, &end);
+        let own = &stressed.efforts;
+        efforts::add_to_stresses(rod, &stressed.strains, &end, own, &mut stresses);
         let pull = pull(rod, &stressed.strains, &stresses, weight);
         let mut momentum = [0.0f64; 2];
         let residual = (rod.first_free_node()..rod.n_nodes())
@@ -446,7 +457,12 @@ impl<'a> ReferenceStepper<'a> {
         let weight = self.impulse_weight() * stressed.weights[1];
         for (q, element) in rod.elements.iter().enumerate() {
             let ((_, start), (_, end)) = (&stressed.strains[q], &equations.end[q]);
-            let stiff = SMatrix::from_diagonal(&(interval::stiffness(element) * weight)) * end;
+            let mut stiff = SMatrix::from_diagonal(&(interval::stiffness(element) * weight)) * end;
+            if rod.scheme == TimeScheme::Implicit && !rod.actuators.on(q).is_empty() {
+                let mean = (stressed.strains[q].0 + equations.end[q].0) * 0.5;
+                let tangent = efforts::stress_tangent(rod, q, &mean, &stressed.efforts);
+                stiff += tangent * end * (0.5 * self.impulse_weight());
+            }
             matrix.add_element(first, q, &(start.transpose() * stiff));
         }
         let mut correction = equations.residual.clone();

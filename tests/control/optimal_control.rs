@@ -435,6 +435,10 @@ fn bounds_hold() {
     for bound in [
         Bound::Norm(0.9 * norm),
         Bound::PerAxis(Vector3::repeat(0.9 * axis)),
+        Bound::Between {
+            lower: Vector3::repeat(-0.5 * axis),
+            upper: Vector3::repeat(0.9 * axis),
+        },
     ] {
         let case = Case::pass().with(|p| p.actuators[0].force.bound = Some(bound));
         let outcome = case.solved();
@@ -442,6 +446,7 @@ fn bounds_hold() {
         let limit = match bound {
             Bound::Norm(limit) => limit,
             Bound::PerAxis(limits) => limits.x,
+            Bound::Between { upper, .. } => upper.x,
         };
         for wrench in &u {
             assert!(bound.violation(&wrench.force) < 1e-9 * limit);
@@ -463,13 +468,15 @@ fn bounds_hold() {
                     }
                 }
             }
-            Bound::PerAxis(_) => {
+            Bound::PerAxis(_) | Bound::Between { .. } => {
                 assert_eq!(normals.len(), 3 * u.len());
                 for (i, normal) in normals.iter().enumerate() {
                     let component = u[i / 3].force[i % 3];
                     if normal[0].abs() > SURE * largest {
                         n_active += 1;
-                        assert!((component - limit * normal[0].signum()).abs() < 1e-3 * limit);
+                        let [lower, upper] = bound.interval(i % 3).unwrap();
+                        let at = if normal[0] > 0.0 { upper } else { lower };
+                        assert!((component - at).abs() < 1e-3 * limit);
                     }
                 }
             }

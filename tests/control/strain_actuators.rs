@@ -7,8 +7,11 @@ use softarm::control::{
 use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::{
     Density, Efforts, Material, Rod, RodModel, RodParameters, Route, Section, SectionProfile,
-    State, StrainActuator, StrainRule, TimeGrid, TimeScheme, stable_step,
+    State, StrainActuator, StrainRule, TimeGrid, TimeScheme, TipSpring, stable_step,
+    static_equilibrium,
 };
+use softarm::solve::solve;
+use softarm::task::{Arm, Discretization, EffortControl, StartShape, Staying, Task};
 
 /// A helical tendon over a part of the arm, a converging push rod, a chamber, a muscle and a braid, with given efforts.
 fn actuators() -> Vec<StrainActuator> {
@@ -122,4 +125,82 @@ fn derivatives_of_efforts_are_derivatives() {
         }
     }
     assert!(failed.is_empty(), "{}", failed.join("\n"));
+}
+
+/// A soft arm that hangs, with four parallel tendons.
+fn four_tendons() -> Arm {
+    let silicone = Material::isotropic(1e5, 0.4, 1070.0);
+    let tendon = |x: f64, y: f64| StrainActuator {
+        density: Density::Shortening,
+        scale: 1.0,
+        route: Route::straight([x, y]),
+        effort: vec![(0.0, 0.05)],
+    };
+    let d = 8e-3;
+    Arm {
+        gravity: Vector3::new(0.0, 0.0, -9.81),
+        viscous_damping: 1.0,
+        internal_damping: 5e-3,
+        actuators: vec![
+            tendon(d, 0.0),
+            tendon(0.0, d),
+            tendon(-d, 0.0),
+            tendon(0.0, -d),
+        ],
+        ..Arm::cylinder(&silicone, 0.3, 0.01).pointing(-Vector3::z())
+    }
+}
+
+/// Returns the tip of the arm at rest under the given tensions, N.
+fn tip_under(arm: &Arm, discretization: &Discretization, tensions: &[f64]) -> Vector3<f64> {
+    let mut arm = arm.clone();
+    for (actuator, tension) in arm.actuators.iter_mut().zip(tensions) {
+        actuator.effort = vec![(0.0, *tension)];
+    }
+    let rod = arm.rod(discretization).expect("a rod");
+    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).expect("a shape");
+    shape.positions[rod.tip()]
+}
+
+/// Four tendons that only pull bring a hanging arm to the tip of a static shape and keep it there; the certificate holds, by explicit and
+/// implicit steps and under both strain rules.
+#[test]
+fn tendons_reach_and_stay() {
+    let arm = four_tendons();
+    for (rule, scheme, elements) in [
+        (StrainRule::Helical, TimeScheme::Implicit, 10),
+        (StrainRule::Helical, TimeScheme::Explicit, 5),
+        (StrainRule::Trapezoidal, TimeScheme::Implicit, 10),
+    ] {
+        let discretization = Discretization {
+            strain_rule: rule,
+            scheme: Some(scheme),
+            blocks: 10,
+            ..Discretization::with_elements(elements)
+        };
+        let target = tip_under(&arm, &discretization, &[0.3, 0.2, 0.05, 0.05]);
+        let mut task = Task::reach(target, 1.0, 1.0).staying(Staying::default());
+        task.start.shape = StartShape::Equilibrium;
+        task.actuators.clear();
+        task.efforts = (0..4)
+            .map(|actuator| EffortControl {
+                actuator,
+                bounds: [0.0, 1.0],
+                rate: None,
+                scale: None,
+            })
+            .collect();
+        for target in &mut task.targets {
+            target.tolerances.distance = Some(3e-4);
+        }
+        let solution = solve(&arm, &task, &discretization).expect("a solution");
+        eprintln!(
+            "{rule:?} {scheme:?}: {:?}, {} iterations, objective {}",
+            solution.status(),
+            solution.attempt.iterations(),
+            solution.objective()
+        );
+        let check = solution.certify().expect("a check");
+        assert!(check.is_certified(), "{rule:?} {scheme:?}");
+    }
 }

@@ -414,14 +414,17 @@ fn bounds(statics: &Statics) -> Vec<ConvexSet> {
                         limit / channel.scale,
                     ));
                 }
-                Some(Bound::PerAxis(limits)) => {
+                Some(bound @ (Bound::PerAxis(_) | Bound::Between { .. })) => {
                     for (at, component) in own() {
-                        let limit = limits[component.axis % 3] / channel.scale;
-                        if limit.is_finite() {
+                        let Some(ends) = bound.interval(component.axis % 3) else {
+                            continue;
+                        };
+                        let [lower, upper] = ends.map(|end| end / channel.scale);
+                        if lower.is_finite() || upper.is_finite() {
                             out.push(ConvexSet::Interval {
                                 index: at,
-                                lower: -limit,
-                                upper: limit,
+                                lower,
+                                upper,
                             });
                         }
                     }

@@ -4,12 +4,13 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use crate::control::problem::{Component, OptimalControlProblem};
 use crate::mechanics::actuator::Acting;
+use crate::mechanics::block_tridiagonal::BlockTridiagonal;
 use crate::mechanics::equilibrium::TipSpring;
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rotation::{exp, log, log_tangent};
 use crate::mechanics::strain_coordinates::retract_shape;
 use crate::mechanics::tangent::{Mode, Tangent};
-use crate::mechanics::{Configuration, Rod, StateView, Wrench};
+use crate::mechanics::{Configuration, NodeWrenches, Rod, StateView, Wrench};
 
 /// A target of the tip.
 #[derive(Clone, Copy, Debug)]
@@ -104,6 +105,18 @@ impl Statics<'_> {
         out
     }
 
+    /// Returns the part of the controls in the efforts of the rod's actuators, which adds to the given efforts.
+    fn efforts(&self, wrenches: &[Wrench]) -> Vec<f64> {
+        let mut out = vec![0.0; self.rod().actuators.len()];
+        let control = NodeWrenches {
+            wrenches,
+            efforts: self.problem.efforts.as_ref(),
+            ..NodeWrenches::NONE
+        };
+        control.add_efforts(&mut out);
+        out
+    }
+
     fn view<'b>(&'b self, shape: &'b Configuration) -> StateView<'b> {
         StateView {
             rod: self.rod(),
@@ -136,6 +149,8 @@ impl Statics<'_> {
         let rod = self.rod();
         let mut forces = NodalForces::zeros(rod.n_nodes());
         forces.evaluate(rod, &shape.positions, &shape.rotations, self.time);
+        let efforts = self.efforts(&self.wrenches(controls));
+        forces.add_active(rod, &shape.positions, &shape.rotations, &efforts);
         let tip = rod.tip();
         let pull = springs.wrench(&shape.positions[tip], &shape.rotations[tip]);
         for (node, wrench) in self.nodal(shape, controls).into_iter().chain([(tip, pull)]) {
@@ -168,6 +183,17 @@ impl Statics<'_> {
         let tip = rod.tip() - first;
         out.add(tip, tip, &springs.stiffness(&shape.rotations[rod.tip()]));
         let wrenches = self.wrenches(controls);
+        let efforts = self.efforts(&wrenches);
+        if !efforts.is_empty() {
+            let mut active = BlockTridiagonal::zeros(self.n_free());
+            for q in 0..rod.n_elements() {
+                let pose = Rod::element_pose(q, &shape.positions, &shape.rotations);
+                if let Some(stiffness) = rod.active_stiffness(q, &pose, &efforts) {
+                    active.add_element(first, q, &stiffness);
+                }
+            }
+            out.add_blocks(active);
+        }
         for acting in self.looking() {
             let nodes = acting.actuator.nodes(rod);
             let u = acting.controls(&wrenches);
@@ -217,6 +243,13 @@ impl Statics<'_> {
                         column[node - first] +=
                             Vector6::from_fn(|k, _| scale * slope[(6 * i + k, control)]);
                     }
+                } else if let Some(unit) = self.unit_effort(component, scale) {
+                    let mut forces = NodalForces::zeros(rod.n_nodes());
+                    forces.add_active(rod, &shape.positions, &shape.rotations, &unit);
+                    for (node, column) in (first..).zip(&mut column) {
+                        let (f, m) = (&forces.forces[node], &forces.moments[node]);
+                        *column = Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z);
+                    }
                 } else {
                     let node = self.problem.actuators[component.actuator].node;
                     if node >= first {
@@ -226,6 +259,14 @@ impl Statics<'_> {
                 column
             })
             .collect()
+    }
+
+    /// Returns the efforts of all actuators of the rod where a component, if it is one of them, has the given value and all others zero.
+    fn unit_effort(&self, component: &Component, value: f64) -> Option<Vec<f64>> {
+        let index = self.problem.effort(component)?;
+        let mut out = vec![0.0; self.rod().actuators.len()];
+        out[self.problem.efforts.as_ref()?.actuators[index]] = value;
+        Some(out)
     }
 
     /// Returns the lowest modes under constant controls.
@@ -255,6 +296,10 @@ impl Statics<'_> {
         let first = rod.first_free_node();
         let length = rod.scales.length;
         let mut moved = shape.clone();
+        let mut efforts = self.efforts(&self.wrenches(controls));
+        for (effort, given) in efforts.iter_mut().zip(rod.actuators.efforts(self.time)) {
+            *effort += given;
+        }
         let along_states = (first..rod.n_nodes())
             .map(|node| {
                 Vector6::from_fn(|component, _| {
@@ -271,7 +316,7 @@ impl Statics<'_> {
                         } else {
                             moved.rotations[node] = r * exp(&Vector3::ith(axis, step));
                         }
-                        let form = self.form_about(&moved, node, &mode.shape);
+                        let form = self.form_about(&moved, &efforts, node, &mode.shape);
                         moved.positions[node] = x;
                         moved.rotations[node] = r;
                         form
@@ -280,11 +325,17 @@ impl Statics<'_> {
                 })
             })
             .collect();
-        if self.looking().next().is_none() {
-            return (along_states, vec![0.0; controls.len()]);
-        }
         let along_controls = (0..controls.len())
             .map(|i| {
+                let component = &self.components[i];
+                let scale = self.problem.channel(component).scale;
+                // The stiffness is linear in efforts.
+                if let Some(unit) = self.unit_effort(component, scale) {
+                    return self.active_form(shape, &unit, 0..rod.n_elements(), &mode.shape);
+                }
+                if self.looking().next().is_none() {
+                    return 0.0;
+                }
                 let [ahead, behind] = [DIFFERENCE, -DIFFERENCE].map(|step| {
                     let mut u = controls.to_vec();
                     u[i] += step;
@@ -297,30 +348,61 @@ impl Statics<'_> {
     }
 
     /// Returns the terms of `qᵀ K q` from the elements beside a node and the loads on it.
-    fn form_about(&self, shape: &Configuration, node: usize, q: &[Vector6<f64>]) -> f64 {
+    fn form_about(
+        &self,
+        shape: &Configuration,
+        efforts: &[f64],
+        node: usize,
+        q: &[Vector6<f64>],
+    ) -> f64 {
         let rod = self.rod();
-        let first = rod.first_free_node();
-        let part = |node: usize, rows: usize| -> Vector3<f64> {
-            (node.checked_sub(first))
-                .map_or_else(Vector3::zeros, |at| q[at].fixed_rows::<3>(rows).into())
-        };
         let elements = node.saturating_sub(1)..(node + 1).min(rod.n_elements());
-        let elastic = elements.map(|e| {
+        let elastic = elements.clone().map(|e| {
             let pose = Rod::element_pose(e, &shape.positions, &shape.rotations);
             let (_, k) = rod.elements[e].stiffness(rod.strain_rule, &pose);
-            let chord = part(e + 1, 0) - part(e, 0);
-            let (a, b) = (part(e, 3), part(e + 1, 3));
-            let motion = nalgebra::SVector::<f64, 9>::from_iterator(
-                chord.iter().chain(a.iter()).chain(b.iter()).copied(),
-            );
+            let motion = self.motion_of(e, q);
             motion.dot(&(k * motion))
         });
-        let (shift, turn) = (part(node, 0), part(node, 3));
+        let active = self.active_form(shape, efforts, elements, q);
+        let (shift, turn) = (self.part(q, node, 0), self.part(q, node, 3));
         let loads = (rod.loads.iter().filter(|load| load.node == node)).map(|load| {
             let (force, moment) = load.wrench_derivative(self.time, &shape.rotations[node]);
             -(shift.dot(&(force * turn)) + turn.dot(&(moment * turn)))
         });
-        elastic.sum::<f64>() + loads.sum::<f64>()
+        elastic.sum::<f64>() + active + loads.sum::<f64>()
+    }
+
+    /// Returns `δx` (rows from 0) or `η` (rows from 3) of a node in a deviation of the free nodes.
+    fn part(&self, q: &[Vector6<f64>], node: usize, rows: usize) -> Vector3<f64> {
+        (node.checked_sub(self.rod().first_free_node()))
+            .map_or_else(Vector3::zeros, |at| q[at].fixed_rows::<3>(rows).into())
+    }
+
+    /// Returns `(δx_b - δx_a, η_a, η_b)` of an element.
+    fn motion_of(&self, e: usize, q: &[Vector6<f64>]) -> nalgebra::SVector<f64, 9> {
+        let chord = self.part(q, e + 1, 0) - self.part(q, e, 0);
+        let (a, b) = (self.part(q, e, 3), self.part(q, e + 1, 3));
+        let parts = chord.iter().chain(a.iter()).chain(b.iter());
+        nalgebra::SVector::from_iterator(parts.copied())
+    }
+
+    /// Returns the terms of `qᵀ K q` from the actuators of the rod in some elements, with the given efforts.
+    fn active_form(
+        &self,
+        shape: &Configuration,
+        efforts: &[f64],
+        elements: std::ops::Range<usize>,
+        q: &[Vector6<f64>],
+    ) -> f64 {
+        let rod = self.rod();
+        elements
+            .filter_map(|e| {
+                let pose = Rod::element_pose(e, &shape.positions, &shape.rotations);
+                let stiffness = rod.active_stiffness(e, &pose, efforts)?;
+                let motion = self.motion_of(e, q);
+                Some(motion.dot(&(stiffness * motion)))
+            })
+            .sum()
     }
 
     /// Returns the terms of `qᵀ K q` from user-defined actuators.
@@ -406,9 +488,10 @@ impl Statics<'_> {
             .collect()
     }
 
-    /// Tells whether controls without a potential act: all but forces in the spatial frame.
+    /// Tells whether controls without a potential act: all but forces in the spatial frame and efforts of the rod's actuators.
     pub fn has_moments(&self) -> bool {
         (self.components.iter())
+            .filter(|component| self.problem.effort(component).is_none())
             .any(|component| component.axis >= 3 || self.problem.own_control(component).is_some())
     }
 

@@ -49,22 +49,28 @@ impl<'a> ChannelVariables<'a> {
                 rows,
                 radius: limit * unit,
             }),
-            Some(Bound::PerAxis(limits)) => {
-                let bounded = (rows.into_iter().zip(&self.axes))
-                    .map(|(row, &axis)| (row, limits[axis] * unit))
-                    .filter(|(_, limit)| limit.is_finite());
-                for (row, limit) in bounded {
+            Some(bound @ (Bound::PerAxis(_) | Bound::Between { .. })) => {
+                for (row, &axis) in rows.into_iter().zip(&self.axes) {
+                    let Some([lower, upper]) = bound.interval(axis) else {
+                        continue;
+                    };
+                    let (lower, upper) = (lower * unit, upper * unit);
+                    if !lower.is_finite() && !upper.is_finite() {
+                        continue;
+                    }
                     if let [(index, _)] = row[..] {
                         sets.push(ConvexSet::Interval {
                             index,
-                            lower: -limit,
-                            upper: limit,
+                            lower,
+                            upper,
                         });
                         continue;
                     }
                     let opposite = row.iter().map(|&(index, c)| (index, -c)).collect();
-                    for direction in [row, opposite] {
-                        sets.push(ConvexSet::HalfSpace { direction, limit });
+                    for (direction, limit) in [(row, upper), (opposite, -lower)] {
+                        if limit.is_finite() {
+                            sets.push(ConvexSet::HalfSpace { direction, limit });
+                        }
                     }
                 }
             }
@@ -103,7 +109,13 @@ pub(super) fn convex_sets(
         for variables in ChannelVariables::all(problem, components, coefficient) {
             let channel = variables.channel;
             let own = variables.indices.iter().map(|&i| vec![(i, 1.0)]).collect();
-            if held.is_none() || coefficient < last {
+            if channel.from_rest && coefficient == 0 {
+                sets.extend(variables.indices.iter().map(|&index| ConvexSet::Interval {
+                    index,
+                    lower: 0.0,
+                    upper: 0.0,
+                }));
+            } else if held.is_none() || coefficient < last {
                 variables.push_sets(channel.bound, 1.0 / channel.unit(), own, &mut sets);
             }
             if let Some(gap) = gaps.get(coefficient) {

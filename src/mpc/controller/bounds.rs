@@ -54,6 +54,9 @@ pub(super) fn is_slow(channel: &Channel) -> bool {
         None => false,
         Some(Bound::Norm(most)) => most.is_finite(),
         Some(Bound::PerAxis(most)) => most.iter().any(|most| most.is_finite()),
+        Some(Bound::Between { lower, upper }) => {
+            lower.iter().chain(&upper).any(|most| most.is_finite())
+        }
     }
 }
 
@@ -70,6 +73,12 @@ pub(super) fn part_within(limit: &Bound, factor: f64, change: &Vector3<f64>) -> 
         Bound::Norm(most) => part(change.norm(), *most),
         Bound::PerAxis(most) => (0..3)
             .map(|axis| part(change[axis].abs(), most[axis]))
+            .fold(1.0, f64::min),
+        Bound::Between { lower, upper } => (0..3)
+            .map(|axis| match change[axis] {
+                down if down < 0.0 => part(-down, -lower[axis]),
+                up => part(up, upper[axis]),
+            })
             .fold(1.0, f64::min),
     }
 }
@@ -179,6 +188,11 @@ impl Controller {
                         let most = SLOWER * most * time;
                         at - at.clamp(-most, most)
                     }),
+                    Some(Bound::Between { lower, upper }) => {
+                        at - at
+                            .sup(&(lower * (SLOWER * time)))
+                            .inf(&(upper * (SLOWER * time)))
+                    }
                 };
                 for c in range.clone() {
                     let j = coefficient * n_components + c;
@@ -218,5 +232,7 @@ fn bounded(
                 }
             }
         }
+        // Efforts alone have such bounds, and the horizon refuses them.
+        Some(Bound::Between { .. }) => {}
     }
 }

@@ -321,6 +321,12 @@ fn bound(bound: Option<control::Bound>) -> Option<Bound> {
         Some(control::Bound::Norm(0.0)) => None,
         Some(control::Bound::Norm(limit)) => Some(Bound::Norm(limit)),
         Some(control::Bound::PerAxis(limits)) => Some(Bound::PerAxis(limits.into())),
+        // A wrench of a task has none; see `described_control`.
+        Some(between @ control::Bound::Between { .. }) => {
+            Some(Bound::PerAxis([0, 1, 2].map(|axis| {
+                between.interval(axis).map_or(0.0, |[a, b]| b.max(-a))
+            })))
+        }
     }
 }
 

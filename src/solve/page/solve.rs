@@ -189,6 +189,7 @@ pub(super) fn drawn_bound(bound: &Option<Bound>) -> Option<output::Bound> {
     bound.as_ref().map(|bound| match bound {
         Bound::Norm(limit) => output::Bound::Norm(*limit),
         Bound::PerAxis(limits) => output::Bound::Axes((*limits).into()),
+        Bound::Between { lower, upper } => output::Bound::Between((*lower).into(), (*upper).into()),
     })
 }
 

@@ -256,6 +256,13 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             });
             format!("at most [{x}, {y}, {z}] {unit} per axis")
         }
+        Some(Bound::Between { lower, upper }) => {
+            let ranges: Vec<String> = (0..3)
+                .filter(|axis| channel.acts_along(*axis))
+                .map(|axis| format!("{} to {} {unit}", digits(lower[axis]), digits(upper[axis])))
+                .collect();
+            ranges.join(", ")
+        }
     };
     let limit = |channel: &Channel, unit: &str| {
         if !channel.acts() {

@@ -10,8 +10,9 @@ use super::stresses::StressLink;
 use crate::control::GoalPart;
 use crate::mechanics::differences;
 use crate::mechanics::rotation::exp;
-use crate::mechanics::{RodModel, Wrench};
-use crate::verify::{acting, dual, interval};
+use crate::mechanics::{RodModel, TimeScheme, Wrench};
+use crate::verify::interval::{Nine, Strained};
+use crate::verify::{acting, dual, efforts, interval};
 
 impl Conditions<'_> {
     /// Solves the adjoint equations backward in time and returns the derivative of a functional along the wrench on every actuated node at
@@ -65,6 +66,7 @@ impl Conditions<'_> {
                 };
             }
             self.add_own_controls(k, weight, [&lx, &lr], &mut out[k * width..][..width]);
+            self.add_efforts(k, weight, [&lx, &lr], &mut out);
             self.add_force_covectors(k, weight, &lx, &lr, &mut cx, &mut ceta);
             if k == 0 {
                 break;
@@ -90,6 +92,7 @@ impl Conditions<'_> {
             let stressed = interval::weights(rod, h).map(|weights| {
                 let link = StressLink::new(self, weights, k);
                 let own = -0.5 * h * impulse;
+                self.add_interval_efforts(k, k - 1, 0.5 * h * impulse, [&lx, &lr], &mut out);
                 link.add_end(own, &lx, &lr, [&mut cx, &mut ceta]);
                 link.add_start_of_end(own, &lx, &lr, [&mut earlier_x, &mut earlier_eta]);
                 (link, -0.5 * h * kick(rod, h, k - 1, n).2)
@@ -123,6 +126,7 @@ impl Conditions<'_> {
                     .collect();
                 link.solve(h, *factor, &spins, [&rhs_x, &rhs], [&mut lx, &mut lr]);
                 link.add_start(*factor, &lx, &lr, [&mut earlier_x, &mut earlier_eta]);
+                self.add_interval_efforts(k - 1, k - 1, -*factor, [&lx, &lr], &mut out);
             } else {
                 for q in first..count {
                     lr[q] = (spins[q].end_leaving.transpose().lu())
@@ -261,8 +265,13 @@ impl Conditions<'_> {
             let view = self.view(k);
             acting::add_slopes(&*own.actuator, &view, &u, weight, [lx, lr], [cx, ceta]);
         }
+        let own = if rod.scheme == TimeScheme::Explicit {
+            efforts::at_node(rod, &self.problem.grid.node(k), &self.control.at(k))
+        } else {
+            Vec::new()
+        };
         if !rod.model.has_potential() {
-            self.add_stress_covectors(k, weight, lx, lr, cx, ceta);
+            self.add_stress_covectors(k, weight, [lx, lr], &own, [cx, ceta]);
             return;
         }
         let step = 5e-4 / largest;
@@ -277,7 +286,13 @@ impl Conditions<'_> {
                 .zip(lr)
                 .map(|(r, v)| r * exp(&(v * (sign * step))))
                 .collect();
-            energy_gradient(rod, &positions, &rotations)
+            let mut gradient = energy_gradient(rod, &positions, &rotations);
+            for q in 0..if own.is_empty() { 0 } else { rod.n_elements() } {
+                let covector = efforts::gradient_of(rod, q, &positions, &rotations, &own);
+                let Gradient { x, eta } = &mut gradient;
+                interval::add_to_nodes(q, 1.0, &covector, x, eta);
+            }
+            gradient
         };
         let [plus, minus, plus_far, minus_far] = [1.0, -1.0, 2.0, -2.0].map(moved);
         for q in rod.first_free_node()..rod.n_nodes() {
@@ -319,16 +334,90 @@ impl Conditions<'_> {
         }
     }
 
+    /// Adds the derivatives along the efforts of the forces at time node `k`, at their places among the wrenches.
+    fn add_efforts(
+        &self,
+        k: usize,
+        weight: f64,
+        covectors: [&[Vector3<f64>]; 2],
+        out: &mut [Wrench],
+    ) {
+        if self.rod().scheme == TimeScheme::Explicit {
+            let (x, r) = (
+                self.trajectory.positions_at(k),
+                self.trajectory.rotations_at(k),
+            );
+            let strains = interval::strains(self.rod(), x, r);
+            let here: Vec<Nine> = strains.iter().map(|(strain, _)| *strain).collect();
+            self.add_effort_slopes(&strains, &here, &[(k, 1.0)], weight, covectors, out);
+        }
+    }
+
+    /// Adds the derivatives along the efforts of the impulse that the interval from `start` on has at time node `k`, one of its ends, half
+    /// for the efforts of each end.
+    fn add_interval_efforts(
+        &self,
+        k: usize,
+        start: usize,
+        weight: f64,
+        covectors: [&[Vector3<f64>]; 2],
+        out: &mut [Wrench],
+    ) {
+        if self.rod().scheme == TimeScheme::Implicit && self.control.efforts.is_some() {
+            let ends = [self.strains(start), self.strains(start + 1)];
+            let means: Vec<Nine> = (ends[0].iter().zip(&ends[1]))
+                .map(|((from, _), (to, _))| (from + to) * 0.5)
+                .collect();
+            let shares = [(start, 0.5), (start + 1, 0.5)];
+            self.add_effort_slopes(&ends[k - start], &means, &shares, weight, covectors, out);
+        }
+    }
+
+    /// Adds `weight` times the work of the multipliers in the pull of a unit of every effort, for the stress at the strains `at` and the
+    /// derivative of strains at a time node, to the wrenches of the time nodes in `shares`.
+    fn add_effort_slopes(
+        &self,
+        strained: &[Strained],
+        at: &[Nine],
+        shares: &[(usize, f64)],
+        weight: f64,
+        [lx, lr]: [&[Vector3<f64>]; 2],
+        out: &mut [Wrench],
+    ) {
+        let Some(driven) = &self.control.efforts else {
+            return;
+        };
+        let rod = self.rod();
+        let width = self.control.width();
+        for (&actuator, &place) in driven.actuators.iter().zip(&driven.places) {
+            let mut unit = vec![0.0; rod.actuators.len()];
+            unit[actuator] = 1.0;
+            let mut slope = 0.0;
+            for (q, (_, b)) in strained.iter().enumerate() {
+                if rod.actuators.on(q).is_empty() {
+                    continue;
+                }
+                // The force on the nodes is minus the gradient.
+                let along = b * interval::nine(&(lx[q + 1] - lx[q]), &lr[q], &lr[q + 1]);
+                slope -= efforts::stress(rod, q, &at[q], &unit).dot(&along);
+            }
+            for (k, share) in shares {
+                let carrier = &mut out[k * width + driven.first + place / 6];
+                let vector = [&mut carrier.force, &mut carrier.moment];
+                vector[place % 6 / 3][place % 3] += weight * share * slope;
+            }
+        }
+    }
+
     /// Adds the elastic part of [`Self::add_force_covectors`] if the stress has no potential: differences of the multipliers' work along
     /// every direction of every element.
     fn add_stress_covectors(
         &self,
         k: usize,
         weight: f64,
-        lx: &[Vector3<f64>],
-        lr: &[Vector3<f64>],
-        cx: &mut [Vector3<f64>],
-        ceta: &mut [Vector3<f64>],
+        [lx, lr]: [&[Vector3<f64>]; 2],
+        own: &[f64],
+        [cx, ceta]: [&mut [Vector3<f64>]; 2],
     ) {
         const STEP: f64 = 1e-4;
         let rod = self.rod();
@@ -343,7 +432,14 @@ impl Conditions<'_> {
                     rotation_a: &(r[q] * exp(&turn[0])),
                     rotation_b: &(r[q + 1] * exp(&turn[1])),
                 };
-                let [force, a, b] = dual::gradient(element, rod.strain_rule, &pose);
+                let [mut force, mut a, mut b] = dual::gradient(element, rod.strain_rule, &pose);
+                if !own.is_empty() {
+                    let (strain, slope) = dual::strain(element.length, rod.strain_rule, &pose);
+                    let active = slope.tr_mul(&efforts::stress(rod, q, &strain, own));
+                    force += active.fixed_rows::<3>(0);
+                    a += active.fixed_rows::<3>(3);
+                    b += active.fixed_rows::<3>(6);
+                }
                 -weight * (force.dot(&(lx[q + 1] - lx[q])) + a.dot(&lr[q]) + b.dot(&lr[q + 1]))
             };
             let slope = |along: &dyn Fn(f64) -> f64| {

@@ -180,8 +180,13 @@ impl ControlConditions {
                 for (j, time) in times.iter().enumerate() {
                     // A component that may not act has a gradient but is not a variable.
                     let (g, u) = (channel.acting(&gradient[j * n + a][c]), at(j));
-                    if let (Some(stay), true) = (&problem.stay, j + 1 == times.len()) {
-                        let off = u - parts(&stay.wrenches[a])[c];
+                    // Coefficients that are given are no variables.
+                    let given = match &problem.stay {
+                        Some(stay) if j + 1 == times.len() => Some(parts(&stay.wrenches[a])[c]),
+                        _ => (channel.from_rest && j == 0).then(Vector3::zeros),
+                    };
+                    if let Some(given) = given {
+                        let off = u - given;
                         out.violation = super::worse(out.violation, off.amax());
                         out.bounds.note(off.amax() / scale, || {
                             place(
@@ -259,7 +264,7 @@ fn normals_of(bound: &Bound, u: &Vector3<f64>, normal: &Vector3<f64>) -> ActiveB
             }
             out.normals.push(*normal);
         }
-        Bound::PerAxis(_) => {
+        Bound::PerAxis(_) | Bound::Between { .. } => {
             let axes = (0..3).map(|i| Vector3::ith(i, normal[i]));
             out.normals.extend(axes);
         }
@@ -280,6 +285,12 @@ fn rate_slack(
         Some(Bound::Norm(limit)) => (normal.norm() * (limit * gap) - normal.dot(change)).abs(),
         Some(Bound::PerAxis(limits)) => (0..3)
             .map(|i| (normal[i].abs() * (limits[i] * gap) - normal[i] * change[i]).abs())
+            .fold(0.0, super::worse),
+        Some(Bound::Between { lower, upper }) => (0..3)
+            .map(|i| {
+                let limit = if normal[i] < 0.0 { lower[i] } else { upper[i] };
+                (normal[i] * (limit * gap - change[i])).abs()
+            })
             .fold(0.0, super::worse),
     }
 }
@@ -317,6 +328,28 @@ pub(super) fn normal_cone(
                 let slack = limits[i] - u[i].abs();
                 let pushing_out = -g[i] * u[i].signum() > 0.0;
                 if slack < NEAR * limits[i] && pushing_out {
+                    gap = super::worse(gap, g[i].abs() * slack.abs() / scale);
+                    normal[i] = -g[i];
+                } else {
+                    rest[i] = g[i];
+                }
+            }
+            (rest, gap, normal)
+        }
+        Some(Bound::Between { lower, upper }) => {
+            let (mut rest, mut gap, mut normal) = (zero, 0.0, zero);
+            for i in 0..3 {
+                let range = upper[i] - lower[i];
+                if !(range > 0.0) {
+                    continue;
+                }
+                // A gradient that falls toward an end pushes out there.
+                let slack = if g[i] < 0.0 {
+                    upper[i] - u[i]
+                } else {
+                    u[i] - lower[i]
+                };
+                if slack < NEAR * range {
                     gap = super::worse(gap, g[i].abs() * slack.abs() / scale);
                     normal[i] = -g[i];
                 } else {

@@ -11,6 +11,7 @@ use crate::mechanics::{
 };
 use crate::verify::acting;
 use crate::verify::dual;
+use crate::verify::efforts;
 use crate::verify::interval::{self, Nine, Strained};
 use crate::verify::limits::Measure;
 
@@ -304,7 +305,17 @@ impl Conditions<'_> {
     /// Returns force and moment on every node at `k`.
     pub(in crate::verify) fn applied(&self, k: usize, gradient: &Gradient) -> Vec<Wrench> {
         let node = self.problem.grid.node(k);
-        applied(&node, &self.view(k), self.control.at(k), gradient)
+        let (view, control) = (self.view(k), self.control.at(k));
+        let mut out = applied(&node, &view, control, gradient);
+        let own = efforts::at_node(self.rod(), &node, &control);
+        efforts::add_at_node(self.rod(), view.positions, view.rotations, &own, &mut out);
+        out
+    }
+
+    /// Returns the efforts of the interval from time node `k` on.
+    pub(in crate::verify) fn interval_efforts(&self, k: usize) -> Vec<f64> {
+        let ends = [self.control.at(k), self.control.at(k + 1)];
+        efforts::of_interval(self.rod(), self.problem.grid, k, ends)
     }
 
     /// Returns the sum of the scaled distances of node 0 from its prescribed pose; each is shown to `worst`.
@@ -371,7 +382,12 @@ impl Conditions<'_> {
                 let next = (k < n).then(|| self.strains(k + 1));
                 let after = next.as_ref().map_or_else(
                     || vec![Nine::zeros(); rod.n_elements()],
-                    |next| interval::stresses(rod, weights, &here, next),
+                    |next| {
+                        let mut stresses = interval::stresses(rod, weights, &here, next);
+                        let own = self.interval_efforts(k);
+                        efforts::add_to_stresses(rod, &here, next, &own, &mut stresses);
+                        stresses
+                    },
                 );
                 for (q, (_, b)) in here.iter().enumerate() {
                     let pull = b.tr_mul(&(stresses[q] + after[q]));

@@ -7,6 +7,8 @@ use nalgebra::{SMatrix, Vector3};
 
 use super::adjoint::Spin;
 use super::motion::Conditions;
+use crate::mechanics::TimeScheme;
+use crate::verify::efforts;
 use crate::verify::interval::{self, Nine, Strained, nine};
 
 /// The stresses of the interval that ends at time node `k`, for the adjoint equations: the covectors of the configurations at both ends of
@@ -18,19 +20,41 @@ pub(super) struct StressLink<'a> {
     start: Vec<Strained>,
     end: Vec<Strained>,
     stresses: Vec<Nine>,
+    /// Efforts of the interval where its stress has a part of actuators; otherwise empty.
+    efforts: Vec<f64>,
 }
 
 impl<'a> StressLink<'a> {
     pub(super) fn new(conditions: &'a Conditions<'a>, weights: [f64; 2], k: usize) -> Self {
         let (start, end) = (conditions.strains(k - 1), conditions.strains(k));
+        let rod = conditions.rod();
+        let own = if rod.scheme == TimeScheme::Implicit {
+            conditions.interval_efforts(k - 1)
+        } else {
+            Vec::new()
+        };
+        let mut stresses = interval::stresses(rod, weights, &start, &end);
+        efforts::add_to_stresses(rod, &start, &end, &own, &mut stresses);
         Self {
             conditions,
             weights,
             k,
-            stresses: interval::stresses(conditions.rod(), weights, &start, &end),
+            stresses,
             start,
             end,
+            efforts: own,
         }
+    }
+
+    /// Returns the change of the stress of element `q` with a change of the strain at one end, whose weight is `weight`.
+    fn stressed(&self, q: usize, weight: f64, change: &Nine) -> Nine {
+        let rod = self.conditions.rod();
+        let elastic = interval::stiffness(&rod.elements[q]).component_mul(change) * weight;
+        if self.efforts.is_empty() {
+            return elastic;
+        }
+        let mean = (self.start[q].0 + self.end[q].0) * 0.5;
+        elastic + efforts::stress_slope(rod, q, &mean, &self.efforts, change) * 0.5
     }
 
     /// Adds the covector of `λ·Bᵀσ` along the configuration at the time node `at` to which `B` belongs; `weight` is that of its strain in
@@ -51,8 +75,7 @@ impl<'a> StressLink<'a> {
             let (_, b) = &strained[q];
             let rule = rod.strain_rule;
             let bent = interval::bent(element.length, rule, &pose, b, &self.stresses[q], &w);
-            let stiffness = interval::stiffness(element);
-            let stretched = b.tr_mul(&stiffness.component_mul(&(b * w))) * weight;
+            let stretched = b.tr_mul(&self.stressed(q, weight, &(b * w)));
             interval::add_to_nodes(q, factor, &(bent + stretched), x, eta);
         }
     }
@@ -76,9 +99,12 @@ impl<'a> StressLink<'a> {
         lr: &[Vector3<f64>],
         [x, eta]: [&mut [Vector3<f64>]; 2],
     ) {
-        for (q, element) in self.conditions.rod().elements.iter().enumerate() {
-            let work = self.end[q].1 * element_part(lx, lr, q) * self.weights[0];
-            let stress = interval::stiffness(element).component_mul(&work);
+        for q in 0..self.conditions.rod().n_elements() {
+            let stress = self.stressed(
+                q,
+                self.weights[0],
+                &(self.end[q].1 * element_part(lx, lr, q)),
+            );
             interval::add_to_nodes(q, factor, &self.start[q].1.tr_mul(&stress), x, eta);
         }
     }
@@ -125,8 +151,14 @@ impl<'a> StressLink<'a> {
             }
         }
         for (q, element) in rod.elements.iter().enumerate() {
-            let stressed = SMatrix::from_diagonal(&interval::stiffness(element)) * self.start[q].1;
-            let link = self.end[q].1.tr_mul(&stressed) * (-factor * self.weights[1]);
+            let elastic = SMatrix::from_diagonal(&interval::stiffness(element)) * self.weights[1];
+            let mut stressed = elastic * self.start[q].1;
+            if !self.efforts.is_empty() {
+                let mean = (self.start[q].0 + self.end[q].0) * 0.5;
+                let tangent = efforts::stress_tangent(rod, q, &mean, &self.efforts);
+                stressed += tangent * self.start[q].1 * 0.5;
+            }
+            let link = self.end[q].1.tr_mul(&stressed) * -factor;
             // Row or column of the matrix, column of the element, and sign: an element has x_b - x_a, η_a, η_b.
             let parts = [
                 (6 * q, 0, -1.0),

@@ -1,0 +1,134 @@
+//! Efforts of the arm's actuators as controls.
+
+use nalgebra::{Vector2, Vector3};
+
+use super::error::DiscretizeError;
+use crate::control::{ActuatedNode, Bound, Channel};
+use crate::mechanics::{Efforts, Rod};
+
+/// An actuator of the [arm](super::Arm) whose effort the optimizer chooses.
+///
+/// The control is the difference from the actuator's given effort, the pretension: it acts alone before the task begins, and effort is
+/// counted from it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EffortControl {
+    /// Index among [`Arm::actuators`](super::Arm::actuators); no two controls have the same.
+    pub actuator: usize,
+    /// Least and largest effort, with the pretension between; infinite where there is no bound.
+    pub bounds: [f64; 2],
+    /// Least (negative) and largest rate of the effort, per second. With it the effort begins at the pretension; `None`: it may jump.
+    pub rate: Option<[f64; 2]>,
+    /// Effort that counts as 1 in the cost. `None`: the one that bends or twists the arm by a radian in all, or where nothing bends the
+    /// largest distance of a bound from the pretension.
+    pub scale: Option<f64>,
+}
+
+/// A channel without controls.
+const NONE: Channel = Channel {
+    scale: 1.0,
+    bound: Some(Bound::Norm(0.0)),
+    rate_bound: None,
+    axes: [true; 3],
+    from_rest: false,
+};
+
+/// Returns the carriers of the controls after `first` wrenches, and the place of each control in them: every control has a force or a
+/// moment of its own.
+///
+/// # Errors
+/// Returns [`DiscretizeError`] for an actuator that the rod does not have or that is named twice, bounds without the pretension between
+/// them, or a pretension that changes.
+pub(super) fn efforts(
+    controls: &[EffortControl],
+    first: usize,
+    rod: &Rod,
+) -> Result<(Vec<ActuatedNode>, Option<Efforts>), DiscretizeError> {
+    if controls.is_empty() {
+        return Ok((Vec::new(), None));
+    }
+    let mut channels = Vec::with_capacity(controls.len());
+    for (at, control) in controls.iter().enumerate() {
+        let refuse = |what, value, expected| {
+            Err(DiscretizeError::OutOfRange {
+                what,
+                value,
+                expected,
+            })
+        };
+        let index = control.actuator;
+        let named_before = controls[..at].iter().any(|other| other.actuator == index);
+        let Some(actuator) = rod.actuators.iter().nth(index).filter(|_| !named_before) else {
+            let expected = "an actuator of the arm, each of them once";
+            return refuse("effort.actuator", index as f64, expected);
+        };
+        let given = match actuator.effort[..] {
+            [] => 0.0,
+            [(_, only)] => only,
+            [_, (_, other), ..] => {
+                let expected = "no row: the effort of a control is given by its pretension alone";
+                return refuse("effort.profile", other, expected);
+            }
+        };
+        let [least, most] = control.bounds;
+        if !(least <= given && given <= most && least < most) {
+            let expected = "a pretension within the bounds, which differ";
+            return refuse("effort.pretension", given, expected);
+        }
+        if let Some([down, up]) = control.rate
+            && !(down < 0.0 && up > 0.0)
+        {
+            let expected = "rates that let the effort fall and rise";
+            return refuse("effort.rate", if down < 0.0 { up } else { down }, expected);
+        }
+        let reach = (most - given).max(given - least);
+        let scale = control.scale.or_else(|| bending_scale(rod, index));
+        let scale = scale.unwrap_or(if reach.is_finite() { reach } else { 1.0 });
+        if !(scale > 0.0 && scale.is_finite()) {
+            return refuse("effort.scale", scale, "a positive effort");
+        }
+        let along_first = |value: f64| Vector3::new(value, 0.0, 0.0);
+        let between = |[lower, upper]: [f64; 2]| Bound::Between {
+            lower: along_first(lower),
+            upper: along_first(upper),
+        };
+        let bounded = least.is_finite() || most.is_finite();
+        channels.push(Channel {
+            rate_bound: control.rate.map(between),
+            axes: [true, false, false],
+            from_rest: control.rate.is_some(),
+            ..Channel::new(
+                scale,
+                bounded.then(|| between([least - given, most - given])),
+            )
+        });
+    }
+    let carriers = (channels.chunks(2))
+        .map(|pair| ActuatedNode {
+            node: 0,
+            force: pair[0],
+            moment: pair.get(1).copied().unwrap_or(NONE),
+        })
+        .collect();
+    let efforts = Efforts {
+        actuators: controls.iter().map(|control| control.actuator).collect(),
+        first,
+        places: (0..controls.len()).map(|at| 3 * at).collect(),
+    };
+    Ok((carriers, Some(efforts)))
+}
+
+/// Returns the effort of an actuator that bends and twists the arm at rest by a radian in all, as the sum over the elements of moment over
+/// stiffness; `None` if it has no moment.
+fn bending_scale(rod: &Rod, actuator: usize) -> Option<f64> {
+    let mut unit = vec![0.0; rod.actuators.len()];
+    unit[actuator] = 1.0;
+    let angle: f64 = (rod.elements.iter().enumerate())
+        .filter_map(|(q, element)| {
+            let stress = rod.active_stress(q, &element.rest, &unit)?;
+            let turn = stress.angular.component_div(&element.angular_stiffness);
+            Some(element.length * (Vector2::new(turn.x, turn.y).norm() + turn.z.abs()))
+        })
+        .sum();
+    // Below rounding of an offset there is no moment.
+    (angle > f64::MIN_POSITIVE).then(|| angle.recip())
+}
