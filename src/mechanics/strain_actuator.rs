@@ -85,6 +85,8 @@ impl Route {
 /// An actuator on the strains of the elements along its [`Route`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct StrainActuator {
+    /// Name in results.
+    pub name: String,
     /// Coordinate per length of the rod, divided by `scale`.
     pub density: Density,
     /// Factor of the density: 1 for a tendon, the area (m²) of a chamber or braid, area times largest stress (N) of a muscle.

@@ -26,6 +26,7 @@ impl Scene {
         for (index, load) in self.distributed_load.iter().enumerate() {
             keys.check_distributed_load(load, index)?;
         }
+        keys.check_hardware(self)?;
         if let Some(initial) = &self.initial {
             keys.check_initial(initial, self.base.kind)?;
         }

@@ -7,6 +7,7 @@ use super::model::{
     Base, BaseKind, Damping, DistributedLoad, Gravity, Initial, Limit, Load, Objective, Obstacle,
     Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme, TimeStep,
     describe_section, described_control, described_motion, described_targets, described_task,
+    describing_hardware,
 };
 use super::values::known;
 use crate::mechanics::{self, BaseCondition};
@@ -56,9 +57,10 @@ impl Scene {
             }),
         };
         describe_section(arm, &mut rod)?;
-        if !arm.actuators.is_empty() {
-            return Err(DescribeError("its arm has actuators on its strains"));
-        }
+        let hardware = describing_hardware(&arm.actuators, &task.efforts);
+        let (tendon, chamber, muscle) = hardware.ok_or(DescribeError(
+            "its arm has a push rod or a braid, or actuators in another order than tendons, chambers, muscles",
+        ))?;
         let obstacles = (task.limits.iter())
             .take_while(|limit| limit.is_obstacle())
             .count();
@@ -97,6 +99,9 @@ impl Scene {
             distributed_load: (arm.distributed_loads.iter())
                 .map(DistributedLoad::describing)
                 .collect(),
+            tendon,
+            chamber,
+            muscle,
             initial: Some(Initial {
                 shape: task.start.shape,
                 velocity_m_s: task.start.velocity.into(),

@@ -339,7 +339,7 @@ impl Scene {
             },
             base_position: self.base.position_m.into(),
             base_rotation,
-            actuators: Vec::new(),
+            actuators: self.strain_actuators(),
             gravity: self
                 .gravity
                 .as_ref()
@@ -436,7 +436,14 @@ impl Scene {
         if task.is_none() && objective.track.is_empty() {
             return Err(missing("task"));
         }
-        let control = self.control.as_ref().ok_or_else(|| missing("control"))?;
+        let efforts = self.effort_controls();
+        let none = model::Control::default();
+        let control = match &self.control {
+            Some(control) => control,
+            // The efforts of actuators in the arm are controls enough.
+            None if !efforts.is_empty() => &none,
+            None => return Err(missing("control")),
+        };
         let horizon = task.map_or(self.time.end_s.get(), |task| {
             task.instant(self.time.end_s.get())
         });
@@ -455,7 +462,7 @@ impl Scene {
             targets: task.map_or_else(Vec::new, |task| task.targets(elements)),
             limits: self.limits(),
             actuators: control.of_task(elements),
-            efforts: Vec::new(),
+            efforts,
             own_actuators: (control.distributed.iter())
                 .map(model::Distributed::of_task)
                 .collect(),

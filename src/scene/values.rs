@@ -246,6 +246,8 @@ macro_rules! quantities {
 quantities! {
     Length: "length", "meters";
     Radius: "radius", "meters";
+    Area: "area", "m²";
+    ActiveStress: "stress", "Pa";
     Diameter: "diameter", "meters";
     Edge: "edge", "meters";
     Clearance: "clearance", "meters";

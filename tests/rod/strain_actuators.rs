@@ -16,6 +16,7 @@ fn silicone() -> Material {
 fn actuators() -> Vec<StrainActuator> {
     let area = 1e-4;
     let of = |density, scale, route, effort: f64| StrainActuator {
+        name: String::new(),
         density,
         scale,
         route,

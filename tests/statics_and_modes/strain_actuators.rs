@@ -16,6 +16,7 @@ const OFFSET: f64 = 0.01506;
 
 fn tendon(route: Route, tension: f64) -> StrainActuator {
     StrainActuator {
+        name: String::new(),
         density: Density::Shortening,
         scale: 1.0,
         route,

@@ -65,6 +65,26 @@ struct Bends<S: Simd> {
 }
 
 impl Density {
+    /// Returns the unit of the effort; empty for a number.
+    #[must_use]
+    pub fn effort_unit(self) -> &'static str {
+        match self {
+            Self::Shortening | Self::Lengthening => "N",
+            Self::Volume | Self::Braid { .. } => "Pa",
+            Self::Muscle => "",
+        }
+    }
+
+    /// Returns the unit of the coordinate.
+    #[must_use]
+    pub fn coordinate_unit(self) -> &'static str {
+        match self {
+            Self::Shortening | Self::Lengthening => "m",
+            Self::Volume | Self::Braid { .. } => "m³",
+            Self::Muscle => "J",
+        }
+    }
+
     /// Returns the density itself, for `λ` and `κ₃`, or for the axial component of `p` of a [`Self::Volume`].
     fn value(self, stretch: f64, twist: f64) -> f64 {
         match self {

@@ -143,6 +143,25 @@ impl Bound {
     }
 }
 
+impl Default for Control {
+    /// No wrench, on as many blocks as an empty table has.
+    fn default() -> Self {
+        Self {
+            blocks: twenty(),
+            hold: Hold::default(),
+            force_max_n: None,
+            force_axes: None,
+            moment_max_n_m: None,
+            moment_axes: None,
+            force_rate_max_n_s: None,
+            moment_rate_max_n_m_s: None,
+            actuator: Vec::new(),
+            distributed: None,
+            feedback: None,
+        }
+    }
+}
+
 fn twenty() -> usize {
     20
 }
@@ -225,7 +244,7 @@ impl Keys<'_> {
             self.check_distributed(distributed, scene)?;
             nothing = false;
         }
-        if nothing {
+        if nothing && scene.effort_controls().is_empty() {
             let message = "force_max_n and moment_max_n_m are 0 or not named, so that there is nothing to control with";
             return Err((self.source).error_at("control", message, Some(NAME_A_PART.into())));
         }
@@ -321,12 +340,8 @@ fn bound(bound: Option<control::Bound>) -> Option<Bound> {
         Some(control::Bound::Norm(0.0)) => None,
         Some(control::Bound::Norm(limit)) => Some(Bound::Norm(limit)),
         Some(control::Bound::PerAxis(limits)) => Some(Bound::PerAxis(limits.into())),
-        // A wrench of a task has none; see `described_control`.
-        Some(between @ control::Bound::Between { .. }) => {
-            Some(Bound::PerAxis([0, 1, 2].map(|axis| {
-                between.interval(axis).map_or(0.0, |[a, b]| b.max(-a))
-            })))
-        }
+        // `described_control` refuses it.
+        Some(control::Bound::Between { .. }) => None,
     }
 }
 
@@ -340,7 +355,15 @@ pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, 
         return Err(DescribeError("it has an actuator of one's own"));
     }
     let Some((tip, others)) = problem.task.actuators.split_first() else {
-        return Err(DescribeError("it has no actuator"));
+        return if problem.task.efforts.is_empty() {
+            Err(DescribeError("it has no actuator"))
+        } else {
+            Ok(Control {
+                blocks: chosen.blocks,
+                hold: chosen.hold,
+                ..Control::default()
+            })
+        };
     };
     if tip.at.node(chosen.elements) != chosen.elements {
         return Err(DescribeError("its first actuator is not on the tip"));
@@ -351,6 +374,15 @@ pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, 
     };
     if !others.iter().all(same) {
         return Err(DescribeError("the rates of its actuators differ"));
+    }
+    let one_sided = |limits: &ChannelLimits| {
+        let bounds = [limits.bound, limits.rate_bound];
+        (bounds.iter().flatten()).any(|bound| matches!(bound, control::Bound::Between { .. }))
+    };
+    if (problem.task.actuators.iter()).any(|own| one_sided(&own.force) || one_sided(&own.moment)) {
+        return Err(DescribeError(
+            "a wrench has bounds that differ in their sizes",
+        ));
     }
     let rate = |limits: &ChannelLimits| limits.rate_bound.and_then(|rate| bound(Some(rate)));
     Ok(Control {

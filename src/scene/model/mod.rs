@@ -4,6 +4,7 @@ mod base;
 mod control;
 mod estimator;
 pub(super) mod geometry;
+mod hardware;
 mod limit;
 mod load;
 mod mpc;
@@ -18,6 +19,7 @@ mod time;
 pub use self::base::*;
 pub use self::control::*;
 pub use self::estimator::*;
+pub use self::hardware::*;
 pub use self::limit::*;
 pub use self::load::*;
 pub use self::mpc::*;
@@ -58,6 +60,15 @@ pub struct Scene {
     /// Prescribed forces and moments along the arm.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub distributed_load: Vec<DistributedLoad>,
+    /// Tendons in the arm.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tendon: Vec<Tendon>,
+    /// Pneumatic or hydraulic chambers in the arm.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub chamber: Vec<Chamber>,
+    /// Muscles in the arm.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub muscle: Vec<Muscle>,
     /// State at t = 0. Absent: the stress-free shape, at rest or moving with a driven base.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub initial: Option<Initial>,

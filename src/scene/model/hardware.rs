@@ -1,0 +1,458 @@
+//! Actuators that are built into the arm: tendons, chambers, muscles.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, Fraction, Positive, digits, known};
+use super::Scene;
+use crate::mechanics::{Density, Route, StrainActuator};
+use crate::task::EffortControl;
+
+/// A tendon in the arm, or a rod in it that pushes: its line lies in the section and moves with it, without friction. A tendon pulls the
+/// section toward itself with the work of its tension as it gets shorter. With `tension_n` its tension is a control, with `profile` it is
+/// given, in simulations too.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Tendon {
+    /// Name in results, one for each actuator. Absent: the word tendon with its place in the list, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Place in the section at `from`, along its two axes, in m.
+    pub offset_m: [f64; 2],
+    /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset_to_m: Option<[f64; 2]>,
+    /// Revolutions about the arm's axis from `from` to `to`, positive about +e3. Default: 0, parallel to the axis.
+    #[serde(default)]
+    pub turns: f64,
+    /// Start, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+    #[serde(default)]
+    pub from: Fraction,
+    /// End, as a fraction, after `from`. Default: 1, the tip.
+    #[serde(default = "Fraction::one")]
+    pub to: Fraction,
+    /// Least and largest tension in N, which makes it a control; `inf` and `-inf` are no bounds, and a negative tension is that of a rod that
+    /// pushes. Absent: the tension is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tension_n: Option<[f64; 2]>,
+    /// Largest rate of the tension in N/s, or the fastest fall, negative, and the fastest rise. With it the tension begins at
+    /// `pretension_n`. Absent: it may jump.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_n_s: Option<RateBound>,
+    /// Tension in N before the task begins, within the bounds, from which effort is counted. Default: 0.
+    #[serde(default)]
+    pub pretension_n: f64,
+    /// Given tension over time, as [t in s, tension in N] with increasing t; linear in between and constant outside. It does not go with
+    /// `tension_n`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 2]>>,
+}
+
+/// A pneumatic or hydraulic chamber in the arm whose section stays plane and keeps its area. Its pressure lengthens the arm and bends it
+/// away from the chamber. With `pressure_pa` the pressure, above that of the surroundings, is a control, with `profile` it is given, in
+/// simulations too.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Chamber {
+    /// Name in results, one for each actuator. Absent: the word chamber with its place in the list, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Area of the chamber's section in m².
+    pub area_m2: Positive<values::Area>,
+    /// Centroid of that area in the section at `from`, along its two axes, in m.
+    pub offset_m: [f64; 2],
+    /// Centroid at `to`, reached linearly, in m. Absent: `offset_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset_to_m: Option<[f64; 2]>,
+    /// Revolutions about the arm's axis from `from` to `to`, positive about +e3. Default: 0.
+    #[serde(default)]
+    pub turns: f64,
+    /// Start, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+    #[serde(default)]
+    pub from: Fraction,
+    /// End, as a fraction, after `from`. Default: 1, the tip.
+    #[serde(default = "Fraction::one")]
+    pub to: Fraction,
+    /// Least and largest pressure in Pa, which makes it a control; `inf` and `-inf` are no bounds. Absent: the pressure is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pressure_pa: Option<[f64; 2]>,
+    /// Largest rate of the pressure in Pa/s, or the fastest fall, negative, and the fastest rise. With it the pressure begins at
+    /// `rest_pressure_pa`. Absent: it may jump.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_pa_s: Option<RateBound>,
+    /// Pressure in Pa before the task begins, within the bounds, from which effort is counted. Default: 0.
+    #[serde(default)]
+    pub rest_pressure_pa: f64,
+    /// Given pressure over time, as [t in s, pressure in Pa] with increasing t; linear in between and constant outside. It does not go with
+    /// `pressure_pa`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 2]>>,
+}
+
+/// A muscle in the arm, by the relation of active force and length of COOMM: a force `activation · stress_pa · area_m2 · w` along its
+/// fibre, with `w = 3.06 λ³ - 13.64 λ² + 18.01 λ - 6.44` where that is positive and the fibre's stretch `λ` below 1.6, otherwise 0. With
+/// `activation` the activation is a control, with `profile` it is given, in simulations too.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Muscle {
+    /// Name in results, one for each actuator. Absent: the word muscle with its place in the list, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Area of the muscle's section in m².
+    pub area_m2: Positive<values::Area>,
+    /// Largest active stress in Pa.
+    pub stress_pa: Positive<values::ActiveStress>,
+    /// Place in the section at `from`, along its two axes, in m.
+    pub offset_m: [f64; 2],
+    /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset_to_m: Option<[f64; 2]>,
+    /// Revolutions about the arm's axis from `from` to `to`, positive about +e3. Default: 0.
+    #[serde(default)]
+    pub turns: f64,
+    /// Start, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+    #[serde(default)]
+    pub from: Fraction,
+    /// End, as a fraction, after `from`. Default: 1, the tip.
+    #[serde(default = "Fraction::one")]
+    pub to: Fraction,
+    /// Least and largest activation, which makes it a control, usually [0, 1]. Absent: the activation is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub activation: Option<[f64; 2]>,
+    /// Largest rate of the activation in 1/s, or the fastest fall, negative, and the fastest rise. With it the activation begins at
+    /// `rest_activation`. Absent: it may jump.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_1_s: Option<RateBound>,
+    /// Activation before the task begins, within the bounds, from which effort is counted. Default: 0.
+    #[serde(default)]
+    pub rest_activation: f64,
+    /// Given activation over time, as [t in s, activation] with increasing t; linear in between and constant outside. It does not go with
+    /// `activation`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 2]>>,
+}
+
+/// A bound on a rate: a number bounds its magnitude, [down, up] has the fastest fall, negative, and the fastest rise.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(
+    untagged,
+    expecting = "expected a number, which bounds the rate both ways, or [down, up], the fastest fall, negative, and the fastest rise"
+)]
+pub enum RateBound {
+    /// The same both ways.
+    Both(f64),
+    /// Fastest fall and fastest rise.
+    Each([f64; 2]),
+}
+
+impl RateBound {
+    fn range(self) -> [f64; 2] {
+        match self {
+            Self::Both(most) => [-most, most],
+            Self::Each(range) => range,
+        }
+    }
+}
+
+/// The keys that all actuators of an arm share, by their own names.
+struct Common<'a> {
+    section: &'static str,
+    index: usize,
+    name: &'a Option<String>,
+    route: Route,
+    density: Density,
+    scale: f64,
+    bounds: (&'static str, Option<[f64; 2]>),
+    rate: (&'static str, Option<RateBound>),
+    rest: (&'static str, f64),
+    profile: &'a Option<Vec<[f64; 2]>>,
+}
+
+/// Collects the keys of an actuator; the names are those of its bounds, of its rate and of its effort at rest.
+macro_rules! common {
+    ($own:expr, $section:literal, $index:expr, $density:expr, $scale:expr, $bounds:ident, $rate:ident, $rest:ident) => {
+        Common {
+            section: $section,
+            index: $index,
+            name: &$own.name,
+            route: Route {
+                from: $own.from.get(),
+                to: $own.to.get(),
+                offset_from: $own.offset_m,
+                offset_to: $own.offset_to_m.unwrap_or($own.offset_m),
+                turns: $own.turns,
+            },
+            density: $density,
+            scale: $scale,
+            bounds: (stringify!($bounds), $own.$bounds),
+            rate: (stringify!($rate), $own.$rate),
+            rest: (stringify!($rest), $own.$rest),
+            profile: &$own.profile,
+        }
+    };
+}
+
+impl Common<'_> {
+    fn name(&self) -> String {
+        (self.name.clone()).unwrap_or_else(|| format!("{} {}", self.section, self.index))
+    }
+
+    fn of_arm(&self) -> StrainActuator {
+        let rows = self.profile.iter().flatten();
+        let given: Vec<(f64, f64)> = rows.map(|&[t, effort]| (t, effort)).collect();
+        StrainActuator {
+            name: self.name(),
+            density: self.density,
+            scale: self.scale,
+            route: self.route,
+            effort: if given.is_empty() {
+                vec![(0.0, self.rest.1)]
+            } else {
+                given
+            },
+        }
+    }
+
+    fn of_task(&self, actuator: usize) -> Option<EffortControl> {
+        Some(EffortControl {
+            actuator,
+            bounds: self.bounds.1?,
+            rate: self.rate.1.map(RateBound::range),
+            scale: None,
+        })
+    }
+}
+
+impl Scene {
+    /// The actuators in the arm: tendons, then chambers, then muscles.
+    fn hardware(&self) -> Vec<Common<'_>> {
+        let tendons = self.tendon.iter().enumerate().map(|(index, own)| {
+            let density = Density::Shortening;
+            common!(
+                own,
+                "tendon",
+                index,
+                density,
+                1.0,
+                tension_n,
+                rate_n_s,
+                pretension_n
+            )
+        });
+        let chambers = self.chamber.iter().enumerate().map(|(index, own)| {
+            let (density, scale) = (Density::Volume, own.area_m2.get());
+            common!(
+                own,
+                "chamber",
+                index,
+                density,
+                scale,
+                pressure_pa,
+                rate_pa_s,
+                rest_pressure_pa
+            )
+        });
+        let muscles = self.muscle.iter().enumerate().map(|(index, own)| {
+            let (density, scale) = (Density::Muscle, own.area_m2.get() * own.stress_pa.get());
+            common!(
+                own,
+                "muscle",
+                index,
+                density,
+                scale,
+                activation,
+                rate_1_s,
+                rest_activation
+            )
+        });
+        tendons.chain(chambers).chain(muscles).collect()
+    }
+
+    /// The actuators of the arm.
+    pub(in crate::scene) fn strain_actuators(&self) -> Vec<StrainActuator> {
+        self.hardware().iter().map(Common::of_arm).collect()
+    }
+
+    /// The efforts that the optimizer chooses.
+    pub(in crate::scene) fn effort_controls(&self) -> Vec<EffortControl> {
+        (self.hardware().iter().enumerate())
+            .filter_map(|(index, own)| own.of_task(index))
+            .collect()
+    }
+}
+
+impl Keys<'_> {
+    /// Checks all actuators in the arm.
+    pub(in crate::scene) fn check_hardware(&self, scene: &Scene) -> Checked {
+        let all = scene.hardware();
+        for (at, own) in all.iter().enumerate() {
+            self.check_common(own)?;
+            if let Some(other) = all[..at].iter().find(|other| other.name() == own.name()) {
+                let key = format!("{}.{}", own.section, own.index);
+                let message = format!(
+                    "its name, \"{}\", is that of {}.{}",
+                    own.name(),
+                    other.section,
+                    other.index
+                );
+                let help = "give every actuator a name of its own";
+                return Err(self.source.error_at(&key, message, Some(help.into())));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_common(&self, own: &Common) -> Checked {
+        let key = |name: &str| format!("{}.{}.{name}", own.section, own.index);
+        let Route {
+            from,
+            to,
+            offset_from,
+            offset_to,
+            turns,
+        } = own.route;
+        self.finite(&key("offset_m"), &offset_from)?;
+        self.finite(&key("offset_to_m"), &offset_to)?;
+        self.finite_number(&key("turns"), turns)?;
+        if to <= from {
+            let message = format!("{} does not come after from, {}", digits(to), digits(from));
+            return Err((self.source)
+                .error_at(&key("to"), message, None)
+                .expecting("expected a larger fraction, up to 1 (tip)"));
+        }
+        let (rest_key, rest) = own.rest;
+        self.finite_number(&key(rest_key), rest)?;
+        if let Some(rows) = own.profile {
+            self.table(&key("profile"), rows, "a constant effort")?;
+        }
+        let (bounds_key, bounds) = own.bounds;
+        let (rate_key, rate) = own.rate;
+        let Some([least, most]) = bounds else {
+            if rate.is_some() {
+                let relation = format!("goes with {bounds_key}, which makes it a control");
+                return Err(self.missing(&key(bounds_key), &relation));
+            }
+            return Ok(());
+        };
+        if own.profile.is_some() {
+            return Err(self.contradiction(&key("profile"), &key(bounds_key)));
+        }
+        if !(least < most) {
+            let message = format!("[{}, {}] is no range", digits(least), digits(most));
+            return Err((self.source)
+                .error_at(&key(bounds_key), message, None)
+                .expecting("expected [least, largest], the second above the first"));
+        }
+        if !(least <= rest && rest <= most) {
+            let message = format!(
+                "{} is not within {bounds_key}, [{}, {}]",
+                digits(rest),
+                digits(least),
+                digits(most)
+            );
+            return Err((self.source)
+                .error_at(&key(rest_key), message, None)
+                .expecting("expected a value within the bounds"));
+        }
+        if let Some([down, up]) = rate.map(RateBound::range)
+            && !(down < 0.0 && up > 0.0)
+        {
+            let message = format!(
+                "[{}, {}] lets it not change both ways",
+                digits(down),
+                digits(up)
+            );
+            return Err((self.source)
+                .error_at(&key(rate_key), message, None)
+                .expecting(
+                    "expected a positive number, or [down, up] with down below 0 and up above 0",
+                ));
+        }
+        Ok(())
+    }
+}
+
+/// Returns the keys of the actuators of an arm with the efforts that are controls; `None` for one that no scene has.
+pub(in crate::scene) fn describing_hardware(
+    actuators: &[StrainActuator],
+    efforts: &[EffortControl],
+) -> Option<(Vec<Tendon>, Vec<Chamber>, Vec<Muscle>)> {
+    let (mut tendons, mut chambers, mut muscles) = (Vec::new(), Vec::new(), Vec::new());
+    let mut order = Vec::new();
+    for (index, own) in actuators.iter().enumerate() {
+        let control = efforts.iter().find(|control| control.actuator == index);
+        let (bounds, rate) = match control {
+            Some(EffortControl { scale: Some(_), .. }) => return None,
+            Some(control) => (Some(control.bounds), control.rate.map(RateBound::Each)),
+            None => (None, None),
+        };
+        let rest = match own.effort[..] {
+            [(_, only)] => only,
+            _ => 0.0,
+        };
+        let profile = (own.effort.len() > 1)
+            .then(|| own.effort.iter().map(|&(t, effort)| [t, effort]).collect());
+        let route = own.route;
+        let (from, to) = (known(route.from), known(route.to));
+        let offset_to_m = (route.offset_to != route.offset_from).then_some(route.offset_to);
+        let name = Some(own.name.clone()).filter(|name| !name.is_empty());
+        match own.density {
+            Density::Shortening => {
+                order.push(0);
+                tendons.push(Tendon {
+                    name,
+                    offset_m: route.offset_from,
+                    offset_to_m,
+                    turns: route.turns,
+                    from,
+                    to,
+                    tension_n: bounds,
+                    rate_n_s: rate,
+                    pretension_n: rest,
+                    profile,
+                });
+            }
+            Density::Volume => {
+                order.push(1);
+                chambers.push(Chamber {
+                    name,
+                    area_m2: known(own.scale),
+                    offset_m: route.offset_from,
+                    offset_to_m,
+                    turns: route.turns,
+                    from,
+                    to,
+                    pressure_pa: bounds,
+                    rate_pa_s: rate,
+                    rest_pressure_pa: rest,
+                    profile,
+                });
+            }
+            Density::Muscle => {
+                order.push(2);
+                muscles.push(Muscle {
+                    name,
+                    area_m2: known(1.0),
+                    stress_pa: known(own.scale),
+                    offset_m: route.offset_from,
+                    offset_to_m,
+                    turns: route.turns,
+                    from,
+                    to,
+                    activation: bounds,
+                    rate_1_s: rate,
+                    rest_activation: rest,
+                    profile,
+                });
+            }
+            Density::Lengthening | Density::Braid { .. } => return None,
+        }
+    }
+    order.is_sorted().then_some((tendons, chambers, muscles))
+}
