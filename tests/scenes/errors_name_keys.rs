@@ -353,3 +353,69 @@ fn from_asks_for_a_result_directory() {
         assert!(!text.contains("built-in scene"), "{text}");
     }
 }
+
+/// An actuator in the arm that cannot be: the error is at the key that is wrong.
+#[test]
+fn actuators_in_the_arm_name_their_keys() {
+    for (actuator, key, words) in [
+        (
+            "tendon=[{offset_m = [0.01, 0.0], from = 0.5, to = 0.5}]",
+            "tendon.0.to",
+            "does not come after",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, inf]}]",
+            "tendon.0.offset_m.1",
+            "finite",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [2.0, 1.0]}]",
+            "tendon.0.tension_n",
+            "no range",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], pretension_n = 2.0}]",
+            "tendon.0.pretension_n",
+            "not within tension_n",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], rate_n_s = 2.0}]",
+            "tendon.0.tension_n",
+            "makes it a control",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], rate_n_s = [1.0, 2.0]}]",
+            "tendon.0.rate_n_s",
+            "both ways",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], profile = [[0.0, 1.0]]}]",
+            "tendon.0.profile",
+            "contradicts tendon.0.tension_n",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], profile = [[0.0, 1.0], [0.0, 2.0]]}]",
+            "tendon.0.profile.1",
+            "does not come after",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], name = 'a'}, {offset_m = [0.0, 0.01], name = 'a'}]",
+            "tendon.1",
+            "is that of tendon.0",
+        ),
+        (
+            "chamber=[{offset_m = [0.01, 0.0], area_m2 = 0.0}]",
+            "chamber.0.area_m2",
+            "not a positive area",
+        ),
+        (
+            "muscle=[{offset_m = [0.01, 0.0], area_m2 = 1e-4, stress_pa = -1.0}]",
+            "muscle.0.stress_pa",
+            "not a positive stress",
+        ),
+    ] {
+        let error = error_of("reach", &[actuator]);
+        assert_eq!(error.key(), Some(key), "{error}");
+        assert!(error.message().contains(words), "{error}");
+    }
+}
