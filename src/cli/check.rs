@@ -194,7 +194,7 @@ fn rest_in_words(rest: &RestSummary, rod: &Rod) -> String {
 }
 
 /// The largest force, moment and controls in words; `units` are those of the controls.
-fn in_parts(wrenches: &[[f64; 6]], controls: &[Vec<f64>], units: &[&str]) -> String {
+fn in_parts(wrenches: &[[f64; 6]], controls: &[Vec<f64>], units: &[String]) -> String {
     let largest = |from: usize| {
         (wrenches.iter())
             .map(|wrench| Vector3::from_column_slice(&wrench[from..from + 3]).norm())
@@ -202,7 +202,7 @@ fn in_parts(wrenches: &[[f64; 6]], controls: &[Vec<f64>], units: &[&str]) -> Str
     };
     let own = (controls.iter().zip(units)).map(|(controls, unit)| {
         let largest = controls.iter().fold(0.0, |most: f64, u| most.max(u.abs()));
-        (largest, *unit)
+        (largest, unit.as_str())
     });
     let parts: Vec<String> = [(largest(0), "N"), (largest(3), "N m")]
         .into_iter()
@@ -218,7 +218,7 @@ fn in_parts(wrenches: &[[f64; 6]], controls: &[Vec<f64>], units: &[&str]) -> Str
 }
 
 /// The wrench that holds the tip at its target, in words.
-fn held_by(need: &StaticNeedSummary, units: &[&str]) -> String {
+fn held_by(need: &StaticNeedSummary, units: &[String]) -> String {
     let parts = in_parts(&need.wrenches, &need.controls, units);
     let nearest = need.nearest.as_ref().map_or_else(String::new, |nearest| {
         let [x, y, z] = nearest.position_m.map(digits);

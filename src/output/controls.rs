@@ -74,12 +74,21 @@ pub fn write_controls(path: &Path, rows: &[ControlRow]) -> Result<(), OutputErro
             reason,
         })?;
     }
+    write_rows(path, &COLUMNS, rows)
+}
+
+/// Writes a header and rows; every number in the shortest form that reads back as the same `f64`.
+pub(super) fn write_rows(
+    path: &Path,
+    columns: &[&str],
+    rows: &[impl Serialize],
+) -> Result<(), OutputError> {
     let file = File::create(path).map_err(OutputError::unwritten(path, "cannot write"))?;
     let mut writer = csv::WriterBuilder::new()
         .has_headers(false)
         .from_writer(file);
     let written = writer
-        .write_record(COLUMNS)
+        .write_record(columns)
         .and_then(|()| rows.iter().try_for_each(|row| writer.serialize(row)));
     let cannot_write = OutputError::unwritten(path, "cannot write");
     written.map_err(|error| cannot_write(std::io::Error::other(error)))?;
@@ -136,7 +145,7 @@ pub fn read_controls(path: &Path, n_rows: usize) -> Result<Vec<ControlRow>, Outp
     Ok(rows)
 }
 
-fn csv_error(path: &Path, action: &'static str, error: csv::Error) -> OutputError {
+pub(super) fn csv_error(path: &Path, action: &'static str, error: csv::Error) -> OutputError {
     let line = error.position().map(csv::Position::line);
     match error.into_kind() {
         csv::ErrorKind::Io(source) => OutputError::io(path, action)(source),

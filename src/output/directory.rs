@@ -61,6 +61,7 @@ impl ResultKind {
             Self::Simulate => &[
                 "scene.toml",
                 "trajectory.npz",
+                "efforts.csv",
                 "diagnostics.npz",
                 "checkpoint.json",
                 "report.html",
@@ -71,6 +72,7 @@ impl ResultKind {
                 "trajectory.npz",
                 "diagnostics.npz",
                 "controls.csv",
+                "efforts.csv",
                 "iterations.csv",
                 "multipliers.json",
                 "feedback.npz",

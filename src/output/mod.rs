@@ -6,6 +6,7 @@ pub mod closed_loop;
 mod controls;
 mod diagnostics;
 mod directory;
+mod efforts;
 mod error;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
@@ -31,6 +32,7 @@ pub use checkpoint::Checkpoint;
 pub use controls::{ControlRow, read_controls, write_controls};
 pub use diagnostics::{BaseReaction, DiagnosticsRecord};
 pub use directory::{ResultDirectory, ResultKind};
+pub use efforts::{EffortRow, read_efforts, write_efforts};
 pub use error::OutputError;
 #[doc(hidden)]
 pub use extremes::Extremes;

@@ -4,18 +4,20 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::efforts::effort_rows;
 use super::examined::{Examined, Spent, beside};
 use super::page::{SolvePage, iteration, sensitivity, solve_page};
 use super::solution::Solution;
 use super::summary::summarize;
 use crate::control::{Hold, OptimalControlProblem, SolveLog};
+use crate::mechanics::signal::EffortTable;
 use crate::mechanics::{Energy, State, Wrench};
 #[cfg(feature = "cli")]
 use crate::output::DiagnosticsRecord;
 use crate::output::summary::SolveSummary;
 use crate::output::{
     ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory,
-    render_report, write_controls, write_feedback,
+    render_report, write_controls, write_efforts, write_feedback,
 };
 #[cfg(feature = "cli")]
 use crate::scene::OptimalControl;
@@ -104,6 +106,16 @@ fn write(
             &directory.path().join("controls.csv"),
             &control_rows(problem, &solution.coefficients),
         )?;
+        if !problem.rod.actuators.is_empty() {
+            let stride = solution.steps_per_row(examined);
+            let control = problem.signal(&problem.control, &solution.coefficients);
+            let table = EffortTable::of(&problem.rod.actuators, &problem.grid, Some(&control));
+            let rows = effort_rows(&problem.rod, &record, |row| {
+                let k = (row * stride).min(problem.grid.n_steps);
+                table.nodes[k * table.n_actuators..][..table.n_actuators].to_vec()
+            });
+            write_efforts(&directory.path().join("efforts.csv"), &rows)?;
+        }
         write_iterations(
             &directory.path().join("iterations.csv"),
             &solution.attempt.solves,

@@ -9,6 +9,7 @@ mod constraints;
 mod diagnostics;
 #[cfg(feature = "cli")]
 mod earlier;
+mod efforts;
 #[cfg(feature = "cli")]
 mod equilibrium;
 mod examined;

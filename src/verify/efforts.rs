@@ -8,7 +8,7 @@ use super::interval::{self, Nine, Strained, add_to_nodes, pose};
 use crate::mechanics::{NodeWrenches, Rod, TimeGrid, TimeNode, TimeScheme, Wrench};
 
 /// Returns the given efforts at a side of a time node with those of a control.
-pub(super) fn at_node(rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Vec<f64> {
+pub(crate) fn at_node(rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Vec<f64> {
     let mut out: Vec<f64> = (rod.actuators.iter())
         .map(|actuator| actuator.effort_at_node(node))
         .collect();
@@ -144,7 +144,7 @@ pub(super) fn gradient_of(
 }
 
 /// Returns the coordinates of all actuators in a configuration.
-pub(super) fn coordinates(rod: &Rod, x: &[Vector3<f64>], r: &[Matrix3<f64>]) -> Vec<f64> {
+pub(crate) fn coordinates(rod: &Rod, x: &[Vector3<f64>], r: &[Matrix3<f64>]) -> Vec<f64> {
     let mut out = vec![0.0; rod.actuators.len()];
     if out.is_empty() {
         return out;

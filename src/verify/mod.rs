@@ -7,7 +7,7 @@
 mod acting;
 mod dual;
 mod duration;
-mod efforts;
+pub(crate) mod efforts;
 #[doc(hidden)]
 pub mod growth;
 pub(crate) mod hold;

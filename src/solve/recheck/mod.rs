@@ -5,6 +5,7 @@
 
 mod controls;
 mod document;
+mod efforts;
 mod feedback;
 mod file_check;
 mod motion;
@@ -22,8 +23,8 @@ use crate::control::{Feedback, OptimalControlProblem, TrackingError, tracking_er
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{CheckRecord, SCHEMA_VERSION, TipEnd, was_checked};
 use crate::output::{
-    ControlRow, MotionRecord, MultiplierRecord, OutputError, read_controls, read_feedback,
-    read_multipliers, read_text,
+    ControlRow, MotionRecord, MultiplierRecord, OutputError, read_controls, read_efforts,
+    read_feedback, read_multipliers, read_text,
 };
 use crate::scene::OptimalControl;
 use crate::stop::Stop;
@@ -230,6 +231,19 @@ impl<'a> SavedSolution<'a> {
             controls::check(problem, &self.rows),
             motion::check(problem, &self.coefficients, check, &self.record, energies),
         ];
+        let path = self.directory.join("efforts.csv");
+        if path.exists() {
+            let actuators = &problem.rod.actuators;
+            let longest = actuators.iter().map(|own| own.name.len()).max();
+            let n_rows = self.record.n_rows() * actuators.len();
+            let rows = read_efforts(&path, n_rows, longest.unwrap_or(0))?;
+            files.push(efforts::check(
+                problem,
+                &self.coefficients,
+                &self.trajectory,
+                &rows,
+            ));
+        }
         let mut gains = None;
         let path = self.directory.join("feedback.npz");
         if path.exists() {

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use crate::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
-use crate::mechanics::Wrench;
+use crate::mechanics::{NodeWrenches, Wrench};
 use crate::output::summary::{NearestHeldSummary, StaticNeedSummary};
 use crate::task::Staying;
 use crate::task::staying::holding_over;
@@ -76,8 +76,17 @@ fn wrenches(problem: &OptimalControlProblem, held: &Held) -> Vec<[f64; 6]> {
 }
 
 fn controls(problem: &OptimalControlProblem, held: &Held) -> Vec<Vec<f64>> {
+    let mut efforts = problem.rod.actuators.efforts(problem.grid.duration());
+    let control = NodeWrenches {
+        wrenches: &held.wrenches,
+        efforts: problem.efforts.as_ref(),
+        ..NodeWrenches::NONE
+    };
+    control.add_efforts(&mut efforts);
+    let driven = problem.efforts.iter().flat_map(|own| &own.actuators);
     (problem.acting.iter())
         .map(|acting| acting.controls(&held.wrenches))
+        .chain(driven.map(|&actuator| vec![efforts[actuator]]))
         .collect()
 }
 

@@ -19,10 +19,10 @@ pub(crate) use self::forecast::{expectation, output_size, time_in_words};
 pub(crate) use self::holding::{ABOVE, CANNOT, UNSTABLE, WITHIN};
 use self::holding::{NOT_FOUND, distance, need};
 use super::causes::stands_by_symmetry;
-use crate::control::{Bound, Channel, OptimalControlProblem, named_axes};
+use crate::control::{Bound, Channel, Component, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::vibration::{SmallMotions, weight_number};
-use crate::mechanics::{BaseCondition, Rod, TipSpring, static_equilibrium};
+use crate::mechanics::{BaseCondition, Place, Rod, StrainActuator, TipSpring, static_equilibrium};
 use crate::memory::{of_simulation, of_solve};
 use crate::output::quantity::{digits, quantity};
 use crate::output::summary::{
@@ -48,7 +48,7 @@ pub(crate) struct SceneCheck {
     /// Distance of the target from the initial position of the tip, m.
     pub distance: Option<f64>,
     /// Units of the controls of actuators that are no wrenches.
-    pub own_units: Vec<&'static str>,
+    pub own_units: Vec<String>,
 }
 
 /// Checks the scene of this name. `until` makes the signal by which work that begins now is given up after a time.
@@ -92,7 +92,10 @@ pub(crate) fn check_scene(
             },
             distance: distance(&setup.problem),
             own_units: (setup.problem.acting.iter())
-                .map(|acting| acting.actuator.named_controls().1)
+                .map(|acting| acting.actuator.named_controls().1.to_string())
+                .chain(driven(&setup.problem).map(|(actuator, _)| {
+                    format!("{} ({})", actuator.density.effort_unit(), actuator.name)
+                }))
                 .collect(),
         });
         let memory = of_solve(&setup, 1, n_threads);
@@ -200,7 +203,7 @@ struct Plan {
     /// Distance of the target from the initial position of the tip, m.
     distance: Option<f64>,
     /// Units of the controls of actuators that are no wrenches.
-    own_units: Vec<&'static str>,
+    own_units: Vec<String>,
 }
 
 /// The arm under gravity, with its payload and without loads.
@@ -287,6 +290,26 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             controls: Some(format!("{n} {name}, {bounds}")),
         }
     });
+    let efforts = driven(problem).map(|(actuator, channel)| {
+        let unit = actuator.density.effort_unit();
+        let given = actuator.effort(0.0);
+        let range = match channel.bound.and_then(|bound| bound.interval(0)) {
+            None => "UNBOUNDED".to_string(),
+            Some([lower, upper]) => {
+                format!(
+                    "{} to {} {unit}",
+                    digits(given + lower),
+                    digits(given + upper)
+                )
+            }
+        };
+        ActuatorSummary {
+            node: Place::Fraction(actuator.route.from).node(problem.rod.n_elements()),
+            force: NO_WRENCH.into(),
+            moment: NO_WRENCH.into(),
+            controls: Some(format!("{}, {range}", actuator.name)),
+        }
+    });
     (problem.wrench_actuators().iter())
         .map(|actuator| ActuatorSummary {
             node: actuator.node,
@@ -295,5 +318,21 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             controls: None,
         })
         .chain(own)
+        .chain(efforts)
         .collect()
+}
+
+/// Returns the actuators of the rod whose efforts are controls, with the channels of these.
+fn driven(problem: &OptimalControlProblem) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
+    (problem.efforts.iter()).flat_map(move |efforts| {
+        let places = efforts.actuators.iter().zip(&efforts.places);
+        places.filter_map(move |(&actuator, &place)| {
+            let component = Component {
+                actuator: efforts.first + place / 6,
+                axis: place % 6,
+            };
+            let actuator = problem.rod.actuators.iter().nth(actuator)?;
+            Some((actuator, problem.channel(&component)))
+        })
+    })
 }

@@ -16,9 +16,11 @@ use crate::output::summary::{EnergySummary, SCHEMA_VERSION, SimulateSummary, TOO
 use crate::output::{
     ArrayView, BaseReaction, Checkpoint, DiagnosticsRecord, Extremes, MotionRecord, OutputError,
     ResultDirectory, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, render_report,
+    write_efforts,
 };
 use crate::scene::{Scene, Simulation};
 use crate::solve::causes::causes;
+use crate::solve::efforts::effort_rows;
 use crate::solve::page::simulation_page;
 use crate::stop::StopSignal;
 
@@ -317,6 +319,12 @@ impl<'a> Run<'a> {
             .write_npz(&result.path().join("trajectory.npz"))?;
         if let Some(diagnostics) = &mut self.diagnostics {
             diagnostics.write_npz(&result.path().join("diagnostics.npz"))?;
+        }
+        let rod = &self.setup.rod;
+        if !rod.actuators.is_empty() {
+            let record = MotionRecord::read_npz(&result.path().join("trajectory.npz"))?;
+            let rows = effort_rows(rod, &record, |row| rod.actuators.efforts(record.t[row]));
+            write_efforts(&result.path().join("efforts.csv"), &rows)?;
         }
         if !matches!(end, End::Failed(_)) {
             self.checkpoint().write(result.path())?;
