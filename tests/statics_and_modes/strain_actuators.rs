@@ -7,7 +7,7 @@
 use nalgebra::Vector3;
 use softarm::mechanics::{Configuration, Rod};
 use softarm::mechanics::{
-    Density, Material, RodModel, RodParameters, Route, Section, SectionProfile, StrainActuator,
+    Density, Material, RodParameters, Route, Section, SectionProfile, Stability, StrainActuator,
     StrainRule, static_equilibrium,
 };
 
@@ -107,4 +107,112 @@ fn tendons_under_gravity_converge_to_shooting() {
             assert!(found < 1.1 * expected, "{found:e}, {expected:e}");
         }
     }
+}
+
+/// A chamber without gravity bends the arm away from itself and lengthens it, `κ = p A d/EI` and stretch `1 + p A/EA`, exactly for any
+/// number of helical elements; the trapezoidal rule has the same curvature measure to second order.
+#[test]
+fn a_chamber_bends_and_lengthens_exactly() {
+    let silicone = Material::isotropic(1e5, 0.4, 1070.0);
+    let (radius, length, pressure, area, offset) = (0.01, 0.3, 2e3, 5e-5, 0.006);
+    let section = Section::circle(&silicone, radius);
+    let chamber = StrainActuator {
+        name: "chamber".into(),
+        density: Density::Volume,
+        scale: area,
+        route: Route::straight([offset, 0.0]),
+        effort: vec![(0.0, pressure)],
+    };
+    let kappa = -pressure * area * offset / section.angular_stiffness.y;
+    let stretch = 1.0 + pressure * area / section.linear_stiffness.z;
+    let (turn, arc) = (kappa * length, stretch * length);
+    let expected = Vector3::new((1.0 - turn.cos()) / turn, 0.0, turn.sin() / turn) * arc;
+    let at = |strain_rule, elements| {
+        let (rod, shape) = rest(&RodParameters {
+            strain_rule,
+            actuators: vec![chamber.clone()],
+            ..RodParameters::straight(length, elements, SectionProfile::Uniform(section))
+        });
+        let y = rod.actuator_coordinates(&shape.positions, &shape.rotations)[0];
+        ((shape.positions[rod.tip()] - expected).norm(), y)
+    };
+    for elements in [1, 2, 7, 20] {
+        let (error, volume) = at(StrainRule::Helical, elements);
+        assert!(error < 1e-10, "{elements}: {error}");
+        // Of the line of centroids, `V = A ∫ (v + κ × d)·e₃ ds`.
+        let exact = area * length * (stretch - kappa * offset);
+        assert!(
+            (volume / exact - 1.0).abs() < 1e-10,
+            "{elements}: {volume} {exact}"
+        );
+    }
+    let [coarse, fine] = [160, 320].map(|elements| at(StrainRule::Trapezoidal, elements).0);
+    assert!((coarse / fine - 4.0).abs() < 0.3, "{coarse} {fine}");
+}
+
+/// A tendon in the axis does not buckle the arm, however far it is above Euler's load: its force turns with the arm.
+#[test]
+fn a_tendon_in_the_axis_does_not_buckle() {
+    let bending = 200e9 * std::f64::consts::PI * 0.25 * 1e-12;
+    let euler = bending * (std::f64::consts::PI / (2.0 * LENGTH)).powi(2);
+    let (rod, shape) = rest(&wire(
+        20,
+        1e-6,
+        vec![tendon(Route::straight([0.0; 2]), 10.0 * euler)],
+    ));
+    // A millionth of a meter per second squared bends it by what it bends the arm without the tendon, to the shortening of the arm.
+    let (_, free) = rest(&wire(20, 1e-6, Vec::new()));
+    let [bent, alone] = [&shape, &free].map(|shape| shape.positions[rod.tip()].x);
+    assert!((bent / alone - 1.0).abs() < 1e-3, "{bent} {alone}");
+    let stability = Stability::of(&rod, &shape, 0.0).expect("modes");
+    assert!(stability.is_stable);
+}
+
+/// Till's tendon robot at rest (ContinuumRobotExamples, 02_Dynamics): slack, and under the tensions that his winch has at the start and the
+/// end of its ramp.
+#[test]
+fn tills_robot_at_rest() {
+    let (length, radius): (f64, f64) = (0.7144, 0.675e-3);
+    let steel = Material::isotropic(
+        207e9,
+        0.3,
+        0.034 / (length * std::f64::consts::PI * radius * radius),
+    );
+    let section = SectionProfile::Uniform(Section::circle(&steel, radius));
+    for (tension, tip) in [
+        (0.0, [-0.35627, 0.0, 0.60349]),
+        (5.7249, [0.20918, 0.0, 0.64047]),
+    ] {
+        let parameters = RodParameters {
+            gravity: Vector3::new(-9.81, 0.0, 0.0),
+            actuators: vec![tendon(Route::straight([OFFSET, 0.0]), tension)],
+            ..RodParameters::straight(length, 20, section)
+        };
+        let off = error(&parameters, tip);
+        eprintln!("{tension} N: {off:.2e} m");
+        assert!(off < 5e-4, "{tension} N: {off}");
+    }
+}
+
+/// A braid as long as its fibres allow: its contraction is `p (3 λ² - β²)/(4 π ν²)` and its twisting moment `p λ (β² - λ²)/(4 π² ν³)` (Chou
+/// and Hannaford 1996), here at the strain of the arm at rest.
+#[test]
+fn a_braid_pulls_and_twists() {
+    let (fibre, turns, pressure) = (1.3, 25.0, 1e4);
+    let braid = StrainActuator {
+        name: "braid".into(),
+        density: Density::Braid { fibre, turns },
+        scale: 1.0,
+        route: Route::straight([0.0; 2]),
+        effort: vec![(0.0, pressure)],
+    };
+    let rod = Rod::new(&wire(4, 0.0, vec![braid])).expect("a rod");
+    let stress = rod
+        .active_stress(1, &rod.elements[1].rest, &[pressure])
+        .expect("a stress");
+    let tau = std::f64::consts::TAU;
+    let contraction = pressure * (3.0 - fibre * fibre) / (2.0 * tau * turns * turns);
+    let twist = pressure * (fibre * fibre - 1.0) / (tau * tau * turns.powi(3));
+    assert!((stress.linear[0].z / contraction - 1.0).abs() < 1e-12);
+    assert!((stress.angular.z / twist - 1.0).abs() < 1e-12);
 }
