@@ -74,6 +74,34 @@ pub(crate) fn check_fold(
     })
 }
 
+/// Checks that no element with actuators is pressed together: that its linear strain has a part along the arm. An elastic element by itself
+/// has no such limit under the standard model.
+pub(crate) fn check_pressed(
+    rod: &Rod,
+    positions: &[Vector3<f64>],
+    rotations: &[Matrix3<f64>],
+    step: usize,
+    time: f64,
+) -> Result<(), StepError> {
+    for (element, own) in rod.elements.iter().enumerate() {
+        if rod.actuators.on(element).is_empty() {
+            continue;
+        }
+        let pose = Rod::element_pose(element, positions, rotations);
+        let strain = rod.strain_rule.strain(own.length, &pose);
+        let stretch = strain.linear[0].z;
+        if !(stretch > 0.0) {
+            return Err(StepError::ElementPressed {
+                element,
+                step,
+                time,
+                stretch,
+            });
+        }
+    }
+    Ok(())
+}
+
 pub(crate) fn rotation_error(
     node: usize,
     step: usize,

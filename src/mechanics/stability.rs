@@ -4,6 +4,7 @@ use nalgebra::SMatrix;
 
 use super::element::ElementStiffness;
 use super::rod::Rod;
+use super::strain_actuator::StrainActuator;
 use super::time::TimeScheme;
 
 /// Returns the largest time step at which the explicit integrator is linearly stable about the rest shape, s: `2/ω` with `ω` the highest
@@ -11,8 +12,8 @@ use super::time::TimeScheme;
 ///
 /// By the element eigenvalue theorem (Irons and Treharne 1971) no assembled frequency is higher, so the bound is safe; for a uniform rod it
 /// is sharp within a few percent. A payload is left out, because more inertia only lowers frequencies. Under the trapezoidal rule it is `2
-/// / sqrt(max(4EA/(ρA l²), 4GA/(ρA l²) + GA/J₁, 4EI/(J₁ l²) + GA/J₁, 4GJ/(J₃ l²)))`, J per unit length. Compressed elements (dilatation e <
-/// 1) and large loads can shorten it.
+/// / sqrt(max(4EA/(ρA l²), 4GA/(ρA l²) + GA/J₁, 4EI/(J₁ l²) + GA/J₁, 4GJ/(J₃ l²)))`, J per unit length. Actuators on the strains count with their largest efforts.
+/// Compressed elements (dilatation e < 1) and large loads can shorten it.
 #[must_use]
 pub fn stable_step(rod: &Rod) -> f64 {
     let [_, fastest] = highest_frequencies(rod);
@@ -31,10 +32,14 @@ fn highest_frequencies(rod: &Rod) -> [f64; 2] {
 /// Returns the highest `ω²` of element `q` on its own at rest, 1/s².
 fn highest_frequency_squared(rod: &Rod, q: usize) -> f64 {
     let rest = &rod.rest;
-    let (_, k) = rod.elements[q].stiffness(
-        rod.strain_rule,
-        &Rod::element_pose(q, &rest.positions, &rest.rotations),
-    );
+    let pose = Rod::element_pose(q, &rest.positions, &rest.rotations);
+    let (_, mut k) = rod.elements[q].stiffness(rod.strain_rule, &pose);
+    let largest: Vec<f64> = (rod.actuators.iter())
+        .map(StrainActuator::largest_effort)
+        .collect();
+    if let Some(active) = rod.active_stiffness(q, &pose, &largest) {
+        k += active;
+    }
     let full = expand(&k);
     let mut inverse_root = SMatrix::<f64, 12, 1>::zeros();
     for (end, share) in rod.element_inertia[q].iter().enumerate() {

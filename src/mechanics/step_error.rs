@@ -82,6 +82,21 @@ pub enum StepError {
         /// Relative rotation of its ends at the end of the step, rad: above `π`.
         angle: f64,
     },
+    /// An actuator has pressed the ends of an element together.
+    #[error(
+        "element {element}, step {step} (t = {time} s): its actuators press its ends together, to a stretch of {stretch:.3} along the arm; \
+         lower the efforts, or stiffen the arm"
+    )]
+    ElementPressed {
+        /// Index of the element, between nodes `element` and `element + 1`.
+        element: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time at the start of the step, s.
+        time: f64,
+        /// Component of the linear strain along the arm at the end of the step: at most 0.
+        stretch: f64,
+    },
     /// A force, moment or momentum is no longer finite.
     #[error(
         "node {node}, step {step} (t = {time} s): {quantity} is not finite; shorten time.step_s or check the loads"

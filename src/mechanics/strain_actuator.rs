@@ -96,9 +96,17 @@ pub struct StrainActuator {
     /// Given effort over time: `(t, u)` in order of time, piecewise linear, with a jump where a time occurs twice; before the first row it
     /// has the first value, after the last row the last one. Empty means none. The effort of a control adds to it.
     pub effort: Vec<(f64, f64)>,
+    /// Largest size of its effort at any time, which the stable step counts; no less than that of the given effort is counted.
+    pub largest: f64,
 }
 
 impl StrainActuator {
+    /// Returns the largest size of the effort at any time.
+    #[must_use]
+    pub fn largest_effort(&self) -> f64 {
+        (self.effort.iter()).fold(self.largest, |most, (_, effort)| most.max(effort.abs()))
+    }
+
     /// Returns the given effort at the instant `t`; at a jump the value after it.
     #[must_use]
     pub fn effort(&self, t: f64) -> f64 {
@@ -128,6 +136,7 @@ impl StrainActuator {
             require("offset of an actuator", value, |_| true, "finite")?;
         }
         require("turns of an actuator", turns, |_| true, "finite")?;
+        require("largest effort", self.largest, |x| x >= 0.0, "zero or more")?;
         for (time, effort) in &self.effort {
             require("time of an effort", *time, |_| true, "finite")?;
             require("effort", *effort, |_| true, "finite")?;

@@ -23,7 +23,7 @@ use super::kkt::motion::{
 };
 use crate::mechanics::block_tridiagonal::BlockTridiagonal;
 use crate::mechanics::guards::{
-    approach_base, check_dilatation, check_fold, not_finite, rotation_error,
+    approach_base, check_dilatation, check_fold, check_pressed, not_finite, rotation_error,
 };
 use crate::mechanics::rotation::{cay_inverse, exp, orthonormalized, quaternion};
 use crate::mechanics::{
@@ -497,7 +497,14 @@ impl<'a> ReferenceStepper<'a> {
             let after = if before.w < 0.0 { -after } else { after };
             check_fold(&after, q, self.step, self.time())?;
         }
-        Ok(())
+        let at = &self.state.configuration;
+        check_pressed(
+            self.rod,
+            &at.positions,
+            &at.rotations,
+            self.step,
+            self.time(),
+        )
     }
 }
 

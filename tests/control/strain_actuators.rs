@@ -1,16 +1,20 @@
 //! Efforts of tendons, chambers and their kind as controls: derivatives, and what an actuator written anew makes of the same tendon.
 
-use nalgebra::Vector3;
+use faer::Mat;
+use nalgebra::{SVector, Vector3};
 use softarm::control::{
-    ActuatedNode, Bound, Channel, ControlGrid, Goal, Hold, OptimalControlProblem,
+    ActuatedNode, Bound, Channel, ControlGrid, Goal, Hold, LiftedPoint, OptimalControlProblem,
+    Transcription,
 };
 use softarm::derivatives::{Verdict, check};
+use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Density, Efforts, Material, Rod, RodModel, RodParameters, Route, Section, SectionProfile,
-    State, StrainActuator, StrainRule, TimeGrid, TimeScheme, TipSpring, stable_step,
-    static_equilibrium,
+    Acting, Actuator, Density, Efforts, Material, Rod, RodModel, RodParameters, Route, Section,
+    SectionProfile, SharedActuator, State, StateView, StrainActuator, StrainRule, TimeGrid,
+    TimeScheme, TipSpring, Trajectory, Wrench, stable_step, static_equilibrium,
 };
 use softarm::solve::solve;
+use softarm::sqp::{LiftedProgram, LinearizationRequest};
 use softarm::task::{Arm, Discretization, EffortControl, StartShape, Staying, Task};
 
 /// A helical tendon over a part of the arm, a converging push rod, a chamber, a muscle and a braid, with given efforts.
@@ -21,6 +25,7 @@ fn actuators() -> Vec<StrainActuator> {
         scale,
         route,
         effort: vec![(0.0, effort)],
+        largest: 0.0,
     };
     let helix = Route {
         from: 0.1,
@@ -137,6 +142,7 @@ fn four_tendons() -> Arm {
         scale: 1.0,
         route: Route::straight([x, y]),
         effort: vec![(0.0, 0.05)],
+        largest: 0.0,
     };
     let d = 8e-3;
     Arm {
@@ -205,5 +211,184 @@ fn tendons_reach_and_stay() {
         );
         let check = solution.certify().expect("a check");
         assert!(check.is_certified(), "{rule:?} {scheme:?}");
+    }
+}
+
+/// A parallel tendon written anew as an actuator of one's own: wrenches on all nodes from the derivative of its length, with Jacobians by
+/// differences.
+#[derive(Debug)]
+struct OwnTendon {
+    offset: Vector3<f64>,
+}
+
+impl OwnTendon {
+    fn flat(&self, at: &StateView, u: f64) -> Vec<f64> {
+        let mut out = vec![Wrench::default(); at.rod.n_nodes()];
+        self.wrench(at, &[u], &mut out);
+        out.iter().flat_map(Wrench::to_array).collect()
+    }
+}
+
+impl Actuator for OwnTendon {
+    fn n_controls(&self) -> usize {
+        1
+    }
+    fn nodes(&self, rod: &Rod) -> Vec<usize> {
+        (0..rod.n_nodes()).collect()
+    }
+    fn wrench(&self, at: &StateView, u: &[f64], out: &mut [Wrench]) {
+        out.fill(Wrench::default());
+        for (q, element) in at.rod.elements.iter().enumerate() {
+            let pose = Rod::element_pose(q, at.positions, at.rotations);
+            let (strain, b) = at.rod.strain_rule.strain_derivative(element.length, &pose);
+            let p =
+                0.5 * (strain.linear[0] + strain.linear[1]) + strain.curvature.cross(&self.offset);
+            let t = p.normalize() * (element.length * u[0]);
+            let m = self.offset.cross(&t);
+            let covector = b.transpose()
+                * SVector::<f64, 9>::from_iterator(
+                    [t * 0.5, t * 0.5, m]
+                        .iter()
+                        .flat_map(|v| v.iter().copied())
+                        .collect::<Vec<_>>(),
+                );
+            let part = |i: usize| -> Vector3<f64> { covector.fixed_rows::<3>(3 * i).into() };
+            out[q].force += part(0);
+            out[q + 1].force -= part(0);
+            out[q].moment -= part(1);
+            out[q + 1].moment -= part(2);
+        }
+    }
+    fn configuration_jacobian(&self, at: &StateView, u: &[f64]) -> Mat<f64> {
+        let n = 6 * at.rod.n_nodes();
+        let mut out = Mat::zeros(n, n);
+        for column in 0..n {
+            let step = 1e-6;
+            let moved = |sign: f64| {
+                let (mut x, mut r) = (at.positions.to_vec(), at.rotations.to_vec());
+                let shift = Vector3::ith(column % 3, sign * step);
+                if column % 6 < 3 {
+                    x[column / 6] += shift;
+                } else {
+                    r[column / 6] *= exp(&shift);
+                }
+                self.flat(
+                    &StateView {
+                        positions: &x,
+                        rotations: &r,
+                        ..*at
+                    },
+                    u[0],
+                )
+            };
+            for (row, (ahead, behind)) in moved(1.0).iter().zip(moved(-1.0)).enumerate() {
+                out[(row, column)] = (ahead - behind) / (2.0 * step);
+            }
+        }
+        out
+    }
+    fn control_jacobian(&self, at: &StateView, _: &[f64]) -> Mat<f64> {
+        let unit = self.flat(at, 1.0);
+        Mat::from_fn(unit.len(), 1, |row, _| unit[row])
+    }
+}
+
+/// Two routes to one motion: a tendon that is built in, and the same written anew as an actuator. The motion of the same controls, its
+/// objective and the gradients of objective and goals agree.
+#[test]
+fn a_tendon_written_anew_is_the_built_in_one() {
+    let offset = [8e-3, 0.0];
+    let silicone = Material::isotropic(1e5, 0.4, 1070.0);
+    let tendon = StrainActuator {
+        name: String::new(),
+        density: Density::Shortening,
+        scale: 1.0,
+        route: Route::straight(offset),
+        effort: Vec::new(),
+        largest: 0.0,
+    };
+    let of = |actuators: Vec<StrainActuator>, own: bool| {
+        let section = SectionProfile::Uniform(Section::circle(&silicone, 0.01));
+        let rod = Rod::new(&RodParameters {
+            gravity: Vector3::new(-9.81, 0.0, 0.0),
+            viscous_damping: 0.5,
+            actuators,
+            ..RodParameters::straight(0.3, 4, section)
+        })
+        .expect("a rod");
+        // The same step for both.
+        let grid = TimeGrid {
+            start: 0.0,
+            step: 1e-3,
+            n_steps: 50,
+        };
+        let control = ControlGrid::new(Hold::Linear, 5, grid.n_steps, grid.step).expect("blocks");
+        let none = Channel::new(1.0, Some(Bound::PerAxis(Vector3::zeros())));
+        let initial = State::at_rest(rod.rest.clone());
+        let goal = Goal::reach(&rod, grid, Vector3::new(0.01, 0.0, 0.29));
+        let mut problem =
+            OptimalControlProblem::least_effort(rod, grid, initial, control, [none, none], goal);
+        problem.objective.energy = 1.0;
+        problem.objective.samples = 10;
+        let one = Channel {
+            axes: [true, false, false],
+            ..Channel::new(0.2, None)
+        };
+        problem.actuators.push(ActuatedNode {
+            node: 0,
+            force: one,
+            moment: none,
+        });
+        if own {
+            problem.acting = vec![Acting {
+                actuator: SharedActuator::new(OwnTendon {
+                    offset: Vector3::new(offset[0], offset[1], 0.0),
+                }),
+                first: 1,
+                places: vec![0],
+            }];
+        } else {
+            problem.efforts = Some(Efforts {
+                actuators: vec![0],
+                first: 1,
+                places: vec![0],
+            });
+        }
+        problem
+    };
+    let found = [of(vec![tendon], false), of(Vec::new(), true)].map(|problem| {
+        let program = Transcription::new(&problem, 1);
+        let variables: Vec<f64> = (0..problem.n_variables())
+            .map(|i| 0.8 + 0.4 * (i as f64).sin())
+            .collect();
+        let start = LiftedPoint {
+            variables: variables.clone(),
+            trajectory: Trajectory::with_capacity(problem.rod.n_nodes(), 0),
+        };
+        let point = program
+            .rollout(&start, &vec![0.0; variables.len()])
+            .expect("a motion");
+        let evaluation = program.evaluate(&point).expect("values");
+        let request = LinearizationRequest::default();
+        let model = program
+            .linearize(&point, &evaluation, &request)
+            .expect("derivatives");
+        let tip = point.trajectory.positions_at(50)[4];
+        (tip, evaluation, model)
+    });
+    let [(tip, values, model), (other_tip, other_values, other_model)] = &found;
+    assert!((tip - other_tip).norm() < 1e-12, "{tip} {other_tip}");
+    let near =
+        |a: f64, b: f64, tolerance: f64| (a - b).abs() <= tolerance * (1.0 + a.abs().max(b.abs()));
+    assert!(near(values.objective, other_values.objective, 1e-11));
+    assert!(values.defect < 1e-9 && other_values.defect < 1e-9);
+    for (a, b) in model.gradient.iter().zip(&other_model.gradient) {
+        assert!(near(*a, *b, 1e-6), "{a} {b}");
+    }
+    for j in 0..model.jacobian.ncols() {
+        for i in 0..model.jacobian.nrows() {
+            let (a, b) = (model.jacobian[(i, j)], other_model.jacobian[(i, j)]);
+            assert!(near(a, b, 1e-6), "{a} {b}");
+        }
     }
 }

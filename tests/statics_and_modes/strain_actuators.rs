@@ -21,6 +21,7 @@ fn tendon(route: Route, tension: f64) -> StrainActuator {
         scale: 1.0,
         route,
         effort: vec![(0.0, tension)],
+        largest: 0.0,
     }
 }
 
@@ -122,6 +123,7 @@ fn a_chamber_bends_and_lengthens_exactly() {
         scale: area,
         route: Route::straight([offset, 0.0]),
         effort: vec![(0.0, pressure)],
+        largest: 0.0,
     };
     let kappa = -pressure * area * offset / section.angular_stiffness.y;
     let stretch = 1.0 + pressure * area / section.linear_stiffness.z;
@@ -205,6 +207,7 @@ fn a_braid_pulls_and_twists() {
         scale: 1.0,
         route: Route::straight([0.0; 2]),
         effort: vec![(0.0, pressure)],
+        largest: 0.0,
     };
     let rod = Rod::new(&wire(4, 0.0, vec![braid])).expect("a rod");
     let stress = rod

@@ -5,7 +5,9 @@ use nalgebra::Vector3;
 use super::LaneIntegrator;
 use super::singly::Failure;
 use crate::mechanics::StepError;
-use crate::mechanics::guards::{check_dilatation, check_fold, not_finite, rotation_error};
+use crate::mechanics::guards::{
+    check_dilatation, check_fold, check_pressed, not_finite, rotation_error,
+};
 use crate::mechanics::inertia::InertiaRule;
 
 impl LaneIntegrator<'_> {
@@ -48,6 +50,10 @@ impl LaneIntegrator<'_> {
         for q in 0..self.rod.n_elements() {
             let relative = self.quaternion(q).conjugate() * self.quaternion(q + 1);
             check_fold(&relative, q, step, time)?;
+        }
+        if self.active.is_some() {
+            let at = self.state().configuration;
+            check_pressed(self.rod, &at.positions, &at.rotations, step, time)?;
         }
         if !finite {
             let state = self.state();

@@ -10,7 +10,8 @@ use pulp::Simd;
 
 use super::active::ActiveBlocks;
 use super::element::{
-    Chord, Gradient, Pose, SectionLaw, THINNING_ROWS, constants, fold, inverse_length,
+    Chord, Gradient, LINEAR_STIFFNESS, Pose, SectionLaw, THINNING_ROWS, constants, fold,
+    inverse_length,
 };
 use super::logarithm::{Logarithm, logarithm};
 use super::vector::{Frame, Lanes, Quaternion, Row, Vec3, row};
@@ -59,6 +60,12 @@ impl<S: Simd> Strained<S> {
         let half = Lanes::splat(self.w.simd, 0.5);
         self.measures().plus(other.measures()).times(half)
     }
+}
+
+/// Positive where an element has no stretch along the arm; not where there is no element. It counts where actuators press.
+#[inline(always)]
+pub fn pressed<S: Simd>(constants: &[Row<S>], strained: &Strained<S>) -> Lanes<S> {
+    -(strained.linear[0].z * row(strained.w.simd, constants, LINEAR_STIFFNESS))
 }
 
 /// Rows of a stored [`Strained`].
@@ -207,10 +214,12 @@ impl Rule for Trapezoidal {
             strained.psi,
         );
         let mut stress = Stress { linear, angular };
+        let mut fold = fold(constants, strained.w);
         if let Some((active, block)) = active {
             Self::add_active(&active, block, &strained.measures(), &mut stress);
+            fold = fold.max(pressed(constants, &strained));
         }
-        Self::pull(&strained, [&a.frame, &b.frame], &stress).with_fold(fold(constants, strained.w))
+        Self::pull(&strained, [&a.frame, &b.frame], &stress).with_fold(fold)
     }
 }
 
@@ -324,9 +333,11 @@ impl Rule for Helical {
             linear: [n; 2],
             angular,
         };
+        let mut fold = fold(constants, strained.w);
         if let Some((active, block)) = active {
             Self::add_active(&active, block, &strained.measures(), &mut stress);
+            fold = fold.max(pressed(constants, &strained));
         }
-        Self::pull(&strained, [&a.frame, &b.frame], &stress).with_fold(fold(constants, strained.w))
+        Self::pull(&strained, [&a.frame, &b.frame], &stress).with_fold(fold)
     }
 }

@@ -216,6 +216,9 @@ impl Common<'_> {
             } else {
                 given
             },
+            largest: (self.bounds.1.iter().flatten())
+                .filter(|bound| bound.is_finite())
+                .fold(0.0, |most: f64, bound| most.max(bound.abs())),
         }
     }
 

@@ -3,7 +3,9 @@
 use super::hardly_meant::hardly_meant;
 use crate::mechanics::stability::{bent_step, stable_step};
 use crate::mechanics::vibration::{weight_in_words, weight_number};
-use crate::mechanics::{Rod, RodModel, RotaryInertia, StrainRule, TimeScheme};
+use crate::mechanics::{
+    Density, Rod, RodModel, RotaryInertia, StrainActuator, StrainRule, TimeScheme,
+};
 use crate::output::summary::{OutputSize, RestSummary};
 use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
 
@@ -45,6 +47,34 @@ pub(crate) fn size_warning(output: &OutputSize) -> Option<String> {
     })
 }
 
+/// Part of the axial stiffness up to which tensions may press an arm together without a remark: the law of the section is linear.
+const PRESSED: f64 = 0.3;
+
+/// Tensions that together press an element far beyond the range of linear elasticity.
+fn pressed(rod: &Rod) -> Option<String> {
+    let worst = (0..rod.n_elements())
+        .map(|q| {
+            let mut seen = vec![false; rod.actuators.len()];
+            let mut sum = 0.0;
+            for point in rod.actuators.on(q) {
+                let is_tendon = point.density == Density::Shortening;
+                if is_tendon && !std::mem::replace(&mut seen[point.actuator], true) {
+                    let own = rod.actuators.iter().nth(point.actuator);
+                    sum += own.map_or(0.0, StrainActuator::largest_effort);
+                }
+            }
+            sum / rod.elements[q].linear_stiffness.z
+        })
+        .fold(0.0, f64::max);
+    (worst > PRESSED).then(|| {
+        format!(
+            "tendon: all tensions at their largest would shorten the arm by {:.0} % of its length, EA taken as constant; lower \
+             tension_n, or mean less than all of them at once",
+            100.0 * worst
+        )
+    })
+}
+
 /// Returns the remarks that a user should see before a run.
 pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
     let mut out = hardly_meant(scene, rod);
@@ -56,6 +86,7 @@ pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
             rod.n_elements()
         ));
     }
+    out.extend(pressed(rod));
     if scene.rod.rotary_inertia == RotaryInertiaKey::Auto
         && rod.rotary_inertia == RotaryInertia::Segment
     {

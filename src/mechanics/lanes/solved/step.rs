@@ -13,7 +13,7 @@ use super::instant::{
 use crate::mechanics::lanes::active::{ActiveBlocks, ActiveLanes};
 use crate::mechanics::lanes::element::{Chord, STRESS_ROWS, fold};
 use crate::mechanics::lanes::place::Slots;
-use crate::mechanics::lanes::rule::Pull;
+use crate::mechanics::lanes::rule::{Pull, pressed};
 use crate::mechanics::lanes::sweep::{
     ANGULAR_MOMENTUM, FORCE, LINEAR_MOMENTUM, MOMENT, NODE_ROWS, POSITION, ROTATION, STATE_ROWS,
     WEIGHT,
@@ -376,6 +376,9 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             let strained = R::strained(&a, &b, &chord);
             R::store(&strained, &mut end[i][STRAINED..]);
             folded = folded.max(fold(constants, strained.w));
+            if self.active.is_some() {
+                folded = folded.max(pressed(constants, &strained));
+            }
             let before = R::load(simd, &start[i][STRAINED..]);
             let mut stress =
                 interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
