@@ -307,7 +307,8 @@ fn dynamic(matrix: &Matrix3<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(3, 3, |i, j| matrix[(i, j)])
 }
 
-/// Depth, divided by the radius, to which a chord between two points may dip into an obstacle that both only touch.
+/// Depth, divided by the radius, to which a chord between two points may dip into an obstacle that both only touch: a fifth of what the
+/// check allows by default (`CheckLimits::between`, 0.01), which also has the motion between samples.
 const CHORD_DIP: f64 = 2e-3;
 /// Cap on the points per element: a box without margin has edges of radius zero, which would need infinitely many.
 const MOST_POINTS: usize = 8;

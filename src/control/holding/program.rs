@@ -27,7 +27,8 @@ use crate::stop::StopSignal;
 /// is found.
 const SPRING: f64 = SPRINGS[SPRINGS.len() - 1];
 /// Weight `ε` of the effort in the program of the least distance, which makes its controls unique: controls of order 1 then keep the tip
-/// off by about `3 ε` of the length, with the stiffness 3 of a cantilever's tip.
+/// off by about `3 ε` of the length, with the stiffness 3 of a cantilever's tip. Half and twice the value move the nearest place of the
+/// target of `reach-3d` by 1e-7 and 2e-7 of the length.
 const LITTLE: f64 = 1e-6;
 /// Number of modes whose `ω²` is bounded: the bending modes in two planes may have the same frequency.
 const WATCHED_MODES: usize = 2;
@@ -35,7 +36,8 @@ const WATCHED_MODES: usize = 2;
 const SLOW: f64 = 0.5 * SLOWEST_GROWTH;
 /// Largest turn of a node, and change of the scaled controls, in forward differences of the growth rate, whose relative error is of the
 /// same size. An eigenvalue of a matrix without symmetry has the square root of the rounding, 1e-8, where two of them meet, which gives the
-/// difference an error of 1e-4 there too.
+/// difference an error of 1e-4 there too. Half and twice the value leave the nearest place of the target of `reach-3d` the same in twelve
+/// digits.
 const DIFFERENCE: f64 = 1e-4;
 
 /// Requirement on an equilibrium.

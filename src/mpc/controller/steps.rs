@@ -6,7 +6,7 @@ use crate::mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
 use crate::task::Discretization;
 
 /// Largest cost of an implicit step within a sample, in explicit steps, without and with internal damping; measured on one machine by
-/// `softarm mpc` with both.
+/// `softarm mpc` with both. Only the choice of the integrator depends on it, which a scene may name.
 const AS_LONG_AS: [f64; 2] = [5.0, 2.0];
 /// Lower limit of implicit steps in a block of the plan: a motion that a plan of such blocks can control has periods of at least two
 /// blocks, which then have four steps (decision 73).
