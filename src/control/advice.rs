@@ -83,15 +83,16 @@ impl std::fmt::Display for Observation {
             } => write!(
                 f,
                 "the surface of element {element} is strained by {:.0} % at t = {time:.3} s (it bends to {bend_over_radius:.1} times \
-                 the section's radius): beyond about 30 % the linear elastic law means little; give [[limit]] curvature_max_1_m, more \
+                 the section's radius): beyond about {:.0} % the linear elastic law means little; give [[limit]] curvature_max_1_m, more \
                  time, or smaller bounds",
-                100.0 * strain
+                100.0 * strain,
+                100.0 * MODEL_STRAIN
             ),
             Self::RingingWaves { block, period } => write!(
                 f,
                 "the controls jump every {block:.3e} s, and nothing damps the elastic waves that a jump sets off (the fastest has a \
                  period of {period:.1e} s): control.hold = \"linear\" or \"cubic\", or damping.internal_s = {:.0e}",
-                0.1 * period
+                ADVISED * period
             ),
             Self::StaticNeed { force, bound } => write!(
                 f,
@@ -113,15 +114,21 @@ impl std::fmt::Display for Observation {
 }
 
 /// Largest angle between the ends of an element, rad, for which a shape is resolved: the chord of an arc is then off its middle by `angle/8
-/// = 6 %` of its length.
+/// = 6 %` of its length, and a circle has a dozen elements.
 const RESOLVED_ANGLE: f64 = 0.5;
-/// Strain at the surface above which the linear law of the section is not valid: stretches outside 0.7 to 1.3.
+/// Strain at the surface above which the linear law of the section is not valid, stretches outside 0.7 to 1.3. There the stress of a
+/// neo-Hookean material, `(λ - λ⁻²) E/3`, is smaller than the linear one by a fifth, or larger by a half.
 const MODEL_STRAIN: f64 = 0.3;
 /// Damping ratio above which jumps leave no lasting waves, `ζ = τω/2` or `c/(2ω)`: an amplitude decays by `exp(-2πζ)`, a factor of 0.73,
-/// within a period.
+/// within a period and to a tenth in seven. Structures are usually assumed to have as much (Eurocode 8, EN 1998-1, section 3.2.2.2).
 const CALM: f64 = 0.05;
-/// A moment counts as cheap below this fraction of the cost of the forces.
+/// Time of internal damping that is advised, divided by the period of the fastest wave: the damping ratio of that wave, `π τ/T`, is then
+/// 0.3, and it decays to a tenth within one and a quarter periods.
+const ADVISED: f64 = 0.1;
+/// A moment counts as cheap below this fraction of the cost of the forces, an order of magnitude. Nothing but the advice depends on it.
 const CHEAP: f64 = 0.1;
+/// Cap on the elements that are advised: that of `rod.elements`.
+const MOST_ELEMENTS: f64 = 5000.0;
 
 /// Returns the observations about a motion and its controls, worst first; empty if all values are in the usual range.
 #[must_use]
@@ -141,7 +148,7 @@ pub fn observe(
             element: peak.element,
             time: problem.grid.time(peak.time_node),
             angle: peak.value,
-            elements: elements.ceil().min(5000.0) as usize,
+            elements: elements.ceil().min(MOST_ELEMENTS) as usize,
         });
     }
     if let Some(peak) = &peaks.strain

@@ -49,12 +49,15 @@ pub struct FeedbackWeights {
     pub tolerance: f64,
 }
 
+/// Default of [`FeedbackWeights::tolerance`] and of the key `control.feedback.tolerance`.
+const TOLERANCE: f64 = 1e-2;
+
 impl Default for FeedbackWeights {
     fn default() -> Self {
         Self {
             state: 1.0,
             input: 1.0,
-            tolerance: 1e-2,
+            tolerance: TOLERANCE,
         }
     }
 }

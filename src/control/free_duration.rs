@@ -21,7 +21,8 @@ use crate::sqp::{
 use crate::stop::Stop;
 
 /// The slope of the value along the logarithm of the duration, divided by the value, counts as zero up to this: a tenth of what the check
-/// allows.
+/// allows by default (`CheckLimits::duration`, 1e-5). With half and with twice the value, a free duration of a hanging arm is the same to
+/// the bit.
 const FLAT: f64 = 1e-6;
 /// Relative change of the duration in differences of fourth order. Their error is 1e-8 for waves of which a hundred fit into the duration,
 /// and far above the rounding of a motion.
@@ -31,10 +32,15 @@ const CHANGE: f64 = 1e-4;
 const RUNG: f64 = 1.189_207_115_002_721;
 /// Cap on the iterations of a solve that begins near the solution of another one, several times its usual number.
 const PATIENCE: usize = 100;
-/// Cap on the solves in one valley and at a wall: a bisection from the width of a rung would reach 1e-6 in as many.
+/// Cap on the solves in one valley and at a wall: a bisection from the width of a rung reaches 1e-6 of the duration in 18.
 const MOST_SOLVES: usize = 20;
 /// Largest relative distance from the wall at which the relaxed problem takes over: within a tenth of a rung its value is about linear.
 const NEAR: f64 = 0.02;
+/// Factor on this distance after the relaxed problem has failed: two halvings by bisection bring as much.
+const CLOSER: f64 = 0.25;
+/// Relaxation of the rows that counts as zero at a wall, relative to the tolerance of a solve: the solution is then confirmed with the rows
+/// themselves.
+const SHORTFALL: f64 = 1e-3;
 
 /// Tells whether only the duration has a cost; then controls that are not at their bounds are unique at the shortest duration only.
 fn is_minimum_time(problem: &OptimalControlProblem) -> bool {
@@ -328,7 +334,7 @@ impl<'a> DurationSearch<'a> {
                 if let Some(found) = self.at_wall(near, from) {
                     return Some(found);
                 }
-                room *= 0.25;
+                room *= CLOSER;
             }
             let width = to - from;
             let mut trial = 0.5 * (from + to);
@@ -421,7 +427,7 @@ impl<'a> DurationSearch<'a> {
             multipliers.clone_from(&outcome.multipliers);
             let mut sample = self.sample(&problem, at[0], outcome)?;
             let shortfall = sample.outcome.point.variables.pop()?;
-            if self.is_flat(&sample) && shortfall.abs() <= 1e-3 * self.settings.tolerance {
+            if self.is_flat(&sample) && shortfall.abs() <= SHORTFALL * self.settings.tolerance {
                 return self.confirm(at[0], sample.outcome.point, &multipliers);
             }
             let found = [sample.slope, shortfall];

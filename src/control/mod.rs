@@ -73,9 +73,12 @@ pub use problem::{Component, GoalRow};
 pub use residual::sample_times;
 pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
 pub use stay::Stay;
+pub(crate) use term::DIFFERENCE;
 #[doc(hidden)]
 pub use term::{NodeForm, SharedTerm, StateCost, StateTerm, StateView};
 pub use tracking::Tracking;
+pub(crate) use tracking::rounding_of;
 pub use tracking_error::{TrackingError, tracking_errors};
 #[doc(hidden)]
 pub use transcription::{LiftedDirection, LiftedPoint, PathRow, Transcription, simulate};
+pub(crate) use turns::TIP_STIFFNESS;

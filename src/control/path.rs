@@ -307,9 +307,10 @@ fn dynamic(matrix: &Matrix3<f64>) -> DMatrix<f64> {
     DMatrix::from_fn(3, 3, |i, j| matrix[(i, j)])
 }
 
-/// Depth, divided by the radius, to which a chord between two points may dip into an obstacle that both only touch.
+/// Depth, divided by the radius, to which a chord between two points may dip into an obstacle that both only touch: a fifth of what the
+/// check allows by default (`CheckLimits::between`, 0.01), which also has the motion between samples.
 const CHORD_DIP: f64 = 2e-3;
-/// Largest number of points per element; a box without margin has edges of radius zero.
+/// Cap on the points per element: a box without margin has edges of radius zero, which would need infinitely many.
 const MOST_POINTS: usize = 8;
 
 impl PathLimit {
@@ -743,8 +744,8 @@ impl Inclination {
         -unit(&self.a.cross(&self.b))
     }
 
-    /// Second derivative of `s ↦ θ(R exp(s ζ̂))`: `-((a bᵀ + b aᵀ)/2 - cos θ I + cos θ n nᵀ)/sin θ` with the gradient `n`; zero where the angle
-    /// has none.
+    /// Second derivative of `s ↦ θ(R exp(s ζ̂))`: `-((a bᵀ + b aᵀ)/2 - cos θ I + cos θ n nᵀ)/sin θ` with the gradient `n`; zero where the
+    /// angle has none.
     fn curvature(&self) -> Matrix3<f64> {
         let (sine, cosine) = (self.a.cross(&self.b).norm(), self.a.dot(&self.b));
         if !(sine > 0.0) {

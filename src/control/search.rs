@@ -127,9 +127,10 @@ impl Attempt {
     }
 }
 
-/// Cap on the detours around obstacles that a single start tries.
+/// Cap on the detours around obstacles that a single start tries; `--starts` tries others.
 const DETOURS: usize = 6;
-/// Largest distance of a detour from the middle of the path, in lengths of the arm.
+/// Largest distance of a detour from the middle of the path, in lengths of the arm: within half a length lie places on every side of the
+/// path, most of them in reach. A detour only selects a first point; it need not be reached.
 const DETOUR: f64 = 0.5;
 
 /// Solves a problem from one or several starts; the best attempt comes first. The result does not depend on the number of threads.

@@ -14,8 +14,8 @@ use crate::mechanics::rotation::{log, log_tangent};
 use crate::mechanics::slow_modes::{GROUP, SlowModes};
 use crate::mechanics::{BaseCondition, Configuration, FormTerm, Rod, State, Wrench};
 
-/// Fraction of the allowed distance that the motion after the arrival may use. The rest is for the grid: on a finer one, the equilibrium of
-/// the same wrench lies elsewhere.
+/// Fraction of the allowed distance (`task.stays_m`) that the motion after the arrival may use, half of it (decision 81). The rest is for
+/// fast waves and for the grid: on a finer one, the equilibrium of the same wrench lies elsewhere. The check measures the distance itself.
 const MOTION_SHARE: f64 = 0.5;
 
 /// The equilibrium in which an arm stays after its task, and the wrench that holds it there.

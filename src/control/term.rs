@@ -83,8 +83,9 @@ pub trait StateTerm: fmt::Debug + Send + Sync {
     }
 }
 
-/// Half the width of the central differences along rotations, rad, and along positions, in rod lengths.
-const DIFFERENCE: f64 = 1e-5;
+/// Half the width of central differences along rotations, rad, along positions, in lengths, and along scaled controls: near the cube root
+/// of the machine precision, 6e-6, at which truncation and rounding of a difference are about equal (Nocedal and Wright 2006, section 8.1).
+pub(crate) const DIFFERENCE: f64 = 1e-5;
 
 /// Returns the symmetric derivative of a gradient with respect to the components of some nodes.
 fn differenced(

@@ -4,8 +4,11 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::mechanics::rotation::{exp, log};
 
-/// Times are equal if they differ by less than this fraction of a second, or of the time itself.
-const SAME_TIME: f64 = 1e-9;
+/// Returns the difference, s, up to which two times near `t` count as equal: far above the rounding of sums of steps, 1e-16 of a time for
+/// each step, and far below any step.
+pub(crate) fn rounding_of(t: f64) -> f64 {
+    1e-9 * (1.0 + t.abs())
+}
 
 /// Weighted distances of a node from a path and from a sequence of orientations, from a given time on.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -43,7 +46,7 @@ impl Tracking {
     /// Tells whether the distances count at time `t`.
     #[must_use]
     pub fn counts(&self, t: f64) -> bool {
-        t >= self.from - SAME_TIME * (1.0 + self.from.abs())
+        t >= self.from - rounding_of(self.from)
     }
 
     /// Returns the position on the path at time `t`, m; `None` if the position is free.

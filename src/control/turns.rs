@@ -15,8 +15,9 @@ use crate::mechanics::rotation::{exp, is_followed_beyond_half_turn, log};
 use crate::mechanics::{BaseCondition, Configuration, Trajectory};
 
 /// Stiffness of a cantilever against a force on its tip, in units of `EI/L³`.
-const TIP_STIFFNESS: f64 = 3.0;
-/// Fraction of the energy of one way that the other must save: more than the rounding of the energies of two ways that are equal.
+pub(crate) const TIP_STIFFNESS: f64 = 3.0;
+/// Fraction of the energy of one way that the other must save, and angle, rad, by which a turn may fall short of half a turn and still
+/// count as one: more than the rounding of the energies of two ways that are equal, and of rotations that a scene gives with seven digits.
 const SAVED: f64 = 1e-6;
 
 /// Returns the rotation vector of the same rotation as `psi` in the other direction, `ψ (1 - 2π/|ψ|)`; zero stays.
@@ -98,8 +99,8 @@ fn evenly_turned(shape: &Configuration, node: usize, psi: &Vector3<f64>) -> Vect
     })
 }
 
-/// `log(R*ᵀ R)` of a node at time node `k`, where `R*` is `to`, followed along the motion of its node from the start, where `longer` says by which way: so it goes on beyond half
-/// a turn where the motion does. Within a quarter turn of the goal the node is there by either way.
+/// `log(R*ᵀ R)` of a node at time node `k`, where `R*` is `to`, followed along the motion of its node from the start, where `longer` says
+/// by which way: so it goes on beyond half a turn where the motion does. Within a quarter turn of the goal the node is there by either way.
 pub(super) fn rotation_error(
     node: usize,
     to: &Matrix3<f64>,

@@ -164,22 +164,26 @@ pub(super) enum Aim {
     Stay,
 }
 
-/// Factor on the weight of a held target, relative to a followed path. A buckled arm has several equilibria; effort is measured from one of
-/// them, and a larger weight keeps the tip at its target nevertheless. A tip whose orientation is prescribed too has one shape, and its
-/// loop with this factor would be less robust against a wrong stiffness.
+/// Factor on the weight of a held target, relative to a followed path: a default of the target, which a track of the scene's own with
+/// another `objective.track.weight` replaces (decision 71). A buckled arm has several equilibria; effort is measured from one of them, and
+/// a larger weight keeps the tip at its target nevertheless. A tip whose orientation is prescribed too has one shape, and its loop with
+/// this factor would be less robust against a wrong stiffness.
 const HELD_NEARER: f64 = 10.0;
-/// Cap on the samples of paths in a block of a receding horizon.
+/// Cap on the samples of paths in a block of a receding horizon, each of which needs a sweep: a plan that is linear in a block cannot tell
+/// more than its two ends.
 const SAMPLES_A_BLOCK: usize = 2;
-/// Number of blocks over which a change costs as much as the effort, if the task has no price of rates: without any, errors of the model in
-/// fast waves make commands oscillate between their bounds (decision 50).
+/// Number of blocks over which a change costs as much as the effort, if the task has no price of rates: the default of `objective.rate` of
+/// a receding loop, `4 effort block²`. Without any, errors of the model in fast waves make commands oscillate between their bounds
+/// (decision 50).
 const BLOCKS_A_CHANGE: f64 = 2.0;
 
 impl Controller {
-    /// Cap on the iterations before the first sample.
+    /// Cap on the iterations before the first sample, for which nothing waits yet.
     const FIRST: usize = 50;
-    /// Change of the scaled coefficients of a plan below which iterations end.
+    /// Change of the scaled coefficients of a plan, which are of order 1, below which iterations end: far below what an actuator resolves,
+    /// and far above rounding.
     const SETTLED: f64 = 1e-9;
-    /// Cap on the iterations of a restart.
+    /// Cap on the iterations of a restart, for which a sample waits.
     pub const RESTART: usize = 3;
 
     /// Discretizes the task over one horizon, and iterates from the task's start until the first plan no longer changes.
@@ -187,9 +191,9 @@ impl Controller {
     /// Without a price of rates, a receding horizon gets one by which a change over two blocks costs as much as the effort. A target must
     /// be reached by the end of the horizon; if the horizon recedes, its position becomes a track, which counts from the beginning. Tracks,
     /// targets (soft), all costs, bounds of the task's wrenches, obstacles and limits are used; the task's duration is not. A limit of a
-    /// speed holds for means between samples. Terms of one's own may allocate memory at every sample. Hold and elements are those of `discretization`. Steps are shortened so that they divide the sample period;
-    /// implicit steps of a receding horizon so that they divide the horizon. If `discretization` names neither integrator nor step, steps
-    /// are implicit and long where that is faster.
+    /// speed holds for means between samples. Terms of one's own may allocate memory at every sample. Hold and elements are those of
+    /// `discretization`. Steps are shortened so that they divide the sample period; implicit steps of a receding horizon so that they
+    /// divide the horizon. If `discretization` names neither integrator nor step, steps are implicit and long where that is faster.
     ///
     /// # Errors
     /// Returns [`MpcError`] for settings out of range, for a task that cannot be discretized or has features that the controller does not

@@ -30,7 +30,9 @@ use crate::mechanics::sensitivity::{ControlColumns, RepeatedReverse};
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, TimeGrid, Trajectory, Wrench};
 use crate::stop::StopSignal;
 
-/// Negligible error of a tracked quantity, divided by the length, or in rad.
+/// Negligible error of a tracked quantity, divided by the length, or in rad: a tenth of the default accuracy of a scene, 1e-3. Plans that
+/// cost less than this error does all the time are not rejected. With half of it, the first 0.6 s of `mpc-reach` and `mpc-push` are the
+/// same, with twice the value to three digits.
 const NEGLIGIBLE: f64 = 1e-4;
 
 /// Effect of one unit of a control component on a node: the node, the component of its wrench, and the force or moment in N or N m.

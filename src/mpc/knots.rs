@@ -5,7 +5,8 @@ use crate::mechanics::TimeGrid;
 use super::error::MpcError;
 use crate::control::Hold;
 
-/// Two knots are one if they are closer than this fraction of a block.
+/// Two knots are one if they are closer than this fraction of a block: far above the rounding of times, and too near for a plan to tell
+/// them.
 const SAME: f64 = 1e-6;
 
 /// Coefficients of a control over `[start, end]`, on a lattice of block lengths that is fixed in time while the horizon moves: a plan that

@@ -8,7 +8,8 @@ use crate::control::OptimalControlProblem;
 use crate::control::path::{PathEnforcement, PathLimit, RodView};
 use crate::mechanics::Rod;
 
-/// Number of local maxima along the arm that count, per limit and sample.
+/// Cap on the local maxima along the arm that count, per limit and sample: an arm that lies on an obstacle touches it at two ends of a
+/// stretch.
 const MAXIMA: usize = 2;
 
 /// A row of a limit at a sample.

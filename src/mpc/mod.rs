@@ -50,6 +50,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod cantilever;
 mod closed_loop;
 mod controller;
 mod error;

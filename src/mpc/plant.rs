@@ -2,7 +2,7 @@
 
 use super::controller::Command;
 use super::transfer::Transfer;
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};
 
 /// A system that executes commands and reports its state: a simulated arm, another simulator, or hardware.
 pub trait Plant {
@@ -38,8 +38,7 @@ impl<'a> RodPlant<'a> {
     /// the sample period; `model` is the rod of the controller.
     #[must_use]
     pub fn new(rod: &'a Rod, initial: State, period: f64, longest_step: f64, model: &Rod) -> Self {
-        let steps = (period / longest_step * (1.0 - 1e-9)).ceil().max(1.0);
-        let step = period / steps;
+        let step = TimeGrid::covering(period, longest_step, 1).step;
         let transfer = Transfer::new(rod, model);
         Self {
             stepper: Stepper::new(rod, step, initial),

@@ -198,7 +198,10 @@ impl Rows {
     /// rad.
     pub fn cost_of(&self, off: f64) -> f64 {
         let places = (self.residuals.iter()).filter(|residual| residual.kind.is_place());
-        places.map(|place| 1.5 * place.weight * off * off).sum()
+        // Half of the square of each of three components.
+        places
+            .map(|place| 0.5 * 3.0 * place.weight * off * off)
+            .sum()
     }
 
     /// Evaluates values and forms of all rows of the present horizon.

@@ -32,14 +32,15 @@ pub enum SensorPreset {
     Imu,
 }
 
-/// Number of stations of a fiber.
+/// Number of stations of a fiber: the default of `places` of the preset `"fbg"`.
 const STATIONS: usize = 12;
-/// Error of the tip's position after the integration of a fiber's curvatures, divided by the length.
+/// Error of the tip's position after the integration of a fiber's curvatures, divided by the length: the default of `curvature_1_m` of the
+/// preset `"fbg"` follows from it. A multi-core fiber was measured to be off by less than 0.025 (Violakis et al. 2025, *Sensors* 25, 4494).
 const FIBER_ERROR: f64 = 0.02;
 
 impl SensorPreset {
-    /// Returns the settings of this kind for an arm; `model` is the rod whose nodes [`Self::State`] measures, and whose length enters
-    /// [`Self::Fbg`].
+    /// Returns the settings of this kind for an arm: defaults of the keys of a `[[sensor]]`, each of which replaces its own. `model` is the
+    /// rod whose nodes [`Self::State`] measures, and whose length enters [`Self::Fbg`].
     ///
     /// Independent curvatures of standard deviation `σ` at `n` stations `L/n` apart displace the tip laterally by `σ L²/sqrt(3 n)`, to
     /// first order for a straight arm; that is set to 2 % of `L`.
@@ -226,8 +227,8 @@ impl SensorSettings {
     }
 }
 
-/// Fraction of a period by which a measurement may be early, for rounding.
-const EARLY: f64 = 1e-6;
+/// Fraction of a period, or of a step, by which a time may be early: more than the rounding of times up to 1e9 periods.
+pub(super) const EARLY: f64 = 1e-6;
 
 /// A simulated sensor on a plant.
 #[derive(Clone, Debug)]

@@ -6,9 +6,10 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::controller::Command;
 use super::error::MpcError;
+use super::sensor::EARLY;
 use super::transfer::Transfer;
 use crate::mechanics::stability::automatic_step;
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};
 use crate::task::{Arm, Discretization};
 
 /// The dynamics between a command and the wrench that acts. The default is an actuator without delay, lag and limits.
@@ -143,10 +144,7 @@ impl<'a> SimulatedArm<'a> {
         let transfer = Transfer::new(rod, model);
         let nearest = transfer.nearest();
         let nodes: Vec<usize> = nodes.iter().map(|node| nearest[*node]).collect();
-        let n_steps = (period / automatic_step(rod) * (1.0 - 1e-9))
-            .ceil()
-            .max(1.0);
-        let step = period / n_steps;
+        let step = TimeGrid::covering(period, automatic_step(rod), 1).step;
         let still = vec![Wrench::default(); nodes.len()];
         Ok(Self {
             stepper: Stepper::new(rod, step, initial),
@@ -240,7 +238,7 @@ impl<'a> SimulatedArm<'a> {
     /// # Errors
     /// Returns [`StepError`] if the motion breaks down.
     pub fn advance(&mut self, until: f64) -> Result<(), StepError> {
-        let last = (until / self.step - 1e-6).ceil().max(0.0) as usize;
+        let last = (until / self.step - EARLY).ceil().max(0.0) as usize;
         while self.n_steps < last {
             self.want(self.time() + self.step);
             for (next, (acting, wanted)) in
@@ -259,7 +257,7 @@ impl<'a> SimulatedArm<'a> {
     /// Computes the wrenches that commands request at time `t`.
     fn want(&mut self, t: f64) {
         let told = t - self.actuators.delay;
-        let rounding = 1e-9 * self.step;
+        let rounding = EARLY * self.step;
         while (self.sent.get(1)).is_some_and(|next| next.start <= told + rounding) {
             self.sent.pop_front();
         }

@@ -21,9 +21,11 @@ use super::soft_rows::SoftRows;
 /// Boyd and Vandenberghe 2004, pages 612 and 613.
 pub(super) const INSIDE: f64 = 0.99;
 const CENTERING: f64 = 0.1;
-/// Largest fraction of a set's room at the caller's inner point that the first iterate uses.
+/// Largest fraction of a set's room at the caller's inner point that the first iterate uses: any fraction below 1 gives a first iterate
+/// within all sets. With 0.8 and 0.95, the error of the tip changes in the fifth digit in a loop with bounded rates.
 const BEGIN: f64 = 0.9;
-/// Length of a step within the sets below which a solve ends.
+/// Length of a step within the sets below which a solve ends: a cap of 33 on the halvings of a step. A loop with bounded rates is the same
+/// from 1e-12 to 1e-8.
 const SHORTEST: f64 = 1e-10;
 
 /// A row of `A` with its few entries.

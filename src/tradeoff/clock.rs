@@ -64,7 +64,7 @@ pub(super) fn least<E>(
     (least, runs)
 }
 
-/// Cap on the runs of one setting.
+/// Cap on the runs of one setting; the least of their times counts.
 const MOST_RUNS: usize = 5;
 /// Cap on the seconds of all runs of one setting after the first.
 const FOR_RUNS_S: f64 = 4.0;

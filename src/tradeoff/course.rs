@@ -9,11 +9,13 @@ use crate::mechanics::{
 };
 use crate::stop::StopSignal;
 
-/// Places along the arm at which motions are compared: fractions `0, 1/8, …, 1` of the length at rest, which nodes of `2^n` elements share.
-/// A default.
+/// Intervals between the places along the arm at which motions are compared, the fractions `0, 1/8, …, 1` of the length at rest, which
+/// nodes of `2^n` elements share. The largest value of a sine of `n` half-waves over `N` intervals is missed by at most `1 - cos(π n/(2
+/// N))` of it: by an eighth for two and a half half-waves, as the third mode of a cantilever has.
 const PLACES: usize = 8;
 
-/// Intervals between the times at which motions are compared, which 2, 3 and 4 divide. A default.
+/// Intervals between the times at which motions are compared, which 2, 3 and 4 divide. By the same bound, the largest value of a sine of 15
+/// half-waves over the motion is missed by at most an eighth.
 pub(super) const TIMES: usize = 48;
 
 /// The motion at one time.

@@ -114,6 +114,17 @@ const COLORS: [RGBColor; 11] = [
     RGBColor(0x80, 0x80, 0x80),
 ];
 const INK: RGBColor = RGBColor(0x78, 0x78, 0x78);
+/// Radii of points and of the ring about the recommended one, in the units of [`SIZE`], and opacity of the lines between points.
+const DOT: i32 = 5;
+const RING: i32 = 12;
+const FAINT: f64 = 0.7;
+/// Factors on both coordinates of a point, on logarithmic axes, that give the place of a text beside it.
+const BESIDE: [f64; 2] = [1.05, 1.07];
+
+/// Returns the place of a text beside a point.
+fn beside((x, y): (f64, f64)) -> (f64, f64) {
+    (x * BESIDE[0], y * BESIDE[1])
+}
 
 /// Describes the differences between a setting and the usual one, except for the elements.
 fn family(setting: &Setting, usual: &Setting) -> String {
@@ -274,10 +285,10 @@ fn draw(
         chart
             .draw_series(LineSeries::new(
                 own.iter().map(|point| at(point)),
-                color.mix(0.7).stroke_width(2),
+                color.mix(FAINT).stroke_width(2),
             ))?
             .label(name.clone())
-            .legend(move |(x, y)| Circle::new((x + 8, y), 5, color.filled()));
+            .legend(move |(x, y)| Circle::new((x + 8, y), DOT, color.filled()));
         chart.draw_series(own.iter().map(|point| {
             let style = if point.on_front {
                 color.filled()
@@ -290,7 +301,7 @@ fn draw(
             let (x, y) = at(point);
             Text::new(
                 point.setting.elements.to_string(),
-                (x * 1.05, y * 1.07),
+                beside((x, y)),
                 text.clone(),
             )
         }))?;
@@ -300,8 +311,8 @@ fn draw(
         .map(|point| 1e3 * point.time());
     chart.draw_series(failed.filter(|t| times.contains(t)).map(|t| {
         Cross::new(
-            (right / 1.05, t),
-            5,
+            (right / BESIDE[0], t),
+            DOT,
             RGBColor(0xcc, 0x22, 0x22).stroke_width(2),
         )
     }))?;
@@ -309,7 +320,7 @@ fn draw(
         let point = &recommended.point;
         chart.draw_series([Circle::new(
             (point.error.unwrap_or(right), 1e3 * point.time()),
-            12,
+            RING,
             RGBColor(0xcc, 0x22, 0x22).stroke_width(2),
         )])?;
     }

@@ -1,6 +1,6 @@
 //! Solves a problem on finer and finer grids until the check of its solution finds it accurate enough.
 
-use super::grid::{self, End, Estimate, Grid, LONGEST, Measured, Order, Rule};
+use super::grid::{self, End, Estimate, Grid, HOUR, LONGEST, Measured, Order, Rule};
 use crate::mechanics::Wrench;
 use crate::output::summary::{AccuracySummary, Level};
 use crate::scene::{OptimalControl, Scene};
@@ -103,7 +103,7 @@ pub(crate) fn solve_on_grids<E>(
             End::TooLong { wanted, seconds } => Some(format!(
                 "{} elements, which the accuracy needs, would take some {:.0} hours to solve on; the last grid is kept",
                 wanted.elements,
-                seconds / 3600.0
+                seconds / HOUR
             )),
             End::Met | End::OutOfReach | End::Unmeasured => None,
         },

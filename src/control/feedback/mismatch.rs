@@ -56,7 +56,7 @@ impl ModelMismatch {
     }
 }
 
-/// Relative errors of a quantity in the family, in both directions.
+/// Relative errors of a quantity in the family, in both directions. They only select the arms of a table.
 const PARTS: [f64; 3] = [0.01, 0.05, 0.2];
 
 impl Feedback {

@@ -10,13 +10,15 @@ use super::fallback::Fallback;
 use super::law::TipLaw;
 use super::responded::Responded;
 use super::{Action, Cause, Computing, Law, LoopSettings, Sample};
+use crate::control::rounding_of;
 use crate::mechanics::{State, Wrench};
 use crate::mpc::controller::{Command, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::{Disturbance, Estimate, EstimateError, Estimator, Inbox, Predictor};
 use crate::mpc::signal::Measurement;
 
-/// Cap on consecutive failures of an estimator, after which it restarts from the start of the task.
+/// Cap on consecutive failures of an estimator, after which it restarts from the start of the task: a single one may be a bad reading, and
+/// the gate believes a signal after as many refusals.
 const MOST_FAILURES: usize = 3;
 
 /// Drives a plant of any kind: a simulated arm, another simulator, or hardware.
@@ -98,7 +100,7 @@ impl Driver {
     ) -> Result<Self, MpcError> {
         settings.check()?;
         let start = controller.settings().start;
-        if (start - settings.lead()).abs() > 1e-9 {
+        if (start - settings.lead()).abs() > rounding_of(start) {
             return Err(MpcError::Setting {
                 name: "start",
                 value: start,
@@ -416,7 +418,7 @@ impl Driver {
         let mut from = self.known_at;
         // The estimated delay applies to this command and to every one before it.
         let until = until + disturbance.delay;
-        while from < until - 1e-9 {
+        while from < until - rounding_of(until) {
             let end = late_at(&self.sent, disturbance.delay, [from, until], &mut self.late);
             let moved =
                 (self.predictor).advance(&mut self.state, [from, end], &self.late, &disturbance);
@@ -494,7 +496,7 @@ impl Driver {
 
 /// Returns the command that acts at `from`, and the end of its action, at most `until`.
 fn acting_at(sent: &VecDeque<Command>, from: f64, until: f64) -> (&Command, f64) {
-    let next = sent.partition_point(|command| command.start <= from + 1e-9);
+    let next = sent.partition_point(|command| command.start <= from + rounding_of(from));
     let command = &sent[next.saturating_sub(1)];
     let end = sent.get(next).map_or(until, |next| next.start.min(until));
     (command, end)
@@ -529,7 +531,7 @@ fn advance(
         let from = *time;
         let end = late_at(sent, disturbance.delay, [from, until], late);
         estimator.advance(late, end)?;
-        if end >= until - 1e-9 {
+        if end >= until - rounding_of(until) {
             return Ok(());
         }
         if estimator.estimate().time <= from {

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::mechanics::{Rod, State, Wrench};
+use crate::mpc::cantilever::{modal_mass, tip_stiffness};
 use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::EstimateError;
@@ -107,7 +108,8 @@ impl Default for FallbackSettings {
 }
 
 impl FallbackSettings {
-    /// Default of the largest age of an estimate from which the state is predicted, s.
+    /// Least default of the largest age of an estimate from which the state is predicted, s (`mpc.fallback.patience_s`): ten default
+    /// periods, as many as the plan lasts alone.
     pub const PATIENCE: f64 = 0.1;
 
     /// Returns the settings with the patience that sensors require. Between two readings, an estimate becomes as old as the age of a
@@ -158,13 +160,9 @@ pub(super) struct Fallback {
 
 impl Fallback {
     pub(super) fn new(model: &Rod, settings: FallbackSettings) -> Self {
-        let length = model.scales.length;
-        let weakest = (model.elements.iter())
-            .map(|element| element.angular_stiffness.x.min(element.angular_stiffness.y))
-            .fold(f64::INFINITY, f64::min);
-        let stiffness = 3.0 * weakest / length.powi(3);
+        let critical = 2.0 * (tip_stiffness(model) * modal_mass(model)).sqrt();
         Self {
-            damping: 2.0 * settings.damping * (stiffness * 0.25 * model.mass()).sqrt(),
+            damping: settings.damping * critical,
             settings,
             in_a_row: 0,
         }

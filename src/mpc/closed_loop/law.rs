@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 
 use super::experiment::{Contender, Experiment};
 use crate::mechanics::{State, Wrench};
+use crate::mpc::cantilever::{FIRST_FREQUENCY, modal_mass, tip_stiffness};
 use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::holding::{Along, Holding};
@@ -47,13 +48,13 @@ impl Default for TipGains {
 }
 
 impl TipGains {
-    /// Values of [`stiffness`](Self::stiffness) and [`damping`](Self::damping), all pairs of which [`Experiment::tuned_tip_gains`] tries.
+    /// Values of [`stiffness`](Self::stiffness) and [`damping`](Self::damping), all pairs of which [`Experiment::tuned_tip_gains`] tries,
+    /// in ratios of two to three; they bound the work.
     pub const TRIED: ([f64; 6], [f64; 4]) =
         ([1.0, 3.0, 10.0, 30.0, 60.0, 100.0], [0.25, 0.5, 1.0, 2.0]);
-    /// Duration of the trial of a pair after the time from which errors count, in natural periods of a cantilever.
+    /// Cap on the duration of the trial of a pair after the time from which errors count, in natural periods of a cantilever: the second
+    /// period shows whether the swing of the first one grows.
     const PERIODS: f64 = 2.0;
-    /// First angular frequency of a cantilever times its time scale `L² sqrt(ρA/EI)`: the square of the first root of `cos β cosh β = -1`.
-    const FIRST_FREQUENCY: f64 = 3.516_015_269;
 }
 
 impl Experiment {
@@ -64,7 +65,7 @@ impl Experiment {
     /// As [`Experiment::run`], and [`MpcError::Stopped`].
     pub fn tuned_tip_gains(&self) -> Result<TipGains, MpcError> {
         let rod = (self.arm.rod(&self.discretization)).map_err(DiscretizeError::from)?;
-        let enough = TipGains::PERIODS * TAU / TipGains::FIRST_FREQUENCY * rod.scales.time;
+        let enough = TipGains::PERIODS * TAU / FIRST_FREQUENCY * rod.scales.time;
         let mut tried = self.clone();
         tried.duration = self.duration.min(self.counted_from + enough);
         let mut best = (f64::INFINITY, TipGains::default());
@@ -105,22 +106,17 @@ impl TipLaw {
                 "a law at the tip needs a reference: give the task a track or a target of the tip",
             ));
         }
-        let length = rod.scales.length;
-        let weakest = (rod.elements.iter())
-            .map(|element| element.angular_stiffness.x.min(element.angular_stiffness.y))
-            .fold(f64::INFINITY, f64::min);
-        let own = 3.0 * weakest / length.powi(3);
+        let own = tip_stiffness(rod);
         let Some(holding) = controller.holding(Along::All) else {
             return Err(MpcError::Unsupported(
                 "a law at the tip needs a reference of at most ten minutes",
             ));
         };
         let stiffness = gains.stiffness * own;
-        let mass = 0.25 * rod.mass();
         Ok(Self {
             holding,
             stiffness,
-            damping: 2.0 * gains.damping * ((own + stiffness) * mass).sqrt(),
+            damping: 2.0 * gains.damping * ((own + stiffness) * modal_mass(rod)).sqrt(),
         })
     }
 

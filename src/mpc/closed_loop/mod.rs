@@ -42,6 +42,7 @@ use super::estimator::Estimator;
 use super::sensor::Sensor;
 use super::signal::Measurement;
 use super::simulated_arm::SimulatedArm;
+use crate::control::rounding_of;
 use crate::mechanics::StepError;
 
 /// Computing time in the loop's own time.
@@ -242,7 +243,7 @@ impl<'a> ClosedLoop<'a> {
 
     /// Gives the driver the measurements that have become known by `t`.
     fn deliver(&mut self, t: f64) {
-        while (self.on_the_way.front()).is_some_and(|(known, _)| *known <= t + 1e-9) {
+        while (self.on_the_way.front()).is_some_and(|(known, _)| *known <= t + rounding_of(t)) {
             let Some((_, mut measurement)) = self.on_the_way.pop_front() else {
                 break;
             };
@@ -259,7 +260,7 @@ impl<'a> ClosedLoop<'a> {
             let next = (self.sensors.iter())
                 .map(Sensor::next_due)
                 .fold(f64::INFINITY, f64::min);
-            if next > until + 1e-9 {
+            if next > until + rounding_of(until) {
                 return self.arm.advance(until);
             }
             self.arm.advance(next)?;

@@ -218,7 +218,7 @@ pub struct Innovations {
     pub refused: usize,
 }
 
-/// Number of standard deviations of the sum of squares in this limit.
+/// Number of standard deviations of the sum of squares in this limit, exceeded once in 30 000 runs of a consistent estimator.
 const FAR_OFF: f64 = 4.0;
 
 impl Innovations {

@@ -59,7 +59,9 @@ pub struct MpcSettings {
 }
 
 impl MpcSettings {
-    /// Returns the settings of a receding horizon of ten blocks, with 100 samples per second.
+    /// Returns the settings of a receding horizon of ten blocks, with 100 samples per second: the defaults of the keys of `[mpc]`
+    /// (decisions 39 and 63 on jumps and prices). The subproblem has the default tolerance of a solve, and a cap that its iterations reach
+    /// only if it fails.
     #[must_use]
     pub fn receding(horizon: f64) -> Self {
         Self {

@@ -2,13 +2,14 @@
 
 use super::settings::MpcSettings;
 use crate::mechanics::stability::{automatic_step, bent_step};
-use crate::mechanics::{Rod, RodModel, TimeScheme};
+use crate::mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
 use crate::task::Discretization;
 
 /// Largest cost of an implicit step within a sample, in explicit steps, without and with internal damping; measured on one machine by
-/// `softarm mpc` with both.
+/// `softarm mpc` with both. Only the choice of the integrator depends on it, which a scene may name.
 const AS_LONG_AS: [f64; 2] = [5.0, 2.0];
-/// Lower limit of implicit steps in a block of the plan: within a block the plan cannot control the motion.
+/// Lower limit of implicit steps in a block of the plan: a motion that a plan of such blocks can control has periods of at least two
+/// blocks, which then have four steps (decision 73).
 const STEPS_A_BLOCK: f64 = 2.0;
 
 /// Equal steps, s, that divide a time.
@@ -19,13 +20,10 @@ pub(super) struct Divided {
 }
 
 impl Divided {
-    /// Returns the fewest steps that are no longer than `longest` (s) up to rounding.
+    /// Returns the fewest steps of a positive time that are no longer than `longest` (s) up to rounding.
     fn new(time: f64, longest: f64) -> Self {
-        let n = (time / longest * (1.0 - 1e-9)).ceil().max(1.0);
-        Self {
-            n: n as usize,
-            step: time / n,
-        }
+        let TimeGrid { n_steps, step, .. } = TimeGrid::covering(time, longest, 1);
+        Self { n: n_steps, step }
     }
 }
 

@@ -10,15 +10,20 @@ use super::covariance::{Row, Rows};
 use super::readings::{Kind, Layout, Reader};
 use super::{Estimate, EstimateError, Innovation};
 
-/// A standard deviation of 0, or below this multiple of the arm's own scale, is replaced by the multiple.
+/// A standard deviation of 0, or below this multiple of the arm's own scale, is replaced by the multiple. The covariance of an innovation
+/// then has a condition number of at most `(0.05/1e-6)² = 2.5e9` for the prior of 0.05 of the length, and a solution with it keeps six
+/// digits.
 const EXACT: f64 = 1e-6;
 /// Replacement of the standard deviation of exact velocities, in the arm's own scales: velocities contain the fast waves of an arm, in
-/// which a model of few elements is wrong. As exact values they would be explained by a wrong stiffness, a different one at every sample.
+/// which a model of few elements is wrong. As exact values they would be explained by a wrong stiffness, a different one at every sample. A
+/// sensor with a standard deviation of its own (the keys `velocity_sigma_m_s` and `angular_velocity_sigma_rad_s`) is believed.
 const EXACT_VELOCITY: f64 = 1e-2;
-/// Largest `|RᵀR - I|` of a measured rotation; up to there it is projected to the nearest rotation.
+/// Largest `|RᵀR - I|` of a measured rotation, which is that of entries with four digits; up to there it is projected to the nearest
+/// rotation by one step that squares it, so that 1e-6 is left, the least standard deviation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-3;
 
-/// Largest distance of a measured position from the base, divided by the arm's length.
+/// Largest distance of a measured position from the base, divided by the arm's length: that of an arm that is stretched to twice its
+/// length, where no elastic law of the model holds.
 const FARTHEST: f64 = 2.0;
 
 /// Compares measurements with estimates, in memory that is reused.

@@ -1,9 +1,7 @@
 //! Measurements of several sensors in the order of their times.
 
+use crate::control::rounding_of;
 use crate::mpc::signal::Measurement;
-
-/// Fraction of the lag by which a measurement may be early, for rounding.
-const EARLY: f64 = 1e-9;
 
 /// Holds measurements back until nothing older can arrive.
 ///
@@ -48,8 +46,7 @@ impl Inbox {
     /// Returns the oldest measurement of a time until `now - lag`; to be called until there is none.
     pub fn take(&mut self, now: f64) -> Option<&Measurement> {
         let oldest = self.n.checked_sub(1)?;
-        let rounding = EARLY * (1.0 + now.abs());
-        if self.store[oldest].time > now - self.lag + rounding {
+        if self.store[oldest].time > now - self.lag + rounding_of(now) {
             return None;
         }
         self.n = oldest;

@@ -10,6 +10,7 @@ use crate::mechanics::sensitivity::RepeatedForward;
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::strain_coordinates::{ShapeTransport, retract_shape, shape_difference};
 use crate::mechanics::{Configuration, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench};
+use crate::mpc::cantilever::TIP_STIFFNESS;
 use crate::mpc::controller::Command;
 use crate::mpc::error::MpcError;
 use crate::mpc::signal::{Measurement, Reading, Signal};
@@ -78,8 +79,8 @@ impl KalmanSettings {
     #[must_use]
     pub fn of(model: &Rod) -> Self {
         Self {
-            initial: 0.05 * model.scales.length,
-            change: 0.003 * model.scales.length,
+            initial: INITIAL * model.scales.length,
+            change: CHANGE * model.scales.length,
             tip_force: None,
             tip_moment: None,
             distributed: None,
@@ -138,13 +139,20 @@ impl KalmanSettings {
     }
 }
 
-/// Change of a parameter, in its unit, in central differences of two motions, whose relative error is the square of it.
+/// Default standard deviations of the tip's distance at the start and of the deflection that unknown forces cause within a second, divided
+/// by the length, which [`KalmanSettings::initial`] and [`KalmanSettings::change`] expose.
+const INITIAL: f64 = 0.05;
+const CHANGE: f64 = 0.003;
+/// Change of a parameter, in its unit, in central differences of two motions. Their relative error is the square of it, 1e-8, and rounding
+/// adds 1e-12 of a motion that repeats its initial errors.
 const PARAMETER_CHANGE: f64 = 1e-4;
-/// Cap on the linearizations of a measurement.
+/// Cap on the linearizations of a measurement, which the plant waits for.
 const MOST_ITERATIONS: usize = 10;
-/// Largest difference of an innovation from its linearization, in standard deviations of the noise, at which iterations end.
+/// Largest difference of an innovation from its linearization, in standard deviations of the noise, at which iterations end: it then adds
+/// at most a quarter to the variance of the noise. The first 0.6 s of `mpc-reach` are the same with half and with twice the value.
 const LINEAR: f64 = 0.5;
-/// Largest angle, rad, by which one linearization of a measurement may bend or twist an element.
+/// Largest angle, rad, by which one linearization of a measurement may bend or twist an element: as much as an element resolves
+/// (`control/advice.rs`). The first 0.6 s of `mpc-reach` are the same with half and with twice the value.
 const FARTHEST_TURN: f64 = 0.5;
 /// Steps that are linearized together: with the last time node they fill the vectors of the kernels.
 const MOST_STEPS: usize = 15;
@@ -796,7 +804,7 @@ fn visit_disturbances(layout: &Layout, rod: &Rod, visit: &mut dyn FnMut(usize, u
 
 /// Returns the mean energy of a mode of a cantilever whose tip has this standard deviation: `3 EI/L³ σ²`, J, half of it in its bending.
 fn energy(model: &Rod, deviation: f64) -> f64 {
-    3.0 * model.scales.force / model.scales.length * deviation * deviation
+    TIP_STIFFNESS * model.scales.force / model.scales.length * deviation * deviation
 }
 
 /// Returns the inverse of the Hessian of the energy at a shape: a covariance in which every mode has the mean energy ½.

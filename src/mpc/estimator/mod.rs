@@ -21,6 +21,7 @@ use super::controller::Command;
 use super::error::MpcError;
 use super::sensor::state_fits;
 use super::signal::Measurement;
+use crate::control::rounding_of;
 use crate::mechanics::{Rod, State, StepError, Wrench};
 
 mod comparison;
@@ -243,16 +244,13 @@ pub trait Estimator {
     fn restart(&mut self, time: f64, state: &State) -> Result<(), MpcError>;
 }
 
-/// Times are equal if they differ by less than this fraction of a second, or of the time itself.
-const SAME_TIME: f64 = 1e-9;
-
 /// Checks that the time of a measurement is that of an estimate.
 fn check_time(time: f64, estimate: f64) -> Result<(), EstimateError> {
     let ahead = time - estimate;
     if !ahead.is_finite() {
         let what = "the time of the measurement".into();
         Err(EstimateError::NotFinite { what })
-    } else if ahead.abs() <= SAME_TIME * (1.0 + estimate.abs()) {
+    } else if ahead.abs() <= rounding_of(estimate) {
         Ok(())
     } else if ahead < 0.0 {
         Err(EstimateError::Late { time, estimate })

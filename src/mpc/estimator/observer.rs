@@ -28,13 +28,18 @@ pub struct ObserverSettings {
     pub longest_step: f64,
 }
 
+/// Defaults that [`ObserverSettings::gain`] and [`ObserverSettings::follow_time`] expose, the latter divided by the time scale of the arm:
+/// a ninth of a cantilever's first period.
+const GAIN: f64 = 0.1;
+const FOLLOW_TIME: f64 = 0.2;
+
 impl ObserverSettings {
     /// Returns a gain of a tenth of the matched impedance, without a disturbance.
     #[must_use]
     pub fn of(model: &Rod) -> Self {
         Self {
-            gain: 0.1,
-            follow_time: 0.2 * model.scales.time,
+            gain: GAIN,
+            follow_time: FOLLOW_TIME * model.scales.time,
             integral_time: None,
             longest_step: automatic_step(model),
         }
@@ -94,7 +99,7 @@ struct Tip {
     spin: Option<Vector3<f64>>,
 }
 
-/// A place nearer to the tip than this fraction of the length counts as the tip.
+/// A place nearer to the tip than this fraction of the length counts as the tip: rounding of a fraction that a file has with ten digits.
 const AT_TIP: f64 = 1e-9;
 
 impl Tip {

@@ -2,9 +2,10 @@
 
 use std::ops::Range;
 
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, Wrench};
+use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};
 use crate::mpc::controller::Command;
 use crate::mpc::motions::Motions;
+use crate::mpc::sensor::EARLY;
 
 use super::{Disturbance, EstimateError, ModelParameters};
 
@@ -106,10 +107,8 @@ impl Predictor {
 
     /// Returns the steps from one time to another; none if these are equal up to rounding.
     pub(super) fn steps(&self, start: f64, end: f64) -> Result<Option<Steps>, EstimateError> {
-        /// Fraction of a step that counts as rounding.
-        const NOTHING: f64 = 1e-6;
         let n = (end - start) / self.longest_step;
-        if n.abs() <= NOTHING {
+        if n.abs() <= EARLY {
             return Ok(None);
         }
         if !n.is_finite() {
@@ -122,11 +121,11 @@ impl Predictor {
                 estimate: start,
             });
         }
-        let n = (n * (1.0 - 1e-9)).ceil().max(1.0);
+        let TimeGrid { n_steps, step, .. } = TimeGrid::covering(end - start, self.longest_step, 1);
         Ok(Some(Steps {
             start,
-            step: (end - start) / n,
-            n: n as usize,
+            step,
+            n: n_steps,
         }))
     }
 

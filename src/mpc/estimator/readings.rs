@@ -12,6 +12,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
+use crate::control::DIFFERENCE;
 use crate::mechanics::element::{ElementPose, ElementStrain, tangent_derivative};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::place::{locate, node_places, pose};
@@ -459,11 +460,14 @@ impl<'a> BaseElement<'a> {
     /// Returns the derivative of the strain's rate along the pose at given velocities: a product with a second derivative that is needed
     /// nowhere else, and therefore computed by central differences, with an error in the tenth digit.
     fn rate_slope(&self, rate: &SVector<f64, 9>) -> SMatrix<f64, 9, 9> {
-        const STEP: f64 = 1e-5;
         let length = self.rod.elements[0].length;
         let mut out = SMatrix::<f64, 9, 9>::zeros();
         for column in 0..9 {
-            let size = if column < 3 { STEP * length } else { STEP };
+            let size = if column < 3 {
+                DIFFERENCE * length
+            } else {
+                DIFFERENCE
+            };
             let moved = |sign: f64| {
                 let shift = Vector3::ith(column % 3, sign * size);
                 let turn = exp(&shift);

@@ -20,9 +20,7 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::{Configuration, Rod};
 
 use super::node_frames::{NodeFrames, POSE};
-
-/// `(β₅ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: the frequency in units of the rod's own time.
-const FIFTH_BENDING_MODE: f64 = 199.859_530;
+use crate::mpc::cantilever::FIFTH_FREQUENCY;
 
 /// Projects changes of a rod's state to their slow part.
 #[derive(Debug)]
@@ -38,7 +36,7 @@ impl SlowPart {
         let n = frames.inertia.len();
         let moved = &frames.compliance_times_inertia;
         // (M + θ K)⁻¹ M = (K⁻¹ M + θ)⁻¹ K⁻¹ M
-        let theta = (model.scales.time / FIFTH_BENDING_MODE).powi(2);
+        let theta = (model.scales.time / FIFTH_FREQUENCY).powi(2);
         let sum = Mat::from_fn(n, n, |i, j| {
             moved[(i, j)] + if i == j { theta } else { 0.0 }
         });

@@ -23,9 +23,8 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::{Configuration, Rod};
 
 use super::node_frames::{NodeFrames, POSE};
+use crate::mpc::cantilever::FIRST_FREQUENCY;
 
-/// `(β₁ L)²` of a clamped-free beam, `cos βL cosh βL = -1`: the frequency in units of the rod's own time.
-const FIRST_BENDING_MODE: f64 = 3.516_015;
 /// `ε`: energy that every mode gains, divided by that of the first bending mode; measured (decision 49).
 const ROUGH: f64 = 0.1;
 
@@ -40,7 +39,7 @@ pub(super) struct UnknownForces {
 impl UnknownForces {
     pub fn new(model: &Rod, frames: &NodeFrames) -> Self {
         let n = frames.inertia.len();
-        let squared = (FIRST_BENDING_MODE / model.scales.time).powi(2);
+        let squared = (FIRST_FREQUENCY / model.scales.time).powi(2);
         let smooth = |i: usize, j: usize| {
             squared * frames.inertia[i] * frames.compliance_times_inertia[(i, j)]
         };

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::message::{Line, ReadingLine, Rows, Vector, rows};
+use crate::control::rounding_of;
 use crate::mechanics::place::node_places;
 use crate::mechanics::rod::BaseCondition;
 use crate::mechanics::rotation::{log, orthonormalized};
@@ -32,14 +33,18 @@ impl Refusal {
     }
 }
 
-/// Largest `|RᵀR - 1|` of a matrix that is accepted as a rotation: a larger one is not rounding. The steps to the nearest rotation converge
-/// below 1.
+/// Largest `|RᵀR - 1|` of a matrix that is accepted as a rotation: entries that are off by 0.03 may have as much, by `|RᵀR - 1| ≤ 2 |E|`.
+/// The steps to the nearest rotation converge below 1.
 const LARGEST_EXCESS: f64 = 0.2;
+/// `|RᵀR - 1|` of a rotation up to rounding: products of three terms.
+const ROUNDING: f64 = 4.0 * f64::EPSILON;
 /// Number of steps to the nearest rotation, each of which squares the excess: from 0.2, six steps end below rounding.
 const STEPS: usize = 6;
-/// Rotations are refused as transposed if their transposes fit the axis of the arm better by this mean cosine.
+/// Rotations are refused as transposed if their transposes fit the axis of the arm better by this mean cosine. Rotations that are right
+/// have a mean cosine of 1 up to the shear, whose square counts: 0.05 is a shear of 0.3 in all elements, beyond the elastic law.
 const BETTER_FIT: f64 = 0.05;
-/// Largest distance of the base from the clamp of the model, divided by the length.
+/// Largest distance of the base from the clamp of the model, divided by the length: as far as an arm that stays may be from its place by
+/// default (`task.stays_m`).
 const FARTHEST_BASE: f64 = 0.01;
 
 /// The motion of all nodes: momenta, or velocities.
@@ -165,14 +170,14 @@ impl Intake {
         let (mut found, mut refusals): (Vec<Measurement>, _) = (Vec::new(), Vec::new());
         for (name, reading) in readings {
             let time = reading.time_s.unwrap_or(t);
-            if !(time <= t + 1e-9) {
+            if !(time <= t + rounding_of(t)) {
                 return Err(Refusal::new(
                     format!("{name}.time_s"),
                     format!("{time} s lies after the time of the sample, {t} s"),
                     "give the time at which the reading was true",
                 ));
             }
-            if time < known_at - 1e-9 {
+            if time < known_at - rounding_of(known_at) {
                 refusals.push(Refusal::new(
                     format!("{name}.time_s"),
                     format!("{time} s lies before the last measurement that the estimate has used, {known_at} s"),
@@ -288,7 +293,7 @@ impl Intake {
         }
         let mut nearest = given;
         // A matrix that is a rotation up to rounding is left unchanged.
-        if excess > 4.0 * f64::EPSILON {
+        if excess > ROUNDING {
             for _ in 0..STEPS {
                 nearest = orthonormalized(&nearest);
             }

@@ -38,7 +38,8 @@ pub use self::message::Served;
 pub const SERVING_VERSION: u64 = 1;
 /// Cap on the length of a line, bytes.
 pub const LONGEST_LINE: usize = 1 << 24;
-/// Cap on the samples that a plant may leave out at once: an estimate is simulated over them before the plant has its answer.
+/// Cap on the samples that a plant may leave out at once: an estimate is simulated over them before the plant has its answer, a second by
+/// default.
 const MOST_SKIPPED: f64 = 100.0;
 
 /// The reason why a loop cannot be served.

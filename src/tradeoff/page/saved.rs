@@ -8,7 +8,8 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use super::{
-    COLORS, INK, SIZE, axes, errors_and_times, filled, label, milliseconds, page, picture, sentence,
+    COLORS, DOT, FAINT, INK, RING, SIZE, axes, beside, errors_and_times, filled, label,
+    milliseconds, page, picture, sentence,
 };
 use crate::output::{
     ComparisonRow, ComparisonTable, OutputError, PAGE_STYLE, read_text, scene_differences,
@@ -181,19 +182,19 @@ fn draw(
         chart
             .draw_series(LineSeries::new(
                 front.iter().map(|point| at(point)),
-                color.mix(0.7).stroke_width(2),
+                color.mix(FAINT).stroke_width(2),
             ))?
             .label(name.clone())
-            .legend(move |(x, y)| Circle::new((x + 8, y), 5, color.filled()));
-        chart.draw_series((front.iter()).map(|point| Circle::new(at(point), 5, color.filled())))?;
+            .legend(move |(x, y)| Circle::new((x + 8, y), DOT, color.filled()));
+        chart
+            .draw_series((front.iter()).map(|point| Circle::new(at(point), DOT, color.filled())))?;
         chart.draw_series(front.iter().map(|point| {
-            let (x, y) = at(point);
             let elements = point.setting.elements.to_string();
-            Text::new(elements, (x * 1.05, y * 1.07), text.clone())
+            Text::new(elements, beside(at(point)), text.clone())
         }))?;
         if let Some(recommended) = &saved.found.recommended {
             let ring = color.stroke_width(2);
-            chart.draw_series([Circle::new(at(&recommended.point), 12, ring)])?;
+            chart.draw_series([Circle::new(at(&recommended.point), RING, ring)])?;
         }
     }
     chart

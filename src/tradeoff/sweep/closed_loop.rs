@@ -12,14 +12,27 @@ use crate::mechanics::RodModel;
 use crate::mpc::{Contender, Outcome};
 use crate::scene::{EstimatorKind, TimeScheme};
 
-/// Default share of the budget for one run: 22 runs fit into the share for settings.
+/// Cap on the fraction of `--budget` that one run takes: 15 runs fit into the fraction for settings that change one key, about as many as
+/// there are of these for a usual loop.
 const OF_A_RUN: f64 = 0.04;
 /// Lower limit of the number of samples that count: their root mean square is then known to a tenth if they are independent (`1/√(2 n)`).
 const FEWEST_SAMPLES: f64 = 50.0;
-/// Cap on the settings that combine two good changes.
+/// Cap on the settings that combine two good changes, the fastest of which are run first.
 const COMBINED: usize = 12;
-/// Default factor: a change counts as good if it multiplies the error by no more than this.
+/// Largest factor on the error by which a faster change is still combined with others. It only selects the settings that are run: a setting
+/// is recommended by its own measured error.
 const AS_GOOD: f64 = 1.5;
+
+/// Elements, blocks and horizons that are tried, relative to the scene's own; implicit steps in a block; iterations of a sample. Between
+/// two of them the time of a sample changes by about a factor of one and a half to two, and the error of the second order by its square.
+const ELEMENTS: [f64; 5] = [0.4, 0.6, 0.8, 1.5, 2.0];
+const BLOCKS: [f64; 2] = [0.5, 2.0];
+const HORIZONS: [f64; 2] = [0.6, 1.6];
+const STEPS_A_BLOCK: [f64; 3] = [1.0, 2.0, 4.0];
+const ITERATIONS: [usize; 3] = [1, 2, 3];
+/// Fraction of the tolerance above which the dependence on the elements of the plant is reported: below, it changes the first digit of an
+/// error near the tolerance by no more than two. Only the report depends on it.
+const OF_THE_PLANT: f64 = 0.2;
 
 /// Measures settings by running closed loops, all for the same time, so that all take about as long.
 struct Loops;
@@ -196,19 +209,19 @@ impl Work<'_, '_> {
             }
         };
         let own = usual.elements as f64;
-        for part in [0.4, 0.6, 0.8, 1.5, 2.0] {
+        for part in ELEMENTS {
             let elements = (part * own).round().max(2.0) as usize;
             if self.sweep.scene.names_nodes_of(elements) {
                 add(&|setting| setting.elements = elements);
             }
         }
         if let (Some(horizon), Some(block)) = (usual.horizon_s, usual.block_s) {
-            for part in [0.5, 2.0] {
+            for part in BLOCKS {
                 add(&|setting| setting.block_s = Some(part * block));
             }
-            for part in [0.6, 1.6] {
+            for part in HORIZONS {
                 let whole = (part * horizon / block).round().max(2.0) * block;
-                // Removes the rounding of the product.
+                // Removes the rounding of the product: horizons are whole nanoseconds.
                 let whole = (whole * 1e9).round() / 1e9;
                 add(&|setting| setting.horizon_s = Some(whole));
             }
@@ -221,14 +234,14 @@ impl Work<'_, '_> {
                 setting.integrator = TimeScheme::Explicit;
                 setting.model_step_s = None;
             });
-            for parts in [1.0, 2.0, 4.0] {
+            for parts in STEPS_A_BLOCK {
                 add(&|setting| {
                     setting.integrator = TimeScheme::Implicit;
                     setting.model_step_s = Some(block / parts);
                 });
             }
         }
-        for iterations in [1, 2, 3] {
+        for iterations in ITERATIONS {
             add(&|setting| setting.iterations = Some(iterations));
         }
         if usual.estimator.is_some() {
@@ -279,7 +292,7 @@ impl Work<'_, '_> {
     ) {
         let tolerance = self.sweep.tolerance;
         if let Some(reference) = reference
-            && reference.error > 0.2 * tolerance
+            && reference.error > OF_THE_PLANT * tolerance
         {
             self.finding(format!(
                 "the error of the loop depends on the elements of the arm as it is by {:.1e} of the length: raise plant.elements",

@@ -3,31 +3,37 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use super::super::course::{Course, Errors};
+use super::super::course::{Course, Errors, TIMES};
 use super::super::grid::remainder;
 use super::lines::{Line, Measure};
 use super::{
-    Clock, Fate, LADDER, Models, Point, Recommendation, Reference, Seconds, Setting, SweepError,
-    Tradeoff, Work, fit, least,
+    Clock, FINER, Fate, LADDER, Models, Point, Recommendation, Reference, Seconds, Setting,
+    SweepError, Tradeoff, Work, fit, least,
 };
 use crate::control::{Attempt, ControlGrid, Hold, OptimalControlProblem, search};
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::{ControlSignal, Rod, State, StepError, StrainRule, TimeGrid, Wrench};
 use crate::memory::of_solve;
 use crate::scene::{OptimalControl, Scene, TimeScheme};
-use crate::sqp::{HessianChoice, SqpStatus};
+use crate::sqp::{HessianChoice, SADDLE_GAIN, SqpStatus};
 use crate::task::Discretization;
 use crate::task::prediction::SolveTime;
 
-/// Default fraction of the objective by which a recommended setting may be worse than the finest grid.
-const WORSE: f64 = 0.01;
+/// Fraction of the objective by which a recommended setting may be worse than the finest grid: as much as a solve may leave to be gained at
+/// a saddle by default (`solver.saddle_gain`), about the error of the objective that an ordinary discretization makes.
+const WORSE: f64 = SADDLE_GAIN;
 /// Other settings are tried once the elements make the error smaller than the tolerance by this factor, so that the other changes may add
 /// as much.
 const ENOUGH: f64 = 2.0;
-/// Cap on the times at which motions are compared, but at least one a block.
-const MOST_TIMES: usize = 96;
-/// Cap on the elements of the solves of a sweep.
+/// Cap on the times at which motions are compared, but at least one a block: twice as many as for motions without a control.
+const MOST_TIMES: usize = 2 * TIMES;
+/// Cap on the elements of the solves of a sweep, whose time grows at least with the square of the elements, by nodes and by steps.
 const MOST_ELEMENTS: usize = 160;
+
+/// Tolerances of a solve that are tried: a hundred times the default and a hundredth of it.
+const TOLERANCES: [f64; 2] = [1e-4, 1e-8];
+/// Fewest elements of the solves of a sweep: of two, a single node lies between base and tip.
+const LEAST_ELEMENTS: usize = 3;
 
 /// Result of a solve.
 struct Solved {
@@ -111,7 +117,7 @@ impl Work<'_, '_> {
     fn control_lines(&self) -> Vec<Line> {
         let usual = &self.usual;
         let elements = (LADDER.iter().copied())
-            .filter(|k| (3..=MOST_ELEMENTS).contains(k))
+            .filter(|k| (LEAST_ELEMENTS..=MOST_ELEMENTS).contains(k))
             .chain([usual.elements])
             .filter(|k| self.sweep.scene.names_nodes_of(*k));
         let mut lines = vec![Line::of_elements(usual.clone(), elements)];
@@ -125,7 +131,7 @@ impl Work<'_, '_> {
         for hessian in [HessianChoice::GaussNewton, HessianChoice::Exact] {
             add(&|setting| setting.hessian = Some(hessian));
         }
-        for tolerance in [1e-4, 1e-8] {
+        for tolerance in TOLERANCES {
             add(&|setting| setting.tolerance = Some(tolerance));
         }
         for hold in [Hold::Constant, Hold::Linear, Hold::Cubic] {
@@ -210,8 +216,8 @@ impl Work<'_, '_> {
         let finest = self.finest_solved()?;
         let errors = finest.error_bars?;
         Some(Reference {
-            elements: 4 * finest.setting.elements,
-            step_s: 0.25 * finest.step_s,
+            elements: FINER * finest.setting.elements,
+            step_s: finest.step_s / FINER as f64,
             order: None,
             error: errors.shape,
             errors,
@@ -231,7 +237,7 @@ impl Work<'_, '_> {
         });
         models.cost.extend(fit::cost("solves", counted));
         let own = (self.points.iter()).filter(|point| self.is_usual(&point.setting));
-        let floor = reference.map_or(0.0, |reference| 0.1 * reference.error);
+        let floor = reference.map_or(0.0, |reference| reference.error);
         (models.error).extend(fit::error(self.usual.strain.name(), own, floor));
         models
     }
@@ -317,7 +323,7 @@ impl Solved {
         let n_blocks = discrete.control.n_blocks();
         let times = times(discrete.grid.n_steps, n_blocks);
         let mut courses = Vec::new();
-        for factor in [1, 2, 4] {
+        for factor in [1, 2, FINER] {
             let (rod, start) = if factor == 1 {
                 (Arc::clone(&discrete.rod), discrete.initial.clone())
             } else {
@@ -332,7 +338,7 @@ impl Solved {
                     .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()));
                 (Arc::new(rod), start)
             };
-            let needed = (discrete.grid.step / automatic_step(&rod) * (1.0 - 1e-9)).ceil() as usize;
+            let needed = TimeGrid::covering(discrete.grid.step, automatic_step(&rod), 1).n_steps;
             let parts = if rod.scheme == crate::mechanics::TimeScheme::Implicit {
                 factor
             } else {

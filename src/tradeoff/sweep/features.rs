@@ -43,8 +43,9 @@ impl FeatureCost {
     }
 }
 
-/// Cap on the turns in which both costs are measured.
+/// Cap on the turns in which both costs are measured, and cap on the milliseconds of an iteration that is measured more than once.
 const ROUNDS: usize = 5;
+const LONG_MS: f64 = 1e3;
 /// Cap on the iterations of a timed solve.
 const ITERATIONS: usize = 3;
 /// Cap on the steps of a timed motion, which take some milliseconds.
@@ -83,7 +84,7 @@ impl Work<'_, '_> {
                 let ratio = turn[0] / turn[1];
                 ratios = [ratios[0].min(ratio), ratios[1].max(ratio)];
                 // Long work is measured less often.
-                if least[0] * 1e-3 > 1.0 && is_solved || self.is_over() {
+                if least[0] > LONG_MS && is_solved || self.is_over() {
                     break;
                 }
             }

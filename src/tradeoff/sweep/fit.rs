@@ -49,6 +49,10 @@ pub struct ErrorModel {
     pub points: usize,
 }
 
+/// Ratio of the least singular value to the largest one below which rows do not determine the unknowns. Columns that depend on each other
+/// leave rounding, 1e-15; counts that differ by a factor of two in one of ten points leave 1e-2.
+const DEPENDENT: f64 = 1e-6;
+
 /// Solves a least-squares problem; `None` if the rows do not determine the unknowns.
 fn fit(rows: &[(Vec<f64>, f64)]) -> Option<(Vec<f64>, f64)> {
     let n = rows.first()?.0.len();
@@ -59,7 +63,7 @@ fn fit(rows: &[(Vec<f64>, f64)]) -> Option<(Vec<f64>, f64)> {
     let b = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.1));
     let svd = a.clone().svd(true, true);
     let (least, largest) = (svd.singular_values.min(), svd.singular_values.max());
-    if !(least > 1e-6 * largest) {
+    if !(least > DEPENDENT * largest) {
         return None;
     }
     let x = svd.solve(&b, 0.0).ok()?;
@@ -102,7 +106,8 @@ pub(super) fn cost<'a>(
 
 /// Errors below this multiple of the reference's own error are left out; at the multiple, an error is known to a third.
 const ABOVE: f64 = 3.0;
-/// Cap on the errors, divided by the length, to which an order is fitted: larger ones are as large as the motion itself.
+/// Cap on the errors, divided by the length, to which an order is fitted: larger ones are as large as the motion itself, of which no order
+/// is seen.
 const LARGEST: f64 = 0.3;
 
 /// Fits a model of the error to points with the automatic step.

@@ -514,9 +514,11 @@ impl Sweep<'_> {
     }
 }
 
-/// Default share of the budget for settings that change one key; pairs of such changes come first in the rest.
+/// Cap on the fraction of `--budget` after which no further setting that changes one key is begun; pairs of such changes come first in the
+/// rest, a third of all that settings may take.
 const FOR_SINGLES: f64 = 0.6;
-/// Default share of the budget for all settings; the rest is for the check of the recommended one and for the costs of features.
+/// Cap on the fraction of `--budget` after which no further setting is begun; the rest is for the check of the recommended one and for the
+/// costs of features.
 const FOR_SETTINGS: f64 = 0.9;
 /// Cap on the settings that are checked before none is recommended.
 const CHECKS: usize = 3;
@@ -683,6 +685,10 @@ impl Setting {
         out
     }
 }
+
+/// Elements of the motion with which a recommended motion or controls are checked, relative to their own; the steps are shorter by the same
+/// factor. An error of second order is then a sixteenth, so that the distance from that motion is the error up to that.
+const FINER: usize = 4;
 
 /// Numbers of elements that are tried: from 8 on each is larger by about a quarter, by which an error of second order falls by about a
 /// third; the last one is a cap.

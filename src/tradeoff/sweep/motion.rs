@@ -7,8 +7,8 @@ use super::super::grid::{
 use super::super::motion::{Motion, Run, RunError};
 use super::lines::{Line, Measure};
 use super::{
-    Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff, Work,
-    fit, least, simulation_seconds,
+    FINER, Fate, LADDER, Models, Point, Recommendation, Reference, Setting, SweepError, Tradeoff,
+    Work, fit, least, simulation_seconds,
 };
 use crate::mechanics::{RodModel, StrainRule};
 use crate::memory::of_simulation;
@@ -16,20 +16,25 @@ use crate::scene::{MOST_ELEMENTS, RotaryInertia, Scene, TimeScheme};
 use crate::task::prediction::FEWEST_ELEMENTS;
 use crate::task::{Discretization, DiscretizeError};
 
-/// Default share of the budget for the reference.
+/// Cap on the fraction of `--budget` after which no finer grid of the reference is begun.
 const FOR_REFERENCE: f64 = 0.3;
-/// The reference is refined until its error is smaller than the tolerance by this factor: it then changes points near the tolerance in
-/// their third digit at most.
+/// The reference is refined until its error is smaller than the tolerance by this factor: it then changes an error near the tolerance by at
+/// most a thirtieth.
 const BETTER: f64 = 30.0;
 /// Elements of the coarsest grid of the reference, from which on the order in the elements is visible: twice those of the coarsest grid of
 /// a search.
 const COARSEST: usize = 2 * FEWEST_ELEMENTS;
 /// Lower limit of the grids of a reference: an order needs the two differences of three grids.
 const FEWEST_GRIDS: usize = 3;
-/// Cap on the elements of the first grid, also if a motion breaks down on fewer.
+/// Cap on the elements of the first grid, also if a motion breaks down on fewer: four doublings of the coarsest.
 const MOST_AT_FIRST: usize = 16 * COARSEST;
-/// A family of settings ends when its error is smaller than the tolerance by this factor.
+/// A family of settings ends when its error is smaller than the tolerance by this factor: a cap on the work, because finer grids of the
+/// family only take longer. The decade below the tolerance is for pairs of changes, whose errors add, and for the fit of the order.
 const ENOUGH: f64 = 10.0;
+
+/// Steps that are tried, relative to the automatic one: doublings and halvings. Explicit steps are unstable if they are longer.
+const IMPLICIT_STEPS: [f64; 4] = [4.0, 2.0, 0.5, 0.25];
+const EXPLICIT_STEPS: [f64; 1] = [0.5];
 
 /// A reference that is being refined.
 struct Finest {
@@ -270,9 +275,9 @@ impl Work<'_, '_> {
         };
         let is_implicit = usual.integrator == TimeScheme::Implicit;
         let parts: &[f64] = if is_implicit {
-            &[4.0, 2.0, 0.5, 0.25]
+            &IMPLICIT_STEPS
         } else {
-            &[0.5]
+            &EXPLICIT_STEPS
         };
         for &part in parts {
             add(&|setting| setting.step_over_automatic = part);
@@ -425,14 +430,14 @@ impl Work<'_, '_> {
         let coarse = own.run(&open, stop)?;
         let truth = Setting {
             strain: StrainRule::Helical,
-            elements: 4 * point.setting.elements,
+            elements: FINER * point.setting.elements,
             model: self.usual.model,
             step_over_automatic: 1.0,
             ..point.setting.clone()
         };
         let scene = self.scene(&truth);
         let motion = Motion::of_scene(&scene, self.sweep.source)?;
-        let setup = motion.setup(&scene.discretization(), 0.25 * coarse.step(), stop);
+        let setup = motion.setup(&scene.discretization(), coarse.step() / FINER as f64, stop);
         let fine = (setup.map_err(RunError::from)?.run(stop)).map_err(RunError::from)?;
         Ok(coarse.course.errors(&fine.course, motion.arm.length).shape)
     }

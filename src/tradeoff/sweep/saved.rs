@@ -2,17 +2,15 @@
 //!
 //! A summary is a file, and a file may hold anything: numbers that no sweep writes would let fits, pictures and grids grow without bounds.
 
-use super::{Fate, LADDER, News, Point, Reference, Setting, Tradeoff, Work};
+use super::{FINER, Fate, LADDER, News, Point, Reference, Setting, Tradeoff, Work};
 use crate::scene::MOST_ELEMENTS;
 use crate::task::MOST_STEPS;
 
-/// A grid of a reference is at most this many times as fine as a setting.
-const REFINED: usize = 4;
-/// Upper limit of seconds, lengths of an arm, megabytes and ratios of a sweep; 1e9 s are thirty years.
+/// Upper limit of seconds, lengths of an arm, megabytes and ratios that a file may hold; 1e9 s are thirty years.
 const LARGEST: f64 = 1e9;
-/// Lower limit of seconds, ratios and tolerances of a setting.
+/// Lower limit of seconds, ratios and tolerances that a file may hold: a femtosecond, and a tolerance near the machine precision.
 const SMALLEST: f64 = 1e-15;
-/// Upper limit of counts of a setting.
+/// Upper limit of blocks and iterations that a file may hold.
 const MOST: usize = 1_000_000;
 
 /// Tells whether a number is above 0 and of a size that a sweep has.
@@ -97,7 +95,7 @@ impl Point {
 impl Reference {
     /// Describes a value in this reference that no sweep writes, if there is one.
     pub(crate) fn fault(&self) -> Option<String> {
-        if !(1..=REFINED * MOST_ELEMENTS).contains(&self.elements) {
+        if !(1..=FINER * MOST_ELEMENTS).contains(&self.elements) {
             return Some(format!(
                 "elements is {}, which no sweep writes",
                 self.elements
