@@ -64,6 +64,7 @@ pub mod linearization;
 #[doc(hidden)]
 pub mod load;
 pub mod load_path;
+mod mesh;
 pub(crate) mod place;
 #[doc(hidden)]
 pub mod rod;
@@ -109,6 +110,7 @@ pub use forms::{FormTerm, StateForm};
 pub use lanes::{LaneIntegrator, SolverWork};
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
+pub use mesh::Mesh;
 pub use place::Place;
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,

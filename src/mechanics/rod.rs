@@ -8,6 +8,7 @@ use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::forces::NodalForces;
 use super::load::{DistributedLoad, Load, Wrench};
+use super::mesh::Mesh;
 use super::rotation::{exp, log_tangent};
 use super::time::TimeScheme;
 
@@ -73,8 +74,13 @@ impl RotaryInertia {
 pub struct RodParameters {
     /// Rest length, m.
     pub length: f64,
-    /// Number of elements, at least 1.
+    /// Number of elements, at least one for each piece between the breaks.
     pub n_elements: usize,
+    /// Fractions of the length at which elements end, besides base and tip; the elements are shared out as [`Mesh::new`] says.
+    pub breaks: Vec<f64>,
+    /// The number of elements of every piece is a multiple of this, and so is `n_elements`: 1 but for a rod with as many times the elements
+    /// of another one, whose nodes it has too.
+    pub multiple: usize,
     /// The strain rule.
     pub strain_rule: StrainRule,
     /// Effect of the axial stretch on stiffness and inertia.
@@ -118,6 +124,8 @@ impl RodParameters {
         Self {
             length,
             n_elements,
+            breaks: Vec::new(),
+            multiple: 1,
             strain_rule: StrainRule::Helical,
             model: RodModel::Standard,
             section,
@@ -138,6 +146,24 @@ impl RodParameters {
     }
 }
 
+impl RodParameters {
+    /// Returns the places of the nodes.
+    #[must_use]
+    pub fn mesh(&self) -> Mesh {
+        Mesh::new(self.n_elements, &self.breaks, self.multiple)
+    }
+
+    /// Returns the parameters of a rod with `factor` times the elements, which divide those of this rod.
+    #[must_use]
+    pub fn refined(&self, factor: usize) -> Self {
+        Self {
+            n_elements: self.n_elements * factor,
+            multiple: self.multiple * factor,
+            ..self.clone()
+        }
+    }
+}
+
 /// Reference magnitudes of a rod, by which residuals are made dimensionless: `EI` is the harmonic mean of the bending stiffness over the
 /// length (the resistance to a tip moment), `ρA` the rod's own mean mass per length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -153,12 +179,12 @@ pub struct Scales {
 }
 
 impl Scales {
-    fn of(length: f64, elements: &[Element], nodes: &[NodeInertia]) -> Self {
-        let compliance: f64 = elements
-            .iter()
-            .map(|e| 1.0 / e.angular_stiffness.x.min(e.angular_stiffness.y))
+    fn of(length: f64, mesh: &Mesh, elements: &[Element], nodes: &[NodeInertia]) -> Self {
+        let n = elements.len() as f64;
+        let compliance: f64 = (elements.iter().enumerate())
+            .map(|(q, e)| mesh.length(q, n) / e.angular_stiffness.x.min(e.angular_stiffness.y))
             .sum::<f64>()
-            / elements.len() as f64;
+            / n;
         let bending = 1.0 / compliance;
         let mass = nodes.iter().map(|node| node.mass).sum::<f64>() / length;
         Self {
@@ -177,6 +203,8 @@ pub struct Rod {
     pub strain_rule: StrainRule,
     /// Effect of the axial stretch on stiffness and inertia.
     pub model: RodModel,
+    /// The places of the nodes.
+    pub mesh: Mesh,
     /// The elements, from base to tip.
     pub elements: Vec<Element>,
     /// Lumped inertia of the nodes (trapezoidal rule: each element gives half of its inertia to each end), with the payload at the tip.
@@ -221,6 +249,16 @@ pub enum RodError {
         /// The values that are allowed.
         expected: &'static str,
     },
+    /// Every piece between two breaks needs an element.
+    #[error(
+        "n_elements: {elements} are too few: the rod has {least} pieces, each of which needs an element"
+    )]
+    FewElements {
+        /// The number of elements.
+        elements: usize,
+        /// The least number.
+        least: usize,
+    },
     /// A feature is supported by [`RodModel::Standard`] only.
     #[error("{parameter}: only the standard model has it")]
     NeedsStandardModel {
@@ -237,6 +275,7 @@ impl RodError {
             Self::OutOfRange { parameter, .. } | Self::NeedsStandardModel { parameter } => {
                 parameter
             }
+            Self::FewElements { .. } => "n_elements",
         }
     }
 }
@@ -345,7 +384,24 @@ impl Rod {
                 )?;
             }
         }
+        require(
+            "multiple",
+            p.multiple as f64,
+            |m| m >= 1.0 && p.n_elements.is_multiple_of(p.multiple),
+            "a divisor of the number of elements",
+        )?;
+        for &s in &p.breaks {
+            let expected = "a fraction of the length";
+            require("breaks", s, |s| (0.0..=1.0).contains(&s), expected)?;
+        }
+        let mesh = p.mesh();
         let k = p.n_elements;
+        if mesh.n_elements() != k {
+            return Err(RodError::FewElements {
+                elements: k,
+                least: mesh.n_pieces() * p.multiple,
+            });
+        }
         for load in &p.loads {
             require(
                 "load node",
@@ -368,20 +424,21 @@ impl Rod {
         if let BaseCondition::Driven(motion) = &p.base {
             motion.check()?;
         }
-        let l = p.length / k as f64;
-        let psi = p.rest_curvature * l;
-        require(
-            "rest_curvature",
-            psi.norm(),
-            |angle| angle < std::f64::consts::PI,
-            "less than half a turn per element",
-        )?;
+        for q in 0..k {
+            let psi = p.rest_curvature * mesh.length(q, p.length);
+            require(
+                "rest_curvature",
+                psi.norm(),
+                |angle| angle < std::f64::consts::PI,
+                "less than half a turn per element",
+            )?;
+        }
 
-        let rest = rest_shape(p, l);
-        let n = k as f64;
+        let rest = rest_shape(p, &mesh);
         let elements: Vec<Element> = (0..k)
             .map(|q| {
-                let section = p.section.at((q as f64 + 0.5) / n);
+                let section = p.section.at(mesh.along(q, 0.5));
+                let l = mesh.length(q, p.length);
                 Element {
                     model: p.model,
                     length: l,
@@ -393,8 +450,9 @@ impl Rod {
             .collect();
         let element_inertia: Vec<_> = (0..k)
             .map(|q| {
-                let start = q as f64 / n;
-                let (middle, end) = (start + 0.5 / n, start + 1.0 / n);
+                let (start, l) = (mesh.along(q, 0.0), mesh.length(q, p.length));
+                let share = mesh.length(q, 1.0);
+                let (middle, end) = (start + 0.5 * share, start + share);
                 [(start, middle), (middle, end)].map(|(from, to)| {
                     let mut share = p.section.inertia_between(from, to, p.length);
                     if p.rotary_inertia == RotaryInertia::Segment {
@@ -417,7 +475,7 @@ impl Rod {
                 nodes[q + end].rotary += share.rotary;
             }
         }
-        let scales = Scales::of(p.length, &elements, &nodes);
+        let scales = Scales::of(p.length, &mesh, &elements, &nodes);
         let rest_chords: Vec<f64> = (rest.positions.windows(2))
             .map(|ends| (ends[1] - ends[0]).norm())
             .collect();
@@ -468,11 +526,12 @@ impl Rod {
         }
         let mut loads = p.loads.clone();
         for load in &p.distributed_loads {
-            loads.extend(load.lumped(p.length, k));
+            loads.extend(load.lumped(p.length, &mesh));
         }
         Ok(Self {
             strain_rule: p.strain_rule,
             model: p.model,
+            mesh,
             elements,
             nodes,
             element_inertia,
@@ -708,6 +767,18 @@ impl Rod {
             .collect()
     }
 
+    /// Returns the arc length of a node at rest, m.
+    #[must_use]
+    pub fn arc_length(&self, node: usize) -> f64 {
+        self.scales.length * self.mesh.fraction(node)
+    }
+
+    /// Returns the length of the shortest element, m.
+    #[must_use]
+    pub fn shortest_element(&self) -> f64 {
+        (self.elements.iter().map(|element| element.length)).fold(f64::INFINITY, f64::min)
+    }
+
     /// Returns the largest ratio by which the trapezoidal rule increases the bending stiffness beyond `EI`, over all elements: `GA l²/(4
     /// EI)`.
     #[must_use]
@@ -739,14 +810,7 @@ fn check_distributed(load: &DistributedLoad) -> Result<(), RodError> {
 }
 
 /// Returns the stress-free shape: constant curvature and stretch from the base pose on.
-fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
-    let psi = p.rest_curvature * l;
-    let turn = exp(&psi);
-    // |ψ| < π, so S is regular.
-    let step = log_tangent(&psi)
-        .try_inverse()
-        .unwrap_or_else(Matrix3::identity)
-        * Vector3::new(0.0, 0.0, p.rest_stretch * l);
+fn rest_shape(p: &RodParameters, mesh: &Mesh) -> Configuration {
     let (position, rotation) = match &p.base {
         BaseCondition::Driven(motion) => {
             let start = motion.at(&p.base_position, &p.base_rotation, 0.0);
@@ -758,7 +822,15 @@ fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
         positions: vec![position],
         rotations: vec![rotation],
     };
-    for q in 0..p.n_elements {
+    for q in 0..mesh.n_elements() {
+        let l = mesh.length(q, p.length);
+        let psi = p.rest_curvature * l;
+        let turn = exp(&psi);
+        // |ψ| < π, so S is regular.
+        let step = log_tangent(&psi)
+            .try_inverse()
+            .unwrap_or_else(Matrix3::identity)
+            * Vector3::new(0.0, 0.0, p.rest_stretch * l);
         let rotation = shape.rotations[q];
         shape.positions.push(shape.positions[q] + rotation * step);
         shape.rotations.push(rotation * turn);

@@ -390,12 +390,12 @@ impl Scene {
         if let Some(payload) = &keys.payload {
             plant.payload = Some(payload.of_arm());
         }
-        let elements = self.rod.elements;
+        let mesh = self.mesh();
         plant
             .loads
-            .extend(self.disturbance.iter().map(|load| load.of_arm(elements)));
+            .extend(self.disturbance.iter().map(|load| load.of_arm(&mesh)));
         let own = Discretization {
-            elements: keys.elements.unwrap_or(elements),
+            elements: keys.elements.unwrap_or(self.rod.elements),
             scheme: None,
             rotary_inertia: None,
             step: None,

@@ -28,6 +28,7 @@ impl Scene {
     pub fn describing(problem: &Problem, settings: &SqpSettings) -> Result<Scene, DescribeError> {
         let (arm, task) = (&problem.arm, &problem.task);
         let chosen = &problem.discretization;
+        let mesh = &problem.discrete.rod.mesh;
         let base = match &arm.base {
             BaseCondition::Clamped => (BaseKind::Clamped, None),
             BaseCondition::Free => (BaseKind::Free, None),
@@ -69,7 +70,7 @@ impl Scene {
         if !task.cost.terms.is_empty() || task.limits.iter().any(is_own) {
             return Err(DescribeError("it has terms of its own"));
         }
-        let (via, goal) = described_targets(task, chosen.elements)?;
+        let (via, goal) = described_targets(task, mesh)?;
         Ok(Scene {
             rod,
             base: Base {
@@ -89,7 +90,7 @@ impl Scene {
             }),
             payload: arm.payload.map(Payload::describing),
             load: (arm.loads.iter())
-                .map(|load| Load::describing(load, chosen.elements))
+                .map(|load| Load::describing(load, mesh))
                 .collect(),
             distributed_load: (arm.distributed_loads.iter())
                 .map(DistributedLoad::describing)
@@ -114,7 +115,7 @@ impl Scene {
                 .map(Obstacle::describing)
                 .collect(),
             limit: (task.limits[obstacles..].iter())
-                .map(|limit| Limit::describing(limit, chosen.elements))
+                .map(|limit| Limit::describing(limit, mesh))
                 .collect(),
             objective: Some(Objective::describing(problem)),
             solver: Some(Solver {

@@ -129,6 +129,14 @@ impl Scene {
 
     /// Returns the error of [`Rod::new`] at the key of the scene that causes it.
     fn rod_error(&self, source: &SceneSource, error: &RodError) -> SceneError {
+        if let RodError::FewElements { elements, least } = *error {
+            let message = format!(
+                "{elements} elements are too few: the arm has {least} pieces, each of which needs an element"
+            );
+            let help =
+                format!("give {least} or more; plant.elements and estimator.elements likewise");
+            return source.error_at("rod.elements", message, Some(help));
+        }
         let RodError::OutOfRange {
             parameter, value, ..
         } = *error

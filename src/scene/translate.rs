@@ -13,7 +13,7 @@ use super::source::SceneSource;
 use super::values::{Number, known};
 use crate::control::{Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search};
 use crate::mechanics::rotation::from_quaternion;
-use crate::mechanics::{BaseCondition, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
+use crate::mechanics::{BaseCondition, Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, Limit, Problem, Rest, Start, Staying, Task};
@@ -311,13 +311,24 @@ impl Scene {
         })
     }
 
+    /// Returns the places of the nodes.
+    #[must_use]
+    pub fn mesh(&self) -> Mesh {
+        Mesh::new(self.rod.elements, &self.breaks(), 1)
+    }
+
+    /// Returns the fractions of the length at which elements end, besides base and tip; those of [`Arm::breaks`].
+    pub(super) fn breaks(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
     /// The arm that the scene describes.
     ///
     /// # Errors
     /// [`SceneError`] where the section is incomplete, or the motion of the base is no curve.
     pub fn arm(&self, source: &SceneSource) -> Result<Arm, SceneError> {
         let reference = self.rod.reference.as_ref();
-        let elements = self.rod.elements;
+        let mesh = self.mesh();
         let base_rotation = from_quaternion(self.base.unit_quaternion());
         Ok(Arm {
             length: self.rod.length_m.get(),
@@ -345,9 +356,7 @@ impl Scene {
                 .map_or_else(Vector3::zeros, |g| g.acceleration_m_s2.into()),
             viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s.get()),
             internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s.get()),
-            loads: (self.load.iter())
-                .map(|load| load.of_arm(elements))
-                .collect(),
+            loads: (self.load.iter()).map(|load| load.of_arm(&mesh)).collect(),
             distributed_loads: (self.distributed_load.iter())
                 .map(model::DistributedLoad::of_arm)
                 .collect(),
@@ -376,6 +385,7 @@ impl Scene {
         let is_sparse = (self.solver.as_ref()).is_some_and(|solver| solver.qp == model::Qp::Sparse);
         Discretization {
             elements: self.rod.elements,
+            multiple: 1,
             strain_rule: self.rod.strain,
             scheme: match self.time.integrator {
                 // Implicit steps are not local enough for the sparse route.
@@ -444,20 +454,20 @@ impl Scene {
             let error = source.error_at("time.end_s", message, None);
             return Err(error.expecting("expected a positive duration"));
         }
-        let elements = self.rod.elements;
+        let mesh = self.mesh();
         Ok(Task {
             horizon,
             free_duration: task
                 .and_then(|task| task.free_duration)
                 .map(model::FreeDuration::of_task),
             start: self.start(),
-            targets: task.map_or_else(Vec::new, |task| task.targets(elements)),
+            targets: task.map_or_else(Vec::new, |task| task.targets(&mesh)),
             limits: self.limits(),
-            actuators: control.of_task(elements),
+            actuators: control.of_task(&mesh),
             own_actuators: (control.distributed.iter())
                 .map(model::Distributed::of_task)
                 .collect(),
-            cost: objective.of_task(elements, end),
+            cost: objective.of_task(&mesh, end),
         })
     }
 
@@ -466,8 +476,8 @@ impl Scene {
     pub fn limits(&self) -> Vec<Limit> {
         let obstacles = self.obstacle.iter().enumerate();
         let obstacles = obstacles.filter_map(|(index, obstacle)| obstacle.of_task(index));
-        let elements = self.rod.elements;
-        let limits = (self.limit.iter()).filter_map(|limit| limit.of_task(elements));
+        let mesh = self.mesh();
+        let limits = (self.limit.iter()).filter_map(|limit| limit.of_task(&mesh));
         obstacles.chain(limits).collect()
     }
 

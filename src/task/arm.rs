@@ -7,7 +7,7 @@ pub use crate::mechanics::Place;
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::from_direction;
 use crate::mechanics::{
-    BaseCondition, DistributedLoad, Load, LoadFrame, Material, NodeInertia, Rod, RodError,
+    BaseCondition, DistributedLoad, Load, LoadFrame, Material, Mesh, NodeInertia, Rod, RodError,
     RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State, TimeScheme,
 };
 use crate::stop::StopSignal;
@@ -127,12 +127,28 @@ impl Arm {
         }
     }
 
-    /// Radius at the `elements + 1` nodes of a discretization, m; empty for a line without thickness.
+    /// Returns the fractions of the length at which elements end, besides base and tip.
     #[must_use]
-    pub fn radii_at_nodes(&self, elements: usize) -> Vec<f64> {
+    pub fn breaks(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    /// Returns the places of the nodes of a discretization.
+    #[must_use]
+    pub fn mesh(&self, discretization: &Discretization) -> Mesh {
+        Mesh::new(
+            discretization.elements,
+            &self.breaks(),
+            discretization.multiple,
+        )
+    }
+
+    /// Radius at the nodes, m; empty for a line without thickness.
+    #[must_use]
+    pub fn radii_at_nodes(&self, mesh: &Mesh) -> Vec<f64> {
         self.radii.map_or_else(Vec::new, |[base, tip]| {
-            (0..=elements)
-                .map(|q| base + (tip - base) * q as f64 / elements as f64)
+            (mesh.fractions().into_iter())
+                .map(|s| base + (tip - base) * s)
                 .collect()
         })
     }
@@ -141,10 +157,12 @@ impl Arm {
     /// is the explicit one, and a rotary inertia that it leaves open is that of the section.
     #[must_use]
     pub fn rod_parameters(&self, discretization: &Discretization) -> RodParameters {
-        let n_elements = discretization.elements;
+        let mesh = self.mesh(discretization);
         RodParameters {
             length: self.length,
-            n_elements,
+            n_elements: discretization.elements,
+            breaks: self.breaks(),
+            multiple: discretization.multiple,
             strain_rule: discretization.strain_rule,
             model: self.model,
             section: self.section,
@@ -162,7 +180,7 @@ impl Arm {
             scheme: discretization.scheme.unwrap_or(TimeScheme::Explicit),
             loads: (self.loads.iter())
                 .map(|load| Load {
-                    node: load.at.node(n_elements),
+                    node: load.at.node(&mesh),
                     force: load.force,
                     moment: load.moment,
                     frame: load.frame,

@@ -38,8 +38,7 @@ pub fn finer_at_rest(
     parameters: &RodParameters,
     factor: usize,
 ) -> Result<(Rod, State), softarm::mechanics::RodError> {
-    let mut finer = parameters.clone();
-    finer.n_elements *= factor;
+    let mut finer = parameters.refined(factor);
     for load in &mut finer.loads {
         load.node *= factor;
     }
@@ -289,6 +288,14 @@ pub fn busy_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
             rotary: Vector3::new(3e-4, 5e-4, 2e-4),
         }),
         ..soft_arm(strain_rule, n_elements)
+    }
+}
+
+/// [`busy_arm`] with elements of three lengths.
+pub fn uneven_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
+    RodParameters {
+        breaks: vec![0.35, 0.5],
+        ..busy_arm(strain_rule, n_elements)
     }
 }
 

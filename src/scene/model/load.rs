@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, Fraction, NonNegative, Number, digits, known};
-use crate::mechanics::{self, LoadFrame, NodeInertia};
+use crate::mechanics::{self, LoadFrame, Mesh, NodeInertia};
 use crate::task::{Place, PointLoad};
 
 /// Uniform gravity.
@@ -133,32 +133,32 @@ enum RodEnd {
 }
 
 impl LoadNode {
-    /// The place of the node in an arm that is written with so many elements.
-    pub(in crate::scene) fn place(self, elements: usize) -> Place {
+    /// The place of the node in an arm that is written with this mesh.
+    pub(in crate::scene) fn place(self, mesh: &Mesh) -> Place {
         match self {
             Self::Tip => Place::Tip,
             Self::Base => Place::Base,
-            Self::Index(node) => Place::of_node(node, elements),
+            Self::Index(node) => Place::of_node(node, mesh),
             Self::Fraction(fraction) => Place::Fraction(fraction.get()),
         }
     }
 
-    /// The node of a rod of so many elements that is nearest to a place.
-    pub(in crate::scene) fn of(place: Place, elements: usize) -> Self {
-        match place.node(elements) {
+    /// The node that is nearest to a place.
+    pub(in crate::scene) fn of(place: Place, mesh: &Mesh) -> Self {
+        match place.node(mesh) {
             0 => Self::Base,
-            tip if tip == elements => Self::Tip,
+            tip if tip == mesh.n_elements() => Self::Tip,
             node => Self::Index(node),
         }
     }
 
-    /// Index of the node in a rod of `elements`.
-    pub fn index(self, elements: usize) -> usize {
+    /// Index of the node.
+    pub fn index(self, mesh: &Mesh) -> usize {
         match self {
-            Self::Tip => elements,
+            Self::Tip => mesh.n_elements(),
             Self::Base => 0,
             Self::Index(index) => index,
-            Self::Fraction(fraction) => Place::Fraction(fraction.get()).node(elements),
+            Self::Fraction(fraction) => Place::Fraction(fraction.get()).node(mesh),
         }
     }
 }
@@ -226,10 +226,10 @@ impl Keys<'_> {
 }
 
 impl Load {
-    /// The load of an arm that is written with so many elements.
-    pub(in crate::scene) fn of_arm(&self, elements: usize) -> PointLoad {
+    /// The load of an arm that is written with this mesh.
+    pub(in crate::scene) fn of_arm(&self, mesh: &Mesh) -> PointLoad {
         PointLoad {
-            at: self.node.place(elements),
+            at: self.node.place(mesh),
             force: self.force_n.into(),
             moment: self.moment_n_m.into(),
             frame: self.frame,
@@ -238,9 +238,9 @@ impl Load {
     }
 
     /// The keys of a load.
-    pub(in crate::scene) fn describing(load: &PointLoad, elements: usize) -> Self {
+    pub(in crate::scene) fn describing(load: &PointLoad, mesh: &Mesh) -> Self {
         Self {
-            node: LoadNode::of(load.at, elements),
+            node: LoadNode::of(load.at, mesh),
             force_n: load.force.into(),
             moment_n_m: load.moment.into(),
             frame: load.frame,
