@@ -73,6 +73,7 @@ mod rotation_step;
 mod section;
 #[doc(hidden)]
 pub mod sensitivity;
+mod shape;
 #[doc(hidden)]
 pub mod signal;
 pub(crate) mod slow_modes;
@@ -116,6 +117,7 @@ pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile,
 };
+pub use shape::Shape;
 pub use signal::{ControlSignal, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;

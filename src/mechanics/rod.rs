@@ -779,15 +779,16 @@ impl Rod {
         (self.elements.iter().map(|element| element.length)).fold(f64::INFINITY, f64::min)
     }
 
-    /// Returns the largest ratio by which the trapezoidal rule increases the bending stiffness beyond `EI`, over all elements: `GA l²/(4
-    /// EI)`.
+    /// Returns the largest ratio by which the trapezoidal rule increases the bending stiffness beyond `EI`, over all elements and both
+    /// axes: `GA l²/(4 EI)`, with the shear stiffness across the axis of bending.
     #[must_use]
     pub fn locking_ratio(&self) -> f64 {
         self.elements
             .iter()
             .map(|e| {
-                let bending = e.angular_stiffness.x.min(e.angular_stiffness.y);
-                e.linear_stiffness.x * e.length * e.length / (4.0 * bending)
+                let [shear, bending] = [&e.linear_stiffness, &e.angular_stiffness];
+                let ratio = (shear.y / bending.x).max(shear.x / bending.y);
+                ratio * e.length * e.length / 4.0
             })
             .fold(0.0, f64::max)
     }

@@ -1,14 +1,15 @@
 //! Materials, cross-sections, and how sections change along the arm.
 
 use super::rod::NodeInertia;
+use super::shape::Shape;
 use nalgebra::Vector3;
 
 /// Stiffness and inertia of a cross-section, per unit of rest length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Section {
-    /// `diag(GA, GA, EA)`, N.
+    /// `diag(GA₁, GA₂, EA)`, N: shear along the first and the second axis, tension.
     pub linear_stiffness: Vector3<f64>,
-    /// `diag(EI, EI, GJ)`, N m².
+    /// `diag(EI₁, EI₂, GJ)`, N m²: bending about the first and the second axis, torsion.
     pub angular_stiffness: Vector3<f64>,
     /// `ρA`, kg/m.
     pub mass: f64,
@@ -25,7 +26,7 @@ pub struct Material {
     pub shear_modulus: f64,
     /// `ρ`, kg/m³.
     pub density: f64,
-    /// Factor on the shear area: `GA = factor G π r²`; 1 as in the paper, 27/28 after Cowper for a circle.
+    /// Factor `k` on the area in shear, `GA = k G A`; 1 as in the paper, 27/28 after Cowper for a circle.
     pub shear_factor: f64,
 }
 
@@ -46,19 +47,25 @@ impl Section {
     /// Returns the section of a full circle of radius `radius` (m): `A = π r²`, `I = π r⁴/4`, `J = 2 I`.
     #[must_use]
     pub fn circle(material: &Material, radius: f64) -> Self {
-        let area = std::f64::consts::PI * radius * radius;
-        let second_moment = 0.25 * area * radius * radius;
+        Self::of_shape(material, &Shape::Circle { radius })
+    }
+
+    /// Returns the section of a shape: `E A`, `k G A`, `E I` and St Venant's `G J`, and the inertia `ρ A`, `ρ I₁`, `ρ I₂` and, about the
+    /// axis of the rod, `ρ (I₁ + I₂)`.
+    #[must_use]
+    pub fn of_shape(material: &Material, shape: &Shape) -> Self {
+        let area = shape.area();
+        let [first, second] = shape.second_moments();
         let shear = material.shear_factor * material.shear_modulus * area;
-        let bending = material.youngs_modulus * second_moment;
         Self {
             linear_stiffness: Vector3::new(shear, shear, material.youngs_modulus * area),
             angular_stiffness: Vector3::new(
-                bending,
-                bending,
-                material.shear_modulus * 2.0 * second_moment,
+                material.youngs_modulus * first,
+                material.youngs_modulus * second,
+                material.shear_modulus * shape.torsion_constant(),
             ),
             mass: material.density * area,
-            rotary: material.density * second_moment * Vector3::new(1.0, 1.0, 2.0),
+            rotary: material.density * Vector3::new(first, second, first + second),
         }
     }
 }

@@ -8,7 +8,7 @@ use super::model::{
     self, Computing as ComputingKey, EstimatorKind, Fallback, Mpc, Plant, Scene,
     Sensor as SensorKeys, TimeStep,
 };
-use super::section::circular;
+use super::section::profile;
 use super::source::SceneSource;
 use super::values::{Instant, Number, Positive, known};
 use crate::mechanics::vibration::SmallMotions;
@@ -359,10 +359,10 @@ impl Scene {
         let keys = self.plant.clone().unwrap_or_default();
         let mut plant = arm.clone();
         let [stiffness, density] = [keys.stiffness_factor.get(), keys.density_factor.get()];
-        if let Some(radii) = keys.section.as_ref().and_then(model::Section::radii) {
-            plant.radii = Some(radii);
+        if let Some(shapes) = keys.section.as_ref().and_then(model::Section::shapes) {
+            plant.radii = Some(shapes.map(|shape| shape.half_width()));
             if let Some(material) = self.material() {
-                plant.section = circular(material, radii);
+                plant.section = profile(material, shapes);
             }
         }
         match &mut plant.section {

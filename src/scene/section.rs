@@ -6,7 +6,7 @@ use super::error::SceneError;
 use super::model::{self, Scene};
 use super::source::SceneSource;
 use super::values::Number;
-use crate::mechanics::{Material, Section, SectionProfile};
+use crate::mechanics::{Material, Section, SectionProfile, Shape};
 
 impl Scene {
     pub(super) fn section_profile(
@@ -21,18 +21,18 @@ impl Scene {
             )
         };
         if let (Some(stiffness), Some(inertia)) = (&self.rod.stiffness, &self.rod.inertia) {
-            let (ga, ei) = (stiffness.ga_n.get(), stiffness.ei_n_m2.get());
+            let ([ga_1, ga_2], [ei_1, ei_2]) = (stiffness.ga_n.get(), stiffness.ei_n_m2.get());
             return Ok(SectionProfile::Uniform(Section {
-                linear_stiffness: Vector3::new(ga, ga, stiffness.ea_n.get()),
-                angular_stiffness: Vector3::new(ei, ei, stiffness.gj_n_m2.get()),
+                linear_stiffness: Vector3::new(ga_1, ga_2, stiffness.ea_n.get()),
+                angular_stiffness: Vector3::new(ei_1, ei_2, stiffness.gj_n_m2.get()),
                 mass: inertia.mass_kg_m.get(),
                 rotary: inertia.rotary_kg_m.map(Number::get).into(),
             }));
         }
         let material = self.material().ok_or_else(incomplete)?;
         let section = self.rod.section.as_ref();
-        let radii = section.and_then(model::Section::radii);
-        Ok(circular(material, radii.ok_or_else(incomplete)?))
+        let shapes = section.and_then(model::Section::shapes);
+        Ok(profile(material, shapes.ok_or_else(incomplete)?))
     }
 
     /// The material of the rod; `None` if its stiffness is given directly.
@@ -47,15 +47,19 @@ impl Scene {
     }
 }
 
-/// Circular sections with these radii in m at the base and at the tip.
-pub(super) fn circular(material: Material, [base_radius, tip_radius]: [f64; 2]) -> SectionProfile {
-    if base_radius == tip_radius {
-        SectionProfile::Uniform(Section::circle(&material, base_radius))
-    } else {
-        SectionProfile::TaperedCircle {
+/// Sections of a material with these shapes at the base and at the tip; only circles change between the two.
+pub(super) fn profile(material: Material, [base, tip]: [Shape; 2]) -> SectionProfile {
+    match (base, tip) {
+        (
+            Shape::Circle {
+                radius: base_radius,
+            },
+            Shape::Circle { radius: tip_radius },
+        ) if base_radius != tip_radius => SectionProfile::TaperedCircle {
             material,
             base_radius,
             tip_radius,
-        }
+        },
+        _ => SectionProfile::Uniform(Section::of_shape(&material, &base)),
     }
 }

@@ -12,7 +12,7 @@ use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, known};
 use crate::control::{Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search};
-use crate::mechanics::rotation::from_quaternion;
+use crate::mechanics::rotation::{exp, from_quaternion};
 use crate::mechanics::{BaseCondition, Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
@@ -329,7 +329,11 @@ impl Scene {
     pub fn arm(&self, source: &SceneSource) -> Result<Arm, SceneError> {
         let reference = self.rod.reference.as_ref();
         let mesh = self.mesh();
-        let base_rotation = from_quaternion(self.base.unit_quaternion());
+        let mut base_rotation = from_quaternion(self.base.unit_quaternion());
+        let roll = self.rod.roll();
+        if roll != 0.0 {
+            base_rotation *= exp(&Vector3::new(0.0, 0.0, roll));
+        }
         Ok(Arm {
             length: self.rod.length_m.get(),
             section: self.section_profile(source)?,

@@ -248,6 +248,7 @@ quantities! {
     Radius: "radius", "meters";
     Diameter: "diameter", "meters";
     Edge: "edge", "meters";
+    Width: "width", "meters";
     Clearance: "clearance", "meters";
     Distance: "tolerance", "meters";
     Angle: "tolerance", "radians";

@@ -5,5 +5,6 @@ mod common;
 
 mod published_frequencies;
 mod published_statics;
+mod sections;
 mod statics;
 mod vibration;

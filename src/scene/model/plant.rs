@@ -111,6 +111,11 @@ impl Keys<'_> {
                 return Err(self.contradiction("plant.section", "rod.stiffness"));
             }
             self.check_section("plant.section", section)?;
+            if section.roll_rad.is_some() {
+                let message = "the body frames of plant and model have the same axes";
+                let help = "leave it out, and give rod.section.roll_rad".to_string();
+                return Err((self.source).error_at("plant.section.roll_rad", message, Some(help)));
+            }
         }
         Ok(())
     }
