@@ -70,6 +70,7 @@ pub(crate) mod place;
 pub mod rod;
 pub mod rotation;
 mod rotation_step;
+pub(crate) mod rows;
 mod section;
 #[doc(hidden)]
 pub mod sensitivity;
@@ -115,7 +116,7 @@ pub use mesh::Mesh;
 pub use place::Place;
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
-    Section, SectionProfile,
+    Section, SectionProfile, SectionSegment,
 };
 pub use shape::Shape;
 pub use signal::{ControlSignal, NodeWrenches};

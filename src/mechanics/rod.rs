@@ -10,9 +10,10 @@ use super::forces::NodalForces;
 use super::load::{DistributedLoad, Load, Wrench};
 use super::mesh::Mesh;
 use super::rotation::{exp, log_tangent};
+use super::rows;
 use super::time::TimeScheme;
 
-pub use super::section::{Material, Section, SectionProfile};
+pub use super::section::{Material, Section, SectionProfile, SectionSegment};
 
 /// The condition at the base, node 0.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,7 +77,8 @@ pub struct RodParameters {
     pub length: f64,
     /// Number of elements, at least one for each piece between the breaks.
     pub n_elements: usize,
-    /// Fractions of the length at which elements end, besides base and tip; the elements are shared out as [`Mesh::new`] says.
+    /// Fractions of the length at which elements end, besides base and tip, where segments meet, where the curvature at rest has a step and
+    /// where bodies are; the elements are shared out as [`Mesh::new`] says.
     pub breaks: Vec<f64>,
     /// The number of elements of every piece is a multiple of this, and so is `n_elements`: 1 but for a rod with as many times the elements
     /// of another one, whose nodes it has too.
@@ -91,6 +93,10 @@ pub struct RodParameters {
     pub rotary_inertia: RotaryInertia,
     /// Stress-free curvature `κ`, 1/m, body frame.
     pub rest_curvature: Vector3<f64>,
+    /// Stress-free curvature in addition to `rest_curvature`, as rows of a fraction of the length and a curvature in 1/m: linear between
+    /// two rows, constant beyond the first and the last one, a step where two rows have the same fraction. An element has the mean over
+    /// its length.
+    pub curvature_rows: Vec<(f64, Vector3<f64>)>,
     /// Stress-free stretch; 1 for a rod as long as `length`.
     pub rest_stretch: f64,
     /// The condition at node 0.
@@ -114,6 +120,9 @@ pub struct RodParameters {
     pub distributed_loads: Vec<DistributedLoad>,
     /// A rigid body on the tip node, with its center of mass there and its principal axes along the node's.
     pub payload: Option<NodeInertia>,
+    /// Rigid bodies at fractions of the length, with their centers of mass on the axis of the rod and their principal axes along those of
+    /// the node there.
+    pub bodies: Vec<(f64, NodeInertia)>,
 }
 
 impl RodParameters {
@@ -131,6 +140,7 @@ impl RodParameters {
             section,
             rotary_inertia: RotaryInertia::Section,
             rest_curvature: Vector3::zeros(),
+            curvature_rows: Vec::new(),
             rest_stretch: 1.0,
             base: BaseCondition::Clamped,
             base_position: Vector3::zeros(),
@@ -142,15 +152,26 @@ impl RodParameters {
             loads: Vec::new(),
             distributed_loads: Vec::new(),
             payload: None,
+            bodies: Vec::new(),
         }
     }
-}
 
-impl RodParameters {
     /// Returns the places of the nodes.
     #[must_use]
     pub fn mesh(&self) -> Mesh {
-        Mesh::new(self.n_elements, &self.breaks, self.multiple)
+        let mut breaks = self.breaks.clone();
+        breaks.extend(self.section.borders());
+        breaks.extend(rows::steps(&self.curvature_rows));
+        breaks.extend(self.bodies.iter().map(|(at, _)| *at));
+        Mesh::new(self.n_elements, &breaks, self.multiple)
+    }
+
+    /// Returns the stress-free curvature of an element, 1/m.
+    fn curvature(&self, mesh: &Mesh, q: usize) -> Vector3<f64> {
+        match rows::mean(&self.curvature_rows, mesh.along(q, 0.0), mesh.along(q, 1.0)) {
+            None => self.rest_curvature,
+            Some(mean) => self.rest_curvature + mean,
+        }
     }
 
     /// Returns the parameters of a rod with `factor` times the elements, which divide those of this rod.
@@ -207,9 +228,10 @@ pub struct Rod {
     pub mesh: Mesh,
     /// The elements, from base to tip.
     pub elements: Vec<Element>,
-    /// Lumped inertia of the nodes (trapezoidal rule: each element gives half of its inertia to each end), with the payload at the tip.
+    /// Lumped inertia of the nodes (trapezoidal rule: each element gives half of its inertia to each end), with the payload at the tip
+    /// and the bodies.
     pub nodes: Vec<NodeInertia>,
-    /// The share of each element in the inertia of its two ends, without the payload.
+    /// The share of each element in the inertia of its two ends, without payload and bodies.
     pub element_inertia: Vec<[NodeInertia; 2]>,
     /// The condition at node 0.
     pub base: BaseCondition,
@@ -282,6 +304,12 @@ impl RodError {
 
 /// Largest `|RᵀR - I|` of a rotation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-9;
+
+const FRACTION: &str = "a fraction of the length";
+
+fn is_fraction(s: f64) -> bool {
+    (0.0..=1.0).contains(&s)
+}
 
 fn require(
     parameter: &'static str,
@@ -359,8 +387,15 @@ impl Rod {
             |defect| defect < LARGEST_ROTATION_DEFECT,
             "that of a rotation matrix, below 1e-9",
         )?;
-        for s in [0.0, 0.5, 1.0] {
-            let section = p.section.at(s);
+        let parts = p.section.parts().or_else(|end| {
+            let expected = "the end of a segment, beyond that of the one before and at last 1";
+            require("section segments", end, |_| false, expected).map(|()| Vec::new())
+        })?;
+        for (part, s) in parts
+            .iter()
+            .flat_map(|part| [0.0, 0.5, 1.0].map(|s| (part, s)))
+        {
+            let section = part.at(s);
             require("section mass", section.mass, positive, "positive")?;
             for i in 0..3 {
                 let section = &section;
@@ -391,8 +426,21 @@ impl Rod {
             "a divisor of the number of elements",
         )?;
         for &s in &p.breaks {
-            let expected = "a fraction of the length";
-            require("breaks", s, |s| (0.0..=1.0).contains(&s), expected)?;
+            require("breaks", s, is_fraction, FRACTION)?;
+        }
+        for (s, curvature) in &p.curvature_rows {
+            require("curvature_rows", *s, is_fraction, FRACTION)?;
+            for i in 0..3 {
+                require("rest_curvature", curvature[i], |_| true, "finite")?;
+            }
+        }
+        if let Some(pair) = p
+            .curvature_rows
+            .windows(2)
+            .find(|pair| pair[1].0 < pair[0].0)
+        {
+            let expected = "a fraction that is not before that of the row before";
+            require("curvature_rows", pair[1].0, |_| false, expected)?;
         }
         let mesh = p.mesh();
         let k = p.n_elements;
@@ -413,19 +461,26 @@ impl Rod {
         for load in &p.distributed_loads {
             check_distributed(load)?;
         }
-        if let Some(payload) = &p.payload {
-            let not_negative = |x: f64| x >= 0.0;
-            require("payload mass", payload.mass, not_negative, "zero or more")?;
+        let not_negative = |x: f64| x >= 0.0;
+        let payload = p
+            .payload
+            .iter()
+            .map(|body| ("payload mass", "payload inertia", body));
+        let bodies = (p.bodies.iter()).map(|(_, body)| ("body mass", "body inertia", body));
+        for (mass, inertia, body) in payload.chain(bodies) {
+            require(mass, body.mass, not_negative, "zero or more")?;
             for i in 0..3 {
-                let rotary = payload.rotary[i];
-                require("payload inertia", rotary, not_negative, "zero or more")?;
+                require(inertia, body.rotary[i], not_negative, "zero or more")?;
             }
+        }
+        for (at, _) in &p.bodies {
+            require("body place", *at, is_fraction, FRACTION)?;
         }
         if let BaseCondition::Driven(motion) = &p.base {
             motion.check()?;
         }
         for q in 0..k {
-            let psi = p.rest_curvature * mesh.length(q, p.length);
+            let psi = p.curvature(&mesh, q) * mesh.length(q, p.length);
             require(
                 "rest_curvature",
                 psi.norm(),
@@ -444,7 +499,7 @@ impl Rod {
                     length: l,
                     linear_stiffness: section.linear_stiffness,
                     angular_stiffness: section.angular_stiffness,
-                    rest: rest_strain(p, l, &rest, q),
+                    rest: rest_strain(p, &mesh, &rest, q),
                 }
             })
             .collect();
@@ -520,9 +575,11 @@ impl Rod {
                 computable,
             )?;
         }
-        if let Some(payload) = &p.payload {
-            nodes[k].mass += payload.mass;
-            nodes[k].rotary += payload.rotary;
+        let payload = p.payload.iter().map(|body| (k, body));
+        let bodies = p.bodies.iter().map(|(at, body)| (mesh.nearest(*at), body));
+        for (node, body) in payload.chain(bodies) {
+            nodes[node].mass += body.mass;
+            nodes[node].rotary += body.rotary;
         }
         let mut loads = p.loads.clone();
         for load in &p.distributed_loads {
@@ -810,7 +867,7 @@ fn check_distributed(load: &DistributedLoad) -> Result<(), RodError> {
     Ok(())
 }
 
-/// Returns the stress-free shape: constant curvature and stretch from the base pose on.
+/// Returns the stress-free shape: the curvature of every element and constant stretch from the base pose on.
 fn rest_shape(p: &RodParameters, mesh: &Mesh) -> Configuration {
     let (position, rotation) = match &p.base {
         BaseCondition::Driven(motion) => {
@@ -825,7 +882,7 @@ fn rest_shape(p: &RodParameters, mesh: &Mesh) -> Configuration {
     };
     for q in 0..mesh.n_elements() {
         let l = mesh.length(q, p.length);
-        let psi = p.rest_curvature * l;
+        let psi = p.curvature(mesh, q) * l;
         let turn = exp(&psi);
         // |ψ| < π, so S is regular.
         let step = log_tangent(&psi)
@@ -840,14 +897,16 @@ fn rest_shape(p: &RodParameters, mesh: &Mesh) -> Configuration {
 }
 
 /// Returns the rest strain by the rod's own rule, so that the rest shape is free of stress under both rules.
-fn rest_strain(p: &RodParameters, l: f64, rest: &Configuration, q: usize) -> ElementStrain {
+fn rest_strain(p: &RodParameters, mesh: &Mesh, rest: &Configuration, q: usize) -> ElementStrain {
     if p.strain_rule == StrainRule::Helical {
         let v = Vector3::new(0.0, 0.0, p.rest_stretch);
         return ElementStrain {
             linear: [v, v],
-            curvature: p.rest_curvature,
+            curvature: p.curvature(mesh, q),
         };
     }
-    p.strain_rule
-        .strain(l, &Rod::element_pose(q, &rest.positions, &rest.rotations))
+    p.strain_rule.strain(
+        mesh.length(q, p.length),
+        &Rod::element_pose(q, &rest.positions, &rest.rotations),
+    )
 }

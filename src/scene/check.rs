@@ -16,6 +16,10 @@ impl Scene {
     pub fn check(&self, source: &SceneSource) -> Result<(), SceneError> {
         let keys = Keys { source };
         keys.check_rod(&self.rod)?;
+        let pieces = self.mesh().n_pieces();
+        if pieces > self.rod.elements && self.rod.accuracy.is_none() {
+            return Err(keys.few_elements(self.rod.elements, pieces));
+        }
         keys.check_base(&self.base)?;
         if let Some(gravity) = &self.gravity {
             keys.finite("gravity.acceleration_m_s2", &gravity.acceleration_m_s2)?;

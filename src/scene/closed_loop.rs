@@ -12,7 +12,7 @@ use super::section::profile;
 use super::source::SceneSource;
 use super::values::{Instant, Number, Positive, known};
 use crate::mechanics::vibration::SmallMotions;
-use crate::mechanics::{Rod, SectionProfile, State, SweptSurface};
+use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
     ActuatorDynamics, Computing, Experiment, MpcError, MpcSettings, Sensing, Sensor, SensorChoice,
     SensorSettings, with_long_steps,
@@ -360,24 +360,13 @@ impl Scene {
         let mut plant = arm.clone();
         let [stiffness, density] = [keys.stiffness_factor.get(), keys.density_factor.get()];
         if let Some(shapes) = keys.section.as_ref().and_then(model::Section::shapes) {
-            plant.radii = Some(shapes.map(|shape| shape.half_width()));
+            let [base, tip] = shapes.map(|shape| shape.half_width());
+            plant.radii = vec![(0.0, base), (1.0, tip)];
             if let Some(material) = self.material() {
                 plant.section = profile(material, shapes);
             }
         }
-        match &mut plant.section {
-            SectionProfile::Uniform(section) => {
-                section.linear_stiffness *= stiffness;
-                section.angular_stiffness *= stiffness;
-                section.mass *= density;
-                section.rotary *= density;
-            }
-            SectionProfile::TaperedCircle { material, .. } => {
-                material.youngs_modulus *= stiffness;
-                material.shear_modulus *= stiffness;
-                material.density *= density;
-            }
-        }
+        plant.section = plant.section.scaled(stiffness, density);
         if let Some(rate) = keys.viscous_1_s {
             plant.viscous_damping = rate.get();
         }

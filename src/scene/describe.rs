@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 
 use super::model::geometry::wxyz;
 use super::model::{
-    Base, BaseKind, Damping, DistributedLoad, Gravity, Initial, Limit, Load, Objective, Obstacle,
-    Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme, TimeStep,
+    Base, BaseKind, Body, Damping, DistributedLoad, Gravity, Initial, Limit, Load, Objective,
+    Obstacle, Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme, TimeStep,
     describe_section, described_control, described_motion, described_targets, described_task,
 };
 use super::values::known;
@@ -22,7 +22,7 @@ impl Scene {
     /// Returns the scene that describes a problem: read again, it gives the same problem, up to rounding of orientations and directions.
     ///
     /// # Errors
-    /// [`DescribeError`] for features that scenes cannot express: sections that differ in their two transverse directions, goals at the end
+    /// [`DescribeError`] for features that scenes cannot express: goals at the end
     /// for other places than the tip, a first actuator elsewhere, rates that differ among actuators, obstacles behind other limits, a
     /// tapered display of a uniform arm.
     pub fn describing(problem: &Problem, settings: &SqpSettings) -> Result<Scene, DescribeError> {
@@ -51,8 +51,12 @@ impl Scene {
             section: None,
             stiffness: None,
             inertia: None,
+            segment: Vec::new(),
             reference: Some(Reference {
                 curvature_1_m: arm.rest_curvature.into(),
+                curvature_along_1_m: (arm.curvature_rows.iter())
+                    .map(|(s, curvature)| [*s, curvature.x, curvature.y, curvature.z])
+                    .collect(),
                 stretch: known(arm.rest_stretch),
             }),
         };
@@ -89,6 +93,7 @@ impl Scene {
                 internal_s: known(arm.internal_damping),
             }),
             payload: arm.payload.map(Payload::describing),
+            body: arm.bodies.iter().map(Body::describing).collect(),
             load: (arm.loads.iter())
                 .map(|load| Load::describing(load, mesh))
                 .collect(),

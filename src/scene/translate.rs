@@ -13,6 +13,7 @@ use super::source::SceneSource;
 use super::values::{Number, known};
 use crate::control::{Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search};
 use crate::mechanics::rotation::{exp, from_quaternion};
+use crate::mechanics::rows;
 use crate::mechanics::{BaseCondition, Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
@@ -317,9 +318,12 @@ impl Scene {
         Mesh::new(self.rod.elements, &self.breaks(), 1)
     }
 
-    /// Returns the fractions of the length at which elements end, besides base and tip; those of [`Arm::breaks`].
+    /// Returns the fractions of the length at which elements end, besides base and tip.
     pub(super) fn breaks(&self) -> Vec<f64> {
-        Vec::new()
+        let segments = self.rod.segment_ends().into_iter().map(|[_, to]| to);
+        let curvature = self.rod.curvature_rows();
+        let bodies = self.body.iter().map(|body| body.at.get());
+        (segments.chain(rows::steps(&curvature)).chain(bodies)).collect()
     }
 
     /// The arm that the scene describes.
@@ -338,7 +342,15 @@ impl Scene {
             length: self.rod.length_m.get(),
             section: self.section_profile(source)?,
             model: self.rod.model,
-            rest_curvature: reference.map_or_else(Vector3::zeros, |r| r.curvature_1_m.into()),
+            rest_curvature: match reference {
+                Some(reference) if !self.rod.is_curved_by_segments() => {
+                    reference.curvature_1_m.into()
+                }
+                _ => Vector3::zeros(),
+            },
+            curvature_rows: (self.rod.curvature_rows().into_iter())
+                .map(|(s, curvature)| (s, curvature.into()))
+                .collect(),
             rest_stretch: reference.map_or(1.0, |r| r.stretch.get()),
             base: match self.base.kind {
                 model::BaseKind::Clamped => BaseCondition::Clamped,
@@ -365,9 +377,8 @@ impl Scene {
                 .map(model::DistributedLoad::of_arm)
                 .collect(),
             payload: self.payload.as_ref().map(model::Payload::of_arm),
-            radii: (self.rod.section.as_ref())
-                .and_then(model::Section::radii)
-                .or(self.rod.display_radius_m.map(|radius| [radius.get(); 2])),
+            bodies: self.body.iter().map(model::Body::of_arm).collect(),
+            radii: self.radii(),
         })
     }
 
@@ -388,7 +399,11 @@ impl Scene {
         let default = Discretization::default();
         let is_sparse = (self.solver.as_ref()).is_some_and(|solver| solver.qp == model::Qp::Sparse);
         Discretization {
-            elements: self.rod.elements,
+            elements: match self.rod.accuracy {
+                // The elements are chosen later, and each piece has one at least.
+                Some(_) => self.mesh().n_elements(),
+                None => self.rod.elements,
+            },
             multiple: 1,
             strain_rule: self.rod.strain,
             scheme: match self.time.integrator {
@@ -399,7 +414,7 @@ impl Scene {
                 model::TimeScheme::Implicit => Some(TimeScheme::Implicit),
             },
             rotary_inertia: match self.rod.rotary_inertia {
-                model::RotaryInertia::Auto if self.rod.material.is_some() => None,
+                model::RotaryInertia::Auto if self.rod.has_material() => None,
                 // Whoever gives an inertia means that one.
                 model::RotaryInertia::Auto | model::RotaryInertia::Section => {
                     Some(RotaryInertia::Section)
@@ -489,6 +504,9 @@ impl Scene {
     fn with_material_resolved(&self) -> Scene {
         let mut resolved = self.clone();
         resolved.rod.material = self.rod.material.as_ref().map(model::Material::resolved);
+        for segment in &mut resolved.rod.segment {
+            segment.material = segment.material.as_ref().map(model::Material::resolved);
+        }
         resolved
     }
 

@@ -45,6 +45,22 @@ pub struct Payload {
     pub inertia_kg_m2: [NonNegative<values::MomentOfInertia>; 3],
 }
 
+/// A rigid body on the arm, as a disc, a magnet or a gripper, with its center of mass on the axis of the arm and its
+/// principal axes along those of the section there. `[payload]` is the one at the tip.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Body {
+    /// Place on the arm, as a fraction of `rod.length_m` from the base.
+    pub at: Fraction,
+    /// Mass in kg, not negative.
+    pub mass_kg: NonNegative<values::Mass>,
+    /// Principal moments of inertia in kg m², none negative: about the two transverse axes, then about the arm's own
+    /// axis. Default: none.
+    #[serde(default)]
+    pub inertia_kg_m2: [NonNegative<values::MomentOfInertia>; 3],
+}
+
 /// A prescribed force and moment per rest length on a section of the arm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
@@ -275,13 +291,40 @@ impl DistributedLoad {
     }
 }
 
+impl Body {
+    /// Place and inertia of the body.
+    pub(in crate::scene) fn of_arm(&self) -> (f64, NodeInertia) {
+        (self.at.get(), inertia(self.mass_kg, self.inertia_kg_m2))
+    }
+
+    /// The keys of a body.
+    pub(in crate::scene) fn describing(&(at, body): &(f64, NodeInertia)) -> Self {
+        let Payload {
+            mass_kg,
+            inertia_kg_m2,
+        } = Payload::describing(body);
+        Self {
+            at: known(at),
+            mass_kg,
+            inertia_kg_m2,
+        }
+    }
+}
+
+fn inertia(
+    mass: NonNegative<values::Mass>,
+    rotary: [NonNegative<values::MomentOfInertia>; 3],
+) -> NodeInertia {
+    NodeInertia {
+        mass: mass.get(),
+        rotary: rotary.map(Number::get).into(),
+    }
+}
+
 impl Payload {
     /// The inertia of the tip.
     pub(in crate::scene) fn of_arm(&self) -> NodeInertia {
-        NodeInertia {
-            mass: self.mass_kg.get(),
-            rotary: self.inertia_kg_m2.map(Number::get).into(),
-        }
+        inertia(self.mass_kg, self.inertia_kg_m2)
     }
 
     /// The keys of an inertia of the tip.
