@@ -371,7 +371,7 @@ fn thrown(
 
     let (scene, source) = Scene::from_toml("arm", &toml, &[])?;
     let bare = scene.simulation(&source)?;
-    let radii = bare.arm.radii_at_nodes(bare.rod.n_elements());
+    let radii = bare.arm.radii_at_nodes(&bare.rod.mesh);
     let start = bare.initial.configuration;
     // Under the wrench, and at rest.
     let initial = if toml.contains("[initial]") {

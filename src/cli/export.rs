@@ -11,6 +11,7 @@ use crate::output::export::{Backdrop, Destination, View, spread, write_csv, writ
 use crate::output::replace::Writer;
 use crate::output::{MotionRecord, OutputError};
 use crate::scene::Scene;
+use crate::task::Discretization;
 
 #[derive(Debug, Args)]
 pub(super) struct ExportArguments {
@@ -75,7 +76,11 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
     let (scene, source) = Scene::load(&path.to_string_lossy(), &[])?;
     let motion = MotionRecord::read_npz(&place.join("trajectory.npz"))?;
     let elements = motion.n_nodes.saturating_sub(1);
-    let radii = scene.arm(&source)?.radii_at_nodes(elements);
+    let arm = scene.arm(&source)?;
+    let radii = arm.radii_at_nodes(&arm.mesh(&Discretization {
+        elements,
+        ..scene.discretization()
+    }));
     let word = match arguments.to {
         Format::Vtk => "vtk",
         Format::Csv => "csv",

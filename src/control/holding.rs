@@ -544,9 +544,9 @@ impl Search<'_> {
     fn bent(&self, axis: [f64; 2]) -> Configuration {
         let rest = &self.rod().rest;
         let mut out = self.start.clone();
-        let each = BENT / self.rod().n_elements() as f64;
-        let turn = Vector3::new(axis[0], axis[1], 0.0) * each;
         for q in 0..self.rod().n_elements() {
+            let each = self.rod().mesh.length(q, BENT);
+            let turn = Vector3::new(axis[0], axis[1], 0.0) * each;
             let chord = rest.rotations[q].tr_mul(&(rest.positions[q + 1] - rest.positions[q]));
             let rotation = rest.rotations[q].tr_mul(&rest.rotations[q + 1]);
             out.positions[q + 1] =

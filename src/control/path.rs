@@ -331,8 +331,7 @@ impl PathLimit {
                 *points = Some(Self::points_per_element(chord, radius));
             }
             Self::Speed { at, .. } | Self::Tilt { at, .. } => {
-                let elements = rod.n_elements();
-                *at = Place::of_node(at.node(elements), elements);
+                *at = Place::of_node(at.node(&rod.mesh), &rod.mesh);
             }
             _ => {}
         }
@@ -410,7 +409,7 @@ impl PathLimit {
             Self::Clearance { .. } => item / self.points(),
             Self::Stretch { .. } | Self::Twist { .. } => item / 2,
             Self::Curvature { .. } => item,
-            Self::Speed { at, .. } | Self::Tilt { at, .. } => at.node(rod.n_elements()),
+            Self::Speed { at, .. } | Self::Tilt { at, .. } => at.node(&rod.mesh),
             Self::Term(term) => term.nodes(rod, item).first().copied().unwrap_or(0),
         }
     }
@@ -539,7 +538,7 @@ impl PathLimit {
                 side(item) * kappa.z - largest
             }
             Self::Speed { at, largest } => {
-                let node = at.node(rod_view.rod.n_elements());
+                let node = at.node(&rod_view.rod.mesh);
                 Self::velocity(rod_view, [from, k], node).norm() - largest
             }
             Self::Tilt {
@@ -615,7 +614,7 @@ impl PathLimit {
                 strain_form(rod_view, k, item / 2, &n).for_each(|term| write(0, term));
             }
             Self::Speed { at, .. } => {
-                let node = at.node(rod_view.rod.n_elements());
+                let node = at.node(&rod_view.rod.mesh);
                 let along_motion = unit(&Self::velocity(rod_view, [from, k], node));
                 let n = along_motion * (inverse / Self::between(rod_view, [from, k]));
                 along(node, 0, &n).for_each(|term| write(0, term));
@@ -691,7 +690,7 @@ impl PathLimit {
                 &Matrix3::zeros(),
             ),
             Self::Speed { at, .. } => {
-                let node = at.node(rod_view.rod.n_elements());
+                let node = at.node(&rod_view.rod.mesh);
                 let v = Self::velocity(rod_view, [k.saturating_sub(1), k], node);
                 let forms = axes.map(|axis| velocity_form(k, node, &(axis / rod_view.grid.step)));
                 RowCurvature {
@@ -725,7 +724,7 @@ struct Inclination {
 
 impl Inclination {
     fn of(rod_view: &RodView, k: usize, at: Place, [axis, direction]: [&Vector3<f64>; 2]) -> Self {
-        let node = at.node(rod_view.rod.n_elements());
+        let node = at.node(&rod_view.rod.mesh);
         let r = rod_view.trajectory.rotations_at(k)[node];
         Self {
             node,

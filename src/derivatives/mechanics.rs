@@ -153,7 +153,7 @@ pub fn step_linearization(
     };
     let free = rod.first_free_node()..rod.n_nodes();
     // Sizes of position, rotation, linear and angular momentum at which each of them matters: momenta of a motion over some ten steps.
-    let l = rod.elements[0].length;
+    let l = rod.shortest_element();
     let units = |q: usize| {
         let node = &rod.nodes[q];
         let momenta = [node.mass * l, node.rotary.max()].map(|size| 0.1 * (size / time_step));

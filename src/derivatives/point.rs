@@ -53,7 +53,7 @@ pub fn random_state(rod: &Rod, size: f64, rng: &mut Rng) -> State {
         vector(rng, size * SPEED / scales.time),
     );
     for q in rod.first_free_node()..rod.n_nodes() {
-        let along = q as f64 / rod.n_elements() as f64;
+        let along = rod.mesh.fraction(q);
         let jitter = Vector3::repeat(1.0) + vector(rng, 0.3);
         state.linear_momentum[q] = speed.component_mul(&jitter) * (along * rod.nodes[q].mass);
         state.angular_momentum[q] = (spin.component_mul(&jitter) * along).component_mul(&rotary[q]);

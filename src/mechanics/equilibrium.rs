@@ -435,7 +435,7 @@ impl<'a> Statics<'a> {
     ) -> Option<(Configuration, Vec<Vector6<f64>>)> {
         let factor = Tangent::of(self.stiffness(at)).factor()?;
         let step = factor.solve(&[residual.to_vec()]).swap_remove(0);
-        let l = self.rod.elements[0].length;
+        let l = self.rod.shortest_element();
         let reach = l * step.len() as f64;
         let is_short = step.iter().all(|s| {
             s.fixed_rows::<3>(3).norm() < LARGEST_NEWTON_TURN

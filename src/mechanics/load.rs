@@ -10,6 +10,7 @@ pub(crate) mod profile;
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::mesh::Mesh;
 use super::time::TimeNode;
 
 /// A force and a moment on a node.
@@ -72,14 +73,23 @@ pub struct DistributedLoad {
 }
 
 impl DistributedLoad {
-    /// Returns the loads on the nodes of a rod of rest length `length` (m) and `n_elements` elements.
+    /// Returns the loads on the nodes of a rod of rest length `length`, m.
     #[must_use]
-    pub fn lumped(&self, length: f64, n_elements: usize) -> Vec<Load> {
-        let n = n_elements as f64;
-        (0..=n_elements)
+    pub fn lumped(&self, length: f64, mesh: &Mesh) -> Vec<Load> {
+        let last = mesh.n_elements();
+        (0..=last)
             .filter_map(|node| {
-                let start = ((node as f64 - 0.5) / n).max(self.from).max(0.0);
-                let end = ((node as f64 + 0.5) / n).min(self.to).min(1.0);
+                let start = if node > 0 {
+                    mesh.along(node - 1, 0.5)
+                } else {
+                    0.0
+                };
+                let end = if node < last {
+                    mesh.along(node, 0.5)
+                } else {
+                    1.0
+                };
+                let (start, end) = (start.max(self.from).max(0.0), end.min(self.to).min(1.0));
                 let covered = (end - start) * length;
                 (covered > 0.0).then(|| Load {
                     node,
@@ -318,7 +328,8 @@ mod tests {
     #[test]
     fn lumping_keeps_the_resultant() {
         let length = 0.7;
-        for n_elements in [1, 2, 7] {
+        for (n_elements, breaks) in [(1, vec![]), (2, vec![]), (7, vec![]), (9, vec![0.31, 0.4])] {
+            let mesh = Mesh::new(n_elements, &breaks, 1);
             for (from, to) in [
                 (0.0, 1.0),
                 (0.0, 0.31),
@@ -334,20 +345,23 @@ mod tests {
                     frame: LoadFrame::Body,
                     profile: vec![(0.0, 1.0)],
                 };
-                let lumped = distributed.lumped(length, n_elements);
+                let lumped = distributed.lumped(length, &mesh);
                 let force: Vector3<f64> = lumped.iter().map(|l| l.force).sum();
                 let moment: Vector3<f64> = lumped.iter().map(|l| l.moment).sum();
                 let covered = (to - from) * length;
                 assert!((force - distributed.force * covered).norm() < 1e-14);
                 assert!((moment - distributed.moment * covered).norm() < 1e-14);
                 for load in lumped {
-                    let ends = [0, n_elements].contains(&load.node);
-                    let own = length / n_elements as f64 * if ends { 0.5 } else { 1.0 };
+                    let half = |element: Option<usize>| {
+                        element.map_or(0.0, |q| 0.5 * mesh.length(q, 1.0) + 1e-12)
+                    };
+                    let before = half(load.node.checked_sub(1));
+                    let after = half((load.node < n_elements).then_some(load.node));
+                    let own = (before + after) * length;
                     assert!(load.force.norm() <= distributed.force.norm() * own * (1.0 + 1e-12));
                     // The load is within half an element of the part that it represents.
-                    let at = load.node as f64 / n_elements as f64;
-                    let half = 0.5 / n_elements as f64 + 1e-12;
-                    assert!((from - half..=to + half).contains(&at));
+                    let at = mesh.fraction(load.node);
+                    assert!((from - after..=to + before).contains(&at));
                 }
             }
         }

@@ -64,14 +64,17 @@ pub mod linearization;
 #[doc(hidden)]
 pub mod load;
 pub mod load_path;
+mod mesh;
 pub(crate) mod place;
 #[doc(hidden)]
 pub mod rod;
 pub mod rotation;
 mod rotation_step;
+pub(crate) mod rows;
 mod section;
 #[doc(hidden)]
 pub mod sensitivity;
+mod shape;
 #[doc(hidden)]
 pub mod signal;
 pub(crate) mod slow_modes;
@@ -111,11 +114,13 @@ pub use forms::{FormTerm, StateForm};
 pub use lanes::{LaneIntegrator, SolverWork};
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
+pub use mesh::Mesh;
 pub use place::Place;
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
-    Section, SectionProfile,
+    Section, SectionProfile, SectionSegment,
 };
+pub use shape::Shape;
 pub use signal::{ControlSignal, Efforts, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;

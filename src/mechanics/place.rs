@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::Configuration;
-use super::rod::Rod;
+use super::mesh::Mesh;
 use super::rotation::{exp, exp_tangent, log};
 
 /// A place along an arm.
@@ -19,13 +19,13 @@ pub enum Place {
 }
 
 impl Place {
-    /// The place of a node of a rod of `elements`.
+    /// The place of a node.
     #[must_use]
-    pub fn of_node(node: usize, elements: usize) -> Self {
+    pub fn of_node(node: usize, mesh: &Mesh) -> Self {
         match node {
             0 => Self::Base,
-            last if last == elements => Self::Tip,
-            _ => Self::Fraction(node as f64 / elements as f64),
+            last if last == mesh.n_elements() => Self::Tip,
+            _ => Self::Fraction(mesh.fraction(node)),
         }
     }
 
@@ -39,13 +39,13 @@ impl Place {
         }
     }
 
-    /// The nearest node of a rod of `elements`.
+    /// The nearest node.
     #[must_use]
-    pub fn node(self, elements: usize) -> usize {
+    pub fn node(self, mesh: &Mesh) -> usize {
         match self {
             Self::Base => 0,
-            Self::Tip => elements,
-            Self::Fraction(s) => ((s * elements as f64).round() as usize).min(elements),
+            Self::Tip => mesh.n_elements(),
+            Self::Fraction(s) => mesh.nearest(s),
         }
     }
 }
@@ -68,21 +68,7 @@ pub(crate) fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matri
     (x + r * (part * strain), r * exp(&(psi * s)))
 }
 
-/// Returns the arc length of every node divided by the rod's length.
-pub(crate) fn node_places(rod: &Rod) -> Vec<f64> {
-    let mut sum = 0.0;
-    let mut ends = vec![0.0];
-    for element in &rod.elements {
-        sum += element.length;
-        ends.push(sum);
-    }
-    for end in &mut ends {
-        *end /= sum;
-    }
-    ends
-}
-
-/// Returns the element at a fraction of the length, and the fraction of the element, given the [places of the nodes](node_places).
+/// Returns the element at a fraction of the length, and the fraction of the element, given the [fractions](Mesh::fractions) of the nodes.
 pub(crate) fn locate(nodes: &[f64], part: f64) -> (usize, f64) {
     // A place that equals a node up to rounding is that node.
     const SAME: f64 = 1e-12;

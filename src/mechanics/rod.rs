@@ -8,11 +8,13 @@ use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::forces::NodalForces;
 use super::load::{DistributedLoad, Load, Wrench};
+use super::mesh::Mesh;
 use super::rotation::{exp, log_tangent};
+use super::rows;
 use super::strain_actuator::{StrainActuator, StrainActuators};
 use super::time::TimeScheme;
 
-pub use super::section::{Material, Section, SectionProfile};
+pub use super::section::{Material, Section, SectionProfile, SectionSegment};
 
 /// The condition at the base, node 0.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,8 +76,14 @@ impl RotaryInertia {
 pub struct RodParameters {
     /// Rest length, m.
     pub length: f64,
-    /// Number of elements, at least 1.
+    /// Number of elements, at least one for each piece between the breaks.
     pub n_elements: usize,
+    /// Fractions of the length at which elements end, besides base and tip, where segments meet, where the curvature at rest has a step and
+    /// where bodies are; the elements are shared out as [`Mesh::new`] says.
+    pub breaks: Vec<f64>,
+    /// The number of elements of every piece is a multiple of this, and so is `n_elements`: 1 but for a rod with as many times the elements
+    /// of another one, whose nodes it has too.
+    pub multiple: usize,
     /// The strain rule.
     pub strain_rule: StrainRule,
     /// Effect of the axial stretch on stiffness and inertia.
@@ -86,6 +94,10 @@ pub struct RodParameters {
     pub rotary_inertia: RotaryInertia,
     /// Stress-free curvature `κ`, 1/m, body frame.
     pub rest_curvature: Vector3<f64>,
+    /// Stress-free curvature in addition to `rest_curvature`, as rows of a fraction of the length and a curvature in 1/m: linear between
+    /// two rows, constant beyond the first and the last one, a step where two rows have the same fraction. An element has the mean over
+    /// its length.
+    pub curvature_rows: Vec<(f64, Vector3<f64>)>,
     /// Stress-free stretch; 1 for a rod as long as `length`.
     pub rest_stretch: f64,
     /// The condition at node 0.
@@ -111,6 +123,9 @@ pub struct RodParameters {
     pub actuators: Vec<StrainActuator>,
     /// A rigid body on the tip node, with its center of mass there and its principal axes along the node's.
     pub payload: Option<NodeInertia>,
+    /// Rigid bodies at fractions of the length, with their centers of mass on the axis of the rod and their principal axes along those of
+    /// the node there.
+    pub bodies: Vec<(f64, NodeInertia)>,
 }
 
 impl RodParameters {
@@ -121,11 +136,14 @@ impl RodParameters {
         Self {
             length,
             n_elements,
+            breaks: Vec::new(),
+            multiple: 1,
             strain_rule: StrainRule::Helical,
             model: RodModel::Standard,
             section,
             rotary_inertia: RotaryInertia::Section,
             rest_curvature: Vector3::zeros(),
+            curvature_rows: Vec::new(),
             rest_stretch: 1.0,
             base: BaseCondition::Clamped,
             base_position: Vector3::zeros(),
@@ -138,6 +156,36 @@ impl RodParameters {
             distributed_loads: Vec::new(),
             actuators: Vec::new(),
             payload: None,
+            bodies: Vec::new(),
+        }
+    }
+
+    /// Returns the places of the nodes.
+    #[must_use]
+    pub fn mesh(&self) -> Mesh {
+        let mut breaks = self.breaks.clone();
+        breaks.extend(self.section.borders());
+        breaks.extend(rows::steps(&self.curvature_rows));
+        breaks.extend(self.bodies.iter().map(|(at, _)| *at));
+        breaks.extend((self.actuators.iter()).flat_map(|own| [own.route.from, own.route.to]));
+        Mesh::new(self.n_elements, &breaks, self.multiple)
+    }
+
+    /// Returns the stress-free curvature of an element, 1/m.
+    fn curvature(&self, mesh: &Mesh, q: usize) -> Vector3<f64> {
+        match rows::mean(&self.curvature_rows, mesh.along(q, 0.0), mesh.along(q, 1.0)) {
+            None => self.rest_curvature,
+            Some(mean) => self.rest_curvature + mean,
+        }
+    }
+
+    /// Returns the parameters of a rod with `factor` times the elements, which divide those of this rod.
+    #[must_use]
+    pub fn refined(&self, factor: usize) -> Self {
+        Self {
+            n_elements: self.n_elements * factor,
+            multiple: self.multiple * factor,
+            ..self.clone()
         }
     }
 }
@@ -157,12 +205,12 @@ pub struct Scales {
 }
 
 impl Scales {
-    fn of(length: f64, elements: &[Element], nodes: &[NodeInertia]) -> Self {
-        let compliance: f64 = elements
-            .iter()
-            .map(|e| 1.0 / e.angular_stiffness.x.min(e.angular_stiffness.y))
+    fn of(length: f64, mesh: &Mesh, elements: &[Element], nodes: &[NodeInertia]) -> Self {
+        let n = elements.len() as f64;
+        let compliance: f64 = (elements.iter().enumerate())
+            .map(|(q, e)| mesh.length(q, n) / e.angular_stiffness.x.min(e.angular_stiffness.y))
             .sum::<f64>()
-            / elements.len() as f64;
+            / n;
         let bending = 1.0 / compliance;
         let mass = nodes.iter().map(|node| node.mass).sum::<f64>() / length;
         Self {
@@ -181,11 +229,14 @@ pub struct Rod {
     pub strain_rule: StrainRule,
     /// Effect of the axial stretch on stiffness and inertia.
     pub model: RodModel,
+    /// The places of the nodes.
+    pub mesh: Mesh,
     /// The elements, from base to tip.
     pub elements: Vec<Element>,
-    /// Lumped inertia of the nodes (trapezoidal rule: each element gives half of its inertia to each end), with the payload at the tip.
+    /// Lumped inertia of the nodes (trapezoidal rule: each element gives half of its inertia to each end), with the payload at the tip
+    /// and the bodies.
     pub nodes: Vec<NodeInertia>,
-    /// The share of each element in the inertia of its two ends, without the payload.
+    /// The share of each element in the inertia of its two ends, without payload and bodies.
     pub element_inertia: Vec<[NodeInertia; 2]>,
     /// The condition at node 0.
     pub base: BaseCondition,
@@ -227,6 +278,16 @@ pub enum RodError {
         /// The values that are allowed.
         expected: &'static str,
     },
+    /// Every piece between two breaks needs an element.
+    #[error(
+        "n_elements: {elements} are too few: the rod has {least} pieces, each of which needs an element"
+    )]
+    FewElements {
+        /// The number of elements.
+        elements: usize,
+        /// The least number.
+        least: usize,
+    },
     /// A feature is supported by [`RodModel::Standard`] only.
     #[error("{parameter}: only the standard model has it")]
     NeedsStandardModel {
@@ -243,12 +304,19 @@ impl RodError {
             Self::OutOfRange { parameter, .. } | Self::NeedsStandardModel { parameter } => {
                 parameter
             }
+            Self::FewElements { .. } => "n_elements",
         }
     }
 }
 
 /// Largest `|RᵀR - I|` of a rotation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-9;
+
+const FRACTION: &str = "a fraction of the length";
+
+fn is_fraction(s: f64) -> bool {
+    (0.0..=1.0).contains(&s)
+}
 
 pub(super) fn require(
     parameter: &'static str,
@@ -326,8 +394,15 @@ impl Rod {
             |defect| defect < LARGEST_ROTATION_DEFECT,
             "that of a rotation matrix, below 1e-9",
         )?;
-        for s in [0.0, 0.5, 1.0] {
-            let section = p.section.at(s);
+        let parts = p.section.parts().or_else(|end| {
+            let expected = "the end of a segment, beyond that of the one before and at last 1";
+            require("section segments", end, |_| false, expected).map(|()| Vec::new())
+        })?;
+        for (part, s) in parts
+            .iter()
+            .flat_map(|part| [0.0, 0.5, 1.0].map(|s| (part, s)))
+        {
+            let section = part.at(s);
             require("section mass", section.mass, positive, "positive")?;
             for i in 0..3 {
                 let section = &section;
@@ -351,7 +426,37 @@ impl Rod {
                 )?;
             }
         }
+        require(
+            "multiple",
+            p.multiple as f64,
+            |m| m >= 1.0 && p.n_elements.is_multiple_of(p.multiple),
+            "a divisor of the number of elements",
+        )?;
+        for &s in &p.breaks {
+            require("breaks", s, is_fraction, FRACTION)?;
+        }
+        for (s, curvature) in &p.curvature_rows {
+            require("curvature_rows", *s, is_fraction, FRACTION)?;
+            for i in 0..3 {
+                require("rest_curvature", curvature[i], |_| true, "finite")?;
+            }
+        }
+        if let Some(pair) = p
+            .curvature_rows
+            .windows(2)
+            .find(|pair| pair[1].0 < pair[0].0)
+        {
+            let expected = "a fraction that is not before that of the row before";
+            require("curvature_rows", pair[1].0, |_| false, expected)?;
+        }
+        let mesh = p.mesh();
         let k = p.n_elements;
+        if mesh.n_elements() != k {
+            return Err(RodError::FewElements {
+                elements: k,
+                least: mesh.n_pieces() * p.multiple,
+            });
+        }
         for load in &p.loads {
             require(
                 "load node",
@@ -363,44 +468,53 @@ impl Rod {
         for load in &p.distributed_loads {
             check_distributed(load)?;
         }
-        if let Some(payload) = &p.payload {
-            let not_negative = |x: f64| x >= 0.0;
-            require("payload mass", payload.mass, not_negative, "zero or more")?;
+        let not_negative = |x: f64| x >= 0.0;
+        let payload = p
+            .payload
+            .iter()
+            .map(|body| ("payload mass", "payload inertia", body));
+        let bodies = (p.bodies.iter()).map(|(_, body)| ("body mass", "body inertia", body));
+        for (mass, inertia, body) in payload.chain(bodies) {
+            require(mass, body.mass, not_negative, "zero or more")?;
             for i in 0..3 {
-                let rotary = payload.rotary[i];
-                require("payload inertia", rotary, not_negative, "zero or more")?;
+                require(inertia, body.rotary[i], not_negative, "zero or more")?;
             }
+        }
+        for (at, _) in &p.bodies {
+            require("body place", *at, is_fraction, FRACTION)?;
         }
         if let BaseCondition::Driven(motion) = &p.base {
             motion.check()?;
         }
-        let l = p.length / k as f64;
-        let psi = p.rest_curvature * l;
-        require(
-            "rest_curvature",
-            psi.norm(),
-            |angle| angle < std::f64::consts::PI,
-            "less than half a turn per element",
-        )?;
+        for q in 0..k {
+            let psi = p.curvature(&mesh, q) * mesh.length(q, p.length);
+            require(
+                "rest_curvature",
+                psi.norm(),
+                |angle| angle < std::f64::consts::PI,
+                "less than half a turn per element",
+            )?;
+        }
 
-        let rest = rest_shape(p, l);
-        let n = k as f64;
+        let rest = rest_shape(p, &mesh);
         let elements: Vec<Element> = (0..k)
             .map(|q| {
-                let section = p.section.at((q as f64 + 0.5) / n);
+                let section = p.section.at(mesh.along(q, 0.5));
+                let l = mesh.length(q, p.length);
                 Element {
                     model: p.model,
                     length: l,
                     linear_stiffness: section.linear_stiffness,
                     angular_stiffness: section.angular_stiffness,
-                    rest: rest_strain(p, l, &rest, q),
+                    rest: rest_strain(p, &mesh, &rest, q),
                 }
             })
             .collect();
         let element_inertia: Vec<_> = (0..k)
             .map(|q| {
-                let start = q as f64 / n;
-                let (middle, end) = (start + 0.5 / n, start + 1.0 / n);
+                let (start, l) = (mesh.along(q, 0.0), mesh.length(q, p.length));
+                let share = mesh.length(q, 1.0);
+                let (middle, end) = (start + 0.5 * share, start + share);
                 [(start, middle), (middle, end)].map(|(from, to)| {
                     let mut share = p.section.inertia_between(from, to, p.length);
                     if p.rotary_inertia == RotaryInertia::Segment {
@@ -423,7 +537,7 @@ impl Rod {
                 nodes[q + end].rotary += share.rotary;
             }
         }
-        let scales = Scales::of(p.length, &elements, &nodes);
+        let scales = Scales::of(p.length, &mesh, &elements, &nodes);
         let rest_chords: Vec<f64> = (rest.positions.windows(2))
             .map(|ends| (ends[1] - ends[0]).norm())
             .collect();
@@ -468,19 +582,22 @@ impl Rod {
                 computable,
             )?;
         }
-        if let Some(payload) = &p.payload {
-            nodes[k].mass += payload.mass;
-            nodes[k].rotary += payload.rotary;
+        let payload = p.payload.iter().map(|body| (k, body));
+        let bodies = p.bodies.iter().map(|(at, body)| (mesh.nearest(*at), body));
+        for (node, body) in payload.chain(bodies) {
+            nodes[node].mass += body.mass;
+            nodes[node].rotary += body.rotary;
         }
         let mut loads = p.loads.clone();
         for load in &p.distributed_loads {
-            loads.extend(load.lumped(p.length, k));
+            loads.extend(load.lumped(p.length, &mesh));
         }
         let lengths: Vec<f64> = elements.iter().map(|element| element.length).collect();
         let actuators = StrainActuators::new(p.actuators.clone(), &lengths)?;
         Ok(Self {
             strain_rule: p.strain_rule,
             model: p.model,
+            mesh,
             elements,
             nodes,
             element_inertia,
@@ -717,15 +834,28 @@ impl Rod {
             .collect()
     }
 
-    /// Returns the largest ratio by which the trapezoidal rule increases the bending stiffness beyond `EI`, over all elements: `GA l²/(4
-    /// EI)`.
+    /// Returns the arc length of a node at rest, m.
+    #[must_use]
+    pub fn arc_length(&self, node: usize) -> f64 {
+        self.scales.length * self.mesh.fraction(node)
+    }
+
+    /// Returns the length of the shortest element, m.
+    #[must_use]
+    pub fn shortest_element(&self) -> f64 {
+        (self.elements.iter().map(|element| element.length)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Returns the largest ratio by which the trapezoidal rule increases the bending stiffness beyond `EI`, over all elements and both
+    /// axes: `GA l²/(4 EI)`, with the shear stiffness across the axis of bending.
     #[must_use]
     pub fn locking_ratio(&self) -> f64 {
         self.elements
             .iter()
             .map(|e| {
-                let bending = e.angular_stiffness.x.min(e.angular_stiffness.y);
-                e.linear_stiffness.x * e.length * e.length / (4.0 * bending)
+                let [shear, bending] = [&e.linear_stiffness, &e.angular_stiffness];
+                let ratio = (shear.y / bending.x).max(shear.x / bending.y);
+                ratio * e.length * e.length / 4.0
             })
             .fold(0.0, f64::max)
     }
@@ -747,15 +877,8 @@ fn check_distributed(load: &DistributedLoad) -> Result<(), RodError> {
     Ok(())
 }
 
-/// Returns the stress-free shape: constant curvature and stretch from the base pose on.
-fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
-    let psi = p.rest_curvature * l;
-    let turn = exp(&psi);
-    // |ψ| < π, so S is regular.
-    let step = log_tangent(&psi)
-        .try_inverse()
-        .unwrap_or_else(Matrix3::identity)
-        * Vector3::new(0.0, 0.0, p.rest_stretch * l);
+/// Returns the stress-free shape: the curvature of every element and constant stretch from the base pose on.
+fn rest_shape(p: &RodParameters, mesh: &Mesh) -> Configuration {
     let (position, rotation) = match &p.base {
         BaseCondition::Driven(motion) => {
             let start = motion.at(&p.base_position, &p.base_rotation, 0.0);
@@ -767,7 +890,15 @@ fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
         positions: vec![position],
         rotations: vec![rotation],
     };
-    for q in 0..p.n_elements {
+    for q in 0..mesh.n_elements() {
+        let l = mesh.length(q, p.length);
+        let psi = p.curvature(mesh, q) * l;
+        let turn = exp(&psi);
+        // |ψ| < π, so S is regular.
+        let step = log_tangent(&psi)
+            .try_inverse()
+            .unwrap_or_else(Matrix3::identity)
+            * Vector3::new(0.0, 0.0, p.rest_stretch * l);
         let rotation = shape.rotations[q];
         shape.positions.push(shape.positions[q] + rotation * step);
         shape.rotations.push(rotation * turn);
@@ -776,14 +907,16 @@ fn rest_shape(p: &RodParameters, l: f64) -> Configuration {
 }
 
 /// Returns the rest strain by the rod's own rule, so that the rest shape is free of stress under both rules.
-fn rest_strain(p: &RodParameters, l: f64, rest: &Configuration, q: usize) -> ElementStrain {
+fn rest_strain(p: &RodParameters, mesh: &Mesh, rest: &Configuration, q: usize) -> ElementStrain {
     if p.strain_rule == StrainRule::Helical {
         let v = Vector3::new(0.0, 0.0, p.rest_stretch);
         return ElementStrain {
             linear: [v, v],
-            curvature: p.rest_curvature,
+            curvature: p.curvature(mesh, q),
         };
     }
-    p.strain_rule
-        .strain(l, &Rod::element_pose(q, &rest.positions, &rest.rotations))
+    p.strain_rule.strain(
+        mesh.length(q, p.length),
+        &Rod::element_pose(q, &rest.positions, &rest.rotations),
+    )
 }

@@ -5,7 +5,6 @@ use nalgebra::Vector3;
 use super::error::MpcError;
 use super::estimator::{Disturbance, Kind, Reader};
 use super::signal::{Measurement, Reading, Signal};
-use crate::mechanics::place::node_places;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{Rod, State};
 
@@ -60,7 +59,7 @@ impl SensorPreset {
         };
         match self {
             Self::State => {
-                let places = node_places(model).split_off(model.first_free_node());
+                let places = model.mesh.fractions().split_off(model.first_free_node());
                 let settings = SensorSettings {
                     velocity: Some(0.0),
                     angular_velocity: Some(0.0),

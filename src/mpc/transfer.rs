@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::mechanics::place::{locate, node_places, pose};
+use crate::mechanics::place::{locate, pose};
 use crate::mechanics::{Configuration, Rod, State};
 
 /// Carries states from the nodes of one rod to those of another, finer or coarser, of the same arm.
@@ -112,8 +112,8 @@ fn carry(places: &[(usize, f64)], from: &Configuration, out: &mut Configuration)
 
 /// Returns, for every node of `to`, the element of `from` on which it lies and the fraction of it.
 fn places(from: &Rod, to: &Rod) -> Vec<(usize, f64)> {
-    let own = node_places(from);
-    (node_places(to).into_iter())
+    let own = from.mesh.fractions();
+    (to.mesh.fractions().into_iter())
         .map(|part| locate(&own, part))
         .collect()
 }

@@ -153,11 +153,11 @@ impl Scene {
     pub fn with_grid(&self, discretization: &Discretization) -> Self {
         let mut out = self.clone();
         out.rod.accuracy = None;
-        let (before, after) = (self.rod.elements, discretization.elements);
-        out.rod.elements = after;
+        out.rod.elements = discretization.elements;
         out.rod.strain = discretization.strain_rule;
+        let (before, after) = (self.mesh(), out.mesh());
         for index in out.indices() {
-            *index = (*index * after + before / 2) / before;
+            *index = after.nearest(before.fraction(*index));
         }
         out.time.step_s = discretization
             .step
@@ -184,10 +184,14 @@ impl Scene {
     /// Tells whether every node that the scene names by its index is a node of a rod of so many elements too.
     #[must_use]
     pub fn names_nodes_of(&self, elements: usize) -> bool {
-        let own = self.rod.elements;
         let mut nodes = self.clone();
-        let mut nodes = nodes.indices().into_iter();
-        nodes.all(|index| (*index * elements).is_multiple_of(own))
+        nodes.rod.elements = elements;
+        let (own, other) = (self.mesh(), nodes.mesh());
+        let mut nodes = nodes
+            .indices()
+            .into_iter()
+            .map(|index| own.fraction(*index));
+        nodes.all(|s| other.node_at(s).is_some())
     }
 
     /// Nodes that the scene names by their index.

@@ -16,6 +16,11 @@ impl Scene {
     pub fn check(&self, source: &SceneSource) -> Result<(), SceneError> {
         let keys = Keys { source };
         keys.check_rod(&self.rod)?;
+        keys.check_hardware(self)?;
+        let pieces = self.mesh().n_pieces();
+        if pieces > self.rod.elements && self.rod.accuracy.is_none() {
+            return Err(keys.few_elements(self.rod.elements, pieces));
+        }
         keys.check_base(&self.base)?;
         if let Some(gravity) = &self.gravity {
             keys.finite("gravity.acceleration_m_s2", &gravity.acceleration_m_s2)?;
@@ -26,7 +31,6 @@ impl Scene {
         for (index, load) in self.distributed_load.iter().enumerate() {
             keys.check_distributed_load(load, index)?;
         }
-        keys.check_hardware(self)?;
         if let Some(initial) = &self.initial {
             keys.check_initial(initial, self.base.kind)?;
         }

@@ -8,11 +8,11 @@ use super::model::{
     self, Computing as ComputingKey, EstimatorKind, Fallback, Mpc, Plant, Scene,
     Sensor as SensorKeys, TimeStep,
 };
-use super::section::circular;
+use super::section::profile;
 use super::source::SceneSource;
 use super::values::{Instant, Number, Positive, known};
 use crate::mechanics::vibration::SmallMotions;
-use crate::mechanics::{Rod, SectionProfile, State, SweptSurface};
+use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
     ActuatorDynamics, Computing, Experiment, MpcError, MpcSettings, Sensing, Sensor, SensorChoice,
     SensorSettings, with_long_steps,
@@ -359,25 +359,14 @@ impl Scene {
         let keys = self.plant.clone().unwrap_or_default();
         let mut plant = arm.clone();
         let [stiffness, density] = [keys.stiffness_factor.get(), keys.density_factor.get()];
-        if let Some(radii) = keys.section.as_ref().and_then(model::Section::radii) {
-            plant.radii = Some(radii);
+        if let Some(shapes) = keys.section.as_ref().and_then(model::Section::shapes) {
+            let [base, tip] = shapes.map(|shape| shape.half_width());
+            plant.radii = vec![(0.0, base), (1.0, tip)];
             if let Some(material) = self.material() {
-                plant.section = circular(material, radii);
+                plant.section = profile(material, shapes);
             }
         }
-        match &mut plant.section {
-            SectionProfile::Uniform(section) => {
-                section.linear_stiffness *= stiffness;
-                section.angular_stiffness *= stiffness;
-                section.mass *= density;
-                section.rotary *= density;
-            }
-            SectionProfile::TaperedCircle { material, .. } => {
-                material.youngs_modulus *= stiffness;
-                material.shear_modulus *= stiffness;
-                material.density *= density;
-            }
-        }
+        plant.section = plant.section.scaled(stiffness, density);
         if let Some(rate) = keys.viscous_1_s {
             plant.viscous_damping = rate.get();
         }
@@ -390,12 +379,12 @@ impl Scene {
         if let Some(payload) = &keys.payload {
             plant.payload = Some(payload.of_arm());
         }
-        let elements = self.rod.elements;
+        let mesh = self.mesh();
         plant
             .loads
-            .extend(self.disturbance.iter().map(|load| load.of_arm(elements)));
+            .extend(self.disturbance.iter().map(|load| load.of_arm(&mesh)));
         let own = Discretization {
-            elements: keys.elements.unwrap_or(elements),
+            elements: keys.elements.unwrap_or(self.rod.elements),
             scheme: None,
             rotary_inertia: None,
             step: None,

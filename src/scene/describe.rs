@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 
 use super::model::geometry::wxyz;
 use super::model::{
-    Base, BaseKind, Damping, DistributedLoad, Gravity, Initial, Limit, Load, Objective, Obstacle,
-    Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme, TimeStep,
+    Base, BaseKind, Body, Damping, DistributedLoad, Gravity, Initial, Limit, Load, Objective,
+    Obstacle, Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme, TimeStep,
     describe_section, described_control, described_motion, described_targets, described_task,
     describing_hardware,
 };
@@ -23,12 +23,13 @@ impl Scene {
     /// Returns the scene that describes a problem: read again, it gives the same problem, up to rounding of orientations and directions.
     ///
     /// # Errors
-    /// [`DescribeError`] for features that scenes cannot express: sections that differ in their two transverse directions, goals at the end
+    /// [`DescribeError`] for features that scenes cannot express: goals at the end
     /// for other places than the tip, a first actuator elsewhere, rates that differ among actuators, obstacles behind other limits, a
     /// tapered display of a uniform arm.
     pub fn describing(problem: &Problem, settings: &SqpSettings) -> Result<Scene, DescribeError> {
         let (arm, task) = (&problem.arm, &problem.task);
         let chosen = &problem.discretization;
+        let mesh = &problem.discrete.rod.mesh;
         let base = match &arm.base {
             BaseCondition::Clamped => (BaseKind::Clamped, None),
             BaseCondition::Free => (BaseKind::Free, None),
@@ -51,8 +52,12 @@ impl Scene {
             section: None,
             stiffness: None,
             inertia: None,
+            segment: Vec::new(),
             reference: Some(Reference {
                 curvature_1_m: arm.rest_curvature.into(),
+                curvature_along_1_m: (arm.curvature_rows.iter())
+                    .map(|(s, curvature)| [*s, curvature.x, curvature.y, curvature.z])
+                    .collect(),
                 stretch: known(arm.rest_stretch),
             }),
         };
@@ -74,7 +79,7 @@ impl Scene {
         if !task.cost.terms.is_empty() || task.limits.iter().any(is_own) {
             return Err(DescribeError("it has terms of its own"));
         }
-        let (via, goal) = described_targets(task, chosen.elements)?;
+        let (via, goal) = described_targets(task, mesh)?;
         Ok(Scene {
             rod,
             base: Base {
@@ -93,8 +98,9 @@ impl Scene {
                 internal_s: known(arm.internal_damping),
             }),
             payload: arm.payload.map(Payload::describing),
+            body: arm.bodies.iter().map(Body::describing).collect(),
             load: (arm.loads.iter())
-                .map(|load| Load::describing(load, chosen.elements))
+                .map(|load| Load::describing(load, mesh))
                 .collect(),
             distributed_load: (arm.distributed_loads.iter())
                 .map(DistributedLoad::describing)
@@ -122,7 +128,7 @@ impl Scene {
                 .map(Obstacle::describing)
                 .collect(),
             limit: (task.limits[obstacles..].iter())
-                .map(|limit| Limit::describing(limit, chosen.elements))
+                .map(|limit| Limit::describing(limit, mesh))
                 .collect(),
             objective: Some(Objective::describing(problem)),
             solver: Some(Solver {

@@ -134,6 +134,16 @@ impl Keys<'_> {
         Ok(())
     }
 
+    /// Returns the error for an arm with more pieces than elements.
+    pub fn few_elements(&self, elements: usize, pieces: usize) -> SceneError {
+        let message = format!(
+            "{elements} do not suffice: elements end where segments meet, where the curvature at rest has a step, and at bodies"
+        );
+        let help = "plant.elements and estimator.elements likewise".to_string();
+        (self.source.error_at("rod.elements", message, Some(help)))
+            .expecting(format!("expected {pieces} or more"))
+    }
+
     pub fn missing(&self, key: &str, relation: &str) -> SceneError {
         self.source
             .error_at(key, format!("missing; {relation}"), None)

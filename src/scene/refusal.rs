@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::check::MOST_ELEMENTS;
+use super::keys::Keys;
 use super::{Scene, SceneError, SceneSource};
 use crate::control::DurationConflict;
 use crate::mechanics::RodError;
@@ -129,6 +130,9 @@ impl Scene {
 
     /// Returns the error of [`Rod::new`] at the key of the scene that causes it.
     fn rod_error(&self, source: &SceneSource, error: &RodError) -> SceneError {
+        if let RodError::FewElements { elements, least } = *error {
+            return Keys { source }.few_elements(elements, least);
+        }
         let RodError::OutOfRange {
             parameter, value, ..
         } = *error
@@ -147,13 +151,25 @@ impl Scene {
                              moduli in Pa and densities in kg/m³";
         let given = |material: &'static str, directly: &'static str| match &self.rod.material {
             Some(_) => material,
+            None if !self.rod.segment.is_empty() => "rod.segment",
             None => directly,
         };
         let (key, message, help) = match parameter {
             "rest_curvature" => {
                 let curvature: Vector3<f64> = (self.rod.reference.as_ref())
                     .map_or_else(Vector3::zeros, |reference| reference.curvature_1_m.into());
-                let least = curvature.norm() * self.rod.length_m.get() / std::f64::consts::PI;
+                let rows = self.rod.curvature_rows();
+                let key = match rows.is_empty() {
+                    true => "rod.reference.curvature_1_m",
+                    false if self.rod.is_curved_by_segments() => "rod.segment",
+                    false => "rod.reference.curvature_along_1_m",
+                };
+                let along = rows.into_iter().map(|(_, row)| match key {
+                    "rod.segment" => Vector3::from(row).norm(),
+                    _ => (curvature + Vector3::from(row)).norm(),
+                });
+                let most = along.reduce(f64::max).unwrap_or(curvature.norm());
+                let least = most * self.rod.length_m.get() / std::f64::consts::PI;
                 let help = if least < MOST_ELEMENTS as f64 {
                     format!(
                         "make it smaller, or rod.elements {} or more",
@@ -163,7 +179,7 @@ impl Scene {
                     "make it smaller: it is in 1/m, one over the radius of the bend".into()
                 };
                 let message = format!("turns each element by {value:.4} rad, half a turn or more");
-                ("rod.reference.curvature_1_m", message, help)
+                (key, message, help)
             }
             "section mass" | "mass of a node" => (
                 given("rod.material.density_kg_m3", "rod.inertia.mass_kg_m"),

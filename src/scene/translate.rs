@@ -12,8 +12,9 @@ use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, known};
 use crate::control::{Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search};
-use crate::mechanics::rotation::from_quaternion;
-use crate::mechanics::{BaseCondition, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
+use crate::mechanics::rotation::{exp, from_quaternion};
+use crate::mechanics::rows;
+use crate::mechanics::{BaseCondition, Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, Limit, Problem, Rest, Start, Staying, Task};
@@ -311,19 +312,48 @@ impl Scene {
         })
     }
 
+    /// Returns the places of the nodes.
+    #[must_use]
+    pub fn mesh(&self) -> Mesh {
+        Mesh::new(self.rod.elements, &self.breaks(), 1)
+    }
+
+    /// Returns the fractions of the length at which elements end, besides base and tip.
+    pub(super) fn breaks(&self) -> Vec<f64> {
+        let segments = self.rod.segment_ends().into_iter().map(|[_, to]| to);
+        let curvature = self.rod.curvature_rows();
+        let bodies = self.body.iter().map(|body| body.at.get());
+        let actuators = self.strain_actuators().into_iter();
+        let actuators = actuators.flat_map(|own| [own.route.from, own.route.to]);
+        let of_rod = segments.chain(rows::steps(&curvature)).chain(bodies);
+        of_rod.chain(actuators).collect()
+    }
+
     /// The arm that the scene describes.
     ///
     /// # Errors
     /// [`SceneError`] where the section is incomplete, or the motion of the base is no curve.
     pub fn arm(&self, source: &SceneSource) -> Result<Arm, SceneError> {
         let reference = self.rod.reference.as_ref();
-        let elements = self.rod.elements;
-        let base_rotation = from_quaternion(self.base.unit_quaternion());
+        let mesh = self.mesh();
+        let mut base_rotation = from_quaternion(self.base.unit_quaternion());
+        let roll = self.rod.roll();
+        if roll != 0.0 {
+            base_rotation *= exp(&Vector3::new(0.0, 0.0, roll));
+        }
         Ok(Arm {
             length: self.rod.length_m.get(),
             section: self.section_profile(source)?,
             model: self.rod.model,
-            rest_curvature: reference.map_or_else(Vector3::zeros, |r| r.curvature_1_m.into()),
+            rest_curvature: match reference {
+                Some(reference) if !self.rod.is_curved_by_segments() => {
+                    reference.curvature_1_m.into()
+                }
+                _ => Vector3::zeros(),
+            },
+            curvature_rows: (self.rod.curvature_rows().into_iter())
+                .map(|(s, curvature)| (s, curvature.into()))
+                .collect(),
             rest_stretch: reference.map_or(1.0, |r| r.stretch.get()),
             base: match self.base.kind {
                 model::BaseKind::Clamped => BaseCondition::Clamped,
@@ -346,16 +376,13 @@ impl Scene {
                 .map_or_else(Vector3::zeros, |g| g.acceleration_m_s2.into()),
             viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s.get()),
             internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s.get()),
-            loads: (self.load.iter())
-                .map(|load| load.of_arm(elements))
-                .collect(),
+            loads: (self.load.iter()).map(|load| load.of_arm(&mesh)).collect(),
             distributed_loads: (self.distributed_load.iter())
                 .map(model::DistributedLoad::of_arm)
                 .collect(),
             payload: self.payload.as_ref().map(model::Payload::of_arm),
-            radii: (self.rod.section.as_ref())
-                .and_then(model::Section::radii)
-                .or(self.rod.display_radius_m.map(|radius| [radius.get(); 2])),
+            bodies: self.body.iter().map(model::Body::of_arm).collect(),
+            radii: self.radii(),
         })
     }
 
@@ -376,7 +403,12 @@ impl Scene {
         let default = Discretization::default();
         let is_sparse = (self.solver.as_ref()).is_some_and(|solver| solver.qp == model::Qp::Sparse);
         Discretization {
-            elements: self.rod.elements,
+            elements: match self.rod.accuracy {
+                // The elements are chosen later, and each piece has one at least.
+                Some(_) => self.mesh().n_elements(),
+                None => self.rod.elements,
+            },
+            multiple: 1,
             strain_rule: self.rod.strain,
             scheme: match self.time.integrator {
                 // Implicit steps are not local enough for the sparse route.
@@ -386,7 +418,7 @@ impl Scene {
                 model::TimeScheme::Implicit => Some(TimeScheme::Implicit),
             },
             rotary_inertia: match self.rod.rotary_inertia {
-                model::RotaryInertia::Auto if self.rod.material.is_some() => None,
+                model::RotaryInertia::Auto if self.rod.has_material() => None,
                 // Whoever gives an inertia means that one.
                 model::RotaryInertia::Auto | model::RotaryInertia::Section => {
                     Some(RotaryInertia::Section)
@@ -452,21 +484,21 @@ impl Scene {
             let error = source.error_at("time.end_s", message, None);
             return Err(error.expecting("expected a positive duration"));
         }
-        let elements = self.rod.elements;
+        let mesh = self.mesh();
         Ok(Task {
             horizon,
             free_duration: task
                 .and_then(|task| task.free_duration)
                 .map(model::FreeDuration::of_task),
             start: self.start(),
-            targets: task.map_or_else(Vec::new, |task| task.targets(elements)),
+            targets: task.map_or_else(Vec::new, |task| task.targets(&mesh)),
             limits: self.limits(),
-            actuators: control.of_task(elements),
+            actuators: control.of_task(&mesh),
             efforts,
             own_actuators: (control.distributed.iter())
                 .map(model::Distributed::of_task)
                 .collect(),
-            cost: objective.of_task(elements, end),
+            cost: objective.of_task(&mesh, end),
         })
     }
 
@@ -475,8 +507,8 @@ impl Scene {
     pub fn limits(&self) -> Vec<Limit> {
         let obstacles = self.obstacle.iter().enumerate();
         let obstacles = obstacles.filter_map(|(index, obstacle)| obstacle.of_task(index));
-        let elements = self.rod.elements;
-        let limits = (self.limit.iter()).filter_map(|limit| limit.of_task(elements));
+        let mesh = self.mesh();
+        let limits = (self.limit.iter()).filter_map(|limit| limit.of_task(&mesh));
         obstacles.chain(limits).collect()
     }
 
@@ -484,6 +516,9 @@ impl Scene {
     fn with_material_resolved(&self) -> Scene {
         let mut resolved = self.clone();
         resolved.rod.material = self.rod.material.as_ref().map(model::Material::resolved);
+        for segment in &mut resolved.rod.segment {
+            segment.material = segment.material.as_ref().map(model::Material::resolved);
+        }
         resolved
     }
 

@@ -250,6 +250,7 @@ quantities! {
     ActiveStress: "stress", "Pa";
     Diameter: "diameter", "meters";
     Edge: "edge", "meters";
+    Width: "width", "meters";
     Clearance: "clearance", "meters";
     Distance: "tolerance", "meters";
     Angle: "tolerance", "radians";

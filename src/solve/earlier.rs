@@ -31,13 +31,13 @@ impl Earlier {
         let n = earlier.actuators.len();
         let last = earlier.grid.n_steps;
         let [n_wrenches, n_earlier] = [problem, earlier].map(|p| p.wrench_actuators().len());
-        let [elements, before] = [problem, earlier].map(|p| p.rod.n_elements());
         let found = |(index, actuator): (usize, &ActuatedNode)| {
             if index >= n_wrenches {
                 // Controls of user-defined actuators follow those of the nodes.
                 return Some(index - n_wrenches + n_earlier).filter(|a| *a < n);
             }
-            let same = |other: &ActuatedNode| other.node * elements == actuator.node * before;
+            let node = (earlier.rod.mesh).node_at(problem.rod.mesh.fraction(actuator.node));
+            let same = |other: &ActuatedNode| Some(other.node) == node;
             earlier.wrench_actuators().iter().position(same)
         };
         let places: Vec<_> = problem.actuators.iter().enumerate().map(found).collect();

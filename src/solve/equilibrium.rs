@@ -310,10 +310,9 @@ pub(crate) fn write_tables(
         }
         result.write_text(name, &text)
     };
-    let n = rod.n_elements() as f64;
     let mut nodes = (own.positions.iter().zip(&own.rotations).enumerate()).map(|(node, (x, r))| {
         let [w, i, j, k] = wxyz(&quaternion(r));
-        let numbers = [node as f64 / n, x.x, x.y, x.z, w, i, j, k];
+        let numbers = [rod.mesh.fraction(node), x.x, x.y, x.z, w, i, j, k];
         let mut row = vec![node.to_string()];
         row.extend(numbers.map(|value| value.to_string()));
         row
@@ -324,7 +323,7 @@ pub(crate) fn write_tables(
         let stress = ElementStress::of(element, rod.strain_rule, &ends);
         let curvature = rod.strain_rule.strain(element.length, &ends).curvature;
         let three = |v: Vector3<f64>| [v.x, v.y, v.z].map(|value| value.to_string());
-        let mut row = vec![q.to_string(), ((q as f64 + 0.5) / n).to_string()];
+        let mut row = vec![q.to_string(), rod.mesh.along(q, 0.5).to_string()];
         for vector in [curvature, stress.linear_strain, stress.force, stress.moment] {
             row.extend(three(vector));
         }

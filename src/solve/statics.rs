@@ -134,11 +134,7 @@ pub fn statics(
             }
         }
     }
-    let finer = Discretization {
-        elements: 2 * discretization.elements,
-        ..*discretization
-    };
-    let finer = arm.rod(&finer)?;
+    let finer = arm.rod(&discretization.refined(2))?;
     let refined_space = tip_at_one(&finer, options, aside, stop)?
         .map(|tip| RICHARDSON * (tip - own.shape.positions[rod.tip()]).norm());
     Ok(Statics {

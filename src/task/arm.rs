@@ -6,8 +6,9 @@ use super::discretization::Discretization;
 pub use crate::mechanics::Place;
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::from_direction;
+use crate::mechanics::rows;
 use crate::mechanics::{
-    BaseCondition, DistributedLoad, Load, LoadFrame, Material, NodeInertia, Rod, RodError,
+    BaseCondition, DistributedLoad, Load, LoadFrame, Material, Mesh, NodeInertia, Rod, RodError,
     RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State, StrainActuator,
     TimeScheme,
 };
@@ -41,6 +42,9 @@ pub struct Arm {
     pub model: RodModel,
     /// Stress-free curvature `κ`, 1/m, body frame.
     pub rest_curvature: Vector3<f64>,
+    /// Stress-free curvature in addition to `rest_curvature`, as rows of a fraction of the length and a curvature in 1/m: linear between
+    /// two rows, constant beyond the first and the last one, a step where two rows have the same fraction.
+    pub curvature_rows: Vec<(f64, Vector3<f64>)>,
     /// Stress-free stretch (1: the arm is as long as `length`).
     pub rest_stretch: f64,
     /// The condition at the base: clamped, driven or free.
@@ -63,8 +67,12 @@ pub struct Arm {
     pub actuators: Vec<StrainActuator>,
     /// A rigid body at the tip, with its center of mass there and its principal axes along the tip's.
     pub payload: Option<NodeInertia>,
-    /// Radius at base and tip, m, for distances from obstacles and for pictures; `None` for a line without thickness.
-    pub radii: Option<[f64; 2]>,
+    /// Rigid bodies at fractions of the length, with their centers of mass on the axis of the arm and their principal axes along those of
+    /// the section there.
+    pub bodies: Vec<(f64, NodeInertia)>,
+    /// Radius for distances from obstacles and for pictures, as rows of a fraction of the length and a radius in m, with steps where two
+    /// rows have the same fraction; empty for a line without thickness.
+    pub radii: Vec<(f64, f64)>,
 }
 
 impl Arm {
@@ -72,18 +80,19 @@ impl Arm {
     #[must_use]
     pub fn straight(length: f64, section: SectionProfile) -> Self {
         let radii = match section {
-            SectionProfile::Uniform(_) => None,
+            SectionProfile::Uniform(_) | SectionProfile::Segments(_) => Vec::new(),
             SectionProfile::TaperedCircle {
                 base_radius,
                 tip_radius,
                 ..
-            } => Some([base_radius, tip_radius]),
+            } => vec![(0.0, base_radius), (1.0, tip_radius)],
         };
         Self {
             length,
             section,
             model: RodModel::Standard,
             rest_curvature: Vector3::zeros(),
+            curvature_rows: Vec::new(),
             rest_stretch: 1.0,
             base: BaseCondition::Clamped,
             base_position: Vector3::zeros(),
@@ -95,6 +104,7 @@ impl Arm {
             distributed_loads: Vec::new(),
             actuators: Vec::new(),
             payload: None,
+            bodies: Vec::new(),
             radii,
         }
     }
@@ -104,7 +114,7 @@ impl Arm {
     pub fn cylinder(material: &Material, length: f64, radius: f64) -> Self {
         let section = SectionProfile::Uniform(Section::circle(material, radius));
         Self {
-            radii: Some([radius; 2]),
+            radii: vec![(0.0, radius), (1.0, radius)],
             ..Self::straight(length, section)
         }
     }
@@ -131,31 +141,54 @@ impl Arm {
         }
     }
 
-    /// Radius at the `elements + 1` nodes of a discretization, m; empty for a line without thickness.
+    /// Returns the places of the nodes of a discretization.
     #[must_use]
-    pub fn radii_at_nodes(&self, elements: usize) -> Vec<f64> {
-        self.radii.map_or_else(Vec::new, |[base, tip]| {
-            (0..=elements)
-                .map(|q| base + (tip - base) * q as f64 / elements as f64)
-                .collect()
-        })
+    pub fn mesh(&self, discretization: &Discretization) -> Mesh {
+        self.without_loads(discretization).mesh()
+    }
+
+    /// Returns the radius at every node, m, where it has a step the larger one; empty for a line without thickness.
+    #[must_use]
+    pub fn radii_at_nodes(&self, mesh: &Mesh) -> Vec<f64> {
+        let radius = |s| Some(rows::sides(&self.radii, s)?.into_iter().fold(0.0, f64::max));
+        mesh.fractions().into_iter().filter_map(radius).collect()
     }
 
     /// Returns the parameters from which [`Rod::new`] builds the rod of a discretization. An integrator that the discretization leaves open
     /// is the explicit one, and a rotary inertia that it leaves open is that of the section.
     #[must_use]
     pub fn rod_parameters(&self, discretization: &Discretization) -> RodParameters {
-        let n_elements = discretization.elements;
+        let out = self.without_loads(discretization);
+        let mesh = out.mesh();
+        RodParameters {
+            loads: (self.loads.iter())
+                .map(|load| Load {
+                    node: load.at.node(&mesh),
+                    force: load.force,
+                    moment: load.moment,
+                    frame: load.frame,
+                    profile: load.profile.clone(),
+                })
+                .collect(),
+            distributed_loads: self.distributed_loads.clone(),
+            ..out
+        }
+    }
+
+    fn without_loads(&self, discretization: &Discretization) -> RodParameters {
         RodParameters {
             length: self.length,
-            n_elements,
+            n_elements: discretization.elements,
+            breaks: Vec::new(),
+            multiple: discretization.multiple,
             strain_rule: discretization.strain_rule,
             model: self.model,
-            section: self.section,
+            section: self.section.clone(),
             rotary_inertia: discretization
                 .rotary_inertia
                 .unwrap_or(RotaryInertia::Section),
             rest_curvature: self.rest_curvature,
+            curvature_rows: self.curvature_rows.clone(),
             rest_stretch: self.rest_stretch,
             base: self.base.clone(),
             base_position: self.base_position,
@@ -164,18 +197,11 @@ impl Arm {
             viscous_damping: self.viscous_damping,
             internal_damping: self.internal_damping,
             scheme: discretization.scheme.unwrap_or(TimeScheme::Explicit),
-            loads: (self.loads.iter())
-                .map(|load| Load {
-                    node: load.at.node(n_elements),
-                    force: load.force,
-                    moment: load.moment,
-                    frame: load.frame,
-                    profile: load.profile.clone(),
-                })
-                .collect(),
-            distributed_loads: self.distributed_loads.clone(),
+            loads: Vec::new(),
+            distributed_loads: Vec::new(),
             actuators: self.actuators.clone(),
             payload: self.payload,
+            bodies: self.bodies.clone(),
         }
     }
 

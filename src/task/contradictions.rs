@@ -84,7 +84,7 @@ pub(super) fn check_contradictions(
                 .is_ok();
             let found = match constraint.limit {
                 PathLimit::Speed { at, largest }
-                    if at.node(problem.rod.n_elements()) == goal.goal.node =>
+                    if at.node(&problem.rod.mesh) == goal.goal.node =>
                 {
                     too_fast(problem, goal, &wanted, largest)
                 }

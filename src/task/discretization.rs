@@ -10,6 +10,9 @@ use crate::mechanics::{RotaryInertia, StrainRule, TimeScheme};
 pub struct Discretization {
     /// Elements of the rod, at least 1.
     pub elements: usize,
+    /// The number of elements of every piece of an arm that elements have to divide at given places is a multiple of this; see
+    /// [`Mesh::new`](crate::mechanics::Mesh::new). 1, but for [finer](Self::refined) discretizations.
+    pub multiple: usize,
     /// Rule by which the strains of an element follow from its two nodes.
     pub strain_rule: StrainRule,
     /// Integrator. `None`: explicit, or implicit if it is predicted to take at most a tenth of the time of explicit steps, and these more
@@ -33,6 +36,7 @@ impl Default for Discretization {
     fn default() -> Self {
         Self {
             elements: 20,
+            multiple: 1,
             strain_rule: StrainRule::Helical,
             scheme: None,
             rotary_inertia: None,
@@ -51,6 +55,16 @@ impl Discretization {
         Self {
             elements,
             ..Self::default()
+        }
+    }
+
+    /// Returns the discretization with `factor` times the elements, which divide every element into as many equal ones.
+    #[must_use]
+    pub fn refined(&self, factor: usize) -> Self {
+        Self {
+            elements: self.elements * factor,
+            multiple: self.multiple * factor,
+            ..*self
         }
     }
 }

@@ -153,7 +153,7 @@ impl Task {
         discretization: &Discretization,
         stop: &StopSignal,
     ) -> Result<Problem, DiscretizeError> {
-        self.check(discretization)?;
+        self.check(arm, discretization)?;
         let blocks = discretization.blocks;
         let work = Work::Solve {
             n_variables: blocks.saturating_mul(
@@ -192,7 +192,7 @@ impl Task {
                 ..grid
             },
         };
-        let radii = arm.radii_at_nodes(chosen.elements);
+        let radii = arm.radii_at_nodes(&rod.mesh);
         let path = self.path_constraints(&rod, &radii, &samples_on);
         let mut discrete = OptimalControlProblem {
             stop: stop.clone(),
@@ -209,7 +209,7 @@ impl Task {
                 energy: self.cost.energy,
                 tracking: (self.cost.tracks.iter())
                     .map(|track| Tracking {
-                        node: track.at.node(rod.tip()),
+                        node: track.at.node(&rod.mesh),
                         path: track.path.clone(),
                         weight: track.weight.unwrap_or(default_weights[0]),
                         rotations: track.rotations.clone(),
@@ -262,7 +262,7 @@ impl Task {
     }
 
     /// Checks the ranges of all numbers, on which the rest of the discretization relies.
-    fn check(&self, discretization: &Discretization) -> Result<(), DiscretizeError> {
+    fn check(&self, arm: &Arm, discretization: &Discretization) -> Result<(), DiscretizeError> {
         let refuse = |what, value, expected| {
             Err(DiscretizeError::OutOfRange {
                 what,
@@ -307,7 +307,8 @@ impl Task {
                 return refuse("target.time", time, expected);
             }
         }
-        let nodes = |at: super::Place| at.node(discretization.elements);
+        let mesh = arm.mesh(discretization);
+        let nodes = |at: super::Place| at.node(&mesh);
         for (index, actuator) in self.actuators.iter().enumerate() {
             let node = nodes(actuator.at);
             if (self.actuators[..index].iter()).any(|other| nodes(other.at) == node) {
@@ -396,7 +397,7 @@ impl Task {
             .unwrap_or_else(|| self.weakest_bending(rod) / rod.scales.length);
         (self.actuators.iter())
             .map(|actuator| ActuatedNode {
-                node: actuator.at.node(rod.tip()),
+                node: actuator.at.node(&rod.mesh),
                 force: actuator.force.channel(force_scale),
                 moment: actuator.moment.channel(moment_scale),
             })
@@ -413,7 +414,7 @@ impl Task {
         };
         (self.actuators.iter())
             .filter(|actuator| actuator.moment.acts())
-            .flat_map(|actuator| beside(actuator.at.node(rod.tip())))
+            .flat_map(|actuator| beside(actuator.at.node(&rod.mesh)))
             .flatten()
             .map(|element| {
                 let stiffness = &rod.elements[element].angular_stiffness;
@@ -439,7 +440,7 @@ impl Task {
         });
         let exact = Goal {
             name: target.name.clone(),
-            node: target.at.node(rod.tip()),
+            node: target.at.node(&rod.mesh),
             time_node,
             position: target.position,
             rotation: target.rotation,
@@ -501,10 +502,7 @@ impl Problem {
     /// # Errors
     /// Those of [`Rod::new`].
     pub fn finer(&self, factor: usize) -> Result<(Rod, State), RodError> {
-        let rod = self.arm.rod(&Discretization {
-            elements: self.discretization.elements * factor,
-            ..self.discretization
-        })?;
+        let rod = self.arm.rod(&self.discretization.refined(factor))?;
         let start = (self.task.start.state(&rod, &self.discrete.stop))
             .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()));
         Ok((rod, start))

@@ -317,7 +317,11 @@ impl Search<'_> {
             elements: 2 * elements,
             step: like.step(),
         };
-        let in_space = self.run(finer, shortest)?;
+        // The elements of every piece are doubled.
+        self.base.multiple = 2;
+        let in_space = self.run(finer, shortest);
+        self.base.multiple = 1;
+        let in_space = in_space?;
         // Richardson's extrapolation of the second order from a grid twice as fine.
         let estimate = |a: &Run, b: &Run| a.course.errors(&b.course, length).shape * 4.0 / 3.0;
         let parts = [estimate(like, &in_space), estimate(&coarse, &in_time)];

@@ -149,7 +149,7 @@ impl Measure<'_> {
                 }
             }
             PathLimit::Speed { at, largest } => before.map_or(-largest, |before| {
-                let node = at.node(self.rod.n_elements());
+                let node = at.node(&self.rod.mesh);
                 (here.x[node] - before.x[node]).norm() / self.step - largest
             }),
             // 2 atan2(|u - v|, |u + v|) of two unit vectors.
@@ -159,7 +159,7 @@ impl Measure<'_> {
                 direction,
                 largest,
             } => {
-                let turned = here.r[at.node(self.rod.n_elements())] * axis;
+                let turned = here.r[at.node(&self.rod.mesh)] * axis;
                 2.0 * (turned - direction)
                     .norm()
                     .atan2((turned + direction).norm())
@@ -242,7 +242,7 @@ impl Measure<'_> {
         match limit {
             PathLimit::Curvature { .. } => Some(self.bend(pose, item)),
             PathLimit::Twist { .. } => Some(self.bend(pose, item / 2)),
-            PathLimit::Tilt { at, axis, .. } => Some(pose.r[at.node(self.rod.n_elements())] * axis),
+            PathLimit::Tilt { at, axis, .. } => Some(pose.r[at.node(&self.rod.mesh)] * axis),
             _ => None,
         }
     }

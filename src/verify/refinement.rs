@@ -384,7 +384,7 @@ impl<'a> Watch<'a> {
                 if !(excess <= worst.excess) {
                     worst.excess = excess;
                     worst.time = t;
-                    worst.along = limit.node(self.rod, item) as f64 / self.rod.n_elements() as f64;
+                    worst.along = self.rod.mesh.fraction(limit.node(self.rod, item));
                 }
             }
         }

@@ -62,7 +62,7 @@ fn in_other_units(law: Law, [length, mass, time]: [i32; 3]) -> Rod {
             base_radius: base_radius * unit(1, 0, 0),
             tip_radius: tip_radius * unit(1, 0, 0),
         },
-        uniform @ SectionProfile::Uniform(_) => uniform,
+        other => other,
     };
     p.rest_curvature *= unit(-1, 0, 0);
     p.gravity *= unit(1, 0, -2);

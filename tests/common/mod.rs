@@ -14,8 +14,8 @@ use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
     BaseCondition, BaseMotion, Configuration, ControlSignal, DistributedLoad, Load, LoadFrame,
     Material, MotionCurve, NodeInertia, Oscillation, Rod, RodModel, RodParameters, Section,
-    SectionProfile, State, StrainRule, TimeGrid, TimeScheme, TipSpring, Trajectory, Wrench,
-    static_equilibrium,
+    SectionProfile, SectionSegment, Shape, State, StrainRule, TimeGrid, TimeScheme, TipSpring,
+    Trajectory, Wrench, static_equilibrium,
 };
 
 pub const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
@@ -38,8 +38,7 @@ pub fn finer_at_rest(
     parameters: &RodParameters,
     factor: usize,
 ) -> Result<(Rod, State), softarm::mechanics::RodError> {
-    let mut finer = parameters.clone();
-    finer.n_elements *= factor;
+    let mut finer = parameters.refined(factor);
     for load in &mut finer.loads {
         load.node *= factor;
     }
@@ -289,6 +288,38 @@ pub fn busy_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
             rotary: Vector3::new(3e-4, 5e-4, 2e-4),
         }),
         ..soft_arm(strain_rule, n_elements)
+    }
+}
+
+/// [`busy_arm`] with elements of three lengths: a taper, then a rectangle with another curvature at rest, whose three moments of inertia differ,
+/// and a body.
+pub fn uneven_arm(strain_rule: StrainRule, n_elements: usize) -> RodParameters {
+    let busy = busy_arm(strain_rule, n_elements);
+    let strip = Shape::Rectangle {
+        width: 0.09,
+        height: 0.06,
+    };
+    let profiles = [
+        (0.35, busy.section.clone()),
+        (
+            1.0,
+            SectionProfile::Uniform(Section::of_shape(&SILICONE, &strip)),
+        ),
+    ];
+    let body = NodeInertia {
+        mass: 0.3,
+        rotary: Vector3::new(2e-4, 4e-4, 1e-4),
+    };
+    let [straight, bent] = [0.0, 0.7].map(|kappa| Vector3::new(kappa, 0.0, 0.0));
+    RodParameters {
+        section: SectionProfile::Segments(
+            profiles
+                .map(|(to, section)| SectionSegment { to, section })
+                .into(),
+        ),
+        curvature_rows: vec![(0.35, straight), (0.35, bent), (1.0, straight)],
+        bodies: vec![(0.5, body)],
+        ..busy
     }
 }
 

@@ -57,7 +57,7 @@ struct Turning {
 
 impl Turning {
     fn node(&self, rod: &Rod) -> usize {
-        self.at.node(rod.n_elements())
+        self.at.node(&rod.mesh)
     }
 }
 

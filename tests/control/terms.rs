@@ -51,14 +51,14 @@ impl StateTerm for Follow {
         3
     }
     fn nodes(&self, rod: &Rod, _: usize) -> Vec<usize> {
-        vec![self.at.node(rod.n_elements())]
+        vec![self.at.node(&rod.mesh)]
     }
     fn value(&self, at: &StateView, item: usize) -> f64 {
-        let node = self.at.node(at.rod.n_elements());
+        let node = self.at.node(&at.rod.mesh);
         (at.positions[node] - along(at.time))[item] / at.rod.scales.length
     }
     fn gradient(&self, at: &StateView, item: usize) -> NodeForm {
-        let node = self.at.node(at.rod.n_elements());
+        let node = self.at.node(&at.rod.mesh);
         let axis = Vector3::ith(item, 1.0 / at.rod.scales.length);
         NodeForm::default().along_position(node, &axis)
     }

@@ -5,7 +5,7 @@ use crate::common;
 use common::plain::{self, Plain};
 use common::{
     Dice, bases, busy_arm, methods, random_signal, random_sources, random_state, random_tangent,
-    random_trajectory,
+    random_trajectory, uneven_arm,
 };
 use faer::Mat;
 use nalgebra::Vector3;
@@ -101,7 +101,7 @@ fn both_routes_equal_the_clear_sweep() {
         for base in bases() {
             let rod = method.rod(RodParameters {
                 base: base.clone(),
-                ..busy_arm(method.rule, 5)
+                ..uneven_arm(method.rule, 5)
             });
             let grid = TimeGrid {
                 start: 0.0,
@@ -221,7 +221,7 @@ fn single_sweeps_equal_the_clear_ones() {
         for base in bases() {
             let rod = method.rod(RodParameters {
                 base: base.clone(),
-                ..busy_arm(method.rule, 5)
+                ..uneven_arm(method.rule, 5)
             });
             let grid = TimeGrid {
                 start: 0.0,

@@ -52,7 +52,7 @@ fn limit(kind: PathLimit, enforcement: PathEnforcement) -> Limit {
 /// Largest excess of a limit over the run, over the length of the arm or in the limit's own unit, and the largest distance of the tip from its path.
 fn excess(scene: &Experiment, kind: &PathLimit) -> (f64, f64) {
     let rod = scene.plant.rod(&scene.plant_discretization).unwrap();
-    let radii = scene.plant.radii_at_nodes(rod.n_elements());
+    let radii = scene.plant.radii_at_nodes(&rod.mesh);
     let on = kind.on(&rod, &radii);
     let mut worst = f64::NEG_INFINITY;
     let found = scene

@@ -4,6 +4,7 @@ use crate::common;
 
 use common::{
     Dice, RULES, bases, busy_arm, laws, methods, paper_rod, random_state, shaking, soft_arm,
+    uneven_arm,
 };
 use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
@@ -106,7 +107,7 @@ fn unsolved(rod: &Rod, h: f64, n_steps: usize) -> f64 {
     (1e-13 + step) * (n_steps as f64).sqrt() * amplification
 }
 
-/// Same steps, other operations: rods of all lengths around the lane counts, with taper, rest curvature, gravity,
+/// Same steps, other operations: rods of all lengths around the lane counts, with taper, elements of several lengths, rest curvature, gravity,
 /// both dampings, loads, control, of every model and on every base, stay together. Rounding (1e-16 of the elastic forces, which exceed the
 /// momenta per step by little at half the stable step) grows no faster than linearly, with the largest amplification of
 /// a violent motion about 1e2 over 240 steps. Damped steps add what their solution leaves. Damped steps are solved for to some roundings of the stress that damps, which here is
@@ -117,7 +118,11 @@ fn lanes_follow_the_checks_integrator() {
         let rule = method.rule;
         for n_elements in [1, 2, 7, 8, 9, 40, 129] {
             for base in bases() {
-                for parameters in [busy_arm(rule, n_elements), soft_arm(rule, n_elements)] {
+                let uneven = (n_elements > 2).then(|| uneven_arm(rule, n_elements));
+                for parameters in [busy_arm(rule, n_elements), soft_arm(rule, n_elements)]
+                    .into_iter()
+                    .chain(uneven)
+                {
                     let rod = method.rod(RodParameters {
                         base: base.clone(),
                         ..parameters
@@ -184,7 +189,10 @@ fn implicit_steps_follow_far_beyond_the_explicit_limit() {
                     busy_arm(rule, n_elements),
                     soft_arm(rule, n_elements),
                     wire(rule, n_elements),
-                ] {
+                ]
+                .into_iter()
+                .chain((n_elements > 2).then(|| uneven_arm(rule, n_elements)))
+                {
                     for tau in [0.0, 2e-4] {
                         let rod = Rod::new(&RodParameters {
                             base: base.clone(),

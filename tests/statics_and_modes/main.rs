@@ -5,6 +5,7 @@ mod common;
 
 mod published_frequencies;
 mod published_statics;
+mod sections;
 mod statics;
 mod strain_actuators;
 mod vibration;

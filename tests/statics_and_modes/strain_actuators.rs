@@ -219,3 +219,23 @@ fn a_braid_pulls_and_twists() {
     assert!((stress.linear[0].z / contraction - 1.0).abs() < 1e-12);
     assert!((stress.angular.z / twist - 1.0).abs() < 1e-12);
 }
+
+/// A tendon that ends at 0.53 of the length: elements end there too, so that the error falls with the square of their length, against a
+/// grid of eight times as many.
+#[test]
+fn a_tendon_ends_where_it_ends() {
+    let route = Route {
+        from: 0.2,
+        to: 0.53,
+        ..Route::straight([OFFSET, 0.0])
+    };
+    let tip = |elements| {
+        let (rod, shape) = rest(&wire(elements, 9.81, vec![tendon(route, 15.0)]));
+        shape.positions[rod.tip()]
+    };
+    let fine = tip(320);
+    let [coarse, found] = [20, 40].map(|elements| (tip(elements) - fine).amax());
+    eprintln!("{coarse:.2e} {found:.2e}");
+    assert!(found < 1e-6, "{found}");
+    assert!(coarse / found > 3.0, "{coarse} {found}");
+}

@@ -329,7 +329,7 @@ impl Motion {
                 let x = |end: usize| &states[end].configuration.positions;
                 match &path.limit {
                     PathLimit::Speed { at, largest } => {
-                        let node = at.node(problem.rod.n_elements());
+                        let node = at.node(&problem.rod.mesh);
                         let speed = (x(1)[node] - x(0)[node]).norm() / problem.grid.step;
                         assert!(speed <= 1.01 * largest, "{}: {speed} m/s", path.name);
                     }

@@ -15,7 +15,7 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use crate::control::DIFFERENCE;
 use crate::mechanics::element::{ElementPose, ElementStrain, tangent_derivative};
 use crate::mechanics::forms::NODE_COMPONENTS;
-use crate::mechanics::place::{locate, node_places, pose};
+use crate::mechanics::place::{locate, pose};
 use crate::mechanics::rotation::{exp, exp_tangent, hat, log, log_tangent};
 use crate::mechanics::{Rod, State};
 use crate::mpc::signal::Reading;
@@ -128,7 +128,7 @@ pub(in crate::mpc) struct Reader {
 
 impl Reader {
     pub fn new(rod: &Rod) -> Self {
-        let nodes = node_places(rod);
+        let nodes = rod.mesh.fractions();
         let middles = nodes.windows(2).map(|ends| 0.5 * (ends[0] + ends[1]));
         Self {
             middles: middles.collect(),

@@ -4,7 +4,6 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::message::{Line, ReadingLine, Rows, Vector, rows};
 use crate::control::rounding_of;
-use crate::mechanics::place::node_places;
 use crate::mechanics::rod::BaseCondition;
 use crate::mechanics::rotation::{log, orthonormalized};
 use crate::mechanics::{Configuration, Rod, State};
@@ -74,7 +73,7 @@ pub(super) struct Intake {
 impl Intake {
     pub fn new(rod: &Rod, sensors: Vec<SensorSettings>) -> Self {
         Self {
-            places: node_places(rod),
+            places: rod.mesh.fractions(),
             rod: rod.clone(),
             sensors,
             before: None,

@@ -29,7 +29,6 @@ use self::message::{
 };
 use super::closed_loop::{Cause, Driver, Experiment, Known, Percentiles, Sample, TipError};
 use super::error::MpcError;
-use crate::mechanics::place::node_places;
 use crate::mechanics::rotation::from_quaternion;
 
 pub use self::message::Served;
@@ -181,7 +180,7 @@ impl<W: Write> Server<W> {
     fn greet(&mut self, scene: &str, duration: f64) -> io::Result<()> {
         let controller = self.driver.controller();
         let (rod, initial) = (controller.rod(), &controller.initial().configuration);
-        let nodes = (node_places(rod).into_iter().enumerate())
+        let nodes = (rod.mesh.fractions().into_iter().enumerate())
             .map(|(q, place)| NodeLine {
                 place,
                 rest_position_m: rod.rest.positions[q].into(),

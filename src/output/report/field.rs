@@ -7,8 +7,11 @@ use serde::Serialize;
 pub struct ReportFields {
     /// `[n]` times in seconds.
     pub t: Vec<f64>,
-    /// Rest length of the arm in meters; elements are equally long.
+    /// Rest length of the arm in meters.
     pub length: f64,
+    /// Places of the nodes from 0 (base) to 1 (tip); empty if elements are equally long.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub places: Vec<f64>,
     /// The quantities; none that is zero throughout.
     pub fields: Vec<ReportField>,
 }

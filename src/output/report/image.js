@@ -33,6 +33,19 @@ function fieldImages() {
     const fields = shown.map(fieldOf).filter(Boolean);
     return [Math.min(...fields.map((field) => field.low)), Math.max(...fields.map((field) => field.high)), fields[0]];
   };
+  /** The index of the value at a fraction of the length, and the fraction at which a value stands. */
+  const indexOf = (run, field, n, s) => {
+    const places = run.fields.places;
+    if (!places) return field.at_nodes ? Math.round(s * (n - 1)) : Math.min(Math.floor(s * n), n - 1);
+    const next = places.findIndex((place) => place > s);
+    const element = (next < 0 ? places.length - 1 : Math.max(next, 1)) - 1;
+    return field.at_nodes && s - places[element] > places[element + 1] - s ? element + 1 : element;
+  };
+  const placeOf = (run, field, n, i) => {
+    const places = run.fields.places;
+    if (!places) return field.at_nodes ? i / (n - 1) : (i + 0.5) / n;
+    return field.at_nodes ? places[i] : 0.5 * (places[i] + places[i + 1]);
+  };
   const valueOf = (field, code) => field.low + (field.high - field.low) * code / CODES;
   const digitsOf = (field, value) => formatBeside(value, Math.max(Math.abs(field.low), Math.abs(field.high)) * 10);
 
@@ -52,8 +65,10 @@ function fieldImages() {
     function paint() {
       const field = fieldOf(run);
       if (!field) { picture.width = 0; return; }
-      const [low, high] = range(), { t } = run.fields, rows = field.codes[0].length;
+      const [low, high] = range(), { t } = run.fields, values = field.codes[0].length;
       const stops = field.neutral === null ? MAPS.magnitude : MAPS.signed;
+      const rows = run.fields.places ? 480 : values;
+      const valueAt = (r) => run.fields.places ? indexOf(run, field, values, 1 - (r + 0.5) / rows) : rows - 1 - r;
       // Columns evenly spread in time, each of the frame that is nearest.
       const columns = clamp(2 * t.length, 2, 960), from = t[0], to = t[t.length - 1];
       picture.width = columns; picture.height = rows;
@@ -62,7 +77,7 @@ function fieldImages() {
         const [i, j, s] = between(t, from + (to - from) * (c + 0.5) / columns);
         const codes = field.codes[s > 0.5 ? j : i];
         for (let r = 0; r < rows; r++) {
-          const color = mapped(stops, (valueOf(field, codes[rows - 1 - r]) - low) / (high - low));
+          const color = mapped(stops, (valueOf(field, codes[valueAt(r)]) - low) / (high - low));
           pixels.data.set([...color, 255], 4 * (r * columns + c));
         }
       }
@@ -121,13 +136,13 @@ function fieldImages() {
       const unit = field.unit ? ` ${field.unit}` : '', { t, length } = run.fields;
       if (hover) {
         const codes = field.codes[indexAt(t, hover.t)], n = codes.length;
-        const i = field.at_nodes ? Math.round(hover.s * (n - 1)) : Math.min(Math.floor(hover.s * n), n - 1);
+        const i = indexOf(run, field, n, hover.s);
         at.textContent = `${digitsOf(field, valueOf(field, codes[i]))}${unit} at ${(hover.s * length).toPrecision(2)} m, ${clockText(hover.t)}`;
         return;
       }
       const codes = field.codes[indexAt(t, clock.now)], far = (code) => Math.abs(valueOf(field, code) - (field.neutral ?? 0));
       const best = codes.reduce((most, code, i) => far(code) > far(codes[most]) ? i : most, 0);
-      const s = (field.at_nodes ? best / (codes.length - 1) : (best + 0.5) / codes.length) * length;
+      const s = placeOf(run, field, codes.length, best) * length;
       at.textContent = `now at most ${digitsOf(field, valueOf(field, codes[best]))}${unit}, at ${s.toPrecision(2)} m`;
     }
 

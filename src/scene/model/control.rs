@@ -10,6 +10,7 @@ use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive, known};
 use super::{BaseKind, Scene};
 use crate::control::{self, Hold};
+use crate::mechanics::Mesh;
 use crate::task::{
     self, ChannelLimits, DistributedCouple, OwnActuator, Place, Problem, WrenchActuator,
 };
@@ -365,7 +366,8 @@ pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, 
             })
         };
     };
-    if tip.at.node(chosen.elements) != chosen.elements {
+    let mesh = &problem.discrete.rod.mesh;
+    if tip.at.node(mesh) != mesh.n_elements() {
         return Err(DescribeError("its first actuator is not on the tip"));
     }
     let rates = |limits: &ChannelLimits| limits.rate_bound;
@@ -396,7 +398,7 @@ pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, 
         moment_rate_max_n_m_s: rate(&tip.moment),
         actuator: (others.iter())
             .map(|other| Actuator {
-                node: other.at.node(chosen.elements),
+                node: other.at.node(mesh),
                 force_max_n: bound(other.force.bound),
                 force_axes: axes(&other.force),
                 moment_max_n_m: bound(other.moment.bound),
@@ -409,8 +411,8 @@ pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, 
 }
 
 impl Control {
-    /// The actuators of a task of an arm that is written with so many elements; that of the tip is the first.
-    pub(in crate::scene) fn of_task(&self, elements: usize) -> Vec<WrenchActuator> {
+    /// The actuators of a task of an arm that is written with this mesh; that of the tip is the first.
+    pub(in crate::scene) fn of_task(&self, mesh: &Mesh) -> Vec<WrenchActuator> {
         type Part = (Option<Bound>, Option<[bool; 3]>);
         let limits = |(limit, axes): Part, rate: Option<Bound>| ChannelLimits {
             bound: limit.map_or(ChannelLimits::NONE.bound, bound_of),
@@ -429,7 +431,7 @@ impl Control {
         )];
         actuators.extend((self.actuator.iter()).map(|definition| {
             actuator(
-                Place::of_node(definition.node, elements),
+                Place::of_node(definition.node, mesh),
                 (definition.force_max_n, definition.force_axes),
                 (definition.moment_max_n_m, definition.moment_axes),
             )

@@ -10,6 +10,7 @@ use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::LoadNode;
 use super::geometry::wxyz;
 use crate::control::{PathEnforcement, PathLimit, Shape};
+use crate::mechanics::Mesh;
 use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::task;
 
@@ -197,9 +198,9 @@ impl Limit {
             .to_string()
     }
 
-    /// The limit of a task, in an arm that is written with so many elements; `None` without a kind.
-    pub(in crate::scene) fn of_task(&self, elements: usize) -> Option<task::Limit> {
-        let at = self.node.unwrap_or_default().place(elements);
+    /// The limit of a task, in an arm that is written with this mesh; `None` without a kind.
+    pub(in crate::scene) fn of_task(&self, mesh: &Mesh) -> Option<task::Limit> {
+        let at = self.node.unwrap_or_default().place(mesh);
         let kind = if let Some([least, largest]) = self.stretch {
             PathLimit::Stretch { least, largest }
         } else if let Some(largest) = self.curvature_max_1_m.map(Number::get) {
@@ -226,7 +227,7 @@ impl Limit {
     }
 
     /// The keys of a limit that is no obstacle and no term of one's own.
-    pub(in crate::scene) fn describing(limit: &task::Limit, elements: usize) -> Self {
+    pub(in crate::scene) fn describing(limit: &task::Limit, mesh: &Mesh) -> Self {
         let mut out = Self {
             name: Some(limit.name.clone()),
             stretch: None,
@@ -245,7 +246,7 @@ impl Limit {
             PathLimit::Twist { largest } => out.twist_max_1_m = Some(known(largest)),
             PathLimit::Speed { at, largest } => {
                 out.speed_max_m_s = Some(known(largest));
-                out.node = Some(LoadNode::of(at, elements));
+                out.node = Some(LoadNode::of(at, mesh));
             }
             PathLimit::Tilt {
                 at,
@@ -258,7 +259,7 @@ impl Limit {
                     direction: direction.into(),
                     max_rad: known(largest),
                 });
-                out.node = Some(LoadNode::of(at, elements));
+                out.node = Some(LoadNode::of(at, mesh));
             }
         }
         out

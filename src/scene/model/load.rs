@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, Fraction, NonNegative, Number, digits, known};
-use crate::mechanics::{self, LoadFrame, NodeInertia};
+use crate::mechanics::{self, LoadFrame, Mesh, NodeInertia};
 use crate::task::{Place, PointLoad};
 
 /// Uniform gravity.
@@ -37,6 +37,22 @@ pub struct Damping {
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Payload {
+    /// Mass in kg, not negative.
+    pub mass_kg: NonNegative<values::Mass>,
+    /// Principal moments of inertia in kg m², none negative: about the two transverse axes, then about the arm's own
+    /// axis. Default: none.
+    #[serde(default)]
+    pub inertia_kg_m2: [NonNegative<values::MomentOfInertia>; 3],
+}
+
+/// A rigid body on the arm, as a disc, a magnet or a gripper, with its center of mass on the axis of the arm and its
+/// principal axes along those of the section there. `[payload]` is the one at the tip.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Body {
+    /// Place on the arm, as a fraction of `rod.length_m` from the base.
+    pub at: Fraction,
     /// Mass in kg, not negative.
     pub mass_kg: NonNegative<values::Mass>,
     /// Principal moments of inertia in kg m², none negative: about the two transverse axes, then about the arm's own
@@ -133,32 +149,32 @@ enum RodEnd {
 }
 
 impl LoadNode {
-    /// The place of the node in an arm that is written with so many elements.
-    pub(in crate::scene) fn place(self, elements: usize) -> Place {
+    /// The place of the node in an arm that is written with this mesh.
+    pub(in crate::scene) fn place(self, mesh: &Mesh) -> Place {
         match self {
             Self::Tip => Place::Tip,
             Self::Base => Place::Base,
-            Self::Index(node) => Place::of_node(node, elements),
+            Self::Index(node) => Place::of_node(node, mesh),
             Self::Fraction(fraction) => Place::Fraction(fraction.get()),
         }
     }
 
-    /// The node of a rod of so many elements that is nearest to a place.
-    pub(in crate::scene) fn of(place: Place, elements: usize) -> Self {
-        match place.node(elements) {
+    /// The node that is nearest to a place.
+    pub(in crate::scene) fn of(place: Place, mesh: &Mesh) -> Self {
+        match place.node(mesh) {
             0 => Self::Base,
-            tip if tip == elements => Self::Tip,
+            tip if tip == mesh.n_elements() => Self::Tip,
             node => Self::Index(node),
         }
     }
 
-    /// Index of the node in a rod of `elements`.
-    pub fn index(self, elements: usize) -> usize {
+    /// Index of the node.
+    pub fn index(self, mesh: &Mesh) -> usize {
         match self {
-            Self::Tip => elements,
+            Self::Tip => mesh.n_elements(),
             Self::Base => 0,
             Self::Index(index) => index,
-            Self::Fraction(fraction) => Place::Fraction(fraction.get()).node(elements),
+            Self::Fraction(fraction) => Place::Fraction(fraction.get()).node(mesh),
         }
     }
 }
@@ -226,10 +242,10 @@ impl Keys<'_> {
 }
 
 impl Load {
-    /// The load of an arm that is written with so many elements.
-    pub(in crate::scene) fn of_arm(&self, elements: usize) -> PointLoad {
+    /// The load of an arm that is written with this mesh.
+    pub(in crate::scene) fn of_arm(&self, mesh: &Mesh) -> PointLoad {
         PointLoad {
-            at: self.node.place(elements),
+            at: self.node.place(mesh),
             force: self.force_n.into(),
             moment: self.moment_n_m.into(),
             frame: self.frame,
@@ -238,9 +254,9 @@ impl Load {
     }
 
     /// The keys of a load.
-    pub(in crate::scene) fn describing(load: &PointLoad, elements: usize) -> Self {
+    pub(in crate::scene) fn describing(load: &PointLoad, mesh: &Mesh) -> Self {
         Self {
-            node: LoadNode::of(load.at, elements),
+            node: LoadNode::of(load.at, mesh),
             force_n: load.force.into(),
             moment_n_m: load.moment.into(),
             frame: load.frame,
@@ -275,13 +291,40 @@ impl DistributedLoad {
     }
 }
 
+impl Body {
+    /// Place and inertia of the body.
+    pub(in crate::scene) fn of_arm(&self) -> (f64, NodeInertia) {
+        (self.at.get(), inertia(self.mass_kg, self.inertia_kg_m2))
+    }
+
+    /// The keys of a body.
+    pub(in crate::scene) fn describing(&(at, body): &(f64, NodeInertia)) -> Self {
+        let Payload {
+            mass_kg,
+            inertia_kg_m2,
+        } = Payload::describing(body);
+        Self {
+            at: known(at),
+            mass_kg,
+            inertia_kg_m2,
+        }
+    }
+}
+
+fn inertia(
+    mass: NonNegative<values::Mass>,
+    rotary: [NonNegative<values::MomentOfInertia>; 3],
+) -> NodeInertia {
+    NodeInertia {
+        mass: mass.get(),
+        rotary: rotary.map(Number::get).into(),
+    }
+}
+
 impl Payload {
     /// The inertia of the tip.
     pub(in crate::scene) fn of_arm(&self) -> NodeInertia {
-        NodeInertia {
-            mass: self.mass_kg.get(),
-            rotary: self.inertia_kg_m2.map(Number::get).into(),
-        }
+        inertia(self.mass_kg, self.inertia_kg_m2)
     }
 
     /// The keys of an inertia of the tip.

@@ -11,6 +11,8 @@ mod mpc;
 mod objective;
 mod plant;
 mod rod;
+mod section;
+mod segment;
 mod sensor;
 mod solver;
 mod task;
@@ -26,6 +28,8 @@ pub use self::mpc::*;
 pub use self::objective::*;
 pub use self::plant::*;
 pub use self::rod::*;
+pub use self::section::*;
+pub use self::segment::*;
 pub use self::sensor::*;
 pub use self::solver::*;
 pub use self::task::*;
@@ -54,6 +58,9 @@ pub struct Scene {
     /// A rigid body at the tip. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub payload: Option<Payload>,
+    /// Rigid bodies on the arm. An element ends at each of them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub body: Vec<Body>,
     /// Prescribed forces and moments on nodes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub load: Vec<Load>,

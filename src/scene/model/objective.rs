@@ -11,7 +11,7 @@ use super::super::values::{self, NonNegative, Number, Positive, known};
 use super::geometry::wxyz;
 use super::{LoadNode, Scene};
 use crate::control::Tracking;
-use crate::mechanics::RodModel;
+use crate::mechanics::{Mesh, RodModel};
 use crate::task::{self, Cost, Problem};
 
 /// Terms that the optimizer minimizes, with their weights.
@@ -251,14 +251,14 @@ impl Keys<'_> {
 }
 
 impl Objective {
-    /// Returns the cost of a task of an arm that is written with so many elements; paths that turn go on until `end`, s.
-    pub(in crate::scene) fn of_task(&self, elements: usize, end: f64) -> Cost {
+    /// Returns the cost of a task of an arm that is written with this mesh; paths that turn go on until `end`, s.
+    pub(in crate::scene) fn of_task(&self, mesh: &Mesh, end: f64) -> Cost {
         Cost {
             effort: self.effort.get(),
             rate: self.rate.get(),
             energy: self.energy.get(),
             tracks: (self.track.iter())
-                .map(|track| track.of_task(elements, end))
+                .map(|track| track.of_task(mesh, end))
                 .collect(),
             terms: Vec::new(),
             force_scale: self.force_scale_n.map(Number::get),
@@ -276,7 +276,9 @@ impl Objective {
             rate: known(cost.rate),
             energy: known(cost.energy),
             track: tracks
-                .map(|(track, discrete)| Track::describing(track, discrete, chosen.elements))
+                .map(|(track, discrete)| {
+                    Track::describing(track, discrete, &problem.discrete.rod.mesh)
+                })
                 .collect(),
             samples: chosen.samples,
             force_scale_n: tip.map(|tip| known(tip.force.scale)),
@@ -287,9 +289,9 @@ impl Objective {
 
 impl Track {
     /// The track of a task.
-    fn of_task(&self, elements: usize, end: f64) -> task::Track {
+    fn of_task(&self, mesh: &Mesh, end: f64) -> task::Track {
         task::Track {
-            at: self.node.place(elements),
+            at: self.node.place(mesh),
             path: self.path(end),
             weight: self.weight.map(Number::get),
             rotations: self.rotations(),
@@ -300,9 +302,9 @@ impl Track {
     }
 
     /// The keys of a track, with the weights that were chosen for it.
-    fn describing(track: &task::Track, discrete: &Tracking, elements: usize) -> Self {
+    fn describing(track: &task::Track, discrete: &Tracking, mesh: &Mesh) -> Self {
         Self {
-            node: LoadNode::of(track.at, elements),
+            node: LoadNode::of(track.at, mesh),
             orientations_wxyz: (track.rotations.iter())
                 .map(|(t, r)| {
                     let [w, x, y, z] = wxyz(r);

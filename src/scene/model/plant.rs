@@ -29,7 +29,8 @@ pub struct Plant {
     /// Kelvin-Voigt time in s, not negative. Absent: `damping.internal_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub internal_s: Option<NonNegative<values::Time>>,
-    /// Stress-free curvature and twist in 1/m, body frame. Absent: those of `[rod.reference]`.
+    /// Stress-free curvature and twist in 1/m, body frame, in the place of `rod.reference.curvature_1_m`; curvature that
+    /// changes along the arm is added to them. Absent: those of `[rod.reference]`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature_1_m: Option<[f64; 3]>,
     /// Section of a rod that has a material. Absent: `[rod.section]`.
@@ -107,10 +108,21 @@ impl Keys<'_> {
             self.finite("plant.curvature_1_m", curvature)?;
         }
         if let Some(section) = &plant.section {
+            if !scene.rod.segment.is_empty() {
+                return Err(self.contradiction("plant.section", "rod.segment"));
+            }
             if scene.rod.section.is_none() {
                 return Err(self.contradiction("plant.section", "rod.stiffness"));
             }
             self.check_section("plant.section", section)?;
+            if section
+                .roll_rad
+                .is_some_and(|roll| roll != scene.rod.roll())
+            {
+                let message = "the sections of plant and model have the same axes";
+                let help = "leave it out, or give rod.section.roll_rad as well".to_string();
+                return Err((self.source).error_at("plant.section.roll_rad", message, Some(help)));
+            }
         }
         Ok(())
     }

@@ -9,13 +9,15 @@ use super::super::check::MOST_ELEMENTS;
 use super::super::describe::DescribeError;
 use super::super::keys::{Checked, Keys};
 use super::super::materials::{MaterialFigures, MaterialPreset, Shear};
-use super::super::values::{self, Number, PoissonRatio, Positive, known};
+use super::super::values::{self, Number, PoissonRatio, Positive, digits, known};
+use super::{Inertia, Section, Segment, Stiffness};
+use crate::mechanics::rows;
 use crate::mechanics::{self, RodModel, SectionProfile, StrainRule};
 use crate::task;
 
-/// A straight or curved rod with a circular section, or with stiffness and inertia given directly.
+/// A straight or curved rod with a section of some material, or with stiffness and inertia given directly.
 ///
-/// Either `material` and `section`, or `stiffness` and `inertia`.
+/// Either `material` and `section`, or `stiffness` and `inertia`, or segments with their own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -47,7 +49,7 @@ pub struct Rod {
     /// Material of the rod; goes with `section`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
-    /// The circular section; goes with `material`.
+    /// Shape and size of the section; goes with `material`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub section: Option<Section>,
     /// Stiffness of the section; instead of `material` and `section`, goes with `inertia`.
@@ -56,6 +58,9 @@ pub struct Rod {
     /// Inertia of the section; instead of `material` and `section`, goes with `stiffness`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia: Option<Inertia>,
+    /// Segments from base to tip, which make up the whole arm. Absent: material and section are the same all along.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub segment: Vec<Segment>,
     /// Stress-free shape. Absent: straight and unstretched.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reference: Option<Reference>,
@@ -111,59 +116,7 @@ pub struct Material {
     pub shear_factor: Positive<values::Factor>,
 }
 
-/// A circular section: `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`; or their diameters.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Section {
-    /// Radius in m all along the rod, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub radius_m: Option<Positive<values::Radius>>,
-    /// Radius in m at the base, positive; goes with `radius_tip_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub radius_base_m: Option<Positive<values::Radius>>,
-    /// Radius in m at the tip, positive; goes with `radius_base_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub radius_tip_m: Option<Positive<values::Radius>>,
-    /// Diameter in m all along the rod, positive; instead of `radius_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub diameter_m: Option<Positive<values::Diameter>>,
-    /// Diameter in m at the base, positive; goes with `diameter_tip_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub diameter_base_m: Option<Positive<values::Diameter>>,
-    /// Diameter in m at the tip, positive; goes with `diameter_base_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub diameter_tip_m: Option<Positive<values::Diameter>>,
-}
-
-/// Stiffness of a section that is the same in both transverse directions.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Stiffness {
-    /// Axial stiffness E A in N, positive.
-    pub ea_n: Positive<values::SectionStiffness>,
-    /// Shear stiffness G A in N, positive.
-    pub ga_n: Positive<values::SectionStiffness>,
-    /// Bending stiffness E I in N m², positive.
-    pub ei_n_m2: Positive<values::BendingStiffness>,
-    /// Torsional stiffness G J in N m², positive.
-    pub gj_n_m2: Positive<values::BendingStiffness>,
-}
-
-/// Inertia of a section, per length of the rod.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Inertia {
-    /// Mass per length in kg/m, positive.
-    pub mass_kg_m: Positive<values::MassPerLength>,
-    /// Principal rotary inertias per length in kg m (kg m² per m): about the two transverse axes, then about the
-    /// rod's own axis; all positive.
-    pub rotary_kg_m: [Positive<values::RotaryInertia>; 3],
-}
-
-/// The shape in which the rod carries no stress, the same all along.
+/// The shape in which the rod carries no stress.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -171,6 +124,11 @@ pub struct Reference {
     /// Curvature about the two transverse axes and twist about the rod's axis, in 1/m, body frame. Default: none.
     #[serde(default)]
     pub curvature_1_m: [f64; 3],
+    /// Curvature and twist that change along the arm, in addition to `curvature_1_m`, as rows [fraction of `length_m`, the
+    /// three components in 1/m]: linear between two rows, constant beyond the first and the last one. Two rows of one
+    /// fraction are a step, where an element ends. Absent: none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub curvature_along_1_m: Vec<[f64; 4]>,
     /// Stress-free length over `length_m`, positive, default 1.
     #[serde(default = "Positive::<values::Stretch>::one")]
     pub stretch: Positive<values::Stretch>,
@@ -225,22 +183,49 @@ impl Material {
     }
 }
 
-impl Section {
-    /// Radii in m at the base and at the tip.
-    pub fn radii(&self) -> Option<[f64; 2]> {
-        let [uniform, base, tip] = [
-            (self.radius_m, self.diameter_m),
-            (self.radius_base_m, self.diameter_base_m),
-            (self.radius_tip_m, self.diameter_tip_m),
-        ]
-        .map(|(radius, diameter)| {
-            (radius.map(Number::get)).or(diameter.map(|diameter| 0.5 * diameter.get()))
-        });
-        match (uniform, base, tip) {
-            (Some(radius), None, None) => Some([radius, radius]),
-            (None, Some(base), Some(tip)) => Some([base, tip]),
-            _ => None,
+/// What a rod or a segment consists of.
+#[derive(Clone, Copy)]
+pub struct Parts<'a> {
+    /// Its material.
+    pub material: Option<&'a Material>,
+    /// Its section.
+    pub section: Option<&'a Section>,
+    /// Its stiffness.
+    pub stiffness: Option<&'a Stiffness>,
+    /// Its inertia.
+    pub inertia: Option<&'a Inertia>,
+}
+
+impl Parts<'_> {
+    /// Angle in rad by which the section is turned about the arm's axis, where it is given.
+    pub fn roll(&self) -> Option<f64> {
+        let section = self.section.and_then(|section| section.roll_rad);
+        section.or(self.stiffness.and_then(|stiffness| stiffness.roll_rad))
+    }
+}
+
+impl Rod {
+    /// What a rod without segments consists of.
+    pub fn parts(&self) -> Parts<'_> {
+        Parts {
+            material: self.material.as_ref(),
+            section: self.section.as_ref(),
+            stiffness: self.stiffness.as_ref(),
+            inertia: self.inertia.as_ref(),
         }
+    }
+
+    /// Angle in rad by which the section is turned about the arm's axis, the same in all segments.
+    pub fn roll(&self) -> f64 {
+        let own = self.parts().roll();
+        let of_segments = (self.segment.iter()).find_map(|segment| self.parts_of(segment).roll());
+        of_segments.or(own).unwrap_or(0.0)
+    }
+
+    /// Tells whether a material of the rod is given.
+    pub fn has_material(&self) -> bool {
+        let of_segments = self.segment.iter().map(|segment| &segment.material);
+        of_segments.chain([&self.material]).any(Option::is_some)
     }
 }
 
@@ -248,168 +233,125 @@ impl Keys<'_> {
     pub(in crate::scene) fn check_rod(&self, rod: &Rod) -> Checked {
         self.count("rod.elements", rod.elements, MOST_ELEMENTS)?;
         check_range(rod.accuracy.map(Number::get), self.source)?;
-        match (&rod.material, &rod.section, &rod.stiffness, &rod.inertia) {
-            (Some(material), Some(section), None, None) => {
-                self.check_material(material)?;
-                self.check_section("rod.section", section)?;
-                if rod.display_radius_m.is_some() {
-                    return Err(self.contradiction("rod.display_radius_m", "rod.section"));
-                }
+        if rod.segment.is_empty() {
+            self.check_parts("rod", &rod.parts())?;
+            if rod.section.is_some() && rod.display_radius_m.is_some() {
+                return Err(self.contradiction("rod.display_radius_m", "rod.section"));
             }
-            (None, None, Some(_), Some(_)) => {}
-            (Some(_), _, Some(_), _) => {
-                return Err(self.contradiction("rod.stiffness", "rod.material"));
-            }
-            (Some(_), _, _, Some(_)) => {
-                return Err(self.contradiction("rod.inertia", "rod.material"));
-            }
-            (_, Some(_), Some(_), _) => {
-                return Err(self.contradiction("rod.stiffness", "rod.section"));
-            }
-            (_, Some(_), _, Some(_)) => {
-                return Err(self.contradiction("rod.inertia", "rod.section"));
-            }
-            (Some(_), None, None, None) => {
-                return Err(self.missing("rod.section", "goes with rod.material"));
-            }
-            (None, Some(_), None, None) => {
-                return Err(self.missing("rod.material", "goes with rod.section"));
-            }
-            (None, None, Some(_), None) => {
-                return Err(self.missing("rod.inertia", "goes with rod.stiffness"));
-            }
-            (None, None, None, Some(_)) => {
-                return Err(self.missing("rod.stiffness", "goes with rod.inertia"));
-            }
-            (None, None, None, None) => {
-                return Err(self.missing(
-                    "rod.material",
-                    "a rod has either rod.material and rod.section, or rod.stiffness and rod.inertia",
-                ));
-            }
+        } else {
+            self.check_segments(rod)?;
         }
         if let Some(reference) = &rod.reference {
             self.finite("rod.reference.curvature_1_m", &reference.curvature_1_m)?;
+            self.check_along(
+                "rod.reference.curvature_along_1_m",
+                &reference.curvature_along_1_m,
+            )?;
         }
         Ok(())
     }
 
-    fn check_material(&self, material: &Material) -> Checked {
+    /// Checks rows along the arm, which begin with fractions of its length.
+    fn check_along(&self, key: &str, rows: &[[f64; 4]]) -> Checked {
+        for (index, row) in rows.iter().enumerate() {
+            let key = format!("{key}.{index}");
+            self.finite(&key, row)?;
+            let before = index.checked_sub(1).map_or(0.0, |before| rows[before][0]);
+            let is_third = index > 1 && rows[index - 2][0] == row[0];
+            if !(row[0] >= before && row[0] <= 1.0) || is_third {
+                let message = format!("{} is not a later place on the arm", digits(row[0]));
+                return Err(self.source.error_at(&key, message, None).expecting(
+                    "expected fractions of the length from 0 to 1 that increase; two rows of one fraction are a step",
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that a rod or a segment, whose key is `name`, has a material and a section, or stiffness and inertia.
+    pub(super) fn check_parts(&self, name: &str, parts: &Parts) -> Checked {
+        let key = |part: &str| format!("{name}.{part}");
+        let contradiction =
+            |one: &str, other: &str| Err(self.contradiction(&key(one), &key(other)));
+        let missing = |one: &str, other: &str| {
+            Err(self.missing(&key(one), &format!("goes with {}", key(other))))
+        };
+        match (parts.material, parts.section, parts.stiffness, parts.inertia) {
+            (Some(material), Some(section), None, None) => {
+                self.check_material(&key("material"), material)?;
+                self.check_section(&key("section"), section)
+            }
+            (None, None, Some(stiffness), Some(_)) => {
+                self.check_stiffness(&key("stiffness"), stiffness)
+            }
+            (Some(_), _, Some(_), _) => contradiction("stiffness", "material"),
+            (Some(_), _, _, Some(_)) => contradiction("inertia", "material"),
+            (_, Some(_), Some(_), _) => contradiction("stiffness", "section"),
+            (_, Some(_), _, Some(_)) => contradiction("inertia", "section"),
+            (Some(_), None, None, None) => missing("section", "material"),
+            (None, Some(_), None, None) => missing("material", "section"),
+            (None, None, Some(_), None) => missing("inertia", "stiffness"),
+            (None, None, None, Some(_)) => missing("stiffness", "inertia"),
+            (None, None, None, None) => Err(self.missing(
+                &key("material"),
+                &format!(
+                    "a rod has either {name}.material and {name}.section, or {name}.stiffness and {name}.inertia"
+                ),
+            )),
+        }
+    }
+
+    fn check_material(&self, name: &str, material: &Material) -> Checked {
+        let key = |figure: &str| format!("{name}.{figure}");
+        let preset = format!("or else give {name}.preset");
         if material.youngs_modulus().is_none() {
-            let key = "rod.material.youngs_modulus_pa";
-            return Err(self.missing(key, NAME_A_PRESET));
+            return Err(self.missing(&key("youngs_modulus_pa"), &preset));
         }
         match (material.poisson_ratio, material.shear_modulus_pa) {
             (Some(_), Some(_)) => {
-                return Err(self.contradiction(
-                    "rod.material.shear_modulus_pa",
-                    "rod.material.poisson_ratio",
-                ));
+                return Err(self.contradiction(&key("shear_modulus_pa"), &key("poisson_ratio")));
             }
             (None, None) if material.preset.is_none() => {
-                return Err(self.missing(
-                    "rod.material.poisson_ratio",
-                    "or else give rod.material.shear_modulus_pa",
-                ));
+                let other = format!("or else give {}", key("shear_modulus_pa"));
+                return Err(self.missing(&key("poisson_ratio"), &other));
             }
             _ => {}
         }
         if material.density().is_none() {
-            return Err(self.missing("rod.material.density_kg_m3", NAME_A_PRESET));
+            return Err(self.missing(&key("density_kg_m3"), &preset));
         }
         Ok(())
     }
-
-    /// Checks a section; `name` is its key.
-    pub(in crate::scene) fn check_section(&self, name: &str, section: &Section) -> Checked {
-        let key = |quantity: &str, place: &str| format!("{name}.{quantity}_{place}m");
-        // The keys that are given: what they measure, and where.
-        let given: Vec<(&str, &str)> = [
-            ("radius", "", section.radius_m.is_some()),
-            ("diameter", "", section.diameter_m.is_some()),
-            ("radius", "base_", section.radius_base_m.is_some()),
-            ("diameter", "base_", section.diameter_base_m.is_some()),
-            ("radius", "tip_", section.radius_tip_m.is_some()),
-            ("diameter", "tip_", section.diameter_tip_m.is_some()),
-        ]
-        .into_iter()
-        .filter_map(|(quantity, place, is_given)| is_given.then_some((quantity, place)))
-        .collect();
-        // Only both ends in the same measure go together.
-        let together =
-            |a: (&str, &str), b: (&str, &str)| a.0 == b.0 && !a.1.is_empty() && !b.1.is_empty();
-        for (at, &second) in given.iter().enumerate() {
-            if let Some(&first) = given[..at].iter().find(|first| !together(**first, second)) {
-                return Err(self.contradiction(&key(second.0, second.1), &key(first.0, first.1)));
-            }
-        }
-        match given[..] {
-            [] => Err(self.missing(
-                &key("radius", ""),
-                &format!("or else give {name}.radius_base_m and {name}.radius_tip_m, or diameters"),
-            )),
-            [(quantity, place)] if !place.is_empty() => {
-                let other = if place == "base_" { "tip_" } else { "base_" };
-                let relation = format!("goes with {}", key(quantity, place));
-                Err(self.missing(&key(quantity, other), &relation))
-            }
-            _ => Ok(()),
-        }
-    }
 }
 
-/// Material and section of a tapered arm; stiffness and inertia of a uniform one.
+/// Material and section of a tapered arm; stiffness and inertia of a uniform one; segments of either.
 pub(in crate::scene) fn describe_section(
     arm: &task::Arm,
     rod: &mut Rod,
 ) -> Result<(), DescribeError> {
-    match arm.section {
-        SectionProfile::Uniform(section) => {
-            let (linear, angular) = (section.linear_stiffness, section.angular_stiffness);
-            if linear.x != linear.y || angular.x != angular.y {
-                return Err(DescribeError(
-                    "its section is not the same in both transverse directions",
-                ));
-            }
-            if arm.radii.is_some_and(|[base, tip]| base != tip) {
-                return Err(DescribeError(
-                    "it is drawn with a taper that it does not have",
-                ));
-            }
-            rod.stiffness = Some(Stiffness {
-                ea_n: known(linear.z),
-                ga_n: known(linear.x),
-                ei_n_m2: known(angular.x),
-                gj_n_m2: known(angular.z),
-            });
-            rod.inertia = Some(Inertia {
-                mass_kg_m: known(section.mass),
-                rotary_kg_m: <[f64; 3]>::from(section.rotary).map(known),
-            });
-            rod.display_radius_m = arm.radii.map(|[radius, _]| known(radius));
+    let uneven = DescribeError("it is drawn with a taper that it does not have");
+    let radius = |section: Option<&Section>, [from, to]: [f64; 2]| {
+        let ends = rows::sides(&arm.radii, from).zip(rows::sides(&arm.radii, to));
+        match ends.filter(|_| section.is_none()) {
+            Some(([_, a], [b, _])) if a != b => Err(uneven),
+            ends => Ok(ends.map(|([_, radius], _)| known(radius))),
         }
-        SectionProfile::TaperedCircle {
-            material,
-            base_radius,
-            tip_radius,
-        } => {
-            rod.material = Some(Material {
-                preset: None,
-                youngs_modulus_pa: Some(known(material.youngs_modulus)),
-                poisson_ratio: None,
-                shear_modulus_pa: Some(known(material.shear_modulus)),
-                density_kg_m3: Some(known(material.density)),
-                shear_factor: known(material.shear_factor),
-            });
-            rod.section = Some(Section {
-                radius_m: None,
-                radius_base_m: Some(known(base_radius)),
-                radius_tip_m: Some(known(tip_radius)),
-                diameter_m: None,
-                diameter_base_m: None,
-                diameter_tip_m: None,
-            });
-        }
+    };
+    let SectionProfile::Segments(segments) = &arm.section else {
+        let described = Segment::describing(&arm.section, 1.0)?;
+        rod.display_radius_m = radius(described.section.as_ref(), [0.0, 1.0])?;
+        rod.material = described.material;
+        rod.section = described.section;
+        rod.stiffness = described.stiffness;
+        rod.inertia = described.inertia;
+        return Ok(());
+    };
+    let mut from = 0.0;
+    for segment in segments {
+        let mut described = Segment::describing(&segment.section, segment.to - from)?;
+        described.display_radius_m = radius(described.section.as_ref(), [from, segment.to])?;
+        rod.segment.push(described);
+        from = segment.to;
     }
     Ok(())
 }
@@ -421,6 +363,3 @@ pub(in crate::scene) fn rotary_inertia(inertia: mechanics::RotaryInertia) -> Rot
         mechanics::RotaryInertia::Segment => RotaryInertia::Segment,
     }
 }
-
-/// Remedy for a missing figure of a material.
-const NAME_A_PRESET: &str = "or else give rod.material.preset";

@@ -11,6 +11,7 @@ use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::geometry::wxyz;
 use super::{BaseKind, LoadNode, Scene};
 use crate::control::{self, Enforcement, Goal};
+use crate::mechanics::Mesh;
 use crate::mechanics::rotation::from_quaternion;
 use crate::task::{self, Hardness, Place, Problem, Rest, Staying, Target, Tolerances};
 
@@ -364,14 +365,14 @@ impl Keys<'_> {
         node: LoadNode,
         scene: &Scene,
     ) -> Checked {
-        let elements = scene.rod.elements;
-        let fraction = node.index(elements) as f64 / elements as f64;
+        let mesh = scene.mesh();
+        let index = node.index(&mesh);
         let stretch = scene
             .rod
             .reference
             .as_ref()
             .map_or(1.0, |reference| reference.stretch.get().max(1.0));
-        let reach = LARGEST_STRETCH * stretch * fraction * scene.rod.length_m.get();
+        let reach = LARGEST_STRETCH * stretch * mesh.fraction(index) * scene.rod.length_m.get();
         let [x, y, z] = std::array::from_fn(|axis| position[axis] - scene.base.position_m[axis]);
         let distance = x.hypot(y).hypot(z);
         if scene.base.kind == BaseKind::Clamped && distance > reach {
@@ -386,8 +387,8 @@ impl Keys<'_> {
                 .expecting(format!(
                     "expected at most {} m, the largest reach of {}",
                     rounded(reach),
-                    match node.index(elements) {
-                        tip if tip == elements => "this arm".to_string(),
+                    match index {
+                        tip if tip == mesh.n_elements() => "this arm".to_string(),
                         node => format!("node {node}"),
                     }
                 )));
@@ -443,10 +444,10 @@ impl Task {
     }
 
     /// Returns the waypoints, then the target of the task itself.
-    pub(in crate::scene) fn targets(&self, elements: usize) -> Vec<Target> {
+    pub(in crate::scene) fn targets(&self, mesh: &Mesh) -> Vec<Target> {
         let via = self.via.iter().enumerate().map(|(index, via)| Target {
             name: format!("task.via.{index}"),
-            at: via.node.place(elements),
+            at: via.node.place(mesh),
             time: Some(via.at_s.get()),
             position: via.position_m.map(Vector3::from),
             rotation: via.orientation_wxyz.map(from_quaternion),
@@ -481,15 +482,15 @@ fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
 }
 
 /// Returns the waypoints, and the goal of the tip at the end if there is one.
-pub(in crate::scene) fn described_targets(
-    task: &task::Task,
-    elements: usize,
-) -> Result<(Vec<Via>, Option<&Target>), DescribeError> {
+pub(in crate::scene) fn described_targets<'a>(
+    task: &'a task::Task,
+    mesh: &Mesh,
+) -> Result<(Vec<Via>, Option<&'a Target>), DescribeError> {
     let (last, before) = match task.targets.split_last() {
         Some((last, before)) if last.time.is_none() => (Some(last), before),
         _ => (None, &task.targets[..]),
     };
-    if last.is_some_and(|goal| LoadNode::of(goal.at, elements) != LoadNode::Tip) {
+    if last.is_some_and(|goal| LoadNode::of(goal.at, mesh) != LoadNode::Tip) {
         return Err(DescribeError("its goal at the end is not one of the tip"));
     }
     if last.is_none() && !before.is_empty() {
@@ -505,7 +506,7 @@ pub(in crate::scene) fn described_targets(
             let (hard, weight) = described_hardness(target.hardness);
             Ok(Via {
                 at_s: known(at_s),
-                node: LoadNode::of(target.at, elements),
+                node: LoadNode::of(target.at, mesh),
                 position_m: target.position.map(Into::into),
                 orientation_wxyz: target.rotation.as_ref().map(wxyz),
                 hard,

@@ -36,7 +36,7 @@ pub(super) struct LimitWatch {
 impl LimitWatch {
     fn new(setup: &ClosedLoopSetup) -> Self {
         let (own, rod) = (&setup.experiment, &setup.plant);
-        let radii = own.plant.radii_at_nodes(rod.n_elements());
+        let radii = own.plant.radii_at_nodes(&rod.mesh);
         let limits: Vec<_> = (own.task.limits.iter())
             .map(|limit| limit.kind.on(rod, &radii))
             .collect();

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::control::{Bound, named_axes};
-use crate::mechanics::{BaseCondition, LoadFrame, Rod, Section, SectionProfile};
+use crate::mechanics::{BaseCondition, LoadFrame, Rod, Section, SectionProfile, SectionSegment};
 use crate::task::{Arm, ChannelLimits, Limit, Place, WrenchActuator};
 
 fn triple(v: Vector3<f64>) -> [f64; 3] {
@@ -16,13 +16,13 @@ fn triple(v: Vector3<f64>) -> [f64; 3] {
 pub(super) fn arm(arm: &Arm, rod: &Rod, known: [usize; 2]) -> Value {
     let ends = [arm.section.at(0.0), arm.section.at(1.0)];
     let both = |of: fn(&Section) -> f64| ends.each_ref().map(of);
-    let material = match arm.section {
+    let material = match &arm.section {
         SectionProfile::TaperedCircle { material, .. } => json!({
             "youngs_modulus": material.youngs_modulus,
             "shear_modulus": material.shear_modulus,
             "density": material.density,
         }),
-        SectionProfile::Uniform(_) => Value::Null,
+        SectionProfile::Uniform(_) | SectionProfile::Segments(_) => Value::Null,
     };
     let points = (arm.loads.iter().enumerate()).map(|(i, load)| {
         let acts = acting(&load.force, &load.moment, load.frame, &load.profile);
@@ -35,15 +35,18 @@ pub(super) fn arm(arm: &Arm, rod: &Rod, known: [usize; 2]) -> Value {
     let weight = arm.gravity.norm();
     json!({
         "length": arm.length,
-        "radius": arm.radii,
+        "radius": arm.radii.first().zip(arm.radii.last()).map(|((_, base), (_, tip))| [base, tip]),
         "material": material,
         "bending": both(|section| section.angular_stiffness.x),
         "bending_second": both(|section| section.angular_stiffness.y),
         "torsion": both(|section| section.angular_stiffness.z),
         "axial": both(|section| section.linear_stiffness.z),
         "mass": rod.mass(),
+        "segments": segments(&arm.section),
+        "bodies": arm.bodies.iter().map(|(at, body)| json!({ "at": at, "mass": body.mass })).collect::<Vec<_>>(),
         "payload": arm.payload.map_or(0.0, |payload| payload.mass),
         "rest_curvature": triple(arm.rest_curvature),
+        "is_curved_unevenly": !arm.curvature_rows.is_empty(),
         "rest_stretch": arm.rest_stretch,
         "base": match arm.base {
             BaseCondition::Clamped => "clamped",
@@ -62,6 +65,29 @@ pub(super) fn arm(arm: &Arm, rod: &Rod, known: [usize; 2]) -> Value {
         "loads": points.collect::<Vec<_>>(),
         "distributed_loads": distributed.collect::<Vec<_>>(),
     })
+}
+
+/// The segments of an arm, with the stiffness of each at its two ends.
+fn segments(profile: &SectionProfile) -> Vec<Value> {
+    let SectionProfile::Segments(segments) = profile else {
+        return Vec::new();
+    };
+    let mut from = 0.0;
+    let of = |segment: &SectionSegment| {
+        let ends = [segment.section.at(0.0), segment.section.at(1.0)];
+        let both = |of: fn(&Section) -> f64| ends.each_ref().map(of);
+        let out = json!({
+            "from": from,
+            "to": segment.to,
+            "bending": both(|section| section.angular_stiffness.x),
+            "bending_second": both(|section| section.angular_stiffness.y),
+            "torsion": both(|section| section.angular_stiffness.z),
+            "mass": both(|section| section.mass),
+        });
+        from = segment.to;
+        out
+    };
+    segments.iter().map(of).collect()
 }
 
 /// The base, the tip, or a fraction of the length.

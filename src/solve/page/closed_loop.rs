@@ -54,7 +54,7 @@ pub(crate) fn closed_loop_page(
             .filter_map(|target| {
                 Some(ReportVia {
                     name: target.name.clone(),
-                    node: target.at.node(setup.plant.n_elements()),
+                    node: target.at.node(&setup.plant.mesh),
                     t: target.time?,
                     position: target.position?.into(),
                 })
@@ -72,7 +72,7 @@ pub(crate) fn closed_loop_page(
         obstacles: obstacles(
             &task.limits,
             &setup.plant,
-            &own.plant.radii_at_nodes(setup.plant.n_elements()),
+            &own.plant.radii_at_nodes(&setup.plant.mesh),
             record,
         ),
         controls: Some(controls(setup, &thin)),
@@ -139,7 +139,7 @@ fn load_name(setup: &ClosedLoopSetup, index: usize) -> &'static str {
                 .distributed_loads
                 .iter()
                 .take(model.distributed_loads.len());
-            let lumps = known.map(|load| load.lumped(plant.length, setup.plant.n_elements()).len());
+            let lumps = known.map(|load| load.lumped(plant.length, &setup.plant.mesh).len());
             lump < lumps.sum::<usize>()
         }
     };

@@ -71,9 +71,9 @@ pub(super) fn fields(rod: &Rod, record: &MotionRecord) -> Option<ReportFields> {
         stiffest = element.linear_stiffness.max().max(stiffest);
         stiffest_turn = element.angular_stiffness.max().max(stiffest_turn);
     }
-    let element_length = scales.length / rod.n_elements() as f64;
     let force_noise = (NOISE * scales.force).max(STRESS_NOISE * stiffest);
-    let moment_noise = (NOISE * scales.moment).max(STRESS_NOISE * stiffest_turn / element_length);
+    let moment_noise =
+        (NOISE * scales.moment).max(STRESS_NOISE * stiffest_turn / rod.shortest_element());
     let curvature_noise = NOISE / scales.length;
     let fields: Vec<ReportField> = [
         ReportField::of(
@@ -103,6 +103,10 @@ pub(super) fn fields(rod: &Rod, record: &MotionRecord) -> Option<ReportFields> {
     (!fields.is_empty() && frames.len() > 1).then(|| ReportFields {
         t: frames.iter().map(|&row| record.t[row]).collect(),
         length: scales.length,
+        places: match rod.mesh.n_pieces() {
+            1 => Vec::new(),
+            _ => rod.mesh.fractions(),
+        },
         fields,
     })
 }

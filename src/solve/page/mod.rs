@@ -79,7 +79,7 @@ fn sizes(vectors: &[[f64; 3]]) -> Vec<f64> {
 
 fn drawn_arm(arm: &Arm, rod: &Rod) -> ReportArm {
     ReportArm {
-        radius: arm.radii_at_nodes(rod.n_elements()),
+        radius: arm.radii_at_nodes(&rod.mesh),
         base: (rod.base == BaseCondition::Clamped).then(|| rod.rest.positions[0].into()),
         gravity: rod.gravity.into(),
         length: rod.scales.length,

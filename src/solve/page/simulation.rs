@@ -37,7 +37,7 @@ pub(crate) fn simulation_page(
     Ok(ReportData {
         arrows: arrows::given(rod, record, |_| arrows::LOAD),
         fields: fields::fields(rod, record),
-        obstacles: obstacles(&limits, rod, &own.radii_at_nodes(rod.n_elements()), record),
+        obstacles: obstacles(&limits, rod, &own.radii_at_nodes(&rod.mesh), record),
         energy: Some(ReportEnergy::thinned(record, ROWS)),
         ..ReportData::of(
             ReportCommand::Simulate,

@@ -26,14 +26,12 @@ pub(super) fn hardly_meant(scene: &Scene, rod: &Rod) -> Vec<String> {
     let material = scene.rod.material.as_ref();
     let modulus = material.and_then(|material| material.youngs_modulus());
     let density = material.and_then(|material| material.density());
-    let radii = scene
-        .rod
-        .section
-        .as_ref()
-        .and_then(|section| section.radii());
     let length = rod.scales.length;
-    let [thinnest, thickest] =
-        radii.map_or([f64::NAN; 2], |[base, tip]| [base.min(tip), base.max(tip)]);
+    let radii = || scene.radii().into_iter().map(|(_, radius)| radius);
+    let [thinnest, thickest] = match scene.rod.has_material() {
+        true => [f64::min, f64::max].map(|of| radii().reduce(of).unwrap_or(f64::NAN)),
+        false => [f64::NAN; 2],
+    };
     let figures = [
         Figure {
             key: "rod.material.youngs_modulus_pa",

@@ -27,7 +27,7 @@ struct Obstacle {
 impl Clearances {
     pub(super) fn of(setup: &Simulation) -> Self {
         let rod = &setup.rod;
-        let radii = setup.arm.radii_at_nodes(rod.n_elements());
+        let radii = setup.arm.radii_at_nodes(&rod.mesh);
         let obstacles = (setup.resolved.limits().into_iter())
             .filter_map(|limit| {
                 let PathLimit::Clearance {

@@ -329,8 +329,7 @@ impl Solved {
             } else {
                 let finer = Discretization {
                     strain_rule: StrainRule::Helical,
-                    elements: factor * problem.discretization.elements,
-                    ..problem.discretization
+                    ..problem.discretization.refined(factor)
                 };
                 let rod = (problem.arm.rod(&finer))
                     .map_err(|error| super::RunError::Discretize(error.into()))?;

@@ -245,7 +245,7 @@ impl Conditions<'_> {
         );
         // A step along λ that strains the elements by about 5e-4: the truncation of differences of fourth order is 1e-13 there, and a
         // shorter step would magnify the rounding of stiff elements.
-        let l = rod.elements[0].length;
+        let l = rod.shortest_element();
         let largest = lx
             .iter()
             .map(|v| v.norm() / l)
