@@ -188,7 +188,7 @@ fn tills_robot_at_rest() {
         let parameters = RodParameters {
             gravity: Vector3::new(-9.81, 0.0, 0.0),
             actuators: vec![tendon(Route::straight([OFFSET, 0.0]), tension)],
-            ..RodParameters::straight(length, 20, section)
+            ..RodParameters::straight(length, 20, section.clone())
         };
         let off = error(&parameters, tip);
         eprintln!("{tension} N: {off:.2e} m");
