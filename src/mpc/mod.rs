@@ -51,6 +51,7 @@
 //! ```
 
 mod closed_loop;
+mod command;
 mod controller;
 mod error;
 mod estimator;
@@ -75,10 +76,9 @@ pub use closed_loop::{
     Responded, Sample, SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains,
     Unknowns,
 };
+pub use command::Command;
 pub(crate) use controller::with_long_steps;
-pub use controller::{
-    Command, Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord,
-};
+pub use controller::{Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord};
 pub use error::MpcError;
 pub use estimator::{
     BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,

@@ -3,6 +3,7 @@
 #[cfg(feature = "cli")]
 mod comparison;
 mod field;
+mod figure;
 mod render;
 mod words;
 
@@ -13,11 +14,12 @@ pub use self::comparison::{
     Compared, ComparedRun, ComparisonData, ComparisonRow, ComparisonTable, TradeoffPoint, compare,
 };
 pub use self::field::{ReportField, ReportFields};
+pub use self::figure::figure;
 #[cfg(feature = "cli")]
 pub(crate) use self::render::PAGE_STYLE;
+pub use self::render::render_report;
 #[cfg(feature = "cli")]
 pub use self::render::{PAGE_MARK, render_comparison};
-pub use self::render::{figure, render_report};
 pub(crate) use self::words::Columns;
 #[cfg(feature = "cli")]
 pub(crate) use self::words::fill;

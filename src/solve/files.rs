@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::examined::{Examined, Spent, beside};
+use super::examined::{Examined, Spent, beside, examine};
 use super::page::{SolvePage, iteration, sensitivity, solve_page};
-use super::solution::Solution;
+use super::solution::{Solution, stopped_steps_per_row};
 use super::summary::summarize;
 use crate::control::{Hold, OptimalControlProblem, SolveLog};
 use crate::mechanics::{Energy, State, Wrench};
@@ -20,6 +20,7 @@ use crate::output::{
 #[cfg(feature = "cli")]
 use crate::scene::OptimalControl;
 use crate::scene::{DescribeError, Scene};
+use crate::sqp::SqpStatus;
 
 /// Reason why a solution was not saved.
 #[derive(Debug, thiserror::Error)]
@@ -35,12 +36,31 @@ pub enum SaveError {
 /// Scene name of a problem that was posed in a program.
 const PROGRAM: &str = "program";
 
+impl Solution {
+    /// Checks the solution, as far as that can be done, and writes it as a result directory, which `softarm verify` reads: `summary.json`,
+    /// `controls.csv`, `trajectory.npz`, `multipliers.json`, `iterations.csv`, `scene.toml` and `report.html`. Returns the directory.
+    ///
+    /// # Errors
+    /// [`SaveError`] where the problem cannot be written as a scene, or the files cannot be written.
+    pub fn save(&self, directory: &Path) -> Result<PathBuf, SaveError> {
+        let (examined, _) = examine(self, None, false, 1);
+        save(self, &examined, directory)
+    }
+
+    /// Returns the number of time nodes per row of the written motion: one, unless the solve or its check was stopped and nothing was
+    /// checked; then a long motion is thinned, so that the files are written at once.
+    pub(crate) fn steps_per_row(&self, examined: &Examined) -> usize {
+        let is_stopped = matches!(self.status(), SqpStatus::Stopped(_));
+        if examined.check.is_none() && (is_stopped || examined.unchecked.is_some()) {
+            stopped_steps_per_row(&self.problem)
+        } else {
+            1
+        }
+    }
+}
+
 /// Writes a solution as the result directory `target` and returns the directory.
-pub(super) fn save(
-    solution: &Solution,
-    examined: &Examined,
-    target: &Path,
-) -> Result<PathBuf, SaveError> {
+fn save(solution: &Solution, examined: &Examined, target: &Path) -> Result<PathBuf, SaveError> {
     let scene = Scene::describing(&solution.problem, &solution.settings)?.to_toml();
     let directory = RunDirectory::open(target, ResultKind::Solve)?;
     let elapsed = (solution.attempt.outcome.history.last()).map_or(0.0, |row| row.elapsed);
