@@ -294,7 +294,7 @@ fn announce(setup: &OptimalControl, console: &Console) {
         problem.grid.n_steps,
         problem.grid.step,
         problem.control.n_blocks(),
-        problem.n_controls(),
+        problem.n_variables(),
     ));
     if let (Some(free), true) = (problem.duration, problem.objective.effort > 0.0) {
         let size = (2.0 * free.price / problem.objective.effort).sqrt();

@@ -197,7 +197,7 @@ pub struct ScalesSummary {
 pub struct ProblemSize {
     /// Blocks of the control.
     pub control_blocks: usize,
-    /// Unknowns of the condensed subproblem.
+    /// Variables of the solver: the controls, and the residuals of soft goals and of goals within a tolerance.
     pub variables: usize,
     /// Scalar equations of a hard target.
     pub target_equations: usize,
@@ -611,7 +611,7 @@ pub struct ProblemFacts {
     pub duration_s: f64,
     /// Blocks of the control.
     pub control_blocks: usize,
-    /// Unknowns of the subproblem.
+    /// Variables of the solver: the controls, and the residuals of soft goals and of goals within a tolerance.
     pub variables: usize,
     /// Multipliers of the target's scaled residuals, in the order position, orientation, velocity, angular velocity.
     pub multipliers: Vec<f64>,

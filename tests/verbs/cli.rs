@@ -165,6 +165,26 @@ fn check_reports_derived_figures() {
     assert_eq!(names(desk.folder.path()), ["scene.toml"]);
 }
 
+/// The variables that `check` counts are those that `solve` names on its way and in its summary: 30 controls, and the three residuals of a
+/// goal within a tolerance.
+#[test]
+fn variables_are_those_of_the_solver() {
+    let desk = Desk::new();
+    let within = ["--set", "task.tolerance_m=0.001"];
+    let run = |verb: &str| {
+        let run = desk.run(&[&[verb, "scene.toml", "--json"][..], &within].concat());
+        let run = run.exits(DONE);
+        (run.summary(), run.stderr)
+    };
+    let (checked, described) = run("check");
+    let (solved, told) = run("solve");
+    assert_eq!(checked["optimal_control"]["variables"], 33);
+    assert_eq!(solved["variables"], 33);
+    for words in [described, told] {
+        assert!(words.contains("33 variables"), "{words}");
+    }
+}
+
 /// `simulate` writes its directory, and its summary holds every field of the contract.
 #[test]
 fn simulate_writes_its_directory() {

@@ -118,7 +118,7 @@ pub(super) fn problem_size(problem: &OptimalControlProblem) -> ProblemSize {
     let free = problem.rod.n_nodes() - problem.rod.first_free_node();
     ProblemSize {
         control_blocks: problem.control.n_blocks(),
-        variables: problem.n_controls(),
+        variables: problem.n_variables(),
         target_equations: (problem.goal_rows().iter())
             .filter(|row| !problem.has_slack(row))
             .count(),
