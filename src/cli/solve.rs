@@ -126,8 +126,8 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         global.n_threads(),
     );
     if arguments.starts == 1 {
-        let rows: Vec<_> = (solution.attempt.solves.iter())
-            .flat_map(|solve| &solve.rows)
+        let rows: Vec<_> = (solution.solves())
+            .flat_map(|(_, solve)| &solve.rows)
             .copied()
             .collect();
         console.say(&legend(&rows));

@@ -523,7 +523,10 @@ pub struct ReportAttempt {
 /// One SQP iteration: some columns of `iterations.csv`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ReportIteration {
-    /// Number of the solve that it belongs to, from 1.
+    /// Number of the grid that it belongs to, from 1; absent if all are of one grid.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub grid: Option<usize>,
+    /// Number of the solve on that grid, from 1.
     pub attempt: usize,
     /// Its number.
     pub iteration: usize,

@@ -8,7 +8,7 @@ use super::examined::{Examined, Spent, beside, examine};
 use super::page::{SolvePage, iteration, sensitivity, solve_page};
 use super::solution::{Solution, stopped_steps_per_row};
 use super::summary::summarize;
-use crate::control::{Hold, OptimalControlProblem, SolveLog};
+use crate::control::{Hold, OptimalControlProblem};
 use crate::mechanics::{Energy, State, Wrench};
 #[cfg(feature = "cli")]
 use crate::output::DiagnosticsRecord;
@@ -124,10 +124,7 @@ fn write(
             &directory.path().join("controls.csv"),
             &control_rows(problem, &solution.coefficients),
         )?;
-        write_iterations(
-            &directory.path().join("iterations.csv"),
-            &solution.attempt.solves,
-        )?;
+        write_iterations(&directory.path().join("iterations.csv"), solution)?;
         directory.write_text("scene.toml", scene)?;
         directory.write_json("multipliers.json", &solution.multipliers)?;
         if let Some(feedback) = &examined.feedback {
@@ -138,8 +135,11 @@ fn write(
         if let Some(problem) = &outcome.failed_subproblem {
             directory.write_text("failed-subproblem.json", problem)?;
         }
-        let rows = (solution.attempt.solves.iter().enumerate())
-            .flat_map(|(number, solve)| solve.rows.iter().map(move |row| iteration(number, row)));
+        let several = !solution.coarser.is_empty();
+        let rows = (solution.solves()).flat_map(|([grid, attempt], solve)| {
+            let grid = several.then_some(grid);
+            (solve.rows.iter()).map(move |row| iteration(grid, attempt, row))
+        });
         let page = solve_page(SolvePage {
             problem: &solution.problem,
             coefficients: &solution.coefficients,
@@ -218,19 +218,28 @@ struct OfAttempt<'a> {
     from: &'a str,
 }
 
-/// Writes the iterations of all attempts, one attempt after the other.
-fn write_iterations(path: &Path, solves: &[SolveLog]) -> Result<(), OutputError> {
+/// The grid that an iteration is of, in a row of `iterations.csv` of a solve on several grids.
+#[derive(Serialize)]
+struct OfGrid {
+    grid: usize,
+}
+
+/// Writes the iterations of all attempts on all grids, one attempt after the other.
+fn write_iterations(path: &Path, solution: &Solution) -> Result<(), OutputError> {
     let cannot_write = |error: csv::Error| {
         OutputError::unwritten(path, "cannot write")(std::io::Error::other(error))
     };
     let mut writer = csv::Writer::from_path(path).map_err(cannot_write)?;
-    for (number, solve) in solves.iter().enumerate() {
+    let several = !solution.coarser.is_empty();
+    for ([grid, attempt], solve) in solution.solves() {
+        let from = &solve.from;
         for row in &solve.rows {
-            let attempt = OfAttempt {
-                attempt: number + 1,
-                from: &solve.from,
+            let attempt = OfAttempt { attempt, from };
+            let written = match several {
+                true => writer.serialize((row, attempt, OfGrid { grid })),
+                false => writer.serialize((row, attempt)),
             };
-            writer.serialize((row, attempt)).map_err(cannot_write)?;
+            written.map_err(cannot_write)?;
         }
     }
     writer

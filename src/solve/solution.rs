@@ -2,7 +2,7 @@
 
 use super::constraints::worst_constraints;
 use crate::control::{
-    Attempt, Feedback, FeedbackError, FeedbackWeights, ModelMismatch, Transcription,
+    Attempt, Feedback, FeedbackError, FeedbackWeights, ModelMismatch, SolveLog, Transcription,
 };
 use crate::mechanics::{StepError, Trajectory, Wrench};
 use crate::output::summary::NamedConstraint;
@@ -29,6 +29,8 @@ pub struct Solution {
     pub multipliers: MultiplierRecord,
     /// Constraints with the largest violation or, where none is violated, the smallest margin.
     pub worst: Vec<NamedConstraint>,
+    /// Solves on the coarser grids from which the search for an accuracy came to this one, grid by grid; empty for a solve on one grid.
+    pub coarser: Vec<Vec<SolveLog>>,
 }
 
 impl Solution {
@@ -67,7 +69,19 @@ impl Solution {
             settings: settings.clone(),
             attempt,
             problem,
+            coarser: Vec::new(),
         }
+    }
+
+    /// Returns the solves on all grids, the coarsest first, each with the number of its grid, from 1, and its number on that grid, from 1.
+    pub(crate) fn solves(&self) -> impl Iterator<Item = ([usize; 2], &SolveLog)> {
+        (self.coarser.iter())
+            .chain([&self.attempt.solves])
+            .enumerate()
+            .flat_map(|(grid, solves)| {
+                (solves.iter().enumerate())
+                    .map(move |(number, solve)| ([grid + 1, number + 1], solve))
+            })
     }
 
     /// Returns the status of the solver.

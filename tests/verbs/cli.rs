@@ -185,6 +185,48 @@ fn variables_are_those_of_the_solver() {
     }
 }
 
+/// A solve for an accuracy lists the iterations on all of its grids with the numbers of these, its page repeats them to the byte when it is
+/// made from the files, and the legend of kinds on the terminal explains those of every grid.
+#[test]
+fn iterations_are_those_of_all_grids() {
+    let desk = Desk::new();
+    desk.write(
+        "scene.toml",
+        &SCENE.replace("elements = 4", "accuracy = 3e-3"),
+    );
+    let run = desk
+        .run(&["solve", "scene.toml", "--out", "run", "--json"])
+        .exits(DONE);
+    let summary = run.summary();
+    let levels = summary["accuracy"]["levels"].as_array().unwrap().len();
+    assert!(levels > 1, "{:#}", summary["accuracy"]);
+    let text = std::fs::read_to_string(desk.path("run/iterations.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = (text.lines())
+        .map(|line| line.split(',').collect())
+        .collect();
+    let column = |name| rows[0].iter().position(|own| *own == name).unwrap();
+    let (grid, iteration, kind) = (column("grid"), column("iteration"), column("kind"));
+    let mut per_grid = vec![0; levels];
+    for row in &rows[1..] {
+        per_grid[row[grid].parse::<usize>().unwrap() - 1] += usize::from(row[iteration] != "0");
+        for sign in row[kind].chars().filter(|sign| "gxclr+".contains(*sign)) {
+            let words = format!("{sign} ");
+            let legend = run
+                .stderr
+                .lines()
+                .find(|line| line.contains("kind: "))
+                .unwrap();
+            assert!(legend.contains(&words), "{sign}: {legend}");
+        }
+    }
+    assert!(per_grid.iter().all(|n| *n > 0), "{per_grid:?}");
+    assert_eq!(summary["iterations"], per_grid[levels - 1]);
+    let page = std::fs::read(desk.path("run/report.html")).unwrap();
+    desk.run(&["report", "run"]).exits(DONE);
+    assert!(std::fs::read(desk.path("run/report.html")).unwrap() == page);
+    assert!(String::from_utf8_lossy(&page).contains("\"grid\":2"));
+}
+
 /// `simulate` writes its directory, and its summary holds every field of the contract.
 #[test]
 fn simulate_writes_its_directory() {
