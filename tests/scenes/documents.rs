@@ -440,6 +440,29 @@ fn files(folder: &str, ending: &str) -> Vec<PathBuf> {
     paths
 }
 
+/// The iterations by which times of solves are predicted are those of the tables of random reaches: of each kind the largest median and the
+/// largest 95 % of both tables.
+#[test]
+fn predicted_iterations_are_those_that_were_measured() {
+    use softarm::task::prediction::{ITERATIONS, ITERATIONS_PAST_OBSTACLES};
+    let text = read("benches/reach_suite.md");
+    let largest = |kinds: &[&str]| {
+        let mut most = [0, 0];
+        for line in text.lines().filter(|line| line.starts_with("| ")) {
+            let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+            if kinds.contains(&cells[1]) {
+                let counts: Vec<usize> = (cells[6].split(", "))
+                    .map(|count| count.parse().unwrap())
+                    .collect();
+                most = [0, 1].map(|i| most[i].max(counts[i]));
+            }
+        }
+        most
+    };
+    assert_eq!(largest(&["free", "bounds"]), ITERATIONS);
+    assert_eq!(largest(&["obstacle"]), ITERATIONS_PAST_OBSTACLES);
+}
+
 /// The problems of the comparison with peers are solved as their table says: to the same objective, in about as many iterations. Rounding
 /// differs from one processor to another, and with it the path of a solve: half as many more are within it, twice as many are not.
 #[cfg(feature = "cli")]

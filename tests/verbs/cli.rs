@@ -227,6 +227,31 @@ fn iterations_are_those_of_all_grids() {
     assert!(String::from_utf8_lossy(&page).contains("\"grid\":2"));
 }
 
+/// The predicted time of a solve is a range whose larger end grows where a limit adds rows, and the words say why.
+#[test]
+fn predicted_times_count_limits() {
+    let desk = Desk::new();
+    let predicted = || {
+        let run = desk.run(&["check", "scene.toml", "--json"]).exits(DONE);
+        let cost = run.summary()["solve_cost"].clone();
+        let at = |key: &str, i: usize| cost[key][i].as_f64().unwrap();
+        let iteration = cost["iteration_s"].as_f64().unwrap();
+        let least = at("iterations", 0) * iteration + cost["check_s"].as_f64().unwrap();
+        assert!((at("total_s", 0) - least).abs() < 1e-9 * least);
+        let words: Vec<&str> = run.stderr.split_whitespace().collect();
+        (at("iterations", 1), at("total_s", 1), words.join(" "))
+    };
+    let (iterations, seconds, words) = predicted();
+    assert!(words.contains("half of random reaches"), "{words}");
+    desk.write(
+        "scene.toml",
+        &format!("{SCENE}[[limit]]\ncurvature_max_1_m = 3.0\n"),
+    );
+    let (more, longer, words) = predicted();
+    assert!(more > 2.0 * iterations && longer > 4.0 * seconds);
+    assert!(words.contains("rows of obstacles and limits"), "{words}");
+}
+
 /// `simulate` writes its directory, and its summary holds every field of the contract.
 #[test]
 fn simulate_writes_its_directory() {
