@@ -440,6 +440,75 @@ fn files(folder: &str, ending: &str) -> Vec<PathBuf> {
     paths
 }
 
+/// The summary that a command prints.
+#[cfg(feature = "cli")]
+fn summary(arguments: &[&str], folder: &Path) -> serde_json::Value {
+    let run = Command::new(env!("CARGO_BIN_EXE_softarm"))
+        .args(arguments)
+        .args(["--json", "--quiet"])
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    let errors = String::from_utf8_lossy(&run.stderr);
+    serde_json::from_slice(&run.stdout)
+        .unwrap_or_else(|error| panic!("{arguments:?}: {error}\n{errors}"))
+}
+
+/// Every key of a summary, and every key of the objects in it and of those in its lists, stands between backticks in the sections of
+/// `docs/files.md` on the summary and on `verify`. Keys of `fallbacks` are causes, which another table names.
+#[cfg(feature = "cli")]
+#[test]
+fn summaries_are_described() {
+    use serde_json::Value;
+    let text = read("docs/files.md");
+    let section = |heading: &str| {
+        let (_, rest) = text.split_once(&format!("\n## {heading}\n")).unwrap();
+        rest.split("\n## ").next().unwrap().to_string()
+    };
+    let about = section("summary.json") + &section("The scope of `verify`");
+    let words: BTreeSet<String> = (code(&about).iter())
+        .flat_map(|span| span.split(|c: char| !c.is_alphanumeric() && c != '_'))
+        .map(String::from)
+        .collect();
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("reach.toml"), crate::tool::SCENE).unwrap();
+    let short = "time.end_s=0.05";
+    for arguments in [
+        &["check", "reach.toml"][..],
+        &["check", "mpc-push"],
+        &["solve", "reach.toml", "--out", "solved", "--starts", "2"],
+        &["verify", "solved"],
+        &["solve", "reach-obstacle", "--set", "rod.elements=4"],
+        &["simulate", "swing", "--set", short],
+        &["mpc", "mpc-push", "--set", short],
+        &["equilibrium", "mpc-push", "--points", "3"],
+        &["tradeoff", "swing", "--set", short, "--budget", "2s"],
+    ] {
+        let summary = summary(arguments, folder.path());
+        let mut missing = BTreeSet::new();
+        for (key, value) in summary.as_object().unwrap() {
+            if !words.contains(key) {
+                missing.insert(key.clone());
+            }
+            let items = match value {
+                Value::Array(items) => &items[..],
+                _ => std::slice::from_ref(value),
+            };
+            let inner = items
+                .iter()
+                .filter_map(Value::as_object)
+                .flat_map(|item| item.keys());
+            for inner in inner.filter(|inner| key != "fallbacks" && !words.contains(*inner)) {
+                missing.insert(format!("{key}.{inner}"));
+            }
+        }
+        assert!(
+            missing.is_empty(),
+            "{arguments:?}: docs/files.md does not name {missing:?}"
+        );
+    }
+}
+
 /// The iterations by which times of solves are predicted are those of the tables of random reaches: of each kind the largest median and the
 /// largest 95 % of both tables.
 #[test]
