@@ -1,10 +1,13 @@
 """Compares Jacobian and Hessian of every full-space statement with central differences, on a small problem that has all features."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
 import full_space
-from problems import soft
+from problems import PROBLEMS
+from rod import Rod
 
 STEP = 1e-6
 TOLERANCE = 1e-7
@@ -36,7 +39,8 @@ def main():
     random = np.random.default_rng(0)
     features = {"orientation": (0.9, 0.1, 0.2, 0.1), "force_max": 3.0, "moment_max": 2.0, "sphere": (0.3, 0.1, 0.8, 0.2)}
     for strain in ("trapezoidal", "helical"):
-        problem = soft("check", 3, 20, end=0.04, strain=strain, **features)
+        rod = Rod.circle(1.0, 0.05, 1e6, 0.5, 1000.0, 3, strain)
+        problem = replace(PROBLEMS["soft-reach-2"], name="check", rod=rod, n_steps=20, end=0.04, **features)
         for name, (program, *_) in (
             ("configurations", full_space.configurations(problem)),
             ("stages", full_space.stages(problem)),

@@ -155,6 +155,7 @@ fn answer(found: &SceneCheck, scene: &Scene, console: &Console) {
         let time = SolveTime {
             iteration: cost.iteration_s,
             check: cost.check_s,
+            has_rows: (summary.optimal_control.as_ref()).is_some_and(|size| size.path_rows > 0),
         };
         say("solve", &time_in_words(&time, summary.memory_bytes as f64));
     }

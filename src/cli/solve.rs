@@ -126,8 +126,8 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         global.n_threads(),
     );
     if arguments.starts == 1 {
-        let rows: Vec<_> = (solution.attempt.solves.iter())
-            .flat_map(|solve| &solve.rows)
+        let rows: Vec<_> = (solution.solves())
+            .flat_map(|(_, solve)| &solve.rows)
             .copied()
             .collect();
         console.say(&legend(&rows));
@@ -294,7 +294,7 @@ fn announce(setup: &OptimalControl, console: &Console) {
         problem.grid.n_steps,
         problem.grid.step,
         problem.control.n_blocks(),
-        problem.n_controls(),
+        problem.n_variables(),
     ));
     if let (Some(free), true) = (problem.duration, problem.objective.effort > 0.0) {
         let size = (2.0 * free.price / problem.objective.effort).sqrt();

@@ -9,9 +9,9 @@
 //! [relaxed](Relaxation) along them at the weight `μ` has unique multipliers; its value `V(T, μ)` is smooth across the wall, with the
 //! shortfall `τ` as its derivative along `μ`, and the optimum is where both derivatives vanish.
 
+use super::attempt::Abandoned;
 use super::journal::Journal;
 use super::problem::{FreeDuration, OptimalControlProblem};
-use super::search::Abandoned;
 use super::transcription::{LiftedPoint, Relaxation, Transcription};
 use crate::mechanics::differences;
 use crate::sqp::{

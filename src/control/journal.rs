@@ -3,29 +3,11 @@
 use std::cell::RefCell;
 use std::ops::ControlFlow;
 
+use super::attempt::{Attempt, SolveLog};
 use super::guess::GuessError;
-use super::search::Attempt;
 use super::transcription::LiftedPoint;
 use crate::sqp::{IterationRecord, SqpOutcome, SqpStatus};
 use crate::stop::Stop;
-
-/// One solve of a start.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SolveLog {
-    /// Name of its initial guess, `detour` or `previous`, with the stage or the duration if there are several.
-    pub from: String,
-    /// Rows of its iterations, in order.
-    pub rows: Vec<IterationRecord>,
-    /// Reason for the end of the solve, in words.
-    pub ended: String,
-}
-
-impl SolveLog {
-    /// Returns the number of iterations of the solve: its rows without that of the first point.
-    pub(super) fn iterations(&self) -> usize {
-        self.rows.len().saturating_sub(1)
-    }
-}
 
 /// An event of a search.
 #[derive(Clone, Copy, Debug)]

@@ -23,12 +23,14 @@
 mod acting;
 #[doc(hidden)]
 pub mod advice;
+mod attempt;
 mod control_cost;
 #[doc(hidden)]
 pub mod feedback;
 mod free_duration;
 #[doc(hidden)]
 pub mod guess;
+mod held;
 #[doc(hidden)]
 pub mod hold;
 mod holding;
@@ -52,14 +54,18 @@ mod turns;
 
 pub use crate::mechanics::{Actuator, SharedActuator};
 pub use advice::{Observation, observe};
+#[doc(hidden)]
+pub use attempt::SolveLog;
+pub use attempt::{Abandoned, Attempt};
 pub use feedback::{
     Feedback, FeedbackError, FeedbackWeights, ModelMismatch, Quantity, TipDeviation,
 };
 pub use guess::{Guess, GuessError, first_point, simulated};
+pub use held::Held;
 pub use hold::{ControlGrid, Hold};
-pub use holding::{CannotHold, Held, Holding, HoldingError, NotFound, holding};
+pub use holding::{CannotHold, Holding, HoldingError, NotFound, holding};
 #[doc(hidden)]
-pub use journal::{Listener, SearchEvent, SolveLog};
+pub use journal::{Listener, SearchEvent};
 pub use obstacle::{Shape, SignedDistance};
 pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, RodView};
 pub(crate) use problem::named_axes;
@@ -71,7 +77,7 @@ pub use problem::{
 pub use problem::{Component, GoalRow};
 #[doc(hidden)]
 pub use residual::sample_times;
-pub use search::{Abandoned, Attempt, Continuation, Search, search, search_telling};
+pub use search::{Continuation, Search, search, search_telling};
 pub use stay::Stay;
 pub(crate) use term::DIFFERENCE;
 #[doc(hidden)]

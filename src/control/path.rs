@@ -8,7 +8,6 @@ use faer::Mat;
 use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
 
 use super::obstacle::Shape;
-use super::residual::durations;
 use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::element::{IntervalStress, log_second_derivative};
@@ -843,6 +842,21 @@ fn strain_curvature(
     let rows = curvature_rows(rod_view, k, q);
     let sum = own + rows.transpose() * across * rows;
     element_curvature(k, q, &sum)
+}
+
+/// Ascending time nodes with the time that each stands for by the trapezoidal rule, s.
+#[must_use]
+pub fn durations(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
+    let last = nodes.len().saturating_sub(1);
+    nodes
+        .iter()
+        .enumerate()
+        .map(|(i, &k)| {
+            let before = nodes[i.saturating_sub(1)];
+            let after = nodes[(i + 1).min(last)];
+            (k, 0.5 * (after - before) as f64 * step)
+        })
+        .collect()
 }
 
 #[cfg(test)]

@@ -7,8 +7,8 @@
 use nalgebra::{SVector, Vector3};
 
 use super::path::{
-    RodView, RowCurvature, RowGradient, along, element_curvature, element_form, term_curvature,
-    turn_curvature,
+    RodView, RowCurvature, RowGradient, along, durations, element_curvature, element_form,
+    term_curvature, turn_curvature,
 };
 use super::problem::{GoalPart, OptimalControlProblem};
 use super::turns::rotation_error;
@@ -439,21 +439,6 @@ pub fn sample_times(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
     let node = |i: usize| (2 * i * n + intervals) / (2 * intervals);
     let nodes: Vec<usize> = (0..=intervals).map(node).collect();
     durations(&nodes, problem.grid.step)
-}
-
-/// Ascending time nodes with the time that each stands for by the trapezoidal rule, s.
-#[must_use]
-pub fn durations(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
-    let last = nodes.len().saturating_sub(1);
-    nodes
-        .iter()
-        .enumerate()
-        .map(|(i, &k)| {
-            let before = nodes[i.saturating_sub(1)];
-            let after = nodes[(i + 1).min(last)];
-            (k, 0.5 * (after - before) as f64 * step)
-        })
-        .collect()
 }
 
 /// Returns the residuals of the costs over states: those of every sample, then those of the intervals between consecutive samples.

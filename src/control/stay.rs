@@ -8,7 +8,7 @@
 
 use nalgebra::{Matrix3, Vector3, Vector6};
 
-use super::holding::Held;
+use super::held::Held;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::rotation::{log, log_tangent};
 use crate::mechanics::slow_modes::{GROUP, SlowModes};

@@ -1,6 +1,6 @@
 //! Errors of the construction of a controller and of its samples.
 
-use crate::mechanics::StepError;
+use crate::mechanics::{Rod, State, StepError};
 use crate::stop::Stop;
 use crate::task::DiscretizeError;
 
@@ -54,4 +54,22 @@ pub enum MpcError {
     /// The Hessian of the subproblem has no Cholesky factor, which happens only if a value is not finite.
     #[error("the subproblem is not finite or not convex")]
     Subproblem,
+}
+
+/// Checks that a state has positions, rotations and momenta of every node of a rod.
+pub(super) fn state_fits(state: &State, rod: &Rod) -> Result<(), MpcError> {
+    let n = rod.n_nodes();
+    let sizes = [
+        state.configuration.positions.len(),
+        state.configuration.rotations.len(),
+        state.linear_momentum.len(),
+        state.angular_momentum.len(),
+    ];
+    if sizes == [n; 4] {
+        return Ok(());
+    }
+    Err(MpcError::Measurement {
+        found: format!("{sizes:?} positions, rotations, linear and angular momenta"),
+        expected: format!("{n} of each, one a node of the rod"),
+    })
 }

@@ -52,6 +52,7 @@
 
 mod cantilever;
 mod closed_loop;
+mod command;
 mod controller;
 mod error;
 mod estimator;
@@ -76,10 +77,9 @@ pub use closed_loop::{
     Responded, Sample, SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains,
     Unknowns,
 };
+pub use command::Command;
 pub(crate) use controller::with_long_steps;
-pub use controller::{
-    Command, Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord,
-};
+pub use controller::{Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord};
 pub use error::MpcError;
 pub use estimator::{
     BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,

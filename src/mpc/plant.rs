@@ -1,6 +1,6 @@
 //! The plant: the system that a controller acts on.
 
-use super::controller::Command;
+use super::command::Command;
 use super::transfer::Transfer;
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};
 

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::error::MpcError;
+use super::error::{MpcError, state_fits};
 use super::estimator::{Disturbance, Kind, Reader};
 use super::signal::{Measurement, Reading, Signal};
 use crate::mechanics::rotation::exp;
@@ -338,24 +338,6 @@ fn scattered(seed: u64) -> u64 {
 fn normal(dice: &mut fastrand::Rng) -> f64 {
     let radius = (-2.0 * (1.0 - dice.f64()).ln()).sqrt();
     radius * (std::f64::consts::TAU * dice.f64()).cos()
-}
-
-/// Checks that a state has positions, rotations and momenta of every node of a rod.
-pub(super) fn state_fits(state: &State, rod: &Rod) -> Result<(), MpcError> {
-    let n = rod.n_nodes();
-    let sizes = [
-        state.configuration.positions.len(),
-        state.configuration.rotations.len(),
-        state.linear_momentum.len(),
-        state.angular_momentum.len(),
-    ];
-    if sizes == [n; 4] {
-        return Ok(());
-    }
-    Err(MpcError::Measurement {
-        found: format!("{sizes:?} positions, rotations, linear and angular momenta"),
-        expected: format!("{n} of each, one a node of the rod"),
-    })
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::controller::Command;
+use super::command::Command;
 use super::error::MpcError;
 use super::sensor::EARLY;
 use super::transfer::Transfer;

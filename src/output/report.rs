@@ -3,6 +3,7 @@
 #[cfg(feature = "cli")]
 mod comparison;
 mod field;
+mod figure;
 mod render;
 mod words;
 
@@ -13,11 +14,12 @@ pub use self::comparison::{
     Compared, ComparedRun, ComparisonData, ComparisonRow, ComparisonTable, TradeoffPoint, compare,
 };
 pub use self::field::{ReportField, ReportFields};
+pub use self::figure::figure;
 #[cfg(feature = "cli")]
 pub(crate) use self::render::PAGE_STYLE;
+pub use self::render::render_report;
 #[cfg(feature = "cli")]
 pub use self::render::{PAGE_MARK, render_comparison};
-pub use self::render::{figure, render_report};
 pub(crate) use self::words::Columns;
 #[cfg(feature = "cli")]
 pub(crate) use self::words::fill;
@@ -523,7 +525,10 @@ pub struct ReportAttempt {
 /// One SQP iteration: some columns of `iterations.csv`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ReportIteration {
-    /// Number of the solve that it belongs to, from 1.
+    /// Number of the grid that it belongs to, from 1; absent if all are of one grid.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub grid: Option<usize>,
+    /// Number of the solve on that grid, from 1.
     pub attempt: usize,
     /// Its number.
     pub iteration: usize,

@@ -156,12 +156,12 @@ pub struct NearestHeldSummary {
 pub struct SolveCost {
     /// Seconds of an iteration.
     pub iteration_s: f64,
-    /// Iterations of a solve that is neither lucky nor hard.
-    pub iterations: usize,
+    /// Iterations that half and 95 % of random reaches of this kind need at most.
+    pub iterations: [usize; 2],
     /// Seconds of the check of the solution.
     pub check_s: f64,
-    /// Seconds of both.
-    pub total_s: f64,
+    /// Seconds of as many iterations and of the check; of the larger number, with iterations near obstacles and limits.
+    pub total_s: [f64; 2],
 }
 
 /// The predicted time of a simulation with either integrator, from the seconds per node-step of [`prediction`](crate::task::prediction).
@@ -197,7 +197,7 @@ pub struct ScalesSummary {
 pub struct ProblemSize {
     /// Blocks of the control.
     pub control_blocks: usize,
-    /// Unknowns of the condensed subproblem.
+    /// Variables of the solver: the controls, and the residuals of soft goals and of goals within a tolerance.
     pub variables: usize,
     /// Scalar equations of a hard target.
     pub target_equations: usize,
@@ -611,7 +611,7 @@ pub struct ProblemFacts {
     pub duration_s: f64,
     /// Blocks of the control.
     pub control_blocks: usize,
-    /// Unknowns of the subproblem.
+    /// Variables of the solver: the controls, and the residuals of soft goals and of goals within a tolerance.
     pub variables: usize,
     /// Multipliers of the target's scaled residuals, in the order position, orientation, velocity, angular velocity.
     pub multipliers: Vec<f64>,

@@ -4,7 +4,6 @@
 //! the path of its key, and the [`SceneSource`](super::SceneSource) finds out where that was written.
 
 use super::error::{excerpt, nearest};
-use super::source::Mark;
 use super::values::digits;
 use serde::de::{
     self, DeserializeOwned, Deserializer, IntoDeserializer, Unexpected, Visitor,
@@ -12,6 +11,13 @@ use serde::de::{
 };
 use std::fmt;
 use toml::Value;
+
+/// The half of an entry that an error marks: key or value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Mark {
+    Key,
+    Value,
+}
 
 /// An entry that does not fit the type which is read from it.
 #[derive(Debug)]

@@ -2,7 +2,7 @@
 
 use super::error::{Line, Place, SceneError, excerpt};
 use super::overrides::Override;
-use super::reader::Misfit;
+use super::reader::{Mark, Misfit};
 use std::ops::Range;
 use toml::de::{DeTable, DeValue};
 
@@ -15,13 +15,6 @@ pub struct SceneSource {
     pub text: String,
     /// Overrides `KEY=VALUE`, applied in order after the text.
     pub overrides: Vec<String>,
-}
-
-/// The half of an entry that an error marks: key or value.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Mark {
-    Key,
-    Value,
 }
 
 impl SceneSource {

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::efforts::effort_rows;
-use super::examined::{Examined, Spent, beside};
+use super::examined::{Examined, Spent, beside, examine};
 use super::page::{SolvePage, iteration, sensitivity, solve_page};
-use super::solution::Solution;
+use super::solution::{Solution, stopped_steps_per_row};
 use super::summary::summarize;
-use crate::control::{Hold, OptimalControlProblem, SolveLog};
+use crate::control::{Hold, OptimalControlProblem};
 use crate::mechanics::signal::EffortTable;
 use crate::mechanics::{Energy, State, Wrench};
 #[cfg(feature = "cli")]
@@ -22,6 +22,7 @@ use crate::output::{
 #[cfg(feature = "cli")]
 use crate::scene::OptimalControl;
 use crate::scene::{DescribeError, Scene};
+use crate::sqp::SqpStatus;
 
 /// Reason why a solution was not saved.
 #[derive(Debug, thiserror::Error)]
@@ -37,12 +38,31 @@ pub enum SaveError {
 /// Scene name of a problem that was posed in a program.
 const PROGRAM: &str = "program";
 
+impl Solution {
+    /// Checks the solution, as far as that can be done, and writes it as a result directory, which `softarm verify` reads: `summary.json`,
+    /// `controls.csv`, `trajectory.npz`, `multipliers.json`, `iterations.csv`, `scene.toml` and `report.html`. Returns the directory.
+    ///
+    /// # Errors
+    /// [`SaveError`] where the problem cannot be written as a scene, or the files cannot be written.
+    pub fn save(&self, directory: &Path) -> Result<PathBuf, SaveError> {
+        let (examined, _) = examine(self, None, false, 1);
+        save(self, &examined, directory)
+    }
+
+    /// Returns the number of time nodes per row of the written motion: one, unless the solve or its check was stopped and nothing was
+    /// checked; then a long motion is thinned, so that the files are written at once.
+    pub(crate) fn steps_per_row(&self, examined: &Examined) -> usize {
+        let is_stopped = matches!(self.status(), SqpStatus::Stopped(_));
+        if examined.check.is_none() && (is_stopped || examined.unchecked.is_some()) {
+            stopped_steps_per_row(&self.problem)
+        } else {
+            1
+        }
+    }
+}
+
 /// Writes a solution as the result directory `target` and returns the directory.
-pub(super) fn save(
-    solution: &Solution,
-    examined: &Examined,
-    target: &Path,
-) -> Result<PathBuf, SaveError> {
+fn save(solution: &Solution, examined: &Examined, target: &Path) -> Result<PathBuf, SaveError> {
     let scene = Scene::describing(&solution.problem, &solution.settings)?.to_toml();
     let directory = RunDirectory::open(target, ResultKind::Solve)?;
     let elapsed = (solution.attempt.outcome.history.last()).map_or(0.0, |row| row.elapsed);
@@ -116,10 +136,7 @@ fn write(
             });
             write_efforts(&directory.path().join("efforts.csv"), &rows)?;
         }
-        write_iterations(
-            &directory.path().join("iterations.csv"),
-            &solution.attempt.solves,
-        )?;
+        write_iterations(&directory.path().join("iterations.csv"), solution)?;
         directory.write_text("scene.toml", scene)?;
         directory.write_json("multipliers.json", &solution.multipliers)?;
         if let Some(feedback) = &examined.feedback {
@@ -130,8 +147,11 @@ fn write(
         if let Some(problem) = &outcome.failed_subproblem {
             directory.write_text("failed-subproblem.json", problem)?;
         }
-        let rows = (solution.attempt.solves.iter().enumerate())
-            .flat_map(|(number, solve)| solve.rows.iter().map(move |row| iteration(number, row)));
+        let several = !solution.coarser.is_empty();
+        let rows = (solution.solves()).flat_map(|([grid, attempt], solve)| {
+            let grid = several.then_some(grid);
+            (solve.rows.iter()).map(move |row| iteration(grid, attempt, row))
+        });
         let page = solve_page(SolvePage {
             problem: &solution.problem,
             coefficients: &solution.coefficients,
@@ -210,19 +230,28 @@ struct OfAttempt<'a> {
     from: &'a str,
 }
 
-/// Writes the iterations of all attempts, one attempt after the other.
-fn write_iterations(path: &Path, solves: &[SolveLog]) -> Result<(), OutputError> {
+/// The grid that an iteration is of, in a row of `iterations.csv` of a solve on several grids.
+#[derive(Serialize)]
+struct OfGrid {
+    grid: usize,
+}
+
+/// Writes the iterations of all attempts on all grids, one attempt after the other.
+fn write_iterations(path: &Path, solution: &Solution) -> Result<(), OutputError> {
     let cannot_write = |error: csv::Error| {
         OutputError::unwritten(path, "cannot write")(std::io::Error::other(error))
     };
     let mut writer = csv::Writer::from_path(path).map_err(cannot_write)?;
-    for (number, solve) in solves.iter().enumerate() {
+    let several = !solution.coarser.is_empty();
+    for ([grid, attempt], solve) in solution.solves() {
+        let from = &solve.from;
         for row in &solve.rows {
-            let attempt = OfAttempt {
-                attempt: number + 1,
-                from: &solve.from,
+            let attempt = OfAttempt { attempt, from };
+            let written = match several {
+                true => writer.serialize((row, attempt, OfGrid { grid })),
+                false => writer.serialize((row, attempt)),
             };
-            writer.serialize((row, attempt)).map_err(cannot_write)?;
+            written.map_err(cannot_write)?;
         }
     }
     writer

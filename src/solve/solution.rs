@@ -1,12 +1,8 @@
 //! A solution: the end of a solve, with its problem, motion, controls and multipliers.
 
-use std::path::{Path, PathBuf};
-
 use super::constraints::worst_constraints;
-use super::examined::{Examined, examine};
-use super::files::{SaveError, save};
 use crate::control::{
-    Attempt, Feedback, FeedbackError, FeedbackWeights, ModelMismatch, Transcription,
+    Attempt, Feedback, FeedbackError, FeedbackWeights, ModelMismatch, SolveLog, Transcription,
 };
 use crate::mechanics::{StepError, Trajectory, Wrench};
 use crate::output::summary::NamedConstraint;
@@ -33,6 +29,8 @@ pub struct Solution {
     pub multipliers: MultiplierRecord,
     /// Constraints with the largest violation or, where none is violated, the smallest margin.
     pub worst: Vec<NamedConstraint>,
+    /// Solves on the coarser grids from which the search for an accuracy came to this one, grid by grid; empty for a solve on one grid.
+    pub coarser: Vec<Vec<SolveLog>>,
 }
 
 impl Solution {
@@ -71,7 +69,19 @@ impl Solution {
             settings: settings.clone(),
             attempt,
             problem,
+            coarser: Vec::new(),
         }
+    }
+
+    /// Returns the solves on all grids, the coarsest first, each with the number of its grid, from 1, and its number on that grid, from 1.
+    pub(crate) fn solves(&self) -> impl Iterator<Item = ([usize; 2], &SolveLog)> {
+        (self.coarser.iter())
+            .chain([&self.attempt.solves])
+            .enumerate()
+            .flat_map(|(grid, solves)| {
+                (solves.iter().enumerate())
+                    .map(move |(number, solve)| ([grid + 1, number + 1], solve))
+            })
     }
 
     /// Returns the status of the solver.
@@ -197,34 +207,13 @@ impl Solution {
             self.trajectory(),
         )
     }
-
-    /// Checks the solution, as far as that can be done, and writes it as a result directory, which `softarm verify` reads: `summary.json`,
-    /// `controls.csv`, `trajectory.npz`, `multipliers.json`, `iterations.csv`, `scene.toml` and `report.html`. Returns the directory.
-    ///
-    /// # Errors
-    /// [`SaveError`] where the problem cannot be written as a scene, or the files cannot be written.
-    pub fn save(&self, directory: &Path) -> Result<PathBuf, SaveError> {
-        let (examined, _) = examine(self, None, false, 1);
-        save(self, &examined, directory)
-    }
-
-    /// Returns the number of time nodes per row of the written motion: one, unless the solve or its check was stopped and nothing was
-    /// checked; then a long motion is thinned, so that the files are written at once.
-    pub(crate) fn steps_per_row(&self, examined: &Examined) -> usize {
-        let is_stopped = matches!(self.status(), SqpStatus::Stopped(_));
-        if examined.check.is_none() && (is_stopped || examined.unchecked.is_some()) {
-            stopped_steps_per_row(&self.problem)
-        } else {
-            1
-        }
-    }
 }
 
 /// Size of a motion, in bytes, that is compressed in about a tenth of a second.
 const MOST_STOPPED_BYTES: u64 = 4_000_000;
 
 /// Returns the number of time nodes per row of the motion of a solve that was stopped.
-fn stopped_steps_per_row(problem: &Problem) -> usize {
+pub(super) fn stopped_steps_per_row(problem: &Problem) -> usize {
     let row = row_bytes(&MotionRecord::empty(problem.discrete.rod.n_nodes()).arrays());
     let rows = (MOST_STOPPED_BYTES / row).max(2) as usize;
     problem.discrete.grid.n_steps.div_ceil(rows).max(1)

@@ -48,8 +48,17 @@ const SUBPROBLEM_S: f64 = 8.5e-4;
 const SUBPROBLEM_CONTROLS: f64 = 120.0;
 const SUBPROBLEM_POWER: f64 = 1.95;
 
-/// Iterations of a typical solve: between the quartiles of `benches/reach_suite.md`.
-pub const TYPICAL_ITERATIONS: usize = 15;
+/// Iterations of a typical solve, by which times are ranked: between the quartiles of `benches/reach_suite.md`.
+const TYPICAL_ITERATIONS: usize = 15;
+/// Iterations that half and 95 % of the random reaches of `benches/reach_suite.md` need at most without obstacles: the larger ones of its
+/// two tables, of its rows `free` and `bounds`.
+pub const ITERATIONS: [usize; 2] = [8, 28];
+/// The same of its row `obstacle`.
+pub const ITERATIONS_PAST_OBSTACLES: [usize; 2] = [14, 83];
+/// Time of an iteration while rows of obstacles and limits are near their bounds, divided by that without such rows; a cap. Only the rows
+/// that are linearized cost much, and their number is known on the way only: 1.2 to 1.9 in `reach-3d` with a limit of stretch, twist,
+/// speed or curvature and in `reach-obstacle`, with 921 to 130782 rows, of which up to 2000 were linearized.
+const NEAR_ROWS: f64 = 2.0;
 /// Time of the curvature over the directions that active constraints leave free, and of the growth of disturbances, divided by that of a
 /// check: 50 to 80 in the built-in scenes (`softarm verify` with and without `--quick`).
 const CHECKS_OF_CURVATURE: f64 = 60.0;
@@ -102,10 +111,12 @@ pub struct SolveTime {
     pub iteration: f64,
     /// Seconds of the check of a solution.
     pub check: f64,
+    /// Tells whether obstacles or limits add rows, of which iterations near their bounds linearize some.
+    pub has_rows: bool,
 }
 
 impl SolveTime {
-    /// Returns the predicted time of a solve with `n_variables` over `n_steps`, its subproblems condensed.
+    /// Returns the predicted time of a solve with `n_variables` over `n_steps`, its subproblems condensed, without obstacles and limits.
     #[must_use]
     pub fn of(rod: &Rod, n_steps: f64, n_variables: usize) -> Self {
         let costs = costs(rod);
@@ -115,6 +126,7 @@ impl SolveTime {
         Self {
             iteration: node_steps(rod, n_steps) * per_node_step + subproblem,
             check: node_steps(rod, n_steps) * costs.check,
+            has_rows: false,
         }
     }
 
@@ -122,7 +134,28 @@ impl SolveTime {
     #[must_use]
     pub fn of_problem(problem: &OptimalControlProblem) -> Self {
         let n_steps = problem.grid.n_steps as f64;
-        Self::of(&problem.rod, n_steps, problem.n_variables())
+        Self {
+            has_rows: !problem.path.is_empty(),
+            ..Self::of(&problem.rod, n_steps, problem.n_variables())
+        }
+    }
+
+    /// Returns the iterations that half and 95 % of random reaches of this kind need at most.
+    #[must_use]
+    pub fn iterations(&self) -> [usize; 2] {
+        match self.has_rows {
+            true => ITERATIONS_PAST_OBSTACLES,
+            false => ITERATIONS,
+        }
+    }
+
+    /// Returns the seconds of as many [iterations](Self::iterations) and of the check; of the larger number, with the iterations near the
+    /// bounds of rows if there are any.
+    #[must_use]
+    pub fn range(&self) -> [f64; 2] {
+        let [half, most] = self.iterations().map(|n| n as f64 * self.iteration);
+        let near = if self.has_rows { NEAR_ROWS } else { 1.0 };
+        [half, most * near].map(|seconds| seconds + self.check)
     }
 
     /// Seconds of the check of a solution with its curvature and growth.
@@ -137,7 +170,8 @@ impl SolveTime {
         CHECKS_OF_DERIVATIVES * self.check
     }
 
-    /// Seconds of a solve of [`TYPICAL_ITERATIONS`] from one start, and its check.
+    /// Returns the seconds of a solve of 15 iterations from one start and of its check, without rows near their bounds, by which solves on
+    /// different grids are compared.
     #[must_use]
     pub fn total(&self) -> f64 {
         TYPICAL_ITERATIONS as f64 * self.iteration + self.check

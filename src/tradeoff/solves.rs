@@ -59,6 +59,7 @@ pub(crate) fn solve_on_grids<E>(
     };
     let length = setup.arm.length;
     let mut levels = Vec::new();
+    let mut coarser = Vec::new();
     let mut last = None;
     let first = Grid {
         elements: setup.problem.rod.n_elements(),
@@ -78,6 +79,7 @@ pub(crate) fn solve_on_grids<E>(
             };
             setup = coarse.timed(next);
             let previous = coarse.controls(&setup.problem);
+            coarser.push(std::mem::take(&mut chosen.solution.attempt.solves));
             chosen = solve(&setup, Some(previous))?;
         }
         let check = (chosen.examined.check.as_ref()).filter(|_| chosen.solution.has_converged());
@@ -94,6 +96,7 @@ pub(crate) fn solve_on_grids<E>(
         last = Some(estimate);
         Ok(estimate.error().is_finite().then_some(measured))
     })?;
+    chosen.solution.coarser = coarser;
     Ok(SolvedOnGrids {
         chosen,
         setup,

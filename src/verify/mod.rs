@@ -27,7 +27,9 @@ pub mod second_order;
 mod solution;
 mod stay;
 mod stepper;
+mod worse;
 
+use self::worse::worse;
 use nalgebra::Vector3;
 use serde::Serialize;
 
@@ -532,7 +534,7 @@ fn refined_grid(grid: TimeGrid, factor: usize) -> TimeGrid {
 
 /// Returns the largest of some distances; NaN if any is.
 fn largest_of(distances: impl Iterator<Item = f64>) -> f64 {
-    distances.fold(0.0, kkt::worse)
+    distances.fold(0.0, worse)
 }
 
 /// Returns the part that `part` selects of the tip's goals at the end, if any.

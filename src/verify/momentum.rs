@@ -10,6 +10,7 @@
 //! over the free nodes. Elastic and viscous stresses cancel in pairs, except for the effect of the first element on a held node 0, which is
 //! minus the base's reaction. Momenta are those of the velocities, `m Δx/h` and `(F J_d - J_d Fᵀ)^∨/h`.
 
+use super::worse::worse;
 use nalgebra::Vector3;
 
 use super::dual;
@@ -57,9 +58,9 @@ impl MomentumBalance {
             let [linear, angular] = conditions.momentum_missing(k);
             let bounds = conditions.momentum_rounding(k);
             let over = [linear.norm() / bounds[0], angular.norm() / bounds[1]];
-            let worst = super::kkt::worse(over[0], over[1]);
-            out.linear = super::kkt::worse(out.linear, linear.norm());
-            out.angular = super::kkt::worse(out.angular, angular.norm());
+            let worst = worse(over[0], over[1]);
+            out.linear = worse(out.linear, linear.norm());
+            out.angular = worse(out.angular, angular.norm());
             if !(worst <= out.over_rounding) {
                 out.over_rounding = worst;
                 out.time = problem.grid.time(k);

@@ -3,9 +3,9 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::kkt::worse;
 use super::limits::{Measure, Pose};
 use super::stay::{StayReplay, follow};
+use super::worse::worse;
 use super::{CheckError, ReplayKind, Solution, refined_grid, refined_signal};
 use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathEnforcement, PathLimit};

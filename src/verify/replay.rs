@@ -1,11 +1,11 @@
 //! Replays of a solution by forward simulation, with their energy balance.
 
+use super::worse::worse;
 use nalgebra::Vector3;
 
 use super::acting;
 use super::efforts;
 use super::interval::{self, Strained};
-use super::kkt;
 use super::stepper::ReferenceStepper;
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
@@ -215,7 +215,7 @@ pub(super) fn account(
             .max((energy.potential - start.potential).abs())
             .max(balance.dissipation);
         if (k + 1).is_multiple_of(stride) {
-            balance.largest_residual = kkt::worse(balance.largest_residual, balance.residual());
+            balance.largest_residual = worse(balance.largest_residual, balance.residual());
         }
         energies.push(energy);
         observe(&after);

@@ -38,7 +38,7 @@ pub(super) fn of_path(constraint: &PathConstraint, step: f64) -> Vec<(usize, f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::residual::durations;
+    use crate::control::path::durations;
     use proptest::prelude::*;
 
     proptest! {

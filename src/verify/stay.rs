@@ -1,6 +1,7 @@
 //! The check of a stay: its part of the optimality conditions, by differences of its definition, and the motion after the horizon under the
 //! last wrench.
 
+use super::worse::worse;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{CheckError, ReplayKind};
@@ -66,7 +67,7 @@ pub(super) fn follow(
         }
         let here: Vec<_> = (0..rod.n_nodes()).map(|q| stepper.position(q)).collect();
         for (a, b) in before.iter().zip(&here) {
-            out.node_speed = super::kkt::worse(out.node_speed, (b - a).norm() / grid.step);
+            out.node_speed = worse(out.node_speed, (b - a).norm() / grid.step);
         }
         before = here;
         observe(&stepper);

@@ -241,8 +241,8 @@ fn documents_are_short() {
 /// Lines of prose can be read beside code: at most 120 characters, but for tables, code, displayed formulas, and what cannot be broken.
 #[test]
 fn lines_of_documents_are_short() {
-    for document in documents().iter().filter(|name| *name != "CHANGELOG.md") {
-        let text = read(document);
+    for document in documents() {
+        let text = read(&document);
         let (mut in_code, mut in_formula) = (false, false);
         for (i, line) in text.lines().enumerate() {
             in_code ^= line.trim_start().starts_with("```");
@@ -438,6 +438,98 @@ fn files(folder: &str, ending: &str) -> Vec<PathBuf> {
     paths.retain(|path| path.extension().is_some_and(|own| own == ending));
     paths.sort();
     paths
+}
+
+/// The summary that a command prints.
+#[cfg(feature = "cli")]
+fn summary(arguments: &[&str], folder: &Path) -> serde_json::Value {
+    let run = Command::new(env!("CARGO_BIN_EXE_softarm"))
+        .args(arguments)
+        .args(["--json", "--quiet"])
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    let errors = String::from_utf8_lossy(&run.stderr);
+    serde_json::from_slice(&run.stdout)
+        .unwrap_or_else(|error| panic!("{arguments:?}: {error}\n{errors}"))
+}
+
+/// Every key of a summary, and every key of the objects in it and of those in its lists, stands between backticks in the sections of
+/// `docs/files.md` on the summary and on `verify`. Keys of `fallbacks` are causes, which another table names.
+#[cfg(feature = "cli")]
+#[test]
+fn summaries_are_described() {
+    use serde_json::Value;
+    let text = read("docs/files.md");
+    let section = |heading: &str| {
+        let (_, rest) = text.split_once(&format!("\n## {heading}\n")).unwrap();
+        rest.split("\n## ").next().unwrap().to_string()
+    };
+    let about = section("summary.json") + &section("The scope of `verify`");
+    let words: BTreeSet<String> = (code(&about).iter())
+        .flat_map(|span| span.split(|c: char| !c.is_alphanumeric() && c != '_'))
+        .map(String::from)
+        .collect();
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("reach.toml"), crate::tool::SCENE).unwrap();
+    let short = "time.end_s=0.05";
+    for arguments in [
+        &["check", "reach.toml"][..],
+        &["check", "mpc-push"],
+        &["solve", "reach.toml", "--out", "solved", "--starts", "2"],
+        &["verify", "solved"],
+        &["solve", "reach-obstacle", "--set", "rod.elements=4"],
+        &["simulate", "swing", "--set", short],
+        &["mpc", "mpc-push", "--set", short],
+        &["equilibrium", "mpc-push", "--points", "3"],
+        &["tradeoff", "swing", "--set", short, "--budget", "2s"],
+    ] {
+        let summary = summary(arguments, folder.path());
+        let mut missing = BTreeSet::new();
+        for (key, value) in summary.as_object().unwrap() {
+            if !words.contains(key) {
+                missing.insert(key.clone());
+            }
+            let items = match value {
+                Value::Array(items) => &items[..],
+                _ => std::slice::from_ref(value),
+            };
+            let inner = items
+                .iter()
+                .filter_map(Value::as_object)
+                .flat_map(|item| item.keys());
+            for inner in inner.filter(|inner| key != "fallbacks" && !words.contains(*inner)) {
+                missing.insert(format!("{key}.{inner}"));
+            }
+        }
+        assert!(
+            missing.is_empty(),
+            "{arguments:?}: docs/files.md does not name {missing:?}"
+        );
+    }
+}
+
+/// The iterations by which times of solves are predicted are those of the tables of random reaches: of each kind the largest median and the
+/// largest 95 % of both tables.
+#[test]
+fn predicted_iterations_are_those_that_were_measured() {
+    use softarm::task::prediction::{ITERATIONS, ITERATIONS_PAST_OBSTACLES};
+    let text = read("benches/reach_suite.md");
+    let largest = |kinds: &[&str]| {
+        let mut most = [0, 0];
+        for line in text.lines().filter(|line| line.starts_with("| ")) {
+            let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+            if kinds.contains(&cells[1]) {
+                let counts: Vec<usize> = (cells[6].split(", "))
+                    .map(|count| count.parse().unwrap())
+                    .collect();
+                most = [0, 1].map(|i| most[i].max(counts[i]));
+            }
+        }
+        most
+    };
+    assert_eq!(largest(&["free", "bounds"]), ITERATIONS);
+    assert_eq!(largest(&["obstacle"]), ITERATIONS_PAST_OBSTACLES);
 }
 
 /// The problems of the comparison with peers are solved as their table says: to the same objective, in about as many iterations. Rounding

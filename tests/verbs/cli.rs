@@ -165,6 +165,93 @@ fn check_reports_derived_figures() {
     assert_eq!(names(desk.folder.path()), ["scene.toml"]);
 }
 
+/// The variables that `check` counts are those that `solve` names on its way and in its summary: 30 controls, and the three residuals of a
+/// goal within a tolerance.
+#[test]
+fn variables_are_those_of_the_solver() {
+    let desk = Desk::new();
+    let within = ["--set", "task.tolerance_m=0.001"];
+    let run = |verb: &str| {
+        let run = desk.run(&[&[verb, "scene.toml", "--json"][..], &within].concat());
+        let run = run.exits(DONE);
+        (run.summary(), run.stderr)
+    };
+    let (checked, described) = run("check");
+    let (solved, told) = run("solve");
+    assert_eq!(checked["optimal_control"]["variables"], 33);
+    assert_eq!(solved["variables"], 33);
+    for words in [described, told] {
+        assert!(words.contains("33 variables"), "{words}");
+    }
+}
+
+/// A solve for an accuracy lists the iterations on all of its grids with the numbers of these, its page repeats them to the byte when it is
+/// made from the files, and the legend of kinds on the terminal explains those of every grid.
+#[test]
+fn iterations_are_those_of_all_grids() {
+    let desk = Desk::new();
+    desk.write(
+        "scene.toml",
+        &SCENE.replace("elements = 4", "accuracy = 3e-3"),
+    );
+    let run = desk
+        .run(&["solve", "scene.toml", "--out", "run", "--json"])
+        .exits(DONE);
+    let summary = run.summary();
+    let levels = summary["accuracy"]["levels"].as_array().unwrap().len();
+    assert!(levels > 1, "{:#}", summary["accuracy"]);
+    let text = std::fs::read_to_string(desk.path("run/iterations.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = (text.lines())
+        .map(|line| line.split(',').collect())
+        .collect();
+    let column = |name| rows[0].iter().position(|own| *own == name).unwrap();
+    let (grid, iteration, kind) = (column("grid"), column("iteration"), column("kind"));
+    let mut per_grid = vec![0; levels];
+    for row in &rows[1..] {
+        per_grid[row[grid].parse::<usize>().unwrap() - 1] += usize::from(row[iteration] != "0");
+        for sign in row[kind].chars().filter(|sign| "gxclr+".contains(*sign)) {
+            let words = format!("{sign} ");
+            let legend = run
+                .stderr
+                .lines()
+                .find(|line| line.contains("kind: "))
+                .unwrap();
+            assert!(legend.contains(&words), "{sign}: {legend}");
+        }
+    }
+    assert!(per_grid.iter().all(|n| *n > 0), "{per_grid:?}");
+    assert_eq!(summary["iterations"], per_grid[levels - 1]);
+    let page = std::fs::read(desk.path("run/report.html")).unwrap();
+    desk.run(&["report", "run"]).exits(DONE);
+    assert!(std::fs::read(desk.path("run/report.html")).unwrap() == page);
+    assert!(String::from_utf8_lossy(&page).contains("\"grid\":2"));
+}
+
+/// The predicted time of a solve is a range whose larger end grows where a limit adds rows, and the words say why.
+#[test]
+fn predicted_times_count_limits() {
+    let desk = Desk::new();
+    let predicted = || {
+        let run = desk.run(&["check", "scene.toml", "--json"]).exits(DONE);
+        let cost = run.summary()["solve_cost"].clone();
+        let at = |key: &str, i: usize| cost[key][i].as_f64().unwrap();
+        let iteration = cost["iteration_s"].as_f64().unwrap();
+        let least = at("iterations", 0) * iteration + cost["check_s"].as_f64().unwrap();
+        assert!((at("total_s", 0) - least).abs() < 1e-9 * least);
+        let words: Vec<&str> = run.stderr.split_whitespace().collect();
+        (at("iterations", 1), at("total_s", 1), words.join(" "))
+    };
+    let (iterations, seconds, words) = predicted();
+    assert!(words.contains("half of random reaches"), "{words}");
+    desk.write(
+        "scene.toml",
+        &format!("{SCENE}[[limit]]\ncurvature_max_1_m = 3.0\n"),
+    );
+    let (more, longer, words) = predicted();
+    assert!(more > 2.0 * iterations && longer > 4.0 * seconds);
+    assert!(words.contains("rows of obstacles and limits"), "{words}");
+}
+
 /// `simulate` writes its directory, and its summary holds every field of the contract.
 #[test]
 fn simulate_writes_its_directory() {

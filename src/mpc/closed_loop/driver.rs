@@ -1,18 +1,21 @@
 //! The computing side of a loop: a controller with its estimator, the commands that were sent, and the fallbacks for samples without a
 //! command.
 
+mod responded;
+
 use std::collections::VecDeque;
 use std::time::Instant;
 
 use nalgebra::{Matrix3, Vector3};
 
+pub use self::responded::Responded;
 use super::fallback::Fallback;
 use super::law::TipLaw;
-use super::responded::Responded;
 use super::{Action, Cause, Computing, Law, LoopSettings, Sample};
 use crate::control::rounding_of;
 use crate::mechanics::{State, Wrench};
-use crate::mpc::controller::{Command, Controller};
+use crate::mpc::command::Command;
+use crate::mpc::controller::Controller;
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::{Disturbance, Estimate, EstimateError, Estimator, Inbox, Predictor};
 use crate::mpc::signal::Measurement;

@@ -1,17 +1,12 @@
 //! Control laws for comparison with the controller.
 
-use std::f64::consts::TAU;
-use std::ops::ControlFlow;
-
 use nalgebra::Vector3;
 
-use super::experiment::{Contender, Experiment};
 use crate::mechanics::{State, Wrench};
-use crate::mpc::cantilever::{FIRST_FREQUENCY, modal_mass, tip_stiffness};
+use crate::mpc::cantilever::{modal_mass, tip_stiffness};
 use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::holding::{Along, Holding};
-use crate::task::DiscretizeError;
 
 /// The law that computes the commands of a loop.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -48,46 +43,13 @@ impl Default for TipGains {
 }
 
 impl TipGains {
-    /// Values of [`stiffness`](Self::stiffness) and [`damping`](Self::damping), all pairs of which [`Experiment::tuned_tip_gains`] tries,
-    /// in ratios of two to three; they bound the work.
+    /// Values of [`stiffness`](Self::stiffness) and [`damping`](Self::damping), all pairs of which
+    /// [`Experiment::tuned_tip_gains`](super::Experiment::tuned_tip_gains) tries, in ratios of two to three; they bound the work.
     pub const TRIED: ([f64; 6], [f64; 4]) =
         ([1.0, 3.0, 10.0, 30.0, 60.0, 100.0], [0.25, 0.5, 1.0, 2.0]);
     /// Cap on the duration of the trial of a pair after the time from which errors count, in natural periods of a cantilever: the second
     /// period shows whether the swing of the first one grows.
-    const PERIODS: f64 = 2.0;
-}
-
-impl Experiment {
-    /// Finds the gains of [`Law::Tip`] with the smallest root mean square error in this scene, among all pairs of [`TipGains::TRIED`], as
-    /// an engineer would on the arm: in the first part of the run, with its sensors and delays.
-    ///
-    /// # Errors
-    /// As [`Experiment::run`], and [`MpcError::Stopped`].
-    pub fn tuned_tip_gains(&self) -> Result<TipGains, MpcError> {
-        let rod = (self.arm.rod(&self.discretization)).map_err(DiscretizeError::from)?;
-        let enough = TipGains::PERIODS * TAU / FIRST_FREQUENCY * rod.scales.time;
-        let mut tried = self.clone();
-        tried.duration = self.duration.min(self.counted_from + enough);
-        let mut best = (f64::INFINITY, TipGains::default());
-        let (stiffnesses, dampings) = TipGains::TRIED;
-        for (stiffness, damping) in stiffnesses
-            .into_iter()
-            .flat_map(|stiffness| dampings.map(|damping| (stiffness, damping)))
-        {
-            let gains = TipGains { stiffness, damping };
-            tried.settings.law = Law::Tip(gains);
-            let found = tried.run(Contender::TipPd, &mut |_, _| match self.stop.check() {
-                Ok(()) => ControlFlow::Continue(()),
-                Err(_) => ControlFlow::Break(()),
-            })?;
-            self.stop.check()?;
-            let error = found.tip_error.rms;
-            if found.broke_down.is_none() && error < best.0 {
-                best = (error, gains);
-            }
-        }
-        Ok(best.1)
-    }
+    pub(super) const PERIODS: f64 = 2.0;
 }
 
 /// A law that acts on the tip.

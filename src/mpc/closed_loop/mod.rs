@@ -17,26 +17,26 @@ mod driver;
 mod experiment;
 mod fallback;
 mod law;
-mod responded;
 mod sample;
 #[cfg(test)]
 mod tests;
+mod tuning;
 
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
 
-pub use self::driver::{Driver, Known};
+pub use self::driver::{Driver, Known, Responded};
 pub use self::experiment::{
     Contender, EstimatorChoice, Experiment, Outcome, SampleObserver, Sensing, SensorChoice,
     Unknowns,
 };
 pub use self::fallback::{Action, Cause, FallbackSettings};
 pub use self::law::{Law, TipGains};
-pub use self::responded::Responded;
 pub use self::sample::{Innovations, Percentiles, Sample, Tally, TipError};
-use super::controller::{Command, Controller};
+use super::command::Command;
+use super::controller::Controller;
 use super::error::MpcError;
 use super::estimator::Estimator;
 use super::sensor::Sensor;

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use super::fallback::{Action, Cause};
 use crate::mechanics::Wrench;
-use crate::mpc::controller::{Command, SampleRecord};
+use crate::mpc::command::Command;
+use crate::mpc::controller::SampleRecord;
 use crate::mpc::estimator::{Disturbance, Innovation};
 use crate::mpc::subproblem::SubproblemEnd;
 

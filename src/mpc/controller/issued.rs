@@ -2,7 +2,8 @@
 
 use std::ops::Deref;
 
-use super::{Command, Controller, SampleRecord};
+use super::{Controller, SampleRecord};
+use crate::mpc::command::Command;
 use crate::mpc::error::MpcError;
 
 /// The command of a sample whose next one is not prepared yet.

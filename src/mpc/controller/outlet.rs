@@ -5,10 +5,10 @@
 //! acts, so that a fraction of the step from there to the requested control is in both.
 
 use super::super::horizon::{Horizon, add_effects};
-use super::Command;
 use super::bounds::{channels, is_slow, part_within, vector};
 use crate::control::Hold;
 use crate::mechanics::Wrench;
+use crate::mpc::command::Command;
 
 /// Scaled controls, linear in time from `start` to `end` (s) and constant outside.
 #[derive(Clone, Debug)]

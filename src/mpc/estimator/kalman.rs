@@ -11,7 +11,7 @@ use crate::mechanics::stability::automatic_step;
 use crate::mechanics::strain_coordinates::{ShapeTransport, retract_shape, shape_difference};
 use crate::mechanics::{Configuration, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench};
 use crate::mpc::cantilever::TIP_STIFFNESS;
-use crate::mpc::controller::Command;
+use crate::mpc::command::Command;
 use crate::mpc::error::MpcError;
 use crate::mpc::signal::{Measurement, Reading, Signal};
 

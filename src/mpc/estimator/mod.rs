@@ -17,9 +17,8 @@
 
 use nalgebra::Vector3;
 
-use super::controller::Command;
-use super::error::MpcError;
-use super::sensor::state_fits;
+use super::command::Command;
+use super::error::{MpcError, state_fits};
 use super::signal::Measurement;
 use crate::control::rounding_of;
 use crate::mechanics::{Rod, State, StepError, Wrench};

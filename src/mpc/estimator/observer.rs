@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::mechanics::rotation::{exp, log, orthonormalized};
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::{Rod, State};
-use crate::mpc::controller::Command;
+use crate::mpc::command::Command;
 use crate::mpc::error::MpcError;
 use crate::mpc::signal::{Measurement, Reading};
 

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};
-use crate::mpc::controller::Command;
+use crate::mpc::command::Command;
 use crate::mpc::motions::Motions;
 use crate::mpc::sensor::EARLY;
 

@@ -1,7 +1,7 @@
 //! An estimator on nodes of its own.
 
 use crate::mechanics::{Rod, State, Wrench};
-use crate::mpc::controller::Command;
+use crate::mpc::command::Command;
 use crate::mpc::error::MpcError;
 use crate::mpc::signal::Measurement;
 use crate::mpc::transfer::Transfer;

@@ -340,25 +340,27 @@ function moreCharts() {
 function iterationCharts() {
   const rows = data.iterations;
   if (!rows.length) return;
-  // Attempts follow each other, each with its own iterations, and a gap between them.
-  const several = data.attempts.length > 1;
+  // Attempts follow each other, each with its own iterations, and a gap between them; so do grids.
+  const several = data.attempts.length > 1, grids = rows.some((row) => row.grid > 1);
   const places = [], shown = [];
   rows.forEach((row, i) => {
-    if (i && row.attempt !== rows[i - 1].attempt) { places.push(places.length); shown.push(null); }
+    const before = i ? rows[i - 1] : row;
+    if (row.attempt !== before.attempt || row.grid !== before.grid) { places.push(places.length); shown.push(null); }
     places.push(places.length);
     shown.push(row);
   });
   const remark = (i) => {
     const row = shown[i];
     if (!row) return '';
-    const where = several ? ` \u00b7 attempt ${row.attempt}, iteration ${row.iteration}` : '';
+    const grid = grids ? `grid ${row.grid}, ` : '';
+    const where = several || grids ? ` \u00b7 ${grid}attempt ${row.attempt}, iteration ${row.iteration}` : '';
     return `${where} \u00b7 ${row.kind ? row.kind + ', ' : ''}step ${format(row.step_norm)}`;
   };
   // Residuals below the rounding of the largest terms, which are 1, have no digits.
   const known = (v) => isNumber(v) && v < 1e-16 ? 0 : v;
   const column = (name, color) => ({ name, color, x: places, y: shown.map((r) => r ? (name === 'objective' ? r[name] : known(r[name])) : null) });
   const objective = rows.map((r) => r.objective).filter(isNumber);
-  const axis = { name: several ? 'iteration of all attempts' : 'iteration', whole: true };
+  const axis = { name: grids ? 'iteration on all grids' : several ? 'iteration of all attempts' : 'iteration', whole: true };
   chartSection('Convergence', [
     { title: 'KKT residual', unit: '', x: axis, log: true, remark,
       series: [column('stationarity', 'var(--z)'), column('feasibility', 'var(--x)'), column('complementarity', 'var(--violet)')] },

@@ -11,7 +11,7 @@ function stackedTable(heads, rows) {
 }
 
 function attemptsTable() {
-  section('Attempts', stackedTable(['Attempt', 'From', 'Iterations', 'How it ended'], data.attempts.map((a, i) => [
+  section(data.iterations.some((row) => row.grid > 1) ? 'Attempts on the last grid' : 'Attempts', stackedTable(['Attempt', 'From', 'Iterations', 'How it ended'], data.attempts.map((a, i) => [
     { text: String(i + 1), kind: 'num' }, { text: a.from, tag: 'th' }, { text: String(a.iterations), kind: 'num' },
     a.is_result ? `${a.ended}: the result` : a.ended])));
 }
@@ -124,9 +124,10 @@ function comparisonCharts() {
       return same && { x: same.series[0].x, y: same.series[0].y };
     }),
   })));
-  const last = (run) => Math.max(...run.iterations.map((row) => row.attempt));
+  // The rows of the last attempt, on the last grid: the last solve.
+  const isLast = (row, end) => row.attempt === end.attempt && row.grid === end.grid;
   const iterations = (part) => curves((run) => {
-    const rows = run.iterations.filter((row) => row.attempt === last(run));
+    const rows = run.iterations.filter((row) => isLast(row, run.iterations[run.iterations.length - 1]));
     return rows.length && { x: rows.map((row) => row.iteration), y: rows.map(part) };
   });
   const axis = { x: { name: 'iteration of the last attempt', whole: true } };

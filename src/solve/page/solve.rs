@@ -243,10 +243,15 @@ pub(in crate::solve) fn sensitivity(
     }
 }
 
-/// A row of the solve of this number, counted from 0.
-pub(in crate::solve) fn iteration(number: usize, row: &IterationRecord) -> ReportIteration {
+/// Returns the row of an iteration of the solve with this number, on the grid with this number; `None` for the only grid.
+pub(in crate::solve) fn iteration(
+    grid: Option<usize>,
+    attempt: usize,
+    row: &IterationRecord,
+) -> ReportIteration {
     ReportIteration {
-        attempt: number + 1,
+        grid,
+        attempt,
         iteration: row.iteration,
         objective: row.objective,
         stationarity: row.stationarity,

@@ -9,7 +9,7 @@ use crate::output::summary::{CostEstimate, OutputSize, ProblemSize};
 use crate::output::{DiagnosticsRecord, MotionRecord, row_bytes};
 use crate::scene::{OptimalControl, Simulation};
 use crate::task::Discretization;
-use crate::task::prediction::{SolveTime, TYPICAL_ITERATIONS, simulation_seconds};
+use crate::task::prediction::{SolveTime, simulation_seconds};
 
 /// Seconds of a predicted solve from which it is said what would make it shorter.
 const LONG_S: f64 = 10.0;
@@ -29,9 +29,15 @@ pub(crate) fn expectation(setup: &OptimalControl, n_threads: usize) -> Option<St
 
 /// The time and the memory of a solve in words.
 pub(crate) fn time_in_words(time: &SolveTime, memory: f64) -> String {
+    let [few, many] = time.iterations();
+    let [half, most] = time.range().map(|seconds| quantity(seconds, "s"));
+    let near = match time.has_rows {
+        true => ", or twice that while rows of obstacles and limits are near their bounds",
+        false => "",
+    };
     format!(
-        "about {}: {TYPICAL_ITERATIONS} iterations of {}, then a check of {}; memory {}",
-        quantity(time.total(), "s"),
+        "half of random reaches like it within {half}, 95 % within {most}: {few} to {many} iterations of {}{near}, then a check of {}; \
+         memory {}",
         quantity(time.iteration, "s"),
         quantity(time.check, "s"),
         in_words(memory)
@@ -118,7 +124,7 @@ pub(super) fn problem_size(problem: &OptimalControlProblem) -> ProblemSize {
     let free = problem.rod.n_nodes() - problem.rod.first_free_node();
     ProblemSize {
         control_blocks: problem.control.n_blocks(),
-        variables: problem.n_controls(),
+        variables: problem.n_variables(),
         target_equations: (problem.goal_rows().iter())
             .filter(|row| !problem.has_slack(row))
             .count(),

@@ -31,7 +31,7 @@ use crate::output::summary::{
 };
 use crate::scene::{Scene, SceneError, SceneSource, TimeScheme as TimeSchemeKey};
 use crate::stop::StopSignal;
-use crate::task::prediction::{SolveTime, TYPICAL_ITERATIONS};
+use crate::task::prediction::SolveTime;
 
 /// Elements up to which an equilibrium and its frequencies take a fraction of a second.
 const MOST_ELEMENTS_AT_REST: usize = 1000;
@@ -86,9 +86,9 @@ pub(crate) fn check_scene(
             need: need(&setup.problem, scene.staying(), setup.arm.length),
             cost: SolveCost {
                 iteration_s: time.iteration,
-                iterations: TYPICAL_ITERATIONS,
+                iterations: time.iterations(),
                 check_s: time.check,
-                total_s: time.total(),
+                total_s: time.range(),
             },
             distance: distance(&setup.problem),
             own_units: (setup.problem.acting.iter())

@@ -10,6 +10,7 @@ pub(super) mod controls;
 pub(super) mod functional;
 pub(super) mod motion;
 mod rows;
+mod spin;
 mod stresses;
 
 pub use self::rows::{KktPart, NamedRow};
@@ -19,6 +20,7 @@ use self::motion::Conditions;
 use self::rows::{AXES, Place, Worst};
 use super::SolutionMultipliers;
 use super::hold::{self, Spline};
+use super::worse::worse;
 use crate::control::{Channel, OptimalControlProblem};
 use crate::mechanics::{Trajectory, Wrench};
 use crate::sqp::KktResidual;
@@ -129,14 +131,5 @@ pub fn recompute(
         bound_violation: controls.violation,
         objective: controls.cost + soft_cost + state_cost + on_path.cost + problem.duration_price(),
         scale,
-    }
-}
-
-/// Returns the larger number; NaN if either is.
-pub(in crate::verify) fn worse(a: f64, b: f64) -> f64 {
-    if a.is_nan() || b.is_nan() {
-        f64::NAN
-    } else {
-        a.max(b)
     }
 }

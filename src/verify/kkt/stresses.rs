@@ -5,8 +5,8 @@ use faer::linalg::solvers::Solve as _;
 use faer::sparse::{SparseColMat, Triplet};
 use nalgebra::{SMatrix, Vector3};
 
-use super::adjoint::Spin;
 use super::motion::Conditions;
+use super::spin::Spin;
 use crate::mechanics::TimeScheme;
 use crate::verify::efforts;
 use crate::verify::interval::{self, Nine, Strained, nine};

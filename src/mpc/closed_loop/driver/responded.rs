@@ -4,8 +4,8 @@ use std::ops::Deref;
 
 use nalgebra::Vector3;
 
-use super::Sample;
-use super::driver::Driver;
+use super::Driver;
+use crate::mpc::closed_loop::Sample;
 
 /// A sample whose command is computed, and whose next one is not prepared yet.
 ///
@@ -13,8 +13,8 @@ use super::driver::Driver;
 #[derive(Debug)]
 #[must_use = "Responded::prepare makes the driver ready for the next sample"]
 pub struct Responded<'a> {
-    pub(super) driver: &'a mut Driver,
-    pub(super) sample: Sample,
+    pub(in crate::mpc::closed_loop) driver: &'a mut Driver,
+    pub(in crate::mpc::closed_loop) sample: Sample,
 }
 
 impl Responded<'_> {
