@@ -8,16 +8,21 @@ use crate::mechanics::{
     TimeScheme,
 };
 
-/// Growth of a small deviation over the time of a motion above which the motion is called unstable.
+/// Growth of a small deviation over the time of a motion above which the motion is called unstable. It decides about a sentence alone: a
+/// deviation by a hundredth of the length, as real arms have it, becomes one that is seen.
 const UNSTABLE_GROWTH: f64 = 10.0;
 
 /// Largest distance of a node from an equilibrium, as a fraction of the arm's length, at which an arm is said to start beside the
-/// equilibrium.
+/// equilibrium. It decides about a sentence alone: at this distance the terms that the growth rate leaves out, of second order, are a
+/// twentieth of those that it has.
 #[cfg(feature = "cli")]
 const BESIDE: f64 = 0.05;
-/// Largest number of elements at which an equilibrium and its growth rate take a fraction of a second.
+/// Cap on the elements for which an equilibrium and its frequencies are computed beside other work: they take a fraction of a second.
 #[cfg(feature = "cli")]
-const MOST_ELEMENTS: usize = 1000;
+pub(super) const MOST_ELEMENTS: usize = 1000;
+/// Relative difference below which two step lengths, or two weights, are one: roundings of a few operations with numbers that a scene may
+/// state in ten digits.
+pub(super) const SAME: f64 = 1e-9;
 
 /// Collects likely causes of a motion that could not be computed, or of a problem that could not be solved, on a time grid from `initial`
 /// on: a step that is too long, an arm that topples, a model that breaks down. Each cause is a sentence that can follow a message after a
@@ -37,7 +42,7 @@ pub(crate) fn causes(rod: &Rod, initial: &State, grid: &TimeGrid) -> Vec<String>
 /// step is stable for an arm that is bent into a circle.
 fn long_step(rod: &Rod, step: f64) -> Option<String> {
     let automatic = automatic_step(rod);
-    (rod.scheme == TimeScheme::Implicit && step > automatic * (1.0 + 1e-9)).then(|| {
+    (rod.scheme == TimeScheme::Implicit && step > automatic * (1.0 + SAME)).then(|| {
         format!(
             "time.step_s is {step:.3e} s, longer than the automatic {automatic:.3e} s: in an arm that is bent or loaded, waves that an implicit step \
              does not resolve grow; give at most {automatic:.3e} s, or \"auto\""

@@ -9,6 +9,10 @@ use super::program::{ConvexSet, along};
 /// Cap on the passes over all balls; more than one is needed only where balls share variables.
 const SWEEPS: usize = 20;
 
+/// Relative excess of a norm over the radius that is rounding: a norm of `m` components is accurate to `(m/2 + 1) ε/2`, which is below this
+/// up to 14 components.
+const NORM_ROUNDING: f64 = 4.0 * f64::EPSILON;
+
 /// Returns the variables moved into one ball after the other, by the shortest way that keeps the direction of `M v`, until they are in all
 /// of them. Sets that are not balls are ignored.
 fn into_balls<'s>(mut v: Vec<f64>, sets: impl Iterator<Item = &'s ConvexSet> + Clone) -> Vec<f64> {
@@ -40,7 +44,7 @@ pub(super) fn change_into_balls<'s>(
 fn into_ball(v: &mut [f64], rows: &[Vec<(usize, f64)>], radius: f64) -> bool {
     let inside: Vec<f64> = rows.iter().map(|row| along(row, v)).collect();
     let size = norm(&inside);
-    if !(size > radius * (1.0 + 4.0 * f64::EPSILON)) {
+    if !(size > radius * (1.0 + NORM_ROUNDING)) {
         return false;
     }
     let product = |a: &[(usize, f64)], b: &[(usize, f64)]| -> f64 {

@@ -1,19 +1,26 @@
 //! A filter on (infeasibility, objective) with a switching condition, which decides about trial points.
 //!
-//! After Wächter and Biegler (2006), the filter line search of Ipopt, with Ipopt's constants except for `LARGEST_INFEASIBILITY` and
-//! `SUFFICIENT_DECREASE`.
+//! After Wächter and Biegler (2006), the filter line search of Ipopt. Constants that name an option of Ipopt have its default.
 
 use super::kkt::Multipliers;
 use super::program::{Evaluation, LiftedProgram};
-use super::settings::{MERIT_ROUNDING, NEGLIGIBLE};
+use super::settings::{MERIT_ROUNDING, NEGLIGIBLE, SCALED_UNIT};
 
-const MARGIN_INFEASIBILITY: f64 = 1e-5; // γ_θ: Ipopt's `gamma_theta`
-const MARGIN_OBJECTIVE: f64 = 1e-8; // γ_φ: Ipopt's `gamma_phi`
-const SWITCH_OBJECTIVE_POWER: f64 = 2.3; // s_φ: Ipopt's `s_phi`
-const SWITCH_INFEASIBILITY_POWER: f64 = 1.1; // s_θ: Ipopt's `s_theta`
-const SUFFICIENT_DECREASE: f64 = 1e-4; // Nocedal & Wright 2006, p. 33
-const LARGEST_INFEASIBILITY: f64 = 10.0; // θ_max / θ₀; Ipopt's `theta_max_fact` is 1e4, which is too wide where recursions amplify
-const SMALL_INFEASIBILITY: f64 = 1e-4; // θ_min / θ₀: Ipopt's `theta_min_fact`
+/// `γ_θ`: Ipopt's `gamma_theta`.
+const MARGIN_INFEASIBILITY: f64 = 1e-5;
+/// `γ_φ`: Ipopt's `gamma_phi`.
+const MARGIN_OBJECTIVE: f64 = 1e-8;
+/// `s_φ`: Ipopt's `s_phi`.
+const SWITCH_OBJECTIVE_POWER: f64 = 2.3;
+/// `s_θ`: Ipopt's `s_theta`.
+const SWITCH_INFEASIBILITY_POWER: f64 = 1.1;
+/// `η_φ`: the constant of sufficient decrease of Nocedal and Wright (2006), p. 33; Ipopt's `eta_phi` is 1e-8.
+const SUFFICIENT_DECREASE: f64 = 1e-4;
+/// `θ_max / max(1, θ₀)`: points of larger infeasibility are refused. It is a choice (decision 68). Ipopt's `theta_max_fact` is 1e4; a
+/// motion with so many times the violation of the start has run away.
+const LARGEST_INFEASIBILITY: f64 = 10.0;
+/// `θ_min / max(1, θ₀)`: Ipopt's `theta_min_fact`.
+const SMALL_INFEASIBILITY: f64 = 1e-4;
 
 /// The values of a point that the filter compares.
 #[derive(Clone, Copy, Debug)]
@@ -79,7 +86,7 @@ impl Filter {
     /// Returns an empty filter for a start of infeasibility `initial`.
     #[must_use]
     pub fn new(initial: f64) -> Self {
-        let unit = initial.max(1.0);
+        let unit = initial.max(SCALED_UNIT);
         Self {
             entries: Vec::new(),
             largest: LARGEST_INFEASIBILITY * unit,

@@ -87,9 +87,11 @@ pub struct NegativeCurvature {
     pub value: f64,
 }
 
-/// Eigenvalues below this fraction of the least positive Gauss-Newton diagonal entry count as negative curvature.
+/// Eigenvalues below this fraction of the least positive Gauss-Newton diagonal entry count as negative curvature. It is a choice that
+/// bounds the condition of the reduced Hessian by as much as the cost's own, times 1e4 (decision 68).
 const CURVATURE_FLOOR: f64 = 1e-4;
-/// A stationary point is a saddle if it has negative curvature beyond this fraction of that entry.
+/// A stationary point is a saddle if it has negative curvature beyond this fraction of that entry: the factor 100 keeps it apart from
+/// curvature that is [as good as none](CURVATURE_FLOOR) (decision 68).
 const SADDLE_CURVATURE: f64 = 1e-2;
 
 impl ModelHessian {
@@ -237,6 +239,7 @@ impl ModelHessian {
                 .self_adjoint_eigen(Side::Lower)
                 .ok()
                 .map(|e| (0..m).map(|i| e.S()[i]).fold(0.0, f64::max))?;
+            // Twice the least value, so that the model is as convex along these directions as it would be concave without.
             let sigma = 2.0 * worst + unit;
             if !sigma.is_finite() || !target.iter().all(|t| t.is_finite()) {
                 return None;
@@ -295,11 +298,15 @@ struct Held {
 }
 
 /// Fraction of a row's gradient that must be independent of the other rows. Neighboring inequalities have nearly parallel gradients; only
-/// the row with the larger multiplier is kept then, because dividing the violation of the other by a small remainder would magnify it.
+/// the row with the larger multiplier is kept then, because dividing the violation of the other by a small remainder would magnify it, by
+/// the inverse of this number at most. It is a choice (decision 68).
 const INDEPENDENT_PART_OF_ROWS: f64 = 1e-2;
 /// A nearly dependent row is kept as well if its independent fraction exceeds [`LEAST_PART`] and its magnified target stays below this, as
-/// near a solution: at an optimum where two neighbors are active, the curvature between them need not be positive.
+/// near a solution: at an optimum where two neighbors are active, the curvature between them need not be positive. It is a choice
+/// (decision 68).
 const NEAR_TARGET: f64 = 1e-3;
+/// Least independent fraction of a row that is kept: two passes of Gram and Schmidt leave `ε` of a row, so that the direction of the rest
+/// is accurate to `ε` over this number, 2e-11.
 const LEAST_PART: f64 = 1e-5;
 
 impl Held {
@@ -449,10 +456,13 @@ impl Tangents<'_> {
     }
 }
 
-/// A row is still active after a subproblem up to this ratio of slack to multiplier, in units of the cost's curvature.
+/// A row is still active after a subproblem up to this ratio of slack to multiplier, in units of the cost's curvature. An interior point
+/// ends with products of slack `s` and multiplier `z` of 1e-11, that is with a ratio `s/z` of `1e-11/z²`: a row that is active passes if
+/// its multiplier is above 1e-3 units. The iterations of `reach-3d` depend on it (decision 68).
 const TIGHT: f64 = 1e-5;
 
-/// Relative distance to its price up to which the multiplier of a soft row counts as having reached it.
+/// Relative distance to its price up to which the multiplier of a soft row counts as having reached it. An interior point leaves 1e-11 over
+/// the violation: a row that is violated by more than 1e-5 counts.
 const BOUGHT: f64 = 1e-6;
 
 /// The outward normal of a set on whose boundary the variables are, and the distance to that boundary.

@@ -106,6 +106,11 @@ pub struct KktResidual {
     pub complementarity: f64,
 }
 
+/// Size, in units of the [least curvature](Linearization::least_curvature), below which the terms of the gradient count as vanished. With
+/// the default tolerance of 1e-6, variables that are off by 1e-12 of their unit then still pass, and rounding of vanishing terms does not
+/// fail the test. The check in [`verify`](crate::verify) has the same number.
+const NO_TERM: f64 = 1e-6;
+
 /// Sums of the terms of `∇L`, and the largest term.
 struct Sum {
     gradient: Vec<f64>,
@@ -199,8 +204,8 @@ impl KktResidual {
             complementarity =
                 complementarity.max(set_complementarity(set, normal, variables, &mut sum));
         }
-        // A problem whose terms all vanish (already at its optimum) is judged against one unit of effort instead.
-        let unit = 1e-6 * terms.least_curvature.unwrap_or(least_curvature);
+        // A problem whose terms all vanish (already at its optimum) is judged against variables of one unit instead.
+        let unit = NO_TERM * terms.least_curvature.unwrap_or(least_curvature);
         let scale = sum.largest.max(unit).max(f64::MIN_POSITIVE);
         Self {
             stationarity: infinity_norm(&sum.gradient) / scale,

@@ -23,18 +23,17 @@ use super::program::{
     LinearizationRequest, Softness, sum_of_largest,
 };
 use super::quadratic_program::{LinearInequalities, QpError, QpSolution, QuadraticProgram};
-use super::settings::{MERIT_ROUNDING, NEGLIGIBLE, ROW_TOLERANCE, SqpSettings};
+use super::settings::{MERIT_ROUNDING, NEGLIGIBLE, ROW_TOLERANCE, SCALED_UNIT, SqpSettings};
 use super::trace::Trace;
 use super::trial::{Accepted, Departure};
 use super::trust_region::TrustRegion;
 use super::working_set::WorkingSet;
 use crate::stop::{LARGE, Stop, StopSignal};
 
-/// After a warm start with multipliers, the exact Hessian is used below this infeasibility, in the units of scaled rows.
-const EXACT_BELOW_WHEN_WARM: f64 = 1.0;
-/// A subproblem that reduces the infeasibility by less than this fraction makes no progress.
+/// A subproblem that reduces the infeasibility by less than this fraction makes no progress, and defects below this fraction of it do not
+/// falsify it. It is a choice above the fraction that the filter asks of a step, 1e-5, and above what [`NEGLIGIBLE`] slacks falsify.
 const INFEASIBLE_PROGRESS: f64 = 1e-3;
-/// Number of such subproblems in a row after which the restoration begins; a cap.
+/// Cap on such subproblems in a row: after these, the restoration begins.
 const INFEASIBLE_PATIENCE: usize = 3;
 /// Cap on the shrinkages of the trust region in one iteration: [`trust_region`](super::trust_region) shrinks it by 0.3¹² ≈ 5e-7 then.
 const SHRINKAGES: usize = 12;
@@ -203,10 +202,10 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         }
         match self.settings.hessian {
             HessianChoice::GaussNewton => false,
-            // The Lagrangian needs multipliers.
+            // The Lagrangian needs multipliers, and those of another solve belong to a point near its own.
             HessianChoice::Exact => self.iterate.has_multipliers || !self.trace.history.is_empty(),
             HessianChoice::Auto if self.iterate.has_multipliers => {
-                self.infeasibility() < EXACT_BELOW_WHEN_WARM
+                self.infeasibility() < SCALED_UNIT
             }
             // The multipliers of a subproblem with slack are limited by the elastic weight and are no estimate of those of the program.
             HessianChoice::Auto => (self.trace.history.last()).is_some_and(|last| {
@@ -532,7 +531,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             distance_from_sets(self.program.sets(), self.variables()).unwrap_or(0.0);
     }
 
-    /// Returns the weight of infeasibility in the merit that adapts the trust radius: above every multiplier.
+    /// Returns the weight of infeasibility in the merit that adapts the trust radius: twice the largest multiplier, above which the merit
+    /// is exact (Nocedal and Wright 2006, theorem 17.3).
     fn merit_weight(&self, solution: &QpSolution) -> f64 {
         2.0 * self.largest_multiplier(solution)
     }
@@ -593,7 +593,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         };
         let hopeless = promises_nothing(solution.slack)
             && self.iterate.evaluation.defect < INFEASIBLE_PROGRESS * violation
-            && (norm(&solution.change) < 0.5 * self.trust_region.radius || {
+            && (!self.trust_region.is_used_by(norm(&solution.change)) || {
                 let weight = self.elastic_weight.unwrap_or(0.0);
                 let first = self.first_rows(linearization);
                 let free = QuadraticProgram {

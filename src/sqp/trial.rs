@@ -5,13 +5,13 @@ use super::filter::{Filter, Measure, Slope};
 use super::kkt::{Multipliers, norm};
 use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
 use super::quadratic_program::QuadraticProgram;
+use super::settings::SCALED_UNIT;
 
-/// A lifted point is kept only if its infeasibility does not exceed that of the point it leaves, or this value in the units of scaled rows:
-/// larger defects would cost more iterations than a rollout costs.
-const LIFTED_INFEASIBILITY: f64 = 1.0;
-/// A step is short up to this fraction of the norm of the variables (at least one).
+/// A step is short up to this fraction of the norm of the variables (at least one). It is a choice: the defects of a step grow with its
+/// square, a hundredth at this length (decision 68).
 const SHORT: f64 = 0.1;
 /// After a lifted point was refused, the next one is tried at this fraction of that step's length: longer ones would be refused as well.
+/// It is a choice: the defects of half of a step are a quarter (decision 68).
 const SHORTER: f64 = 0.5;
 
 /// An accepted step.
@@ -149,7 +149,8 @@ impl Filter {
         program.reset_slacks(&mut trial, &mut values);
         let here = from.measure(program, from.evaluation);
         let there = from.measure(program, &values);
-        if there.infeasibility > LIFTED_INFEASIBILITY.max(here.infeasibility) {
+        // Larger defects would cost more iterations than a rollout costs.
+        if there.infeasibility > SCALED_UNIT.max(here.infeasibility) {
             return None;
         }
         (self.lets_pass(here, there, slope)).then_some(Accepted {

@@ -1,28 +1,29 @@
 //! The trust region, which limits the step of the variables.
 //!
 //! After Nocedal and Wright (2006), chapter 4: the radius follows from the ratio of the delivered to the predicted decrease of a merit.
-//! Their algorithm 4.1 has the ratios 1/4 and 3/4, and the factors 1/4 and 2 on the radius.
+//! Their algorithm 4.1 has the ratios 1/4 and 3/4, and the factors 1/4 and 2 on the radius; ROL, the optimization library of Trilinos, has
+//! the ratios 0.05 and 0.9, and the factors 1/16 (after a step that is refused), 1/4 and 2.5. Numbers that are neither are choices, and
+//! decision 68 has the results of others.
 
 use super::kkt::norm;
-use super::settings::ROW_TOLERANCE;
+use super::settings::{PROGRESS, ROW_TOLERANCE};
 
-/// First radius, relative to the norm of the variables (at least to one).
+/// First radius, relative to the norm of the variables (at least to one): the least that lets a step reverse the variables, `v` to `-v`.
 const FIRST: f64 = 2.0;
-/// Radius after a refused step, as a fraction of the step's length.
+/// Radius after a refused step, as a fraction of the step's length: a choice near the 1/4 of Nocedal and Wright.
 const SHRINK: f64 = 0.3;
-/// Factor on the radius after a good step that used more than half of it.
+/// Factor on the radius after a good step that used it: ROL's.
 const GROW: f64 = 2.5;
-/// Ratio above which the model is good and the region may grow.
+/// Fraction of the radius beyond which a step has used it. Nocedal and Wright ask for all of it; an interior point ends short of the
+/// boundary of a region that hardly matters to the objective.
+const USED: f64 = 0.5;
+/// Ratio above which the model is good and the region may grow: a choice, smaller than that of either source.
 pub(super) const GOOD_RATIO: f64 = 0.5;
-/// Ratio below which the model is poor; see [`GOOD_RATIO`].
+/// Ratio below which the model is poor: ROL's.
 pub(super) const POOR_RATIO: f64 = 0.05;
-/// Radius after a poor step, as a fraction of its length. It is larger than after a refused step, because the same fraction stalls two of
-/// the built-in scenes (decision 68).
+/// Radius after a poor step, as a fraction of its length: a choice. It is larger than after a refused step, because the same fraction
+/// stalls two of the built-in scenes (decision 68).
 const POOR_SHRINK: f64 = 0.5;
-
-/// If the model cannot be judged by a ratio, a step longer than this fraction of the one before shows that steps do not contract by
-/// themselves.
-const CONTRACTION: f64 = 0.95;
 
 /// A ball around the present variables.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,9 +44,14 @@ impl TrustRegion {
         self.radius = SHRINK * length.min(self.radius);
     }
 
-    /// Enlarges the region after a step of the given length whose model proved right, if the step used more than half of the radius.
+    /// Tells whether a step of the given length used the region, so that a larger one might have given another step.
+    pub(super) fn is_used_by(&self, length: f64) -> bool {
+        length > USED * self.radius
+    }
+
+    /// Enlarges the region after a step of the given length whose model proved right, if the step used it.
     pub(super) fn trust(&mut self, length: f64) {
-        if length > 0.5 * self.radius {
+        if self.is_used_by(length) {
             self.radius *= GROW;
         }
     }
@@ -61,10 +67,11 @@ impl TrustRegion {
         }
     }
 
-    /// Adapts the region to an accepted step whose model cannot be judged, by its length divided by that of the step before. Steps that do
-    /// not contract by themselves, as those of Gauss-Newton where the multipliers' curvature exceeds that of the objective, are shortened.
+    /// Adapts the region to an accepted step whose model cannot be judged, by its length divided by that of the step before. Steps that
+    /// make no [`PROGRESS`] by themselves, as those of Gauss-Newton where the multipliers' curvature exceeds that of the objective, are
+    /// shortened.
     pub(super) fn contract(&mut self, contraction: Option<f64>, length: f64, size: f64) {
-        if contraction.is_some_and(|ratio| ratio > CONTRACTION) {
+        if contraction.is_some_and(|ratio| ratio > PROGRESS) {
             self.distrust(length, size);
         }
     }

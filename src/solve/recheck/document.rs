@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::file_check::{FileCheck, written};
+use super::file_check::{FileCheck, LONGEST_WORD, MOST_NAMES, written};
 
 /// Tolerance between a value of a file and the recomputed one.
 pub(super) enum Allowed<C> {
@@ -31,11 +31,6 @@ pub(super) struct Comparison<'a, C> {
     /// Paths of the file that were not compared, with `*` for any index.
     pub not_compared: Vec<String>,
 }
-
-/// Fields that are listed, at most.
-const MOST_NAMES: usize = 100;
-/// Characters of a field's name that are repeated.
-const MOST_CHARACTERS: usize = 60;
 
 impl<C> Comparison<'_, C> {
     /// Compares the values at a path; `found` is `None` where the file has none.
@@ -114,7 +109,7 @@ impl<C> Comparison<'_, C> {
             Err(_) => part,
         });
         let path: String = (parts.collect::<Vec<_>>().join(".").chars())
-            .take(MOST_CHARACTERS)
+            .take(LONGEST_WORD)
             .collect();
         if self.not_compared.len() < MOST_NAMES && !self.not_compared.contains(&path) {
             self.not_compared.push(path);

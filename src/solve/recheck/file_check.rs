@@ -130,7 +130,9 @@ pub(super) fn written(value: f64) -> String {
 }
 
 /// Cap on the characters of a foreign text that are repeated.
-const LONGEST_WORD: usize = 60;
+pub(super) const LONGEST_WORD: usize = 60;
+/// Cap on the names, of fields or of files, that are listed.
+pub(super) const MOST_NAMES: usize = 100;
 
 /// Roundings of a few operations.
 pub(super) const ROUNDINGS: f64 = 64.0 * f64::EPSILON;

@@ -17,7 +17,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 use serde_json::Value;
 
-use self::file_check::{FileCheck, Mismatch};
+use self::file_check::{FileCheck, MOST_NAMES, Mismatch};
 use super::summary::{check_outcome, tip_end};
 use crate::control::{Feedback, OptimalControlProblem, TrackingError, tracking_errors};
 use crate::mechanics::{Trajectory, Wrench};
@@ -359,8 +359,6 @@ fn others(directory: &Path, covered: &[String]) -> Result<Vec<String>, OutputErr
     Ok(names)
 }
 
-/// Names that are listed, at most.
-const MOST_NAMES: usize = 100;
 /// Bytes of a summary, at most: of a thousand starts.
 const LARGEST_SUMMARY: u64 = 1 << 22;
 

@@ -128,7 +128,7 @@ impl Expected<'_> {
         let turn = problem.rod.n_elements() as f64;
         // Orders of changes that are next to rounding mean nothing, nor do ratios of such residuals.
         let beyond = |value: f64, rounding: f64| {
-            if value > 1e3 * rounding {
+            if value > ABOVE_ROUNDING * rounding {
                 0.0
             } else {
                 f64::INFINITY
@@ -152,6 +152,9 @@ impl Expected<'_> {
         }
     }
 }
+
+/// Multiple of the rounding above which ratios and orders of small numbers mean something: they are then accurate to a thousandth.
+const ABOVE_ROUNDING: f64 = 1e3;
 
 /// Fraction of the solver's tolerance below which conditions hold beyond doubt.
 const CLEARLY: f64 = 0.1;

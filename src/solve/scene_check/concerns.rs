@@ -1,5 +1,6 @@
 //! Remarks on a scene that a user should see before it runs.
 
+use super::super::causes::SAME;
 use super::hardly_meant::hardly_meant;
 use crate::mechanics::stability::{bent_step, stable_step};
 use crate::mechanics::vibration::{weight_in_words, weight_number};
@@ -9,9 +10,9 @@ use crate::mechanics::{
 use crate::output::summary::{OutputSize, RestSummary};
 use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
 
-/// Beyond this the trapezoidal rule bends visibly too stiffly.
+/// Fraction by which the trapezoidal rule stiffens bending from which on it is said: more than the accuracy that scenes ask for.
 const LOCKING_LIMIT: f64 = 0.05;
-/// Beyond this, a user may not have meant to write every step.
+/// Size of an output from which on it is said: a file that many programs no longer open. It decides about a sentence alone.
 const LARGE_OUTPUT_BYTES: u64 = 1_000_000_000;
 
 /// An arm that does not stay where its weight is balanced.
@@ -30,7 +31,7 @@ pub(super) fn topples(rest: &RestSummary, rod: &Rod) -> Option<String> {
 /// Tells whether more than the arm itself weighs on it.
 pub(crate) fn what_weighs(rod: &Rod) -> &'static str {
     let own = weight_number(rod) * rod.scales.force;
-    match rod.mass() * rod.gravity.norm() > own * (1.0 + 1e-9) {
+    match rod.mass() * rod.gravity.norm() > own * (1.0 + SAME) {
         true => "its own weight and its payload",
         false => "its own weight",
     }

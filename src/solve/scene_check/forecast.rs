@@ -13,6 +13,10 @@ use crate::task::prediction::{SolveTime, simulation_seconds};
 
 /// Seconds of a predicted solve from which it is said what would make it shorter.
 const LONG_S: f64 = 10.0;
+/// Fraction of the predicted time below which fewer elements are worth a sentence: a choice that decides about that sentence alone.
+const SHORTER: f64 = 0.7;
+/// Least number of elements that is recommended: two for each half of an arm that bends both ways.
+const FEWEST_ELEMENTS: usize = 4;
 /// Returns the predicted time of a long solve that is about to begin, in words; `None` for at most [`LONG_S`] seconds.
 pub(crate) fn expectation(setup: &OptimalControl, n_threads: usize) -> Option<String> {
     let time = SolveTime::of_problem(&setup.problem);
@@ -48,7 +52,7 @@ pub(crate) fn time_in_words(time: &SolveTime, memory: f64) -> String {
 pub(super) fn shorter(setup: &OptimalControl, time: &SolveTime) -> Option<String> {
     let rod = &setup.problem.rod;
     let elements = rod.n_elements() / 2;
-    if time.total() <= LONG_S || elements < 4 {
+    if time.total() <= LONG_S || elements < FEWEST_ELEMENTS {
         return None;
     }
     let coarse = (setup.arm)
@@ -61,7 +65,7 @@ pub(super) fn shorter(setup: &OptimalControl, time: &SolveTime) -> Option<String
     let ratio = setup.problem.grid.step / automatic_step(rod);
     let steps = setup.problem.grid.duration() / (ratio * automatic_step(&coarse));
     let fewer = SolveTime::of(&coarse, steps, setup.problem.n_variables()).total();
-    (fewer < 0.7 * time.total()).then(|| {
+    (fewer < SHORTER * time.total()).then(|| {
         format!(
             "rod.elements = {elements} would take about {} (helical elements may be long: the check says how far off the motion is)",
             quantity(fewer, "s")

@@ -15,6 +15,9 @@ pub(crate) const UNSTABLE: &str = "unstable";
 pub(crate) const CANNOT: &str = "cannot-be-held";
 pub(crate) const NOT_FOUND: &str = "not-found";
 
+/// Fraction of the length below which a coordinate of an equilibrium is rounding: the scaled residual that an equilibrium may leave.
+const PLACE_ROUNDING: f64 = 1e-9;
+
 /// Says whether and by what the tip can be held at its goal, over a stay if the arm should stay; `None` where it has none, or the search
 /// was stopped.
 pub(super) fn need(
@@ -57,7 +60,7 @@ pub(super) fn need(
             out.nearest = nearest.map(|(held, distance_m)| NearestHeldSummary {
                 position_m: {
                     // Rounding of a place in a plane of symmetry is nothing.
-                    let least = 1e-9 * problem.rod.scales.length;
+                    let least = PLACE_ROUNDING * problem.rod.scales.length;
                     let tip = held.shape.positions[problem.rod.tip()];
                     tip.map(|x| if x.abs() < least { 0.0 } else { x }).into()
                 },

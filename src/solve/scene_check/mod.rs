@@ -18,7 +18,7 @@ use self::forecast::{cost, problem_size, shorter};
 pub(crate) use self::forecast::{expectation, output_size, time_in_words};
 pub(crate) use self::holding::{ABOVE, CANNOT, UNSTABLE, WITHIN};
 use self::holding::{NOT_FOUND, distance, need};
-use super::causes::stands_by_symmetry;
+use super::causes::{MOST_ELEMENTS, stands_by_symmetry};
 use crate::control::{Bound, Channel, Component, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::vibration::{SmallMotions, weight_number};
@@ -33,8 +33,6 @@ use crate::scene::{Scene, SceneError, SceneSource, TimeScheme as TimeSchemeKey};
 use crate::stop::StopSignal;
 use crate::task::prediction::SolveTime;
 
-/// Elements up to which an equilibrium and its frequencies take a fraction of a second.
-const MOST_ELEMENTS_AT_REST: usize = 1000;
 /// Word for an absent part of an actuator.
 pub(crate) const NO_WRENCH: &str = "none";
 
@@ -212,7 +210,7 @@ fn at_rest(rod: &Rod) -> RestSummary {
         weight_number: weight_number(rod),
         ..RestSummary::default()
     };
-    if rod.n_elements() > MOST_ELEMENTS_AT_REST {
+    if rod.n_elements() > MOST_ELEMENTS {
         out.no_equilibrium = Some("too many elements to look at in passing".into());
         return out;
     }

@@ -2,14 +2,12 @@
 
 use std::path::Path;
 
+use super::super::causes::SAME;
 use super::SimulationError;
 use crate::mechanics::Stepper;
 use crate::output::{Checkpoint, ResultKind, RunDirectory};
 use crate::scene::{MOST_ELEMENTS, Scene, SceneSource, Simulation, TimeStep};
 use crate::stop::StopSignal;
-
-/// Relative difference below which two step lengths are one: roundings of a quotient.
-const SAME_STEP: f64 = 1e-9;
 
 /// Checkpoint of an earlier run.
 pub(super) struct Found {
@@ -91,7 +89,7 @@ pub(super) fn continued(
         ));
     }
     let step = checkpoint.step_s;
-    if !((setup.grid.step - step).abs() <= SAME_STEP * step) {
+    if !((setup.grid.step - step).abs() <= SAME * step) {
         return refuse(format!(
             "the earlier run has steps of {step} s, and this one of {} s; time.end_s must be a whole number of the \
              earlier steps, for instance {}, and time.step_s may be left out",

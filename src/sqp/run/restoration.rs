@@ -14,7 +14,8 @@ use super::super::quadratic_program::QpSolution;
 use super::super::trust_region::{GOOD_RATIO, POOR_RATIO, TrustRegion};
 use super::{Breakdown, INFEASIBLE_PROGRESS, Run, SHRINKAGES, Step};
 
-/// The restoration ends once the infeasibility is this fraction of its first value and the filter allows the point.
+/// The restoration ends once the infeasibility is this fraction of its first value and the filter allows the point. Ipopt's
+/// `required_infeasibility_reduction` is 0.9; a smaller fraction, a choice, keeps solve and restoration from taking turns.
 const RESTORATION_GAIN: f64 = 0.5;
 
 /// The restoration phase, which minimizes the infeasibility alone, close to its first point.
@@ -84,8 +85,8 @@ impl<P: LiftedProgram> Run<'_, P> {
             let promise = before - solution.slack;
             let length = norm(&solution.change);
             if promise < INFEASIBLE_PROGRESS * before {
-                let is_free = length < 0.5 * phase.region.radius || {
-                    let far = 1e3 * phase.region.radius;
+                let is_free = !phase.region.is_used_by(length) || {
+                    let far = f64::INFINITY;
                     let free = self.solve_feasibility(&mut linearization, &model, &sets, far)?;
                     before - free.slack < INFEASIBLE_PROGRESS * before
                 };

@@ -7,10 +7,11 @@ use super::super::program::LiftedProgram;
 use super::super::quadratic_program::QpSolution;
 use super::{Run, is_within};
 
-/// Length of a step past a saddle: the first fraction of the length that promises the worthwhile gain, but not more than the second
-/// fraction of the trust radius and of the norm of the variables (at least one). It is far enough to leave rounding behind, and near enough
-/// for the quadratic model.
+/// Length of a step past a saddle, as a fraction of the length that promises the worthwhile gain: half of it promises a quarter of the
+/// gain, and from there steps along the negative curvature double by themselves. It is a choice (decision 68).
 const PASSING_PART: f64 = 0.5;
+/// Largest length of a step past a saddle, as a fraction of the trust radius and of the norm of the variables (at least one): near enough
+/// for the quadratic model. It is a choice (decision 68).
 const PASSING_REACH: f64 = 0.3;
 
 impl<P: LiftedProgram> Run<'_, P> {

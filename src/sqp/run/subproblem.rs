@@ -15,16 +15,19 @@ use super::super::quadratic_program::{
 use super::super::settings::{NEGLIGIBLE, PROGRESS, ROW_TOLERANCE};
 use super::{Breakdown, Run};
 
-/// Largest elastic weight, in units of the [cost's derivatives](Linearization::cost_scale); [`FIRST_ELASTIC_WEIGHT`] is the smallest.
+/// Largest elastic weight, in units of the [cost's derivatives](Linearization::cost_scale); [`FIRST_ELASTIC_WEIGHT`] is the smallest. The
+/// objective that Clarabel gets is scaled such that the weight counts 1e3. At this weight the cost's own derivatives count 1e-5, of which
+/// Clarabel's tolerance of 1e-11 leaves 1e-6, the solver's default tolerance; a larger weight would drown the cost.
 const LARGEST_ELASTIC_WEIGHT: f64 = 1e8;
-/// Factor by which the elastic weight is raised. It is also the ratio to the largest multiplier at which the weight is kept, so that it can
-/// come down again.
+/// Factor by which the elastic weight is raised, as in SNOPT (Gill, Murray and Saunders 2005). It is also the ratio to the largest
+/// multiplier at which the weight is kept, so that it can come down again.
 const ELASTIC_FACTOR: f64 = 10.0;
-/// The trust radius is at least this multiple of the distance to the sets, so that the subproblem can reach them.
+/// The trust radius is at least this multiple of the distance to the sets: any factor above one lets the subproblem reach them, and two
+/// leave a step as long as the way there to choose among their points.
 const SET_ROOM: f64 = 2.0;
 /// Cap on the rows that are linearized from the start, besides peaks and rows with multipliers.
 const MOST_CANDIDATES: usize = 500;
-/// Factor on the screening margin when a step violates a row that was screened out.
+/// Factor on the screening margin when a step violates a row that was screened out: by doubling, few linearizations find any margin.
 const MARGIN_GROWTH: f64 = 2.0;
 
 impl<P: LiftedProgram> Run<'_, P> {
