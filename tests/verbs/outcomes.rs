@@ -261,6 +261,7 @@ fn excess(bound: &Bound, u: &Vector3<f64>) -> f64 {
     match bound {
         Bound::Norm(limit) => u.norm() - limit,
         Bound::PerAxis(limits) => (u.abs() - limits).max(),
+        Bound::Between { lower, upper } => (u - upper).max().max((lower - u).max()),
     }
 }
 
