@@ -1,8 +1,8 @@
 //! How often does the solver succeed on tendon arms and targets that nobody chose? Random reaches that stay, solved, certified, counted.
 //!
 //! An arm has one to four tendons, parallel or helical, over the whole length or a part of it, hangs from its base or stands upright, and
-//! in half of the problems carries a payload. The target is the tip of the arm at rest under tensions that are drawn within the bounds, so
-//! that it can be held; the tip may miss it by a thousandth of the length. The same seed gives the same problems.
+//! in half of the problems carries a payload. The target is the tip of the arm at rest under tensions that are drawn within the bounds and
+//! to which the arm can be led from rest without losing its stability; the tip may miss it by a thousandth of the length. The same seed gives the same problems.
 //!
 //! ```text
 //! cargo run --release --example tendon_suite -- 60
@@ -32,7 +32,10 @@ struct Problem {
     task: Task,
 }
 
-/// Draws a problem; `None` if the arm has no stable shape at rest under the drawn tensions.
+/// Steps in which the tensions are raised to the drawn ones.
+const LOAD_STEPS: usize = 16;
+
+/// Draws a problem; `None` if the arm loses its stability on the way from rest to the drawn tensions.
 fn draw(seed: u64) -> Option<Problem> {
     let mut dice = fastrand::Rng::with_seed(seed);
     let mut between = |from: f64, to: f64| from + (to - from) * dice.f64();
@@ -100,20 +103,24 @@ fn draw(seed: u64) -> Option<Problem> {
         .collect();
     let discretization = Discretization::with_elements(ELEMENTS);
     let mut held = arm.clone();
-    for (actuator, tension) in held.actuators.iter_mut().zip(&tensions) {
-        actuator.effort = vec![(0.0, *tension)];
+    let mut shapes = Vec::new();
+    for step in 0..=LOAD_STEPS {
+        let share = step as f64 / LOAD_STEPS as f64;
+        for (actuator, tension) in held.actuators.iter_mut().zip(&tensions) {
+            actuator.effort = vec![(0.0, share * tension)];
+        }
+        let rod = held.rod(&discretization).ok()?;
+        let from = shapes.last().unwrap_or(&rod.rest);
+        let shape = static_equilibrium(&rod, from, 0.0, &TipSpring::default()).ok()?;
+        if !Stability::of(&rod, &shape, 0.0)?.is_stable {
+            return None;
+        }
+        shapes.push(shape);
     }
-    let rod = held.rod(&discretization).ok()?;
-    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).ok()?;
-    if !Stability::of(&rod, &shape, 0.0)?.is_stable {
+    let [start, .., shape] = shapes.as_slice() else {
         return None;
-    }
-    let bare = arm.rod(&discretization).ok()?;
-    let start = static_equilibrium(&bare, &bare.rest, 0.0, &TipSpring::default()).ok()?;
-    if !Stability::of(&bare, &start, 0.0)?.is_stable {
-        return None;
-    }
-    let target = shape.positions[rod.tip()];
+    };
+    let target = shape.positions[ELEMENTS];
     let horizon = between(0.5, 1.5);
     let mut task = Task::reach(target, horizon, 1.0).staying(Staying::default());
     task.start.shape = StartShape::Equilibrium;
@@ -135,7 +142,7 @@ fn draw(seed: u64) -> Option<Problem> {
         if upright { "upright" } else { "hanging" },
         100.0 * payload / own,
         1e-3 * material.youngs_modulus,
-        1e3 * (target - start.positions[rod.tip()]).norm()
+        1e3 * (target - start.positions[ELEMENTS]).norm()
     );
     Some(Problem { what, arm, task })
 }

@@ -22,7 +22,7 @@ use self::program::{Aim, HoldingPoint, HoldingProgram};
 use self::statics::{Statics, Target};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
-use super::problem::OptimalControlProblem;
+use super::problem::{GoalPart, OptimalControlProblem};
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::exp;
 use crate::mechanics::tangent::own_squared_frequency;
@@ -172,6 +172,8 @@ const LEAST_STABILITY: f64 = 1e-2;
 /// with the stiffness, 1e-16 times its condition number, about 1e-8 for slender arms of many elements. From 1e-8 to 1e-4, the targets of
 /// the built-in scenes have the same verdicts, to the bit.
 const INDEPENDENT: f64 = 1e-6;
+/// Steps in which the arm is led to an effort at its largest: a cap, with which Newton's method follows a bend of two radians.
+const LEADING_STEPS: usize = 8;
 /// Number of rigid modes of a free arm.
 const RIGID_MODES: usize = 6;
 /// Time for which the motion of a driven base is examined, in units of the arm's time scale: two first periods of a cantilever, twice as
@@ -339,7 +341,7 @@ impl Search<'_> {
             }
             known.push(pulled);
         }
-        let nearest = self.nearest();
+        let nearest = self.nearest_of_starts();
         // With more controls than equations, the nearest point may be led to the goal itself.
         if let Some((_, point)) = &nearest
             && findings.unresolved
@@ -351,7 +353,7 @@ impl Search<'_> {
             return Holding::Held(Box::new(held));
         }
         if let Some((held, _)) = &nearest
-            && self.miss(held) < AT_GOAL
+            && (self.miss(&held.shape) < AT_GOAL || self.is_within_tolerance(held))
         {
             return Holding::Held(Box::new(held.clone()));
         }
@@ -445,27 +447,112 @@ impl Search<'_> {
         (held.is_within_bounds() && held.is_stable).then_some(held)
     }
 
-    /// Returns the stable equilibrium within the bounds whose tip is nearest to the goal, among those reached from the arm at rest.
-    fn nearest(&self) -> Option<(Held, HoldingPoint)> {
+    /// Returns the stable equilibrium within the bounds whose tip is nearest to the goal, among those reached from the arm at rest and,
+    /// unless one of them is at the goal, from the arm under each effort alone at its largest: the tips that efforts hold lie on curves and
+    /// surfaces, along which the distance from the goal may have several minima.
+    fn nearest_of_starts(&self) -> Option<(Held, HoldingPoint)> {
         let n = self.statics.components.len();
         let rest = self.equilibrium(&self.start, &TipSpring::default()).ok()?;
-        let first = HoldingPoint {
+        let at_rest = HoldingPoint {
             controls: vec![0.0; n],
             shape: rest,
         };
-        let point = if n == 0 {
+        let mut best = self.nearest(at_rest.clone());
+        let problem = self.statics.problem;
+        for (at, component) in self.statics.components.iter().enumerate() {
+            let is_there = (best.as_ref()).is_some_and(|(held, _)| {
+                self.miss(&held.shape) < AT_GOAL || self.is_within_tolerance(held)
+            });
+            if is_there || problem.stop.is_raised() {
+                break;
+            }
+            let channel = problem.channel(component);
+            let bounds = channel
+                .bound
+                .and_then(|bound| bound.interval(component.axis % 3));
+            let (Some(_), Some(ends)) = (problem.effort(component), bounds) else {
+                continue;
+            };
+            for end in ends
+                .into_iter()
+                .filter(|end| *end != 0.0 && end.is_finite())
+            {
+                let Some(start) = self.nearest_led_to(&at_rest, at, end / channel.scale) else {
+                    continue;
+                };
+                let found = self.nearest(start);
+                let distance = |found: &Option<(Held, HoldingPoint)>| {
+                    (found.as_ref()).map_or(f64::INFINITY, |(held, _)| self.miss(&held.shape))
+                };
+                if distance(&found) < distance(&best) {
+                    best = found;
+                }
+            }
+        }
+        best
+    }
+
+    /// Leads the arm from rest to a value of one control in steps, and returns the equilibrium on the way whose tip is nearest to the goal.
+    fn nearest_led_to(
+        &self,
+        rest: &HoldingPoint,
+        control: usize,
+        value: f64,
+    ) -> Option<HoldingPoint> {
+        let mut point = rest.clone();
+        let mut nearest: Option<(f64, HoldingPoint)> = None;
+        for step in 1..=LEADING_STEPS {
+            point.controls[control] = value * step as f64 / LEADING_STEPS as f64;
+            let none = TipSpring::default();
+            let Some(shape) = (self.statics).settled(&point.shape, &point.controls, &none) else {
+                break;
+            };
+            point.shape = shape;
+            let distance = self.miss(&point.shape);
+            if nearest.as_ref().is_none_or(|(least, _)| distance < *least) {
+                nearest = Some((distance, point.clone()));
+            }
+        }
+        nearest.map(|(_, point)| point)
+    }
+
+    /// Returns the stable equilibrium within the bounds whose tip is nearest to the goal, among those reached from an equilibrium.
+    fn nearest(&self, first: HoldingPoint) -> Option<(Held, HoldingPoint)> {
+        let point = if first.controls.is_empty() {
             first
         } else {
-            self.solve(Aim::Approach, Some(LEAST_STABILITY), true, &first)
-                .unwrap_or(first)
+            let least = Some(LEAST_STABILITY);
+            let near = self.solve(Aim::Approach, least, true, &first);
+            let closer =
+                (near.as_ref()).and_then(|near| self.solve(Aim::ApproachCloser, least, true, near));
+            closer.or(near).unwrap_or(first)
         };
         let held = self.held(&point)?;
         (held.is_stable && held.is_within_bounds()).then_some((held, point))
     }
 
-    /// Returns the largest component of the tip's residual, in the goal's units.
-    fn miss(&self, held: &Held) -> f64 {
+    /// Tells whether the tip is within the goal's tolerances, which leave the equilibrium open that is held. An equality has none.
+    fn is_within_tolerance(&self, held: &Held) -> bool {
+        let Some(goal) = self.statics.problem.final_goals().next() else {
+            return false;
+        };
         let missing = self.target.residual(self.rod(), &held.shape);
+        let mut parts = missing
+            .chunks(3)
+            .map(|part| Vector3::from_column_slice(part).norm());
+        let mut is_in = |is_asked: bool, scale: f64, part: GoalPart| {
+            !is_asked
+                || (parts.next())
+                    .is_some_and(|miss| miss * scale < goal.enforcement.tolerance(part))
+        };
+        let length = self.rod().scales.length;
+        is_in(self.target.position.is_some(), length, GoalPart::Position)
+            && is_in(self.target.rotation.is_some(), 1.0, GoalPart::Orientation)
+    }
+
+    /// Returns the largest component of the tip's residual, in the goal's units.
+    fn miss(&self, shape: &Configuration) -> f64 {
+        let missing = self.target.residual(self.rod(), shape);
         missing.iter().fold(0.0, |most: f64, c| most.max(c.abs()))
     }
 

@@ -30,6 +30,10 @@ const SPRING: f64 = SPRINGS[SPRINGS.len() - 1];
 /// off by about `3 ε` of the length, with the stiffness 3 of a cantilever's tip. Half and twice the value move the nearest place of the
 /// target of `reach-3d` by 1e-7 and 2e-7 of the length.
 const LITTLE: f64 = 1e-6;
+/// Factor on the weight of the distance in a second program from the solution of the first: the effort then moves the tip by `u ε/NEARER`
+/// over its slope along a control, 1e-8 of the length where a control of size 1 moves it by as little as 1e-4, such as the common tension
+/// of tendons on all sides. The first program alone would leave it a hundredth of the length away.
+const NEARER: f64 = 1e6;
 /// Number of modes whose `ω²` is bounded: the bending modes in two planes may have the same frequency.
 const WATCHED_MODES: usize = 2;
 /// Largest growth rate of small motions under moments, divided by the frequency of the arm at rest: half of the rate that counts as growth.
@@ -47,6 +51,18 @@ pub(super) enum Aim {
     Hold,
     /// The tip is as near to the target as possible.
     Approach,
+    /// The same with [`NEARER`] times the weight of the distance.
+    ApproachCloser,
+}
+
+impl Aim {
+    /// Returns the weight of the squared distance from the target, where it is minimized.
+    fn weight(self) -> f64 {
+        match self {
+            Self::Hold | Self::Approach => 1.0,
+            Self::ApproachCloser => NEARER,
+        }
+    }
 }
 
 /// The program.
@@ -100,7 +116,7 @@ impl<'a> HoldingProgram<'a> {
     fn springs(&self) -> TipSpring {
         match self.aim {
             Aim::Hold => self.target.springs(&self.statics.problem.rod, SPRING),
-            Aim::Approach => TipSpring::default(),
+            Aim::Approach | Aim::ApproachCloser => TipSpring::default(),
         }
     }
 
@@ -227,7 +243,7 @@ impl LiftedProgram for HoldingProgram<'_> {
     fn own_gradient(&self, point: &HoldingPoint) -> Option<Vec<f64>> {
         let weight = match self.aim {
             Aim::Hold => 1.0,
-            Aim::Approach => LITTLE,
+            Aim::Approach | Aim::ApproachCloser => LITTLE,
         };
         Some(point.controls.iter().map(|u| weight * u).collect())
     }
@@ -241,7 +257,10 @@ impl LiftedProgram for HoldingProgram<'_> {
         let effort = 0.5 * squares(&point.controls);
         let (objective, constraints) = match self.aim {
             Aim::Hold => (effort, missing.iter().map(|c| SPRING * c).collect()),
-            Aim::Approach => (0.5 * squares(&missing) + LITTLE * effort, Vec::new()),
+            Aim::Approach | Aim::ApproachCloser => {
+                let miss = 0.5 * self.aim.weight() * squares(&missing);
+                (miss + LITTLE * effort, Vec::new())
+            }
         };
         let defect = self.statics.size(&defects);
         let inequalities: Vec<f64> = if defect.is_finite() {
@@ -298,14 +317,15 @@ impl LiftedProgram for HoldingProgram<'_> {
                     .map(|(c, answer)| SPRING * (c + answer))
                     .collect();
             }
-            Aim::Approach => {
-                defect_slope = product(&missing, &own);
+            Aim::Approach | Aim::ApproachCloser => {
+                let weight = self.aim.weight();
+                defect_slope = weight * product(&missing, &own);
                 for i in 0..n {
                     let effort = LITTLE * point.controls[i];
-                    gradient.push(effort + product(&missing, &slopes[i]));
-                    model_gradient.push(gradient[i] + product(&own, &slopes[i]));
+                    gradient.push(effort + weight * product(&missing, &slopes[i]));
+                    model_gradient.push(gradient[i] + weight * product(&own, &slopes[i]));
                     for j in 0..n {
-                        gauss_newton[(i, j)] = product(&slopes[i], &slopes[j]);
+                        gauss_newton[(i, j)] = weight * product(&slopes[i], &slopes[j]);
                     }
                     gauss_newton[(i, i)] += LITTLE;
                 }
