@@ -89,12 +89,12 @@ impl Console {
     }
 
     /// Prints an event as a line of JSON on stdout, if requested.
-    pub(super) fn event(&self, kind: &'static str, value: &impl Serialize) {
+    pub(super) fn event(&self, kind: &'static str, value: &dyn erased_serde::Serialize) {
         #[derive(Serialize)]
-        struct Event<'a, T> {
+        struct Event<'a> {
             event: &'static str,
             #[serde(flatten)]
-            value: &'a T,
+            value: &'a dyn erased_serde::Serialize,
         }
         if self.json_lines
             && let Ok(text) = serde_json::to_string(&Event { event: kind, value })
@@ -104,7 +104,7 @@ impl Console {
     }
 
     /// Prints the summary object on stdout, if requested.
-    pub(super) fn summary(&self, summary: &impl Serialize) {
+    pub(super) fn summary(&self, summary: &dyn erased_serde::Serialize) {
         self.event("summary", summary);
         if self.json
             && let Ok(text) = serde_json::to_string_pretty(summary)

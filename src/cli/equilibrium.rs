@@ -10,7 +10,7 @@ use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::{Kept, LoadPath, Loss, Varied};
 use crate::output::quantity::{digits, entry, quantity};
-use crate::output::{ResultKind, RunDirectory, render_report};
+use crate::output::{ResultKind, RunDirectory, json_value, render_report};
 use crate::scene::{Scene, SceneSource};
 use crate::solve::scene_check::warnings;
 use crate::solve::{
@@ -129,7 +129,7 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
         record.write_npz(&result.path().join("trajectory.npz"))?;
         write_tables(result, &found.rod, &found.own.shape, &summary)?;
         result.write_json("summary.json", &summary)?;
-        let value = serde_json::to_value(&summary).unwrap_or_default();
+        let value = json_value(&summary);
         let page = equilibrium_page(&scene, &arm, &found.rod, &record, &value)?;
         result.write_text("report.html", &render_report(&page))
     })?;

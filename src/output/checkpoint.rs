@@ -97,9 +97,14 @@ impl Checkpoint {
     /// Returns the checkpoint with the checksum of its content.
     fn sealed(mut self) -> Self {
         self.checksum = 0;
-        let text = serde_json::to_string(&self).unwrap_or_default();
+        let text = self.text().unwrap_or_default();
         self.checksum = crc32fast::hash(text.as_bytes());
         self
+    }
+
+    fn text(&self) -> serde_json::Result<String> {
+        let erased: &dyn erased_serde::Serialize = self;
+        serde_json::to_string(erased)
     }
 
     /// Returns the number of nodes of the arm.
@@ -245,8 +250,8 @@ impl Checkpoint {
     pub fn write(&self, folder: &Path) -> Result<(), OutputError> {
         let path = folder.join(CHECKPOINT_FILE);
         let fresh = folder.join(FRESH_CHECKPOINT_FILE);
-        let text = serde_json::to_string(self)
-            .map_err(|error| OutputError::malformed(&path, error.to_string()))?;
+        let text =
+            (self.text()).map_err(|error| OutputError::malformed(&path, error.to_string()))?;
         fs::write(&fresh, text + "\n")
             .and_then(|()| fs::rename(&fresh, &path))
             .map_err(OutputError::unwritten(&path, "cannot write"))

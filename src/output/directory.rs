@@ -221,7 +221,8 @@ impl ResultDirectory {
 
     /// Writes a value as indented JSON with a newline at its end; non-finite numbers become `null`.
     pub fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), OutputError> {
-        let text = serde_json::to_string_pretty(value)
+        let erased: &dyn erased_serde::Serialize = value;
+        let text = serde_json::to_string_pretty(erased)
             .map_err(|error| OutputError::malformed(&self.path.join(name), error.to_string()))?;
         self.write_text(name, &(text + "\n"))
     }

@@ -13,6 +13,7 @@ mod error;
 pub mod export;
 mod extremes;
 mod feedback;
+mod json;
 mod motion;
 mod multipliers;
 mod npz;
@@ -37,6 +38,7 @@ pub use error::OutputError;
 #[doc(hidden)]
 pub use extremes::Extremes;
 pub use feedback::{NamedArray, feedback_arrays, read_feedback, read_sensitivity, write_feedback};
+pub(crate) use json::json_value;
 pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};
 #[doc(hidden)]

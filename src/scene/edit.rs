@@ -23,12 +23,12 @@ impl SceneSource {
         for setter in &self.overrides {
             Override::parse(setter).ok()?.apply(&mut overridden).ok()?;
         }
-        let wanted = Table::try_from(scene).ok()?;
+        let wanted = entries(scene)?;
         let (mut found, _) = Scene::from_toml(&self.name, &self.text, &self.overrides).ok()?;
         let mut document: DocumentMut = self.text.parse().ok()?;
         change(document.as_table_mut(), &written, &overridden, false);
         for _ in 0..ROUNDS {
-            let before = Table::try_from(&found).ok()?;
+            let before = entries(&found)?;
             change(document.as_table_mut(), &before, &wanted, false);
             settle_grid(&mut document, scene);
             let text = without_gone(&document.to_string());
@@ -67,6 +67,12 @@ impl SceneSource {
             }
         }
     }
+}
+
+/// Returns the entries of a scene, with every default.
+fn entries(scene: &Scene) -> Option<Table> {
+    let erased: &dyn erased_serde::Serialize = scene;
+    Table::try_from(erased).ok()
 }
 
 /// Replaces an accuracy by elements, unless the scene asks for an accuracy: the two exclude each other, and a scene without elements asks

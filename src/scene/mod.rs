@@ -142,7 +142,8 @@ impl Scene {
     /// The scene as text, with every default written out; it reads back as an equal scene.
     #[must_use]
     pub fn to_toml(&self) -> String {
-        toml::to_string(self)
+        let erased: &dyn erased_serde::Serialize = self;
+        toml::to_string(erased)
             .unwrap_or_else(|error| format!("# this scene cannot be written as TOML: {error}\n"))
     }
 

@@ -16,7 +16,7 @@ use crate::mechanics::{Energy, State, Wrench};
 use crate::output::DiagnosticsRecord;
 use crate::output::summary::SolveSummary;
 use crate::output::{
-    ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory,
+    ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory, json_value,
     render_report, write_controls, write_efforts, write_feedback,
 };
 #[cfg(feature = "cli")]
@@ -156,7 +156,7 @@ fn write(
             problem: &solution.problem,
             coefficients: &solution.coefficients,
             record: &record,
-            summary: &serde_json::to_value(summary).unwrap_or_default(),
+            summary: &json_value(summary),
             iterations: rows.collect(),
             sensitivity: (examined.feedback.as_ref())
                 .map(|found| sensitivity(problem, &found.open_loop, &found.closed_loop)),

@@ -13,6 +13,7 @@ use crate::control::{
     Attempt, Feedback, OptimalControlProblem, SolveLog, observe, tracking_errors,
 };
 use crate::mechanics::{Trajectory, Wrench};
+use crate::output::json_value;
 use crate::output::summary::{
     AttemptSummary, CheckRecord, LargestDistance, LargestSpeed, NOT_CHECKED, NamedConstraint,
     PhaseSummary, ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities, SensitivitySummary,
@@ -189,7 +190,7 @@ fn stays(problem: &OptimalControlProblem, check: Option<&ForwardCheck>) -> Optio
 
 /// The check as the summaries carry it.
 pub(super) fn check_outcome(check: &ForwardCheck) -> Value {
-    serde_json::to_value(CheckOutcome {
+    json_value(&CheckOutcome {
         check,
         second_order: (check.second_order.as_ref()).map(|found| JudgedCurvature {
             verdict: found.extremum().name(),
@@ -213,7 +214,6 @@ pub(super) fn check_outcome(check: &ForwardCheck) -> Value {
             })
             .collect(),
     })
-    .unwrap_or_default()
 }
 
 /// The object `check` of a summary.

@@ -16,7 +16,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::{Fate, FeatureCost, Point, Recommendation, Setting, Subject, Tradeoff};
-use crate::output::{OutputError, PAGE_STYLE, figure, fill};
+use crate::output::{OutputError, PAGE_STYLE, figure, fill, json_value};
 
 /// `summary.json` of `softarm tradeoff`.
 #[derive(Debug, Serialize)]
@@ -84,7 +84,7 @@ fn table(points: &[Point]) -> Result<Vec<u8>, csv::Error> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(COLUMNS.map(|(name, _)| name))?;
     for point in points {
-        let point = serde_json::to_value(point).unwrap_or_default();
+        let point = json_value(point);
         writer.write_record(COLUMNS.map(|(_, place)| match point.pointer(place) {
             Some(Value::String(word)) => word.clone(),
             Some(Value::Null) | None => String::new(),

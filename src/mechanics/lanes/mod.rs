@@ -137,6 +137,14 @@ impl LaneMemory {
 
 /// Runs the work of a step on the widest available vectors; with two doubles if the processor offers no more.
 pub(super) fn dispatch<W: WithSimd>(arch: Arch, work: W) -> W::Output {
+    // The dispatch of `pulp` would compile all work once more, for single numbers.
+    #[cfg(target_arch = "x86_64")]
+    match arch {
+        Arch::V4(simd) => Simd::vectorize(simd, work),
+        Arch::V3(simd) => Simd::vectorize(simd, work),
+        _ => work.with_simd(Scalar128b),
+    }
+    #[cfg(not(target_arch = "x86_64"))]
     match arch {
         Arch::Scalar => work.with_simd(Scalar128b),
         _ => arch.dispatch(work),

@@ -7,8 +7,8 @@ use crate::mechanics::{Configuration, Energy, Rod, State, TimeGrid, Trajectory, 
 use crate::mpc::{ClosedLoop, Sample};
 use crate::output::closed_loop::{LimitPeak, MpcSummary, SampleRow, write_samples};
 use crate::output::{
-    ControlRow, MotionRecord, OutputError, ResultDirectory, RowFiles, ThinnedMotion, render_report,
-    write_controls,
+    ControlRow, MotionRecord, OutputError, ResultDirectory, RowFiles, ThinnedMotion, json_value,
+    render_report, write_controls,
 };
 use crate::scene::ClosedLoopSetup;
 use crate::solve::page::closed_loop_page;
@@ -172,7 +172,7 @@ impl Recording {
         result.write_text("scene.toml", &setup.resolved.to_toml())?;
         let record = self.thinned.clone().finish(&self.row);
         let rows: Vec<SampleRow> = samples.iter().map(SampleRow::of).collect();
-        let value = serde_json::to_value(summary).unwrap_or_default();
+        let value = json_value(summary);
         let page = closed_loop_page(setup, &rows, &record, &value);
         result.write_text("report.html", &render_report(&page?))?;
         result.write_json("summary.json", summary)

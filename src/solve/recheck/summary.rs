@@ -11,6 +11,7 @@ use super::document::{Allowed, Comparison, Table};
 use super::file_check::{DERIVED, ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::{Feedback, OptimalControlProblem};
 use crate::mechanics::Trajectory;
+use crate::output::json_value;
 use crate::output::summary::{ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities, was_checked};
 use crate::solve::summary::{problem_facts, reached, sensitivities};
 use crate::verify::{CheckLimits, ForwardCheck};
@@ -102,7 +103,7 @@ impl Expected<'_> {
             hessian: self.hessian,
             facts: problem_facts(self.problem, self.multipliers),
         };
-        let mut recomputed = serde_json::to_value(recomputed).unwrap_or_default();
+        let mut recomputed = json_value(&recomputed);
         let Some(fields) = recomputed.as_object_mut() else {
             return recomputed;
         };

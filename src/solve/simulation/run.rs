@@ -15,7 +15,7 @@ use crate::mechanics::{
 use crate::output::summary::{EnergySummary, SCHEMA_VERSION, SimulateSummary, TOOL, TipPose};
 use crate::output::{
     ArrayView, BaseReaction, Checkpoint, DiagnosticsRecord, Extremes, MotionRecord, OutputError,
-    ResultDirectory, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, render_report,
+    ResultDirectory, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, json_value, render_report,
     write_efforts,
 };
 use crate::scene::{Scene, Simulation};
@@ -336,7 +336,7 @@ impl<'a> Run<'a> {
         let base = (self.diagnostics.is_some())
             .then(|| BaseReaction::read(&diagnostics, self.trajectory.n_rows()))
             .transpose()?;
-        let summary = serde_json::to_value(summary).unwrap_or_default();
+        let summary = json_value(summary);
         let page = simulation_page(scene, self.setup, &record, &summary, base.as_ref());
         result.write_text("report.html", &render_report(&page?))
     }

@@ -36,7 +36,8 @@ impl Journal {
 
     /// Adds a point. If that fails, the sweep continues without a journal and still writes its result at the end.
     pub fn note(&mut self, point: &Point) {
-        if let Ok(line) = serde_json::to_string(point) {
+        let erased: &dyn erased_serde::Serialize = point;
+        if let Ok(line) = serde_json::to_string(erased) {
             let _ = self.file.write_all((line + "\n").as_bytes());
         }
     }

@@ -4,6 +4,7 @@ use serde_json::{Map, Value};
 
 use super::Point;
 use super::Setting;
+use crate::output::json_value;
 
 /// Keys of a setting in its JSON, and the corresponding keys of a scene.
 const KEYS: [(&str, &str); 15] = [
@@ -29,8 +30,8 @@ const STEP: &str = "time.step_s";
 
 impl Setting {
     fn keys(&self) -> Map<String, Value> {
-        match serde_json::to_value(self) {
-            Ok(Value::Object(keys)) => keys,
+        match json_value(self) {
+            Value::Object(keys) => keys,
             _ => unreachable!("a setting is an object"),
         }
     }
