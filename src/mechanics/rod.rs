@@ -844,8 +844,9 @@ impl Rod {
             .iter()
             .map(|e| {
                 let [shear, bending] = [&e.linear_stiffness, &e.angular_stiffness];
-                let ratio = (shear.y / bending.x).max(shear.x / bending.y);
-                ratio * e.length * e.length / 4.0
+                let ratio =
+                    |shear: f64, bending: f64| shear * e.length * e.length / (4.0 * bending);
+                ratio(shear.y, bending.x).max(ratio(shear.x, bending.y))
             })
             .fold(0.0, f64::max)
     }
