@@ -61,7 +61,7 @@ impl DistributedCouple {
     fn weights(&self, rod: &Rod) -> Mat<f64> {
         let nodes = self.nodes(rod);
         let n_axes = self.acting_axes().count();
-        let values = basis(self.points, &rod.mesh.fractions());
+        let values = basis(self.points, &rod.places());
         let mut out = Mat::zeros(6 * nodes.len(), self.points * n_axes);
         for (i, &q) in nodes.iter().enumerate() {
             let beside = [q.checked_sub(1), Some(q)].into_iter().flatten();
