@@ -77,10 +77,11 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
     let motion = MotionRecord::read_npz(&place.join("trajectory.npz"))?;
     let elements = motion.n_nodes.saturating_sub(1);
     let arm = scene.arm(&source)?;
-    let radii = arm.radii_at_nodes(&arm.mesh(&Discretization {
+    let mesh = arm.mesh(&Discretization {
         elements,
         ..scene.discretization()
-    }));
+    });
+    let radii = arm.radii_at_nodes(&mesh);
     let word = match arguments.to {
         Format::Vtk => "vtk",
         Format::Csv => "csv",
@@ -105,7 +106,7 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
             folder.join("motion.pvd")
         }
         Format::Csv => {
-            write_csv(&to, &motion, &rows)?;
+            write_csv(&to, &motion, &mesh.fractions(), &rows)?;
             folder.join("motion.csv")
         }
         Format::Svg => {

@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::problem::{Goal, OptimalControlProblem};
 use super::tracking::Tracking;
 use crate::mechanics::rotation::{exp, is_followed_beyond_half_turn, log};
-use crate::mechanics::{BaseCondition, Configuration, Trajectory};
+use crate::mechanics::{BaseCondition, Trajectory};
 
 /// Stiffness of a cantilever against a force on its tip, in units of `EI/L³`.
 pub(crate) const TIP_STIFFNESS: f64 = 3.0;
@@ -85,16 +85,17 @@ fn is_bent_less_the_other_way(
     };
     let length = problem.rod.scales.length;
     let energy = |psi: &Vector3<f64>| {
-        let missed = evenly_turned(&problem.initial.configuration, goal.node, psi) - target;
+        let missed = evenly_turned(problem, goal.node, psi) - target;
         psi.norm_squared() + TIP_STIFFNESS * missed.norm_squared() / (length * length)
     };
     energy(&other_way(psi)) < (1.0 - SAVED) * energy(psi)
 }
 
-/// Returns the position of a node of a shape whose elements up to it are turned in equal steps, by `psi` (spatial frame) at the node.
-fn evenly_turned(shape: &Configuration, node: usize, psi: &Vector3<f64>) -> Vector3<f64> {
+/// Returns the position of a node of the initial shape that is turned evenly along its length, by `psi` (spatial frame) at the node.
+fn evenly_turned(problem: &OptimalControlProblem, node: usize, psi: &Vector3<f64>) -> Vector3<f64> {
+    let (shape, mesh) = (&problem.initial.configuration, &problem.rod.mesh);
     (0..node).fold(shape.positions[0], |x, q| {
-        let turn = exp(&(psi * ((q as f64 + 0.5) / node as f64)));
+        let turn = exp(&(psi * (mesh.along(q, 0.5) / mesh.fraction(node))));
         x + turn * (shape.positions[q + 1] - shape.positions[q])
     })
 }

@@ -68,7 +68,7 @@ pub(crate) fn pose(at: &Configuration, q: usize, s: f64) -> (Vector3<f64>, Matri
     (x + r * (part * strain), r * exp(&(psi * s)))
 }
 
-/// Returns the element at a fraction of the length, and the fraction of the element, given the [fractions](Mesh::fractions) of the nodes.
+/// Returns the element at a fraction of the length, and the fraction of the element, given the [places of the nodes](Rod::places).
 pub(crate) fn locate(nodes: &[f64], part: f64) -> (usize, f64) {
     // A place that equals a node up to rounding is that node.
     const SAME: f64 = 1e-12;

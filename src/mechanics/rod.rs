@@ -834,10 +834,17 @@ impl Rod {
             .collect()
     }
 
-    /// Returns the arc length of a node at rest, m.
+    /// Returns the arc length of every node at rest, divided by that of the tip: sums of the lengths of the elements, which are
+    /// [`Mesh::fractions`] to rounding.
     #[must_use]
-    pub fn arc_length(&self, node: usize) -> f64 {
-        self.scales.length * self.mesh.fraction(node)
+    pub fn places(&self) -> Vec<f64> {
+        let mut sum = 0.0;
+        let mut ends = vec![0.0];
+        for element in &self.elements {
+            sum += element.length;
+            ends.push(sum);
+        }
+        ends.iter().map(|end| end / sum).collect()
     }
 
     /// Returns the length of the shortest element, m.
@@ -854,8 +861,9 @@ impl Rod {
             .iter()
             .map(|e| {
                 let [shear, bending] = [&e.linear_stiffness, &e.angular_stiffness];
-                let ratio = (shear.y / bending.x).max(shear.x / bending.y);
-                ratio * e.length * e.length / 4.0
+                let ratio =
+                    |shear: f64, bending: f64| shear * e.length * e.length / (4.0 * bending);
+                ratio(shear.y, bending.x).max(ratio(shear.x, bending.y))
             })
             .fold(0.0, f64::max)
     }

@@ -59,7 +59,7 @@ impl SensorPreset {
         };
         match self {
             Self::State => {
-                let places = model.mesh.fractions().split_off(model.first_free_node());
+                let places = model.places().split_off(model.first_free_node());
                 let settings = SensorSettings {
                     velocity: Some(0.0),
                     angular_velocity: Some(0.0),

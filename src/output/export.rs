@@ -120,20 +120,23 @@ fn poly_data(motion: &MotionRecord, radii: &[f64], row: usize) -> String {
     )
 }
 
-/// Writes a motion as one table: a row for every node at every time of `rows`, with time (s), place along the arm (0 to 1), position (m)
-/// and quaternion, scalar first.
+/// Writes a motion as one table: a row for every node at every time of `rows`, with time (s), place along the arm (0 to 1, that of every
+/// node is given), position (m) and quaternion, scalar first.
 ///
 /// # Errors
 /// Returns [`OutputError`] if the file cannot be written.
 pub fn write_csv(
     to: &Destination,
     motion: &MotionRecord,
+    places: &[f64],
     rows: &[usize],
 ) -> Result<(), OutputError> {
-    to.write(&[format!("{}.csv", to.name)], |_| table(motion, rows))
+    to.write(&[format!("{}.csv", to.name)], |_| {
+        table(motion, places, rows)
+    })
 }
 
-fn table(motion: &MotionRecord, rows: &[usize]) -> String {
+fn table(motion: &MotionRecord, places: &[f64], rows: &[usize]) -> String {
     let n = motion.n_nodes;
     let mut text = String::from(TABLE_HEAD);
     for &row in rows {
@@ -144,15 +147,7 @@ fn table(motion: &MotionRecord, rows: &[usize]) -> String {
             let _ = writeln!(
                 text,
                 "{},{q},{},{},{},{},{},{},{},{}",
-                motion.t[row],
-                q as f64 / (n - 1) as f64,
-                x[0],
-                x[1],
-                x[2],
-                turn.w,
-                turn.i,
-                turn.j,
-                turn.k
+                motion.t[row], places[q], x[0], x[1], x[2], turn.w, turn.i, turn.j, turn.k
             );
         }
     }

@@ -75,7 +75,7 @@ impl DistributedCouple {
     fn weights(&self, rod: &Rod) -> Mat<f64> {
         let nodes = self.nodes(rod);
         let n_axes = self.acting_axes().count();
-        let values = basis(self.points, &nodes_over_length(rod));
+        let values = basis(self.points, &rod.places());
         let mut out = Mat::zeros(6 * nodes.len(), self.points * n_axes);
         for (i, &q) in nodes.iter().enumerate() {
             let beside = [q.checked_sub(1), Some(q)].into_iter().flatten();
@@ -133,16 +133,6 @@ impl Actuator for DistributedCouple {
     fn linear_map(&self, rod: &Rod) -> Option<Mat<f64>> {
         Some(self.weights(rod))
     }
-}
-
-/// Returns the rest arc length of every node divided by the length of the rod.
-fn nodes_over_length(rod: &Rod) -> Vec<f64> {
-    let mut ends = vec![0.0];
-    for element in &rod.elements {
-        ends.push(ends[ends.len() - 1] + element.length);
-    }
-    let length = ends[ends.len() - 1];
-    ends.iter().map(|end| end / length).collect()
 }
 
 /// Returns one row per place (0 to 1): the values there of the splines that are 1 at one of `n` inner points and 0 at the others and at

@@ -113,7 +113,7 @@ impl Course {
     ) -> Result<Self, StepError> {
         debug_assert!(grid.n_steps.is_multiple_of(times));
         let every = (grid.n_steps / times).max(1);
-        let places = rod.mesh.fractions();
+        let places = rod.places();
         let places: [(usize, f64); PLACES + 1] =
             std::array::from_fn(|i| locate(&places, i as f64 / PLACES as f64));
         let mut course = Self {

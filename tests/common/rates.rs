@@ -96,5 +96,10 @@ fn over(bound: &Bound, factor: f64, u: &Vector3<f64>) -> f64 {
         Bound::PerAxis(most) => (0..3)
             .map(|axis| one(u[axis].abs(), most[axis]))
             .fold(0.0, f64::max),
+        Bound::Between { lower, upper } => (0..3)
+            .map(|axis| {
+                one(u[axis].max(0.0), upper[axis]).max(one((-u[axis]).max(0.0), -lower[axis]))
+            })
+            .fold(0.0, f64::max),
     }
 }

@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 use softarm::control::{Bound, FreeDuration, Hold, OptimalControlProblem, PathEnforcement, Shape};
 use softarm::mechanics::{
-    BaseCondition, LoadFrame, Material, RodModel, RotaryInertia, StrainRule, TimeScheme,
+    BaseCondition, LoadFrame, Material, NodeInertia, RodModel, RotaryInertia, Section,
+    SectionProfile, SectionSegment, StrainRule, TimeScheme,
 };
 use softarm::scene::Scene;
 use softarm::task::{
@@ -406,6 +407,70 @@ fn problems_can_be_described_as_scenes() {
             (0..3).all(|i| near(tips[0][i], tips[1][i])),
             "{name}: {tips:?}"
         );
+    }
+}
+
+/// An arm of segments with steps in section, curvature at rest and thickness, and with a body, is described by a scene that means the same
+/// arm: elements, nodes and radii are those of the program, up to rounding.
+#[test]
+fn arms_in_pieces_are_described() {
+    let strip = softarm::mechanics::Shape::Rectangle {
+        width: 0.1,
+        height: 0.06,
+    };
+    let profiles = [
+        (
+            0.4,
+            SectionProfile::Uniform(Section::of_shape(&silicone(), &strip)),
+        ),
+        (
+            1.0,
+            SectionProfile::TaperedCircle {
+                material: silicone(),
+                base_radius: 0.05,
+                tip_radius: 0.03,
+            },
+        ),
+    ];
+    let segments = profiles.map(|(to, section)| SectionSegment { to, section });
+    let [straight, bent] = [0.0, 0.3].map(|kappa| Vector3::new(kappa, 0.1, 0.0));
+    let body = NodeInertia {
+        mass: 0.2,
+        rotary: Vector3::new(1e-4, 2e-4, 3e-4),
+    };
+    let arm = Arm {
+        viscous_damping: 1.0,
+        curvature_rows: vec![(0.4, straight), (0.4, bent), (0.9, straight)],
+        bodies: vec![(0.7, body)],
+        radii: vec![(0.0, 0.04), (0.4, 0.04), (0.4, 0.05), (1.0, 0.03)],
+        ..Arm::straight(1.0, SectionProfile::Segments(segments.into()))
+    };
+    let task = Task::reach(Vector3::new(0.4, 0.0, 0.85), 1.0, 20.0);
+    let discretization = Discretization {
+        elements: 10,
+        blocks: 6,
+        ..Discretization::default()
+    };
+    let problem = task.discretize(&arm, &discretization).unwrap();
+    let settings = softarm::sqp::SqpSettings::default();
+    let described = Scene::describing(&problem, &settings).unwrap().to_toml();
+    let (scene, source) = Scene::from_toml("described", &described, &[]).unwrap();
+    let again = scene.optimal_control(&source).unwrap().problem;
+    let (one, other) = (&problem.discrete, &again);
+    assert_eq!(one.rod.n_elements(), other.rod.n_elements());
+    let near = |a: f64, b: f64| (a - b).abs() <= 1e-12 * (a.abs() + b.abs());
+    for (a, b) in one.rod.elements.iter().zip(&other.rod.elements) {
+        assert!(near(a.length, b.length));
+        for i in 0..3 {
+            assert!(near(a.angular_stiffness[i], b.angular_stiffness[i]));
+            assert!((a.rest.curvature[i] - b.rest.curvature[i]).abs() < 1e-12);
+        }
+    }
+    for (a, b) in one.rod.nodes.iter().zip(&other.rod.nodes) {
+        assert!(near(a.mass, b.mass) && (0..3).all(|i| near(a.rotary[i], b.rotary[i])));
+    }
+    for (a, b) in one.radii.iter().zip(&other.radii) {
+        assert!(near(*a, *b), "{:?} {:?}", one.radii, other.radii);
     }
 }
 

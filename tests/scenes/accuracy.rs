@@ -3,7 +3,9 @@
 use std::f64::consts::SQRT_2;
 
 use nalgebra::Vector3;
-use softarm::mechanics::{LoadFrame, Material, TimeScheme};
+use softarm::mechanics::{
+    LoadFrame, Material, NodeInertia, Section, SectionProfile, SectionSegment, TimeScheme,
+};
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
 use softarm::task::{Arm, Discretization, Place, PointLoad, Start, StartShape};
@@ -36,8 +38,9 @@ fn circle_moment() -> Vector3<f64> {
     Vector3::new(0.0, std::f64::consts::TAU * stiffness / 0.3, 0.0)
 }
 
-/// A damped arm that a force pulls aside, a hanging tapered arm that is let go, and one with internal damping out of the plane.
-fn motions() -> [(&'static str, Motion); 3] {
+/// A damped arm that a force pulls aside, a hanging tapered arm that is let go, one with internal damping out of the plane, and one of two
+/// segments with a body, whose elements have three lengths.
+fn motions() -> [(&'static str, Motion); 4] {
     let from_rest = |arm, duration| Motion {
         arm,
         start: Start::default(),
@@ -64,7 +67,33 @@ fn motions() -> [(&'static str, Motion); 3] {
         loads: vec![pull([1.0, 2.0, 0.5], &[(0.0, 0.0), (0.2, 1.0), (9.0, 1.0)])],
         ..Arm::cylinder(&silicone(), 1.0, 0.05)
     };
+    let stiff = Material::isotropic(4e6, 0.5, 1200.0);
+    let segments = [
+        (0.3, Section::circle(&stiff, 0.05)),
+        (1.0, Section::circle(&silicone(), 0.04)),
+    ];
+    let body = NodeInertia {
+        mass: 0.4,
+        rotary: Vector3::repeat(2e-4),
+    };
+    let in_pieces = Arm {
+        viscous_damping: 1.0,
+        bodies: vec![(0.45, body)],
+        loads: vec![pull([2.0, 0.0, 0.0], &[(0.0, 0.0), (0.3, 1.0), (9.0, 1.0)])],
+        ..Arm::straight(
+            1.0,
+            SectionProfile::Segments(
+                segments
+                    .map(|(to, section)| SectionSegment {
+                        to,
+                        section: SectionProfile::Uniform(section),
+                    })
+                    .into(),
+            ),
+        )
+    };
     [
+        ("in pieces", from_rest(in_pieces, 0.8)),
         ("pulled", from_rest(pulled, 1.0)),
         (
             "hanging",
@@ -83,9 +112,8 @@ fn motions() -> [(&'static str, Motion); 3] {
 /// How far the motion on a grid is from that with four times the elements and a quarter of the step, over the length.
 fn true_error(motion: &Motion, chosen: Discretization) -> f64 {
     let fine = Discretization {
-        elements: 4 * chosen.elements,
         step: chosen.step.map(|step| 0.25 * step),
-        ..chosen
+        ..chosen.refined(4)
     };
     let [own, truth] =
         [chosen, fine].map(|grid| motion.run(&grid, &StopSignal::default()).unwrap());

@@ -76,7 +76,7 @@ fn a_rectangular_cantilever_bends_and_twists_by_its_moments() {
 }
 
 /// The cantilever has the bending frequencies `β² sqrt(E I/(ρ A L⁴))` of both planes and the torsional ones `(π/2) sqrt(G J/(ρ (I₁ + I₂)))/L`:
-/// shear and rotary inertia slow a bending wave by about `β² (1 + E/(k G)) I/(2 A)`.
+/// shear and rotary inertia slow a long bending wave by `β² (1 + E/(k G)) I/(2 A)`, and the modes of a cantilever by no more than twice as much.
 #[test]
 fn a_rectangular_cantilever_has_the_frequencies_of_both_planes_and_of_torsion() {
     let rod = |n| Rod::new(&rectangle(n)).unwrap();
@@ -97,7 +97,7 @@ fn a_rectangular_cantilever_has_the_frequencies_of_both_planes_and_of_torsion() 
         let slow = section.rotary[axis] / section.mass
             + section.angular_stiffness[axis] / section.linear_stiffness[1 - axis];
         let omega = (section.angular_stiffness[axis] / section.mass).sqrt() * beta * beta;
-        (omega, 0.7 * beta * beta * slow)
+        (omega, beta * beta * slow)
     };
     let torsion =
         0.5 * std::f64::consts::PI * (section.angular_stiffness.z / section.rotary.z).sqrt();

@@ -128,7 +128,7 @@ pub(in crate::mpc) struct Reader {
 
 impl Reader {
     pub fn new(rod: &Rod) -> Self {
-        let nodes = rod.mesh.fractions();
+        let nodes = rod.places();
         let middles = nodes.windows(2).map(|ends| 0.5 * (ends[0] + ends[1]));
         Self {
             middles: middles.collect(),

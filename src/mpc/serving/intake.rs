@@ -73,7 +73,7 @@ pub(super) struct Intake {
 impl Intake {
     pub fn new(rod: &Rod, sensors: Vec<SensorSettings>) -> Self {
         Self {
-            places: rod.mesh.fractions(),
+            places: rod.places(),
             rod: rod.clone(),
             sensors,
             before: None,

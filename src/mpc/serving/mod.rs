@@ -180,7 +180,7 @@ impl<W: Write> Server<W> {
     fn greet(&mut self, scene: &str, duration: f64) -> io::Result<()> {
         let controller = self.driver.controller();
         let (rod, initial) = (controller.rod(), &controller.initial().configuration);
-        let nodes = (rod.mesh.fractions().into_iter().enumerate())
+        let nodes = (rod.places().into_iter().enumerate())
             .map(|(q, place)| NodeLine {
                 place,
                 rest_position_m: rod.rest.positions[q].into(),

@@ -24,7 +24,9 @@ use crate::task;
 pub struct Rod {
     /// Rest length in m, positive.
     pub length_m: Positive<values::Length>,
-    /// Number of elements, 1 to 5000; there is one node more than elements. Absent: chosen for `accuracy`.
+    /// Number of elements, 1 to 5000; there is one node more than elements. An element ends where segments meet, where
+    /// the curvature at rest has a step, and at bodies; the elements are shared out among the pieces between these places
+    /// by length, at least one to each, and are equally long within a piece. Absent: chosen for `accuracy`.
     #[serde(default = "first_elements")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
     pub elements: usize,
