@@ -16,14 +16,16 @@ use nalgebra::{Rotation3, Vector3};
 use softarm::mechanics::{
     Density, Material, NodeInertia, Route, Stability, StrainActuator, TipSpring, static_equilibrium,
 };
-use softarm::solve::solve;
-use softarm::sqp::SqpStatus;
+use softarm::solve::{SolveOptions, solve_with};
+use softarm::sqp::{SqpSettings, SqpStatus};
 use softarm::task::{Arm, Discretization, EffortControl, StartShape, Staying, Task};
 
 /// Elements of every arm.
 const ELEMENTS: usize = 10;
 /// Largest distance from the target, as a fraction of the length.
 const TOLERANCE: f64 = 1e-3;
+/// Largest number of iterations: a problem that takes more counts as unsolved.
+const MOST_ITERATIONS: usize = 100;
 
 /// A drawn problem.
 struct Problem {
@@ -152,6 +154,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let count: usize = arguments.next().map_or(Ok(10), |text| text.parse())?;
     let only: Option<usize> = arguments.next().map(|text| text.parse()).transpose()?;
     let discretization = Discretization::with_elements(ELEMENTS);
+    let options = SolveOptions {
+        settings: SqpSettings {
+            max_iterations: MOST_ITERATIONS,
+            ..SqpSettings::default()
+        },
+        ..SolveOptions::default()
+    };
     let (mut certified, mut iterations, mut solved) = (0, Vec::new(), 0);
     let mut seed = 0;
     while solved < count {
@@ -164,7 +173,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             continue;
         }
         let begin = Instant::now();
-        let outcome = match solve(&arm, &task, &discretization) {
+        let outcome = match solve_with(&arm, &task, &discretization, &options) {
             Err(error) => format!("REFUSED: {error}"),
             Ok(solution) => {
                 let steps = solution.attempt.iterations();

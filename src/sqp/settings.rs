@@ -64,7 +64,7 @@ pub(super) const ROW_TOLERANCE: f64 = 1e-9;
 /// About the square root of the machine precision: slacks, multipliers, infeasibilities and independent fractions of rows below it cannot
 /// be told from zero by an interior point.
 pub(super) const NEGLIGIBLE: f64 = 1e-8;
-/// A residual, slack, infeasibility or length of a step that keeps more than this fraction of its value makes no progress: Ipopt's
+/// A residual, slack or infeasibility that keeps more than this fraction of its value makes no progress: Ipopt's
 /// `required_infeasibility_reduction`.
 pub(super) const PROGRESS: f64 = 0.9;
 /// The loop stops at this fraction of the tolerance, so that values recomputed elsewhere, by sums in another order, are within the
