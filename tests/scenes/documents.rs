@@ -298,7 +298,7 @@ fn worked_scenes_run() {
     {
         let path = folder.path().join(format!("scene-{number}.toml"));
         fs::write(&path, &scene).unwrap();
-        let is_solve = scene.contains("[control]");
+        let is_solve = scene.contains("[task]");
         let verb = if is_solve { "solve" } else { "simulate" };
         let (code, printed) = softarm(&[verb, path.to_str().unwrap(), "--quiet"]);
         assert_eq!(code, Some(0), "{verb} scene {number}: {printed}");

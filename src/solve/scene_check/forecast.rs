@@ -40,7 +40,7 @@ pub(crate) fn time_in_words(time: &SolveTime, memory: f64) -> String {
         false => "",
     };
     format!(
-        "half of random reaches like it within {half}, 95 % within {most}: {few} to {many} iterations of {}{near}, then a check of {}; \
+        "{few} to {many} iterations of {}{near}, then a check of {}: half of random reaches like it within {half}, 95 % within {most}; \
          memory {}",
         quantity(time.iteration, "s"),
         quantity(time.check, "s"),
