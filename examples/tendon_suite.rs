@@ -37,7 +37,10 @@ struct Problem {
 /// Steps in which the tensions are raised to the drawn ones.
 const LOAD_STEPS: usize = 16;
 
-/// Draws a problem; `None` if the arm loses its stability on the way from rest to the drawn tensions.
+/// Largest sum of tensions as a fraction of the axial stiffness, above which `softarm check` warns of the arm.
+const LARGEST_PRESSING: f64 = 0.3;
+
+/// Draws a problem; `None` if the tensions press the arm together too much, or if it loses its stability on the way from rest to them.
 fn draw(seed: u64) -> Option<Problem> {
     let mut dice = fastrand::Rng::with_seed(seed);
     let mut between = |from: f64, to: f64| from + (to - from) * dice.f64();
@@ -81,6 +84,10 @@ fn draw(seed: u64) -> Option<Problem> {
         0.4 * (own + 2.0 * payload) * 9.81 * length * length
     };
     let largest = between(0.8, 2.0) * (bending + weight) / (offset * length * to);
+    let axial = material.youngs_modulus * std::f64::consts::PI * radius.powi(2);
+    if count as f64 * largest > LARGEST_PRESSING * axial {
+        return None;
+    }
     let tensions: Vec<f64> = (0..count).map(|_| largest * between(0.0, 0.8)).collect();
     arm.actuators = (0..count)
         .map(|i| {

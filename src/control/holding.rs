@@ -172,8 +172,10 @@ const LEAST_STABILITY: f64 = 1e-2;
 /// with the stiffness, 1e-16 times its condition number, about 1e-8 for slender arms of many elements. From 1e-8 to 1e-4, the targets of
 /// the built-in scenes have the same verdicts, to the bit.
 const INDEPENDENT: f64 = 1e-6;
-/// Steps in which the arm is led to an effort at its largest: a cap, with which Newton's method follows a bend of two radians.
-const LEADING_STEPS: usize = 8;
+/// Longest and shortest step in which the arm is led to an effort at its largest, as fractions of that effort: caps. The bend of two
+/// radians of a strong tendon then has 8 steps, and a thousand tell an arm that loses its shape from one that only bends fast.
+const LONGEST_STEP: f64 = 1.0 / 8.0;
+const SHORTEST_STEP: f64 = 1.0 / 1024.0;
 /// Number of rigid modes of a free arm.
 const RIGID_MODES: usize = 6;
 /// Time for which the motion of a driven base is examined, in units of the arm's time scale: two first periods of a cantilever, twice as
@@ -492,7 +494,8 @@ impl Search<'_> {
         best
     }
 
-    /// Leads the arm from rest to a value of one control in steps, and returns the equilibrium on the way whose tip is nearest to the goal.
+    /// Leads the arm from rest to a value of one control, and returns the equilibrium on the way whose tip is nearest to the goal. Steps
+    /// from which Newton's method does not return are halved, the others doubled (Allgower and Georg 1990, chapter 6).
     fn nearest_led_to(
         &self,
         rest: &HoldingPoint,
@@ -501,17 +504,24 @@ impl Search<'_> {
     ) -> Option<HoldingPoint> {
         let mut point = rest.clone();
         let mut nearest: Option<(f64, HoldingPoint)> = None;
-        for step in 1..=LEADING_STEPS {
-            point.controls[control] = value * step as f64 / LEADING_STEPS as f64;
+        let (mut share, mut step) = (0.0, LONGEST_STEP);
+        while share < 1.0 && step >= SHORTEST_STEP {
+            let mut next = point.clone();
+            let reached = f64::min(share + step, 1.0);
+            next.controls[control] = value * reached;
             let none = TipSpring::default();
-            let Some(shape) = (self.statics).settled(&point.shape, &point.controls, &none) else {
-                break;
+            let Some(shape) = (self.statics).settled(&point.shape, &next.controls, &none) else {
+                step *= 0.5;
+                continue;
             };
-            point.shape = shape;
-            let distance = self.miss(&point.shape);
+            next.shape = shape;
+            let distance = self.miss(&next.shape);
             if nearest.as_ref().is_none_or(|(least, _)| distance < *least) {
-                nearest = Some((distance, point.clone()));
+                nearest = Some((distance, next.clone()));
             }
+            point = next;
+            share = reached;
+            step = LONGEST_STEP.min(2.0 * step);
         }
         nearest.map(|(_, point)| point)
     }
