@@ -10,7 +10,7 @@ use crate::mechanics::linearization::{AdjointSweep, Motion};
 use crate::mechanics::sensitivity::{EffortPulls, Sensitivities, interval_share};
 use crate::mechanics::{ControlSignal, FormTerm, StateForm, TimeScheme, Trajectory, Wrench};
 
-/// What a component of the control acts on.
+/// The thing that a component of the control acts on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Target {
     /// A node, as a component of its wrench.

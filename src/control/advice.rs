@@ -7,7 +7,7 @@ use super::hold::Hold;
 use super::holding::{CannotHold, Holding, holding};
 use super::problem::{Bound, OptimalControlProblem};
 use crate::mechanics::stability::stable_step;
-use crate::mechanics::{Rod, Trajectory, Wrench};
+use crate::mechanics::{MOST_ELEMENTS, Rod, Trajectory, Wrench};
 
 /// A property of a motion that may explain why no solution was found or the motion is not resolved. Its text tells where, how much, and
 /// what to change.
@@ -127,8 +127,6 @@ const CALM: f64 = 0.05;
 const ADVISED: f64 = 0.1;
 /// A moment counts as cheap below this fraction of the cost of the forces, an order of magnitude. Nothing but the advice depends on it.
 const CHEAP: f64 = 0.1;
-/// Cap on the elements that are advised: that of `rod.elements`.
-const MOST_ELEMENTS: f64 = 5000.0;
 
 /// Returns the observations about a motion and its controls, worst first; empty if all values are in the usual range.
 #[must_use]
@@ -148,7 +146,7 @@ pub fn observe(
             element: peak.element,
             time: problem.grid.time(peak.time_node),
             angle: peak.value,
-            elements: elements.ceil().min(MOST_ELEMENTS) as usize,
+            elements: elements.ceil().min(MOST_ELEMENTS as f64) as usize,
         });
     }
     if let Some(peak) = &peaks.strain

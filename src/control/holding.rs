@@ -18,7 +18,7 @@ use std::ops::ControlFlow;
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-use self::program::{Aim, HoldingPoint, HoldingProgram};
+use self::program::{Aim, HoldingPoint, HoldingProgram, NEARER};
 use self::statics::{Statics, Target};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
@@ -355,7 +355,7 @@ impl Search<'_> {
             return Holding::Held(Box::new(held));
         }
         if let Some((held, _)) = &nearest
-            && (self.miss(&held.shape) < AT_GOAL || self.is_within_tolerance(held))
+            && self.is_at_goal(held)
         {
             return Holding::Held(Box::new(held.clone()));
         }
@@ -462,9 +462,7 @@ impl Search<'_> {
         let mut best = self.nearest(at_rest.clone());
         let problem = self.statics.problem;
         for (at, component) in self.statics.components.iter().enumerate() {
-            let is_there = (best.as_ref()).is_some_and(|(held, _)| {
-                self.miss(&held.shape) < AT_GOAL || self.is_within_tolerance(held)
-            });
+            let is_there = (best.as_ref()).is_some_and(|(held, _)| self.is_at_goal(held));
             if is_there || problem.stop.is_raised() {
                 break;
             }
@@ -532,13 +530,20 @@ impl Search<'_> {
             first
         } else {
             let least = Some(LEAST_STABILITY);
-            let near = self.solve(Aim::Approach, least, true, &first);
-            let closer =
-                (near.as_ref()).and_then(|near| self.solve(Aim::ApproachCloser, least, true, near));
+            let approach = |weight: f64, from: &HoldingPoint| {
+                self.solve(Aim::Approach { weight }, least, true, from)
+            };
+            let near = approach(1.0, &first);
+            let closer = (near.as_ref()).and_then(|near| approach(NEARER, near));
             closer.or(near).unwrap_or(first)
         };
         let held = self.held(&point)?;
         (held.is_stable && held.is_within_bounds()).then_some((held, point))
+    }
+
+    /// Tells whether the tip is at the goal, up to rounding or to its tolerances.
+    fn is_at_goal(&self, held: &Held) -> bool {
+        self.miss(&held.shape) < AT_GOAL || self.is_within_tolerance(held)
     }
 
     /// Tells whether the tip is within the goal's tolerances, which leave the equilibrium open that is held. An equality has none.

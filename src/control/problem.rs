@@ -106,6 +106,15 @@ pub struct Channel {
 }
 
 impl Channel {
+    /// A channel without controls.
+    pub const NONE: Self = Self {
+        scale: 1.0,
+        bound: Some(Bound::Norm(0.0)),
+        rate_bound: None,
+        axes: [true; 3],
+        from_rest: false,
+    };
+
     /// Returns a channel of all three components, without a limit of its rate.
     #[must_use]
     pub fn new(scale: f64, bound: Option<Bound>) -> Self {
@@ -181,6 +190,17 @@ pub struct ActuatedNode {
     pub force: Channel,
     /// Moment, body frame.
     pub moment: Channel,
+}
+
+impl ActuatedNode {
+    /// Returns the carriers of channels on a node: each has a force or a moment of its own.
+    pub fn carrying(node: usize, channels: &[Channel]) -> impl Iterator<Item = Self> {
+        channels.chunks(2).map(move |pair| Self {
+            node,
+            force: pair[0],
+            moment: pair.get(1).copied().unwrap_or(Channel::NONE),
+        })
+    }
 }
 
 /// One scalar of an actuator's wrench.

@@ -114,6 +114,7 @@ pub use forms::{FormTerm, StateForm};
 pub use lanes::{LaneIntegrator, SolverWork};
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
+pub(crate) use mesh::MOST_ELEMENTS;
 pub use mesh::Mesh;
 pub use place::Place;
 pub use rod::{

@@ -3,6 +3,8 @@
 
 use std::ops::{Add, Mul, Sub};
 
+use super::mesh::SAME;
+
 /// Returns the mean between two fractions of the length; `None` without rows.
 pub(crate) fn mean<T>(rows: &[(f64, T)], from: f64, to: f64) -> Option<T>
 where
@@ -45,9 +47,6 @@ pub(crate) fn steps<T>(rows: &[(f64, T)]) -> impl Iterator<Item = f64> + '_ {
         .filter(|pair| pair[1].0 == pair[0].0)
         .map(|pair| pair[0].0)
 }
-
-/// Fractions of the length that differ by less than this are one place.
-const SAME: f64 = 1e-9;
 
 /// Returns the value at a fraction of the length on the line through two rows.
 fn between<T>(a: (f64, T), b: (f64, T), at: f64) -> T

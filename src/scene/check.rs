@@ -3,9 +3,7 @@
 use super::keys::{Checked, Keys};
 use super::model::Scene;
 use super::{SceneError, SceneSource};
-
-/// Largest number of elements; a larger one is taken for a typing error.
-pub(crate) const MOST_ELEMENTS: usize = 5000;
+pub(crate) use crate::mechanics::MOST_ELEMENTS;
 
 /// Largest number of blocks or iterations; a larger one is taken for a typing error.
 pub(super) const LARGEST_COUNT: usize = 1_000_000;

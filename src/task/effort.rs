@@ -23,15 +23,6 @@ pub struct EffortControl {
     pub scale: Option<f64>,
 }
 
-/// A channel without controls.
-const NONE: Channel = Channel {
-    scale: 1.0,
-    bound: Some(Bound::Norm(0.0)),
-    rate_bound: None,
-    axes: [true; 3],
-    from_rest: false,
-};
-
 /// Returns the carriers of the controls after `first` wrenches, and the place of each control in them: every control has a force or a
 /// moment of its own.
 ///
@@ -102,13 +93,7 @@ pub(super) fn efforts(
             )
         });
     }
-    let carriers = (channels.chunks(2))
-        .map(|pair| ActuatedNode {
-            node: 0,
-            force: pair[0],
-            moment: pair.get(1).copied().unwrap_or(NONE),
-        })
-        .collect();
+    let carriers = ActuatedNode::carrying(0, &channels).collect();
     let efforts = Efforts {
         actuators: controls.iter().map(|control| control.actuator).collect(),
         first,

@@ -2,18 +2,9 @@
 
 use super::definition::OwnActuator;
 use super::error::DiscretizeError;
-use crate::control::{ActuatedNode, Bound, Channel};
+use crate::control::{ActuatedNode, Channel};
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::{Actuator, Rod, State, StateView, Wrench};
-
-/// A channel without controls.
-const NONE: Channel = Channel {
-    scale: 1.0,
-    bound: Some(Bound::Norm(0.0)),
-    rate_bound: None,
-    axes: [true; 3],
-    from_rest: false,
-};
 
 /// Returns the nodes that carry the controls after `first` wrenches, and the place of each control in them: every group has a force or a
 /// moment of its own.
@@ -51,11 +42,8 @@ pub(super) fn acting(
             places,
         });
         let node = actuator.nodes(rod)[0];
-        carriers.extend(controls.chunks(2).map(|pair| ActuatedNode {
-            node,
-            force: pair[0].channel,
-            moment: pair.get(1).map_or(NONE, |group| group.channel),
-        }));
+        let channels: Vec<Channel> = controls.iter().map(|group| group.channel).collect();
+        carriers.extend(ActuatedNode::carrying(node, &channels));
     }
     Ok((carriers, acting))
 }

@@ -53,7 +53,7 @@ const TYPICAL_ITERATIONS: usize = 15;
 /// Iterations that half and 95 % of the random reaches of `benches/reach_suite.md` need at most without obstacles: the larger ones of its
 /// two tables, of its rows `free` and `bounds`.
 pub const ITERATIONS: [usize; 2] = [8, 28];
-/// The same of its row `obstacle`.
+/// Iterations that half and 95 % of them need at most past obstacles: its row `obstacle`.
 pub const ITERATIONS_PAST_OBSTACLES: [usize; 2] = [14, 83];
 /// Time of an iteration while rows of obstacles and limits are near their bounds, divided by that without such rows; a cap. Only the rows
 /// that are linearized cost much, and their number is known on the way only: 1.2 to 1.9 in `reach-3d` with a limit of stretch, twist,

@@ -33,7 +33,7 @@ const LITTLE: f64 = 1e-6;
 /// Factor on the weight of the distance in a second program from the solution of the first: the effort then moves the tip by `u ε/NEARER`
 /// over its slope along a control, 1e-8 of the length where a control of size 1 moves it by as little as 1e-4, such as the common tension
 /// of tendons on all sides. The first program alone would leave it a hundredth of the length away.
-const NEARER: f64 = 1e6;
+pub(super) const NEARER: f64 = 1e6;
 /// Number of modes whose `ω²` is bounded: the bending modes in two planes may have the same frequency.
 const WATCHED_MODES: usize = 2;
 /// Largest growth rate of small motions under moments, divided by the frequency of the arm at rest: half of the rate that counts as growth.
@@ -45,24 +45,15 @@ const SLOW: f64 = 0.5 * SLOWEST_GROWTH;
 const DIFFERENCE: f64 = 1e-4;
 
 /// Requirement on an equilibrium.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Aim {
     /// The tip is at the target.
     Hold,
     /// The tip is as near to the target as possible.
-    Approach,
-    /// The same with [`NEARER`] times the weight of the distance.
-    ApproachCloser,
-}
-
-impl Aim {
-    /// Returns the weight of the squared distance from the target, where it is minimized.
-    fn weight(self) -> f64 {
-        match self {
-            Self::Hold | Self::Approach => 1.0,
-            Self::ApproachCloser => NEARER,
-        }
-    }
+    Approach {
+        /// Weight of the squared distance: 1, then [`NEARER`].
+        weight: f64,
+    },
 }
 
 /// The program.
@@ -116,7 +107,7 @@ impl<'a> HoldingProgram<'a> {
     fn springs(&self) -> TipSpring {
         match self.aim {
             Aim::Hold => self.target.springs(&self.statics.problem.rod, SPRING),
-            Aim::Approach | Aim::ApproachCloser => TipSpring::default(),
+            Aim::Approach { .. } => TipSpring::default(),
         }
     }
 
@@ -243,7 +234,7 @@ impl LiftedProgram for HoldingProgram<'_> {
     fn own_gradient(&self, point: &HoldingPoint) -> Option<Vec<f64>> {
         let weight = match self.aim {
             Aim::Hold => 1.0,
-            Aim::Approach | Aim::ApproachCloser => LITTLE,
+            Aim::Approach { .. } => LITTLE,
         };
         Some(point.controls.iter().map(|u| weight * u).collect())
     }
@@ -257,8 +248,8 @@ impl LiftedProgram for HoldingProgram<'_> {
         let effort = 0.5 * squares(&point.controls);
         let (objective, constraints) = match self.aim {
             Aim::Hold => (effort, missing.iter().map(|c| SPRING * c).collect()),
-            Aim::Approach | Aim::ApproachCloser => {
-                let miss = 0.5 * self.aim.weight() * squares(&missing);
+            Aim::Approach { weight } => {
+                let miss = 0.5 * weight * squares(&missing);
                 (miss + LITTLE * effort, Vec::new())
             }
         };
@@ -317,8 +308,7 @@ impl LiftedProgram for HoldingProgram<'_> {
                     .map(|(c, answer)| SPRING * (c + answer))
                     .collect();
             }
-            Aim::Approach | Aim::ApproachCloser => {
-                let weight = self.aim.weight();
+            Aim::Approach { weight } => {
                 defect_slope = weight * product(&missing, &own);
                 for i in 0..n {
                     let effort = LITTLE * point.controls[i];

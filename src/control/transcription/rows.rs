@@ -72,7 +72,7 @@ pub(super) struct Columns<'a> {
     pub(super) problem: &'a OptimalControlProblem,
     pub(super) components: &'a [Component],
     pub(super) acting: Option<&'a ActingAlong<'a>>,
-    /// What each component acts on.
+    /// Target of each component.
     pub(super) targets: Vec<Target>,
 }
 

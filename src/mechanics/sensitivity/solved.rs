@@ -44,7 +44,7 @@ pub(super) struct SolveRows {
     rates: IntervalWeights,
     /// Momenta that arrive at the end of an interval, divided by those that leave at its start, by the same stress.
     ratio: f64,
-    /// The same of a stress on which both strains have the same weight.
+    /// This quotient for a stress on which both strains have the same weight.
     even_ratio: f64,
 }
 

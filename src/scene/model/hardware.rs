@@ -145,7 +145,7 @@ pub struct Muscle {
     expecting = "expected a number, which bounds the rate both ways, or [down, up], the fastest fall, negative, and the fastest rise"
 )]
 pub enum RateBound {
-    /// The same both ways.
+    /// Magnitude of the fastest fall and of the fastest rise.
     Both(f64),
     /// Fastest fall and fastest rise.
     Each([f64; 2]),

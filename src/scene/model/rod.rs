@@ -185,7 +185,7 @@ impl Material {
     }
 }
 
-/// What a rod or a segment consists of.
+/// Material and section, or stiffness and inertia, of a rod or a segment.
 #[derive(Clone, Copy)]
 pub struct Parts<'a> {
     /// Its material.
@@ -207,7 +207,7 @@ impl Parts<'_> {
 }
 
 impl Rod {
-    /// What a rod without segments consists of.
+    /// Returns the parts of a rod without segments.
     pub fn parts(&self) -> Parts<'_> {
         Parts {
             material: self.material.as_ref(),

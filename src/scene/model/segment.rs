@@ -117,7 +117,7 @@ impl Segment {
 }
 
 impl Rod {
-    /// What a segment consists of: parts of its own, and material and section of the rod in the place of its own.
+    /// Returns the parts of a segment: those of its own, and material and section of the rod in the place of its own.
     pub fn parts_of<'a>(&'a self, segment: &'a Segment) -> Parts<'a> {
         let own = Parts {
             material: segment.material.as_ref(),
