@@ -65,6 +65,7 @@ pub mod linearization;
 pub mod load;
 pub mod load_path;
 mod mesh;
+pub(crate) mod nodal_state;
 pub(crate) mod place;
 #[doc(hidden)]
 pub mod rod;
@@ -116,6 +117,7 @@ pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
 pub(crate) use mesh::MOST_ELEMENTS;
 pub use mesh::Mesh;
+pub use nodal_state::{NodalFault, NodalState};
 pub use place::Place;
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,

@@ -900,18 +900,24 @@ fn rest_shape(p: &RodParameters, mesh: &Mesh) -> Configuration {
     };
     for q in 0..mesh.n_elements() {
         let l = mesh.length(q, p.length);
-        let psi = p.curvature(mesh, q) * l;
-        let turn = exp(&psi);
-        // |ψ| < π, so S is regular.
-        let step = log_tangent(&psi)
-            .try_inverse()
-            .unwrap_or_else(Matrix3::identity)
-            * Vector3::new(0.0, 0.0, p.rest_stretch * l);
-        let rotation = shape.rotations[q];
-        shape.positions.push(shape.positions[q] + rotation * step);
-        shape.rotations.push(rotation * turn);
+        let along = Vector3::new(0.0, 0.0, p.rest_stretch * l);
+        append_element(&mut shape, &(p.curvature(mesh, q) * l), &along);
     }
     shape
+}
+
+/// Appends the node at the end of an element that is a helix: its rotation is turned by `psi`, less than half a turn, and its chord is the
+/// integral of the turning strain, whose sum along the element is `along`.
+pub(crate) fn append_element(shape: &mut Configuration, psi: &Vector3<f64>, along: &Vector3<f64>) {
+    let q = shape.positions.len() - 1;
+    // |ψ| < π, so S is regular.
+    let step = log_tangent(psi)
+        .try_inverse()
+        .unwrap_or_else(Matrix3::identity)
+        * along;
+    let rotation = shape.rotations[q];
+    shape.positions.push(shape.positions[q] + rotation * step);
+    shape.rotations.push(rotation * exp(psi));
 }
 
 /// Returns the rest strain by the rod's own rule, so that the rest shape is free of stress under both rules.

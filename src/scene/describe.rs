@@ -108,11 +108,7 @@ impl Scene {
             tendon,
             chamber,
             muscle,
-            initial: Some(Initial {
-                shape: task.start.shape,
-                velocity_m_s: task.start.velocity.into(),
-                angular_velocity_rad_s: task.start.angular_velocity.into(),
-            }),
+            initial: Some(Initial::describing(&task.start)),
             time: Time {
                 end_s: known(task.horizon),
                 step_s: chosen.step.map_or(TimeStep::Auto, TimeStep::Seconds),

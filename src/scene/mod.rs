@@ -27,6 +27,7 @@ mod check;
 mod closed_loop;
 mod csv_path;
 mod describe;
+mod earlier_end;
 #[cfg(feature = "cli")]
 mod edit;
 mod error;
@@ -52,6 +53,7 @@ pub(crate) use check::MOST_ELEMENTS;
 pub use closed_loop::ClosedLoopSetup;
 pub use describe::DescribeError;
 pub use error::SceneError;
+pub(crate) use file::LARGEST_SCENE;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::*;
 pub use source::SceneSource;
@@ -119,6 +121,7 @@ impl Scene {
             }
         })?;
         scene.read_paths(&source)?;
+        scene.read_start(&source)?;
         scene.check(&source)?;
         Ok((scene, source))
     }

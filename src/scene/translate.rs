@@ -389,12 +389,7 @@ impl Scene {
     /// The state in which the scene's motion starts.
     #[must_use]
     pub fn start(&self) -> Start {
-        let initial = self.initial.clone().unwrap_or_default();
-        Start {
-            shape: initial.shape,
-            velocity: initial.velocity_m_s.into(),
-            angular_velocity: initial.angular_velocity_rad_s.into(),
-        }
+        (self.initial.as_ref()).map_or_else(Start::default, model::Initial::of_task)
     }
 
     /// The discretization that the scene asks for.

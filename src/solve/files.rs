@@ -11,13 +11,13 @@ use super::solution::{Solution, stopped_steps_per_row};
 use super::summary::summarize;
 use crate::control::{Hold, OptimalControlProblem};
 use crate::mechanics::signal::EffortTable;
-use crate::mechanics::{Energy, State, Wrench};
+use crate::mechanics::{Energy, NodalState, State, Wrench};
 #[cfg(feature = "cli")]
 use crate::output::DiagnosticsRecord;
 use crate::output::summary::SolveSummary;
 use crate::output::{
-    ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory, json_value,
-    render_report, write_controls, write_efforts, write_feedback,
+    ControlRow, END_FILE, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory,
+    json_value, render_report, write_controls, write_efforts, write_end, write_feedback,
 };
 #[cfg(feature = "cli")]
 use crate::scene::OptimalControl;
@@ -135,6 +135,10 @@ fn write(
                 table.nodes[k * table.n_actuators..][..table.n_actuators].to_vec()
             });
             write_efforts(&directory.path().join("efforts.csv"), &rows)?;
+        }
+        if let Some(check) = &examined.check {
+            let end = NodalState::of(&problem.rod, &check.replay.end);
+            write_end(&directory.path().join(END_FILE), &end)?;
         }
         write_iterations(&directory.path().join("iterations.csv"), solution)?;
         directory.write_text("scene.toml", scene)?;

@@ -1,8 +1,8 @@
 //! Errors of a discretization, by the continuous problem or by the requested numbers.
 
+use super::arm::StartError;
 use crate::control::{DurationConflict, GoalPart};
 use crate::mechanics::RodError;
-use crate::mechanics::equilibrium::EquilibriumError;
 
 /// Reason why there is no discrete problem.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -69,7 +69,7 @@ pub enum DiscretizeError {
     },
     /// The rod has no state to start from.
     #[error(transparent)]
-    Start(#[from] EquilibriumError),
+    Start(#[from] StartError),
     /// Nothing holds the arm at its target.
     #[error("{0}")]
     NotHeld(String),

@@ -809,9 +809,9 @@ fn files_that_are_no_scenes() -> std::io::Result<()> {
         (b" \n\t\r\n".to_vec(), "empty"),
         (
             (0..10_000_000).map(&mut noise).collect(),
-            "larger than 1 MiB",
+            "larger than 4 MiB",
         ),
-        (vec![b'a'; 2 << 20], "larger than 1 MiB"),
+        (vec![b'a'; 5 << 20], "larger than 4 MiB"),
         ((0..10_000).map(&mut noise).collect(), "not UTF-8"),
         (vec![b'['; 1 << 20], "not valid TOML"),
     ];

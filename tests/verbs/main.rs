@@ -6,6 +6,7 @@ mod tool;
 
 mod causes;
 mod cli;
+mod continued;
 mod export;
 mod files;
 mod mpc_verb;

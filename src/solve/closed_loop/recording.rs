@@ -3,12 +3,14 @@
 use std::path::Path;
 
 use crate::control::{Hold, PathLimit, RodView};
-use crate::mechanics::{Configuration, Energy, Rod, State, TimeGrid, Trajectory, Wrench};
+use crate::mechanics::{
+    Configuration, Energy, NodalState, Rod, State, TimeGrid, Trajectory, Wrench,
+};
 use crate::mpc::{ClosedLoop, Sample};
 use crate::output::closed_loop::{LimitPeak, MpcSummary, SampleRow, write_samples};
 use crate::output::{
-    ControlRow, MotionRecord, OutputError, ResultDirectory, RowFiles, ThinnedMotion, json_value,
-    render_report, write_controls,
+    ControlRow, END_FILE, MotionRecord, OutputError, ResultDirectory, RowFiles, ThinnedMotion,
+    json_value, render_report, write_controls, write_end,
 };
 use crate::scene::ClosedLoopSetup;
 use crate::solve::page::closed_loop_page;
@@ -21,6 +23,8 @@ pub(super) struct Recording {
     /// Rows for the picture, with the last one.
     thinned: ThinnedMotion,
     row: MotionRecord,
+    /// The state of that row.
+    end: State,
     pub(super) limits: LimitWatch,
 }
 
@@ -100,6 +104,7 @@ impl Recording {
             hold: setup.experiment.discretization.hold,
             thinned: ThinnedMotion::new(layout.n_nodes),
             row: layout,
+            end: setup.initial.clone(),
             limits: LimitWatch::new(setup),
         };
         recording.push(&setup.plant, 0.0, &setup.initial, &Wrench::default())?;
@@ -121,6 +126,7 @@ impl Recording {
         self.trajectory.push(&row.arrays())?;
         self.thinned.push(&row);
         self.row = row;
+        self.end.clone_from(state);
         Ok(())
     }
 
@@ -167,6 +173,8 @@ impl Recording {
     ) -> Result<(), OutputError> {
         let path = |name: &str| result.path().join(name);
         self.trajectory.write_npz(&path("trajectory.npz"))?;
+        let end = NodalState::of(&setup.plant, &self.end);
+        write_end(&path(END_FILE), &end)?;
         write_samples(&path("samples.csv"), samples)?;
         write_controls(&path("controls.csv"), &self.controls)?;
         result.write_text("scene.toml", &setup.resolved.to_toml())?;

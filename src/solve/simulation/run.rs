@@ -10,13 +10,14 @@ use super::tally::Tally;
 use super::{End, SimulationError};
 use crate::mechanics::rotation::{quaternion, wxyz};
 use crate::mechanics::{
-    Diagnostics, Energy, NodeWrenches, PowerBalance, Rod, State, StepError, Stepper, Wrench,
+    Diagnostics, Energy, NodalState, NodeWrenches, PowerBalance, Rod, State, StepError, Stepper,
+    Wrench,
 };
 use crate::output::summary::{EnergySummary, SCHEMA_VERSION, SimulateSummary, TOOL, TipPose};
 use crate::output::{
-    ArrayView, BaseReaction, Checkpoint, DiagnosticsRecord, Extremes, MotionRecord, OutputError,
-    ResultDirectory, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, json_value, render_report,
-    write_efforts,
+    ArrayView, BaseReaction, Checkpoint, DiagnosticsRecord, END_FILE, Extremes, MotionRecord,
+    OutputError, ResultDirectory, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, json_value,
+    render_report, write_efforts, write_end,
 };
 use crate::scene::{Scene, Simulation};
 use crate::solve::causes::causes;
@@ -328,6 +329,8 @@ impl<'a> Run<'a> {
         }
         if !matches!(end, End::Failed(_)) {
             self.checkpoint().write(result.path())?;
+            let end = NodalState::of(rod, &self.integrator.state());
+            write_end(&result.path().join(END_FILE), &end)?;
         }
         result.write_text("scene.toml", &self.setup.resolved.to_toml())?;
         result.write_json("summary.json", summary)?;
