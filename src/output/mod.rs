@@ -52,8 +52,8 @@ pub use report::{
     ArrowKind, Bound, Facts, Hold, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportChart,
     ReportCheck, ReportClock, ReportCommand, ReportControls, ReportCurve, ReportData, ReportEnergy,
     ReportField, ReportFields, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles,
-    ReportPath, ReportSensitivity, ReportShape, ReportTable, ReportTarget, ReportVerdict,
-    ReportVia, Words, figure, render_report,
+    ReportPath, ReportRoute, ReportSensitivity, ReportShape, ReportTable, ReportTarget,
+    ReportVerdict, ReportVia, Words, figure, render_report,
 };
 #[cfg(feature = "cli")]
 #[doc(hidden)]

@@ -9,6 +9,7 @@ mod cli;
 mod continued;
 mod export;
 mod files;
+mod hardware;
 mod mpc_verb;
 mod outcomes;
 mod report_verb;

@@ -283,7 +283,7 @@ impl Scene {
     }
 
     /// The efforts that the optimizer chooses.
-    pub(in crate::scene) fn effort_controls(&self) -> Vec<EffortControl> {
+    pub(crate) fn effort_controls(&self) -> Vec<EffortControl> {
         (self.hardware().iter().enumerate())
             .filter_map(|(index, own)| own.of_task(index))
             .collect()
