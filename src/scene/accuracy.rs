@@ -2,7 +2,7 @@
 
 use toml::{Table, Value};
 
-use super::model::{EstimatorKind, LoadNode, Scene, TimeStep};
+use super::model::{Control, EstimatorKind, LoadNode, Scene, TimeStep};
 use super::model::{integrator, rotary_inertia};
 use super::overrides::Override;
 use super::values::{Number, digits, known};
@@ -167,6 +167,12 @@ impl Scene {
         }
         if let Some(inertia) = discretization.rotary_inertia {
             out.rod.rotary_inertia = rotary_inertia(inertia);
+        }
+        let own = self.discretization();
+        let is_other = (own.hold, own.blocks) != (discretization.hold, discretization.blocks);
+        if self.control.is_none() && self.has_controls() && is_other {
+            // Efforts alone are controls without this section.
+            out.control = Some(Control::default());
         }
         if let Some(control) = &mut out.control {
             control.hold = discretization.hold;

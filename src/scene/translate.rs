@@ -497,6 +497,12 @@ impl Scene {
         })
     }
 
+    /// Tells whether there is something to choose: a force or a moment, or the effort of an actuator in the arm.
+    #[must_use]
+    pub fn has_controls(&self) -> bool {
+        self.control.is_some() || !self.effort_controls().is_empty()
+    }
+
     /// Returns the obstacles, then the limits.
     #[must_use]
     pub fn limits(&self) -> Vec<Limit> {

@@ -1,4 +1,4 @@
-//! What the verbs make of arms with tendons and chambers: pages.
+//! What the verbs make of arms with tendons and chambers: pages, exports, trade-offs, and accuracies.
 
 #![cfg(feature = "cli")]
 
@@ -10,6 +10,8 @@ use std::process::Command;
 
 use serde_json::Value;
 use softarm::output::{EffortRow, MotionRecord, read_efforts};
+use softarm::scene::Scene;
+use softarm::tradeoff::Subject;
 use tempfile::TempDir;
 use tool::DONE;
 
@@ -182,4 +184,96 @@ fn pages_show_actuators() {
     fs::write(desk.path("plain.toml"), tool::SCENE).unwrap();
     desk.done("simulate plain.toml --out plain");
     assert_eq!(desk.page("plain")["routes"], Value::Null);
+}
+
+/// VTK files have effort and coordinate of their time as field data, and the table a column for each actuator, whatever its name is.
+#[test]
+fn exports_have_efforts() {
+    let desk = Desk::new();
+    desk.done("solve arm.toml --out run");
+    let (motion, efforts) = desk.efforts("run");
+    let last = &efforts[3 * (motion.n_rows() - 1)..];
+    desk.done("export run --to vtk --out vtk --frames 3");
+    let text = desk.read("vtk/motion-0002.vtp");
+    for (name, own) in ["front, &lt;1&gt;", "back", "side"].into_iter().zip(last) {
+        for (word, value) in [("effort", own.effort), ("coordinate", own.coordinate)] {
+            let head = format!("Name=\"{word} {name}\" NumberOfTuples=\"1\" format=\"ascii\">\n");
+            let (_, rest) = text.split_once(&head).expect(&head);
+            assert_eq!(rest.lines().next().unwrap().parse::<f64>().unwrap(), value);
+        }
+    }
+    for _ in 0..2 {
+        // The second export replaces the first one, which it knows by its head.
+        desk.done("export run --to csv --out csv --frames 3");
+    }
+    let path = desk.path("csv/motion.csv");
+    let mut table = csv::Reader::from_path(path).unwrap();
+    let heads: Vec<String> = table.headers().unwrap().iter().map(String::from).collect();
+    assert_eq!(
+        heads[10..],
+        ["effort front, <1>", "effort back", "effort side"]
+    );
+    let row = table.records().last().unwrap().unwrap();
+    for (i, own) in last.iter().enumerate() {
+        assert_eq!(row[10 + i].parse::<f64>().unwrap(), own.effort);
+    }
+}
+
+/// A scene whose only controls are efforts is an optimal-control problem to a trade-off, with blocks and a hold of its own, which a changed
+/// setting writes into the scene; without a goal it is a motion.
+#[test]
+fn efforts_are_controls_of_a_tradeoff() {
+    let (scene, _) = Scene::from_toml("arm", ARM, &[]).unwrap();
+    assert_eq!(Subject::of(&scene), Subject::OptimalControl);
+    let (task, _) = ARM.split_once("[task]").unwrap();
+    let (motion, _) = Scene::from_toml("motion", task, &[]).unwrap();
+    assert_eq!(Subject::of(&motion), Subject::Motion);
+    let own = scene.discretization();
+    let wanted = softarm::task::Discretization {
+        blocks: 7,
+        elements: 6,
+        ..own
+    };
+    assert_eq!(scene.with_grid(&wanted).discretization().blocks, 7);
+    assert_eq!(scene.with_grid(&own).control, None);
+    let desk = Desk::new();
+    let summary = desk.done(
+        "tradeoff arm.toml --out run --budget 6h --tolerance 0.1 --set solver.max_iterations=60",
+    );
+    let points = summary["points"].as_array().unwrap();
+    let solved = points.iter().filter(|point| point["status"] == "done");
+    let (mut n_solved, mut others) = (0, 0);
+    for point in solved {
+        assert!(
+            point["objective"].is_number() && point["error"].is_number(),
+            "{point}"
+        );
+        n_solved += 1;
+        others += usize::from(point["blocks"].as_u64() != Some(own.blocks as u64));
+    }
+    assert!(n_solved > 3 && others > 0, "{points:?}");
+    assert_eq!(summary["recommended"]["checked"], true);
+}
+
+/// An accuracy that the first grid misses leads to a finer one, which begins with the efforts of the coarser one: it needs fewer iterations
+/// than a solve of that grid from the beginning, and the result is certified.
+#[test]
+fn efforts_are_carried_to_finer_grids() {
+    let desk = Desk::new();
+    let scene = ARM.replace("elements = 4\n", "accuracy = 5e-4\n");
+    fs::write(desk.path("accurate.toml"), scene).unwrap();
+    let summary = desk.done("solve accurate.toml --out run");
+    assert_eq!(summary["check"]["verdict"], "certified");
+    let accuracy = &summary["accuracy"];
+    let levels = accuracy["levels"].as_array().unwrap();
+    assert!(levels.len() > 1, "{accuracy}");
+    let elements = levels.last().unwrap()["elements"].as_u64().unwrap();
+    let alone = desk.done(&format!(
+        "solve arm.toml --out alone --set rod.elements={elements}"
+    ));
+    let [carried, fresh] = [&summary, &alone].map(|own| own["iterations"].as_u64().unwrap());
+    assert!(carried <= fresh, "{carried} {fresh}");
+    let [a, b] = [&summary, &alone].map(|own| own["objective"].as_f64().unwrap());
+    // Both are optima of one grid, of objectives that a solve knows to the square of its tolerance.
+    assert!((a - b).abs() < 1e-6 * b.abs(), "{a} {b}");
 }

@@ -65,8 +65,7 @@ pub(crate) fn check_scene(
     let mut by_symmetry = None;
     let tracks = (scene.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
     // Controls without anything that is wanted play no part, as in a simulation.
-    let is_wanted =
-        scene.task.is_some() || scene.control.is_some() && (scene.mpc.is_some() || tracks);
+    let is_wanted = scene.task.is_some() || scene.has_controls() && (scene.mpc.is_some() || tracks);
     if scene.control.is_some() && !is_wanted {
         concerns.push(
             "control: without [task] and [[objective.track]] it plays no part; the scene is checked as a simulation"
