@@ -598,6 +598,41 @@ fn unknown_keys() {
     );
 }
 
+/// A word by which a person looks for an actuator leads to a heading that exists in a document, wherever it is written.
+#[test]
+fn words_for_actuators_lead_to_their_page() {
+    let words = [
+        "pressure",
+        "pressure_kpa",
+        "Pneumatics",
+        "chambers",
+        "tendons",
+        "tension",
+        "magnet_t",
+        "muscles",
+        "actuators",
+    ];
+    for (word, section) in words
+        .iter()
+        .flat_map(|word| [(word, ""), (word, "[control]\n")])
+    {
+        let text = match section {
+            "" => format!("{word} = 1\n{ROD}"),
+            _ => format!("{ROD}{section}{word} = 1\n"),
+        };
+        let error = error_of(&text);
+        let help = error.help().unwrap();
+        let (_, rest) = help.split_once("see \"").expect(help);
+        let (heading, rest) = rest.split_once("\" in ").unwrap();
+        let page = rest.split([',', '\n']).next().unwrap();
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+        let document = std::fs::read_to_string(root.join(page)).expect(page);
+        let is_heading =
+            |line: &str| line.trim_start_matches('#').trim() == heading && line.starts_with('#');
+        assert!(document.lines().any(is_heading), "{word}: {help}");
+    }
+}
+
 /// A wrong choice lists the choices and offers the nearest.
 #[test]
 fn unknown_choices() {
