@@ -33,7 +33,7 @@ pub fn write_end(path: &Path, end: &NodalState) -> Result<(), OutputError> {
         .flat_map(|r| r.transpose().iter().copied().collect::<Vec<_>>())
         .collect();
     let arrays: [ArrayView; 8] = [
-        ("length", vec![1], &vec![end.length]),
+        ("length", vec![1], &[end.length]),
         ("at", vec![n], &end.places),
         ("x", vec![n, 3], &vectors(&at.positions)),
         ("R", vec![n, 3, 3], &rotations),

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use super::error::SceneError;
 use super::keys::Keys;
-use super::model::{InitialState, Scene};
+use super::model::{Initial, InitialState, Scene};
+use super::overrides::Override;
 use super::source::SceneSource;
 use crate::output::{END_FILE, ResultKind, read_end};
 
@@ -15,6 +16,30 @@ impl Scene {
         let Some(initial) = &mut self.initial else {
             return Ok(());
         };
+        // What the command line names puts the other keys of the text out of force.
+        let overrides = source.overrides.iter().map(|text| Override::parse(text));
+        let overrides: Vec<_> = overrides.filter_map(Result::ok).collect();
+        let named = |key: &str| overrides.iter().any(|own| own.sets(&["initial", key]));
+        if named("from") || named("state") {
+            let rest = Initial::default();
+            if !named("shape") {
+                initial.shape = rest.shape;
+            }
+            if !named("velocity_m_s") {
+                initial.velocity_m_s = rest.velocity_m_s;
+            }
+            if !named("angular_velocity_rad_s") {
+                initial.angular_velocity_rad_s = rest.angular_velocity_rad_s;
+            }
+        }
+        if named("from") != named("state") {
+            match named("from") {
+                true => initial.state = None,
+                false => initial.from = None,
+            }
+        } else if named("shape") && !named("from") {
+            (initial.from, initial.state) = (None, None);
+        }
         let Some(name) = initial.from.take() else {
             return Ok(());
         };

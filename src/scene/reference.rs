@@ -19,7 +19,9 @@ const PREFACE: [&str; 3] = [
 ];
 
 /// Units by the end of a key, longer ends first.
-const UNITS: [(&str, &str); 22] = [
+const UNITS: [(&str, &str); 24] = [
+    ("_kg_m2_s", "kg m²/s"),
+    ("_kg_m_s", "kg m/s"),
     ("rotary_kg_m", "kg m"),
     ("_n_m_per_m", "N m/m"),
     ("_n_per_m", "N/m"),
@@ -180,7 +182,7 @@ impl<'a> Page<'a> {
             let cells = [
                 format!("`{key}`"),
                 kind.clone(),
-                unit(key, &kind),
+                unit(key, &kind, &meaning),
                 default,
                 meaning,
             ];
@@ -289,7 +291,10 @@ fn kind(schema: &Value, definitions: &Value) -> String {
             let item = behind(&schema["items"], definitions).0;
             match schema["maxItems"].as_u64() {
                 Some(count) => format!("{count} × {}", of(item)),
-                None if item["type"] == "array" => format!("rows of {}", of(item)),
+                None if item["type"] == "array" && item["maxItems"].is_u64() => {
+                    format!("rows of {}", of(item))
+                }
+                None if item["type"] == "array" => "rows of numbers".into(),
                 None => format!("list of {}", of(item)),
             }
         }
@@ -331,14 +336,14 @@ fn typed(choice: &Value) -> String {
     }
 }
 
-/// Returns the unit of a key by its end; rows begin with a time in seconds.
-fn unit(key: &str, kind: &str) -> String {
+/// Returns the unit of a key by its end; rows over time begin with a time in seconds.
+fn unit(key: &str, kind: &str, meaning: &str) -> String {
     let unit = UNITS
         .iter()
         .find(|(end, _)| key.ends_with(end))
         .map_or("", |(_, unit)| unit);
-    let is_rows = kind.starts_with("rows of");
-    match (unit, is_rows) {
+    let is_over_time = meaning.contains("[t in s") || meaning.contains("over time");
+    match (unit, kind.starts_with("rows of") && is_over_time) {
         ("", true) => "s".into(),
         (unit, true) => format!("s, {unit}"),
         (unit, false) => unit.into(),

@@ -21,7 +21,12 @@ use crate::task::{Start, StartShape};
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Initial {
-    /// Shape that the motion starts from: a word, or rows along the arm.
+    /// Shape that the motion starts from: `"rest"`, the stress-free shape, on which gravity and loads act suddenly;
+    /// `"equilibrium"`, the static equilibrium under gravity and the loads at t = 0, which needs a clamped or driven base; or
+    /// rows, each of which begins with a fraction of the length. Rows of four numbers, [fraction, three components in 1/m],
+    /// are curvature and twist, linear between two rows and constant beyond the first and the last one, of an arm without
+    /// shear that is as long as at rest. Rows of eight numbers, [fraction, x, y, z in m, quaternion w, x, y, z], are poses,
+    /// the first at 0, on the base, the last at 1; between two of them the arm is a helix. Default: "rest".
     pub shape: InitialShape,
     /// Velocity of the center of mass in m/s. Default: none.
     pub velocity_m_s: [f64; 3],
@@ -38,12 +43,7 @@ pub struct Initial {
     pub state: Option<InitialState>,
 }
 
-/// Shape that a motion starts from: `"rest"`, the stress-free shape, on which gravity and loads act suddenly;
-/// `"equilibrium"`, the static equilibrium under gravity and the loads at t = 0, which needs a clamped or driven base; or
-/// rows of which each begins with a fraction of the length. Rows of four numbers, [fraction, three components in 1/m],
-/// are curvature and twist, linear between two rows and constant beyond the first and the last one, of an arm without shear
-/// that is as long as at rest. Rows of eight numbers, [fraction, x, y, z in m, quaternion w, x, y, z], are poses, the first
-/// at 0, on the base, the last at 1; between two of them the arm is a helix.
+/// Shape that a motion starts from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(
