@@ -17,9 +17,12 @@
 //! Under the trapezoidal rule `φ` is the mean of its values at the strains of both ends. Strains are multiplied by the length of the
 //! element here, as in the [rules](super::rule), so that stresses are derivatives along `(l v, ψ)`.
 
+use std::marker::PhantomData;
+
 use pulp::Simd;
 
 use super::rule::{Blocks, Stress, TangentRule};
+use crate::mechanics::lanes::part::{Part, apart};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Vec3};
 
 /// The coordinate of an actuator per length of the rod, as a function of the tangent `p` of its line and of the twist `κ₃`.
@@ -372,6 +375,17 @@ impl<S: Simd> ActiveTangent<S> {
     /// Returns `Lᵀ T R` of two derivatives of the strains of an element by one rule.
     #[inline(always)]
     pub fn between<R: TangentRule>(&self, left: &Blocks<S>, right: &Blocks<S>) -> Blocks<S> {
+        let part = Between::<S, R> {
+            tangent: self,
+            left,
+            right,
+            rule: PhantomData,
+        };
+        apart(self.angular.rows[0].x.simd, part)
+    }
+
+    #[inline(always)]
+    fn between_inline<R: TangentRule>(&self, left: &Blocks<S>, right: &Blocks<S>) -> Blocks<S> {
         let simd = self.angular.rows[0].x.simd;
         let zero = Mat3::zero(simd);
         let ends = if R::END_WEIGHT == 1.0 { 1 } else { 2 };
@@ -403,5 +417,22 @@ impl<S: Simd> ActiveTangent<S> {
             }
         }
         out
+    }
+}
+
+/// The arguments of [`ActiveTangent::between`].
+struct Between<'a, S: Simd, R> {
+    tangent: &'a ActiveTangent<S>,
+    left: &'a Blocks<S>,
+    right: &'a Blocks<S>,
+    rule: PhantomData<R>,
+}
+
+impl<S: Simd, R: TangentRule> Part for Between<'_, S, R> {
+    type Output = Blocks<S>;
+
+    #[inline(always)]
+    fn run(self) -> Blocks<S> {
+        self.tangent.between_inline::<R>(self.left, self.right)
     }
 }

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::LaneIntegrator;
+use super::part::{Part, apart};
 use super::place::{Place, Slots};
 use super::rule::Stress;
 use super::sweep::{FORCE, MOMENT};
@@ -135,13 +136,14 @@ impl<S: Simd> ActiveBlocks<'_, S> {
         psi: Vec3<S>,
         stress: &mut Stress<S>,
     ) {
-        let simd = psi.x.simd;
-        for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
-            let effort = Lanes::splat(simd, -self.efforts[actuator]);
-            let point = self.point(simd, block * self.kinds.len() + i);
-            let slopes = point.slopes::<ENDS>(density, linear, psi);
-            *stress = stress.plus(slopes.times(effort));
-        }
+        let part = Added::<S, ENDS> {
+            active: *self,
+            block,
+            linear,
+            psi,
+            stress: *stress,
+        };
+        *stress = apart(psi.x.simd, part);
     }
 
     /// Returns minus the second derivative of `Σ u y` of a block along `(l v, ψ)`.
@@ -160,6 +162,38 @@ impl<S: Simd> ActiveBlocks<'_, S> {
             sum = sum.plus(bends, Lanes::splat(simd, -self.efforts[actuator]));
         }
         sum
+    }
+}
+
+/// The arguments of [`ActiveBlocks::add_stress`].
+struct Added<'a, S: Simd, const ENDS: usize> {
+    active: ActiveBlocks<'a, S>,
+    block: usize,
+    linear: [Vec3<S>; 2],
+    psi: Vec3<S>,
+    stress: Stress<S>,
+}
+
+impl<S: Simd, const ENDS: usize> Part for Added<'_, S, ENDS> {
+    type Output = Stress<S>;
+
+    #[inline(always)]
+    fn run(self) -> Stress<S> {
+        let Self {
+            active,
+            block,
+            linear,
+            psi,
+            mut stress,
+        } = self;
+        let simd = psi.x.simd;
+        for (i, &(actuator, density)) in active.kinds.iter().enumerate() {
+            let effort = Lanes::splat(simd, -active.efforts[actuator]);
+            let point = active.point(simd, block * active.kinds.len() + i);
+            let slopes = point.slopes::<ENDS>(density, linear, psi);
+            stress = stress.plus(slopes.times(effort));
+        }
+        stress
     }
 }
 

@@ -9,6 +9,7 @@ mod element;
 mod failure;
 mod impulses;
 pub(super) mod logarithm;
+pub(super) mod part;
 mod place;
 mod rule;
 mod singly;
