@@ -383,41 +383,6 @@ impl<S: Simd> ActiveTangent<S> {
         };
         apart(self.angular.rows[0].x.simd, part)
     }
-
-    #[inline(always)]
-    fn between_inline<R: TangentRule>(&self, left: &Blocks<S>, right: &Blocks<S>) -> Blocks<S> {
-        let simd = self.angular.rows[0].x.simd;
-        let zero = Mat3::zero(simd);
-        let ends = if R::END_WEIGHT == 1.0 { 1 } else { 2 };
-        let mut out = [[zero; 3]; 3];
-        for j in 0..3 {
-            // T R, column j: of the strains at the ends and of the angular one.
-            let turn = R::PATTERN[2][j].then_some(right[2][j]);
-            let mut angular = turn.map_or(zero, |turn| self.angular.product(turn));
-            let mut linear = [zero; 2];
-            for end in 0..ends {
-                if R::PATTERN[end][j] {
-                    let moved = right[end][j];
-                    linear[end] = self.linear[end].product(moved);
-                    angular = angular + self.mixed[end].transposed_product(moved);
-                }
-                if let Some(turn) = turn {
-                    linear[end] = linear[end] + self.mixed[end].product(turn);
-                }
-            }
-            for i in 0..3 {
-                for end in 0..ends {
-                    if R::PATTERN[end][i] {
-                        out[i][j] = out[i][j] + left[end][i].transposed_product(linear[end]);
-                    }
-                }
-                if R::PATTERN[2][i] {
-                    out[i][j] = out[i][j] + left[2][i].transposed_product(angular);
-                }
-            }
-        }
-        out
-    }
 }
 
 /// The arguments of [`ActiveTangent::between`].
@@ -433,6 +398,42 @@ impl<S: Simd, R: TangentRule> Part for Between<'_, S, R> {
 
     #[inline(always)]
     fn run(self) -> Blocks<S> {
-        self.tangent.between_inline::<R>(self.left, self.right)
+        let Self {
+            tangent,
+            left,
+            right,
+            ..
+        } = self;
+        let simd = tangent.angular.rows[0].x.simd;
+        let zero = Mat3::zero(simd);
+        let ends = if R::END_WEIGHT == 1.0 { 1 } else { 2 };
+        let mut out = [[zero; 3]; 3];
+        for j in 0..3 {
+            // T R, column j: of the strains at the ends and of the angular one.
+            let turn = R::PATTERN[2][j].then_some(right[2][j]);
+            let mut angular = turn.map_or(zero, |turn| tangent.angular.product(turn));
+            let mut linear = [zero; 2];
+            for end in 0..ends {
+                if R::PATTERN[end][j] {
+                    let moved = right[end][j];
+                    linear[end] = tangent.linear[end].product(moved);
+                    angular = angular + tangent.mixed[end].transposed_product(moved);
+                }
+                if let Some(turn) = turn {
+                    linear[end] = linear[end] + tangent.mixed[end].product(turn);
+                }
+            }
+            for i in 0..3 {
+                for end in 0..ends {
+                    if R::PATTERN[end][i] {
+                        out[i][j] = out[i][j] + left[end][i].transposed_product(linear[end]);
+                    }
+                }
+                if R::PATTERN[2][i] {
+                    out[i][j] = out[i][j] + left[2][i].transposed_product(angular);
+                }
+            }
+        }
+        out
     }
 }

@@ -101,31 +101,6 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         )
     }
 
-    #[inline(always)]
-    fn stress_inline<R: TangentRule>(
-        &self,
-        q: usize,
-        length: f64,
-        strain: &Stress<S>,
-    ) -> Stress<S> {
-        let simd = strain.angular.x.simd;
-        let zero = Vec3::zero(simd);
-        let mut sum = Stress {
-            linear: [zero; 2],
-            angular: zero,
-        };
-        for point in self.actuators.on(q) {
-            let at = point.in_element(simd, length);
-            let slopes = if R::END_WEIGHT == 1.0 {
-                at.slopes::<1>(point.density, strain.linear, strain.angular)
-            } else {
-                at.slopes::<2>(point.density, strain.linear, strain.angular)
-            };
-            sum = sum.minus(slopes.times(self.effort(simd, point.actuator)));
-        }
-        sum
-    }
-
     /// Returns the derivative of [`Self::stress`] along the strain.
     #[inline(always)]
     pub fn tangent<R: TangentRule>(
@@ -138,27 +113,6 @@ impl<S: Simd> ActiveEfforts<'_, S> {
             strain.angular.x.simd,
             Tangent(self.at::<R>(q, length, *strain)),
         )
-    }
-
-    #[inline(always)]
-    fn tangent_inline<R: TangentRule>(
-        &self,
-        q: usize,
-        length: f64,
-        strain: &Stress<S>,
-    ) -> ActiveTangent<S> {
-        let simd = strain.angular.x.simd;
-        let mut sum = ActiveTangent::zero(simd);
-        for point in self.actuators.on(q) {
-            let at: ActivePoint<S> = point.in_element(simd, length);
-            let bends = if R::END_WEIGHT == 1.0 {
-                at.bends::<1>(point.density, strain.linear, strain.angular)
-            } else {
-                at.bends::<2>(point.density, strain.linear, strain.angular)
-            };
-            sum = sum.plus(bends, -self.effort(simd, point.actuator));
-        }
-        sum
     }
 
     #[inline(always)]
@@ -236,47 +190,6 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         };
         apart(ends[0].dx.x.simd, part)
     }
-
-    #[inline(always)]
-    fn curvature_inline<R: TangentRule, P: Turns<S>>(
-        &self,
-        element: &Element,
-        q: usize,
-        ends: &[CurvedEnd<S>; 2],
-    ) -> StressBlocks<S> {
-        let length = element.length;
-        let simd = ends[0].dx.x.simd;
-        let none = Elasticity::of::<R>(simd, element).times(Lanes::splat(simd, 0.0));
-        let both = Displacement::along_both(ends[0].covector, ends[1].covector, length);
-        // Own at the start, mixed, own at the end; each here, ahead and behind.
-        let mut found = [[[[Mat3::zero(simd); 3]; 3]; 3]; 3];
-        for (at, sign) in [0.0, 1.0, -1.0].into_iter().enumerate() {
-            let (dx, [a, b]) = both[0].moved(ends[0].dx, ends[0].rotations, sign);
-            let start = P::pose::<R>(dx, a, b);
-            let (dx, [a, b]) = both[1].moved(ends[1].dx, ends[1].rotations, sign);
-            let end = P::pose::<R>(dx, a, b);
-            let mean = R::strain(&start)
-                .plus(R::strain(&end))
-                .times(Lanes::splat(simd, 0.5));
-            let stress = self.stress::<R>(q, length, &mean);
-            let tangent = self.tangent::<R>(q, length, &mean);
-            let [left, right] = [R::derivative(&start), R::derivative(&end)];
-            // The weight of a strain in the mean is one half.
-            let bent = times(stiffness_under::<S, R>(&none, &start, &stress), 0.5);
-            let half = times(tangent.between::<R>(&left, &left), 0.25);
-            found[0][at] = sum(bent, half);
-            found[1][at] = times(tangent.between::<R>(&left, &right), 0.25);
-            let bent = times(stiffness_under::<S, R>(&none, &end, &stress), 0.5);
-            let half = times(tangent.between::<R>(&right, &right), 0.25);
-            found[2][at] = sum(bent, half);
-        }
-        // The covectors have the weights of the impulses, which are twice the derivative along one of both strains.
-        StressBlocks {
-            start: times(both[0].curvature(&found[0]), 2.0),
-            cross: times(both[0].mixed_curvature(&both[1], &found[1]), 2.0),
-            end: times(both[1].curvature(&found[2]), 2.0),
-        }
-    }
 }
 
 /// The arguments of [`ActiveEfforts::stress`] and [`ActiveEfforts::tangent`].
@@ -295,8 +208,29 @@ impl<S: Simd, R: TangentRule> Part for Stressed<'_, S, R> {
 
     #[inline(always)]
     fn run(self) -> Stress<S> {
-        let At { q, length, .. } = self.0;
-        (self.0.efforts).stress_inline::<R>(q, length, &self.0.strain)
+        let At {
+            efforts,
+            q,
+            length,
+            strain,
+            ..
+        } = self.0;
+        let simd = strain.angular.x.simd;
+        let zero = Vec3::zero(simd);
+        let mut sum = Stress {
+            linear: [zero; 2],
+            angular: zero,
+        };
+        for point in efforts.actuators.on(q) {
+            let at = point.in_element(simd, length);
+            let slopes = if R::END_WEIGHT == 1.0 {
+                at.slopes::<1>(point.density, strain.linear, strain.angular)
+            } else {
+                at.slopes::<2>(point.density, strain.linear, strain.angular)
+            };
+            sum = sum.minus(slopes.times(efforts.effort(simd, point.actuator)));
+        }
+        sum
     }
 }
 
@@ -307,8 +241,25 @@ impl<S: Simd, R: TangentRule> Part for Tangent<'_, S, R> {
 
     #[inline(always)]
     fn run(self) -> ActiveTangent<S> {
-        let At { q, length, .. } = self.0;
-        (self.0.efforts).tangent_inline::<R>(q, length, &self.0.strain)
+        let At {
+            efforts,
+            q,
+            length,
+            strain,
+            ..
+        } = self.0;
+        let simd = strain.angular.x.simd;
+        let mut sum = ActiveTangent::zero(simd);
+        for point in efforts.actuators.on(q) {
+            let at: ActivePoint<S> = point.in_element(simd, length);
+            let bends = if R::END_WEIGHT == 1.0 {
+                at.bends::<1>(point.density, strain.linear, strain.angular)
+            } else {
+                at.bends::<2>(point.density, strain.linear, strain.angular)
+            };
+            sum = sum.plus(bends, -efforts.effort(simd, point.actuator));
+        }
+        sum
     }
 }
 
@@ -326,7 +277,45 @@ impl<S: Simd, R: TangentRule, P: Turns<S>> Part for Curvature<'_, S, R, P> {
 
     #[inline(always)]
     fn run(self) -> StressBlocks<S> {
-        (self.efforts).curvature_inline::<R, P>(self.element, self.q, self.ends)
+        let Self {
+            efforts,
+            element,
+            q,
+            ends,
+            ..
+        } = self;
+        let length = element.length;
+        let simd = ends[0].dx.x.simd;
+        let none = Elasticity::of::<R>(simd, element).times(Lanes::splat(simd, 0.0));
+        let both = Displacement::along_both(ends[0].covector, ends[1].covector, length);
+        // Own at the start, mixed, own at the end; each here, ahead and behind.
+        let mut found = [[[[Mat3::zero(simd); 3]; 3]; 3]; 3];
+        for (at, sign) in [0.0, 1.0, -1.0].into_iter().enumerate() {
+            let (dx, [a, b]) = both[0].moved(ends[0].dx, ends[0].rotations, sign);
+            let start = P::pose::<R>(dx, a, b);
+            let (dx, [a, b]) = both[1].moved(ends[1].dx, ends[1].rotations, sign);
+            let end = P::pose::<R>(dx, a, b);
+            let mean = R::strain(&start)
+                .plus(R::strain(&end))
+                .times(Lanes::splat(simd, 0.5));
+            let stress = efforts.stress::<R>(q, length, &mean);
+            let tangent = efforts.tangent::<R>(q, length, &mean);
+            let [left, right] = [R::derivative(&start), R::derivative(&end)];
+            // The weight of a strain in the mean is one half.
+            let bent = times(stiffness_under::<S, R>(&none, &start, &stress), 0.5);
+            let half = times(tangent.between::<R>(&left, &left), 0.25);
+            found[0][at] = sum(bent, half);
+            found[1][at] = times(tangent.between::<R>(&left, &right), 0.25);
+            let bent = times(stiffness_under::<S, R>(&none, &end, &stress), 0.5);
+            let half = times(tangent.between::<R>(&right, &right), 0.25);
+            found[2][at] = sum(bent, half);
+        }
+        // The covectors have the weights of the impulses, which are twice the derivative along one of both strains.
+        StressBlocks {
+            start: times(both[0].curvature(&found[0]), 2.0),
+            cross: times(both[0].mixed_curvature(&both[1], &found[1]), 2.0),
+            end: times(both[1].curvature(&found[2]), 2.0),
+        }
     }
 }
 
