@@ -4,14 +4,13 @@ use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::LaneIntegrator;
-use super::part::{Part, apart};
-use super::place::{Place, Slots};
+use super::place::{FORCE, MOMENT, Place, Slots};
 use super::rule::Stress;
-use super::sweep::{FORCE, MOMENT};
 use super::vector::{Lanes, Row, Vec3, row};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::element::{ActivePoint, ActiveTangent, Density};
 use crate::mechanics::forces::NodalForces;
+use crate::mechanics::part::{Part, apart};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::time::TimeScheme;

@@ -6,12 +6,12 @@ use std::marker::PhantomData;
 
 use pulp::Simd;
 
-use super::part::{Part, apart};
 use super::vector::{Lanes, Mat3, Vec3};
 use crate::mechanics::element::{
     Blocks, Displacement, Elasticity, Stress, TangentRule, Turns, stiffness_under,
 };
 use crate::mechanics::implicit::IntervalWeights;
+use crate::mechanics::part::{Part, apart};
 
 /// An element at one end of an interval, and the constant components `(dx; body a; body b)` along which its pull is taken.
 #[derive(Clone, Copy)]

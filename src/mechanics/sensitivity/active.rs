@@ -11,12 +11,12 @@ use crate::mechanics::element::{
     Stress, TangentRule, Trapezoidal, Turns, stiffness_under,
 };
 use crate::mechanics::lanes::curved::{CurvedEnd, StressBlocks};
-use crate::mechanics::lanes::part::{Part, apart};
 use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS, put_pose};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::load::Wrench;
+use crate::mechanics::part::{Part, apart};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::{ControlSignal, EffortTable};
 use crate::mechanics::strain_actuator::StrainActuators;

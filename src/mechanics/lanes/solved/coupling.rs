@@ -9,9 +9,9 @@ use crate::mechanics::element::{Helical, Trapezoidal};
 use crate::mechanics::lanes::active::ActiveBlocks;
 use crate::mechanics::lanes::element::{ANGULAR_STIFFNESS, LINEAR_STIFFNESS};
 use crate::mechanics::lanes::logarithm::Logarithm;
-use crate::mechanics::lanes::part::Part;
 use crate::mechanics::lanes::rule::{Rule, Strained, Stress};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3};
+use crate::mechanics::part::Part;
 
 /// Blocks over the motion and the rotation of end a, then of end b.
 pub type Coupling<S> = [[Mat3<S>; 4]; 4];

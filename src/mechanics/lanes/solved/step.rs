@@ -12,7 +12,6 @@ use super::instant::{
 };
 use crate::mechanics::lanes::active::{ActiveBlocks, ActiveLanes};
 use crate::mechanics::lanes::element::{Chord, STRESS_ROWS, fold};
-use crate::mechanics::lanes::part::apart;
 use crate::mechanics::lanes::place::Slots;
 use crate::mechanics::lanes::rule::{Pull, pressed};
 use crate::mechanics::lanes::sweep::{
@@ -22,6 +21,7 @@ use crate::mechanics::lanes::sweep::{
 use crate::mechanics::lanes::vector::{
     Frame, Lanes, Mat3, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows,
 };
+use crate::mechanics::part::apart;
 use crate::mechanics::rotation_step::{momentum, momentum_slope, spin_inertia};
 use crate::mechanics::time::TimeScheme;
 
