@@ -10,7 +10,6 @@ use super::vector::{Lanes, Row, Vec3, row};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::element::{ActivePoint, ActiveTangent, Density};
 use crate::mechanics::forces::NodalForces;
-use crate::mechanics::part::{Part, apart};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::time::TimeScheme;
@@ -135,14 +134,13 @@ impl<S: Simd> ActiveBlocks<'_, S> {
         psi: Vec3<S>,
         stress: &mut Stress<S>,
     ) {
-        let part = Added::<S, ENDS> {
-            active: *self,
-            block,
-            linear,
-            psi,
-            stress: *stress,
-        };
-        *stress = apart(psi.x.simd, part);
+        let simd = psi.x.simd;
+        for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
+            let effort = Lanes::splat(simd, -self.efforts[actuator]);
+            let point = self.point(simd, block * self.kinds.len() + i);
+            let slopes = point.slopes::<ENDS>(density, linear, psi);
+            *stress = stress.plus(slopes.times(effort));
+        }
     }
 
     /// Returns minus the second derivative of `Σ u y` of a block along `(l v, ψ)`.
@@ -161,38 +159,6 @@ impl<S: Simd> ActiveBlocks<'_, S> {
             sum = sum.plus(bends, Lanes::splat(simd, -self.efforts[actuator]));
         }
         sum
-    }
-}
-
-/// The arguments of [`ActiveBlocks::add_stress`].
-struct Added<'a, S: Simd, const ENDS: usize> {
-    active: ActiveBlocks<'a, S>,
-    block: usize,
-    linear: [Vec3<S>; 2],
-    psi: Vec3<S>,
-    stress: Stress<S>,
-}
-
-impl<S: Simd, const ENDS: usize> Part for Added<'_, S, ENDS> {
-    type Output = Stress<S>;
-
-    #[inline(always)]
-    fn run(self) -> Stress<S> {
-        let Self {
-            active,
-            block,
-            linear,
-            psi,
-            mut stress,
-        } = self;
-        let simd = psi.x.simd;
-        for (i, &(actuator, density)) in active.kinds.iter().enumerate() {
-            let effort = Lanes::splat(simd, -active.efforts[actuator]);
-            let point = active.point(simd, block * active.kinds.len() + i);
-            let slopes = point.slopes::<ENDS>(density, linear, psi);
-            stress = stress.plus(slopes.times(effort));
-        }
-        stress
     }
 }
 
