@@ -67,6 +67,7 @@ pub mod load_path;
 mod logarithm;
 mod mesh;
 pub(crate) mod nodal_state;
+mod part;
 pub(crate) mod place;
 #[doc(hidden)]
 pub mod rod;
