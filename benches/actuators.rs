@@ -23,6 +23,8 @@ use support::{moving, push};
 
 const ELEMENTS: usize = 20;
 const ROUNDS: usize = 15;
+/// Rounds of solves, which take longer.
+const SOLVES: usize = 5;
 /// Iterations of a solve, none of which converges.
 const ITERATIONS: usize = 4;
 
@@ -42,12 +44,13 @@ fn main() {
 fn rows(
     title: &str,
     unit: (&str, f64),
+    rounds: usize,
     names: &[&str],
     mut run: impl FnMut(usize),
     units: impl Fn(usize) -> f64,
 ) {
     let mut least = vec![f64::INFINITY; names.len()];
-    for round in 0..=ROUNDS {
+    for round in 0..=rounds {
         for (case, least) in least.iter_mut().enumerate() {
             let start = Instant::now();
             run(case);
@@ -146,6 +149,7 @@ fn steps(implicit: bool) {
             "explicit step of a node"
         },
         ("ns", 1e9),
+        ROUNDS,
         &names,
         |case| {
             let mut stepper = starts[case].clone();
@@ -237,6 +241,7 @@ fn iterations(hessian: HessianChoice, scheme: TimeScheme) {
     rows(
         &title,
         ("ms", 1e3),
+        SOLVES,
         &[&names[0], &names[1]],
         |case| work(case, &mut counts),
         |case| per[case] as f64,
