@@ -12,6 +12,7 @@ mod axes;
 mod continuous;
 mod distributed;
 mod free_duration;
+mod holding;
 mod optimal_control;
 mod path_constraints;
 mod path_tracking;

@@ -88,6 +88,16 @@ impl Density {
         }
     }
 
+    /// Returns the factor of `|p|` in a density that is a multiple of it.
+    #[inline(always)]
+    fn length_sign(self) -> Option<f64> {
+        match self {
+            Self::Shortening => Some(-1.0),
+            Self::Lengthening => Some(1.0),
+            Self::Volume | Self::Muscle | Self::Braid { .. } => None,
+        }
+    }
+
     /// Returns the density itself, for `λ` and `κ₃`, or for the axial component of `p` of a [`Self::Volume`].
     fn value(self, stretch: f64, twist: f64) -> f64 {
         match self {
@@ -238,6 +248,10 @@ impl<S: Simd> ActivePoint<S> {
         }
         let line = self.tangent_line(linear, psi);
         let length = (line.dot(line) + LEAST_SQUARE).sqrt();
+        if let Some(sign) = density.length_sign() {
+            let g = line * (self.weight * sign / length);
+            return (g, self.moment(g));
+        }
         let Slopes { stretch, twist } =
             density.slopes(length * self.inverse_length, psi.z * self.inverse_length);
         let g = line * (stretch * self.weight / length);

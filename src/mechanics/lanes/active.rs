@@ -136,10 +136,10 @@ impl<S: Simd> ActiveBlocks<'_, S> {
     ) {
         let simd = psi.x.simd;
         for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
-            let effort = Lanes::splat(simd, -self.efforts[actuator]);
-            let point = self.point(simd, block * self.kinds.len() + i);
-            let slopes = point.slopes::<ENDS>(density, linear, psi);
-            *stress = stress.plus(slopes.times(effort));
+            let mut point = self.point(simd, block * self.kinds.len() + i);
+            // The slopes are proportional to the weight.
+            point.weight = point.weight * -self.efforts[actuator];
+            *stress = stress.plus(point.slopes::<ENDS>(density, linear, psi));
         }
     }
 

@@ -343,7 +343,7 @@ impl Conditions<'_> {
         covectors: [&[Vector3<f64>]; 2],
         out: &mut [Wrench],
     ) {
-        if self.rod().scheme == TimeScheme::Explicit {
+        if self.rod().scheme == TimeScheme::Explicit && self.control.efforts.is_some() {
             let (x, r) = (
                 self.trajectory.positions_at(k),
                 self.trajectory.rotations_at(k),
