@@ -425,7 +425,7 @@ impl EffortPulls {
         actuator: usize,
         visit: &mut dyn FnMut(usize, usize, usize, f64),
     ) {
-        let mut all = |times: &[usize], weight: f64, wrenches: &[f64]| {
+        self.visit_sets(k, actuator, &mut |times, weight, wrenches| {
             for (at, wrench) in wrenches.iter().enumerate() {
                 if *wrench != 0.0 {
                     for &time in times {
@@ -433,18 +433,28 @@ impl EffortPulls {
                     }
                 }
             }
-        };
+        });
+    }
+
+    /// Calls `visit(times, weight, wrenches)` for the wrenches on all nodes at time node `k`, six numbers for each, that follow from a unit
+    /// effort at each of some time nodes, up to a weight.
+    pub fn visit_sets(
+        &self,
+        k: usize,
+        actuator: usize,
+        visit: &mut dyn FnMut(&[usize], f64, &[f64]),
+    ) {
         if self.ends == 1 {
-            all(&[k], 1.0, self.wrenches(k, 0, actuator));
+            visit(&[k], 1.0, self.wrenches(k, 0, actuator));
             return;
         }
         let n_sets = self.n_sets;
         let weight = 0.5 * interval_share(k, n_sets);
         if k < n_sets {
-            all(&[k, k + 1], weight, self.wrenches(k, 0, actuator));
+            visit(&[k, k + 1], weight, self.wrenches(k, 0, actuator));
         }
         if k > 0 {
-            all(&[k - 1, k], weight, self.wrenches(k - 1, 1, actuator));
+            visit(&[k - 1, k], weight, self.wrenches(k - 1, 1, actuator));
         }
     }
 }
