@@ -26,9 +26,9 @@ use super::horizon::Horizon;
 use super::knots::Knots;
 use super::motions::Motions;
 use super::subproblem::{Subproblem, SubproblemEnd};
-use crate::control::{ActuatedNode, Hold};
+use crate::control::{ActuatedNode, Channel, Hold};
 use crate::mechanics::linearization::StateTangent;
-use crate::mechanics::{Rod, State, StepError, Wrench};
+use crate::mechanics::{Rod, State, StepError, StrainActuator, Wrench};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
 
@@ -566,17 +566,18 @@ impl Controller {
         command: &'a Command,
     ) -> impl Iterator<Item = (&'a str, [f64; 2])> {
         let problem = &self.horizon.problem;
-        let driven = problem
-            .efforts
-            .iter()
-            .flat_map(|efforts| &efforts.actuators);
-        driven.filter_map(move |&index| {
-            let own = problem.rod.actuators.iter().nth(index)?;
+        let driven = (problem.efforts.iter()).flat_map(|efforts| &efforts.actuators);
+        driven.zip(self.driven()).map(move |(&index, (own, _))| {
             let given = own.effort(command.start);
             let ends = [&command.efforts_from, &command.efforts_to];
             let added = ends.map(|added| added.get(index).copied().unwrap_or(0.0));
-            Some((&own.name[..], added.map(|added| given + added)))
+            (&own.name[..], added.map(|added| given + added))
         })
+    }
+
+    /// Returns the actuators in the arm whose efforts are controls, with the channels of these.
+    pub(super) fn driven(&self) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
+        self.horizon.problem.driven()
     }
 
     /// Returns the state in which the task begins.

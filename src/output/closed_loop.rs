@@ -171,9 +171,9 @@ pub struct LimitPeak {
 /// Result of another law on the same arm.
 #[derive(Clone, Debug, Serialize)]
 pub struct BaselineSummary {
-    /// Status, as in the summary.
+    /// Status, as in the summary; `missing` for a law that the arm cannot have.
     pub status: &'static str,
-    /// The reason of a failure.
+    /// The reason of a failure, or why the law does not exist.
     pub error: Option<String>,
     /// Number of samples that ran.
     pub samples: usize,
@@ -184,6 +184,27 @@ pub struct BaselineSummary {
     /// Angle of the tip from its reference orientation, rad; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tip_turn_rad: Option<TipError>,
+}
+
+impl BaselineSummary {
+    /// Returns the entry of a law that the arm cannot have, for the given reason.
+    #[must_use]
+    pub fn missing(why: &str) -> Self {
+        let unknown = TipError {
+            last: f64::NAN,
+            rms: f64::NAN,
+            p95: f64::NAN,
+            max: f64::NAN,
+        };
+        Self {
+            status: "missing",
+            error: Some(why.into()),
+            samples: 0,
+            tip_error_m: unknown,
+            tip_error_over_length: unknown,
+            tip_turn_rad: None,
+        }
+    }
 }
 
 /// Columns of `samples.csv`, each with its name and its text; the last ones, from [`FIRST_TIMED_COLUMN`] on, are times of this machine.

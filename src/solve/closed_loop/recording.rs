@@ -7,16 +7,19 @@ use crate::mechanics::{Configuration, Energy, Rod, State, TimeGrid, Trajectory, 
 use crate::mpc::{ClosedLoop, Sample};
 use crate::output::closed_loop::{LimitPeak, MpcSummary, SampleRow, write_samples};
 use crate::output::{
-    ControlRow, MotionRecord, OutputError, ResultDirectory, RowFiles, ThinnedMotion, json_value,
-    render_report, write_controls,
+    ControlRow, EffortRow, MotionRecord, OutputError, ResultDirectory, RowFiles, ThinnedMotion,
+    json_value, render_report, write_controls, write_efforts,
 };
 use crate::scene::ClosedLoopSetup;
+use crate::solve::efforts::efforts_at;
 use crate::solve::page::closed_loop_page;
 
 /// Recording of the arm's motion, a row at the beginning and after every sample, and of the commands that are sent to it.
 pub(super) struct Recording {
     trajectory: RowFiles,
     controls: Vec<ControlRow>,
+    /// Efforts of the actuators in the arm, as they act.
+    efforts: Vec<EffortRow>,
     hold: Hold,
     /// Rows for the picture, with the last one.
     thinned: ThinnedMotion,
@@ -97,13 +100,26 @@ impl Recording {
         let mut recording = Self {
             trajectory: RowFiles::create(folder, &layout.arrays())?,
             controls: Vec::new(),
+            efforts: Vec::new(),
             hold: setup.experiment.discretization.hold,
             thinned: ThinnedMotion::new(layout.n_nodes),
             row: layout,
             limits: LimitWatch::new(setup),
         };
+        recording.note_efforts(
+            &setup.plant,
+            0.0,
+            &setup.initial,
+            &setup.plant.actuators.efforts(0.0),
+        );
         recording.push(&setup.plant, 0.0, &setup.initial, &Wrench::default())?;
         Ok(recording)
+    }
+
+    fn note_efforts(&mut self, rod: &Rod, t: f64, state: &State, efforts: &[f64]) {
+        if !rod.actuators.is_empty() {
+            (self.efforts).extend(efforts_at(rod, t, &state.configuration, efforts));
+        }
     }
 
     fn push(
@@ -154,6 +170,7 @@ impl Recording {
             }
         }
         let state = arm.state();
+        self.note_efforts(arm.rod(), arm.time(), &state, &arm.acting_efforts());
         self.push(arm.rod(), arm.time(), &state, &acting.unwrap_or_default())
     }
 
@@ -169,6 +186,9 @@ impl Recording {
         self.trajectory.write_npz(&path("trajectory.npz"))?;
         write_samples(&path("samples.csv"), samples)?;
         write_controls(&path("controls.csv"), &self.controls)?;
+        if !self.efforts.is_empty() {
+            write_efforts(&path("efforts.csv"), &self.efforts)?;
+        }
         result.write_text("scene.toml", &setup.resolved.to_toml())?;
         let record = self.thinned.clone().finish(&self.row);
         let rows: Vec<SampleRow> = samples.iter().map(SampleRow::of).collect();
