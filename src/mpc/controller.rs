@@ -575,6 +575,11 @@ impl Controller {
         })
     }
 
+    /// Returns the indices of the actuators in the arm whose efforts are controls.
+    pub(crate) fn driven_actuators(&self) -> &[usize] {
+        (self.horizon.problem.efforts.as_ref()).map_or(&[], |efforts| &efforts.actuators)
+    }
+
     /// Returns the actuators in the arm whose efforts are controls, with the channels of these.
     pub(super) fn driven(&self) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
         self.horizon.problem.driven()
@@ -1003,4 +1008,4 @@ impl Controller {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -489,6 +489,45 @@ mod tests {
 
     use super::*;
 
+    /// A half space is an interval whose other end is far away: both have the same minimum, up to the gap of the method, and it lies within.
+    #[test]
+    fn half_spaces_are_long_intervals() {
+        let n = 6;
+        let mut dice = fastrand::Rng::with_seed(11);
+        for case in 0..40 {
+            let g: Vec<f64> = (0..n).map(|_| 4.0 * (dice.f64() - 0.5)).collect();
+            let a: Vec<f64> = (0..n).map(|_| 0.4 * (dice.f64() - 0.5)).collect();
+            let sign = if case % 2 == 0 { 1.0 } else { -1.0 };
+            let mut found = [(); 2].map(|()| vec![0.0; n]);
+            for (x, is_open) in found.iter_mut().zip([true, false]) {
+                let mut program = Subproblem::new(n, n, 0);
+                let mut offsets = a.clone();
+                for i in 0..n {
+                    for j in 0..n {
+                        program.hessian[(i, j)] = if i == j { 1.5 } else { 0.2 };
+                    }
+                    program.rows.push([(i, sign), (i, 0.0)]);
+                    if is_open {
+                        program.sets.push(Set::Below { limit: 0.3 });
+                    } else {
+                        offsets[i] += 49.85;
+                        program.sets.push(Set::Interval { limit: 50.15 });
+                    }
+                }
+                program.factor().unwrap();
+                let end = program.solve(&g, &offsets, &vec![0.0; n], 1e-12, 100, x);
+                assert!(end.converged, "{case} {is_open}");
+                for (a, x) in a.iter().zip(&*x) {
+                    assert!(a + sign * x <= 0.3, "{case} {is_open}");
+                }
+            }
+            let [open, closed] = found;
+            for (a, b) in open.iter().zip(&closed) {
+                assert!((a - b).abs() < 1e-5, "{case}: {a} {b}");
+            }
+        }
+    }
+
     /// Minima with balls and intervals, active or not, from values within and on the boundary: no higher than those of many steps of the
     /// projected-gradient method, up to the requested gap, and exactly within their sets.
     #[test]

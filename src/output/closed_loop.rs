@@ -141,6 +141,9 @@ pub struct MpcSummary {
     pub bounded: usize,
     /// Nearest approaches to obstacles and limits, at the ends of samples.
     pub limits: Vec<LimitPeak>,
+    /// Ranges of the efforts that acted in the actuators in the arm, at the ends of samples; absent without them.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub efforts: Vec<EffortRange>,
     /// Changes that may help if the estimate is doubtful, commands are late, or the tip ends far from its reference.
     pub advice: Vec<String>,
     /// Error of the arm's shape at the end on the model's nodes, m.
@@ -151,6 +154,19 @@ pub struct MpcSummary {
     pub wall_s: f64,
     /// Path of the result directory.
     pub directory: String,
+}
+
+/// The range of the efforts of an actuator in the arm.
+#[derive(Clone, Debug, Serialize)]
+pub struct EffortRange {
+    /// Name of the actuator.
+    pub name: String,
+    /// Unit of the effort.
+    pub unit: &'static str,
+    /// Least effort.
+    pub least: f64,
+    /// Largest effort.
+    pub largest: f64,
 }
 
 /// The place and time at which an arm was nearest to violating a limit, or farthest beyond it.

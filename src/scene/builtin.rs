@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 22] = [
+const SCENES: [(&str, &str); 23] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -52,6 +52,10 @@ const SCENES: [(&str, &str); 22] = [
     (
         "mpc-track-circle",
         include_str!("../../examples/scenes/mpc-track-circle.toml"),
+    ),
+    (
+        "mpc-tendons",
+        include_str!("../../examples/scenes/mpc-tendons.toml"),
     ),
     (
         "mpc-reach",

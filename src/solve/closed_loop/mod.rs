@@ -100,6 +100,7 @@ impl LoopOrder<'_> {
         let ended = self.stop.raised();
         let mut summary = self.summarize(&run, &others, recording.limits.peaks.clone(), ended);
         summary.baselines.extend(missing);
+        summary.efforts = recording.effort_ranges(&self.setup.plant);
         let recording = RefCell::new(recording);
         let written = directory.publish_or_rescue(|result| {
             let summary = MpcSummary {
@@ -240,6 +241,7 @@ impl LoopOrder<'_> {
             fallbacks: tally.fallbacks.clone(),
             innovations: tally.innovations,
             bounded: tally.bounded,
+            efforts: Vec::new(),
             limits,
             advice: advice(setup, run, others),
             transfer_error_m: run.transfer_error,

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::control::{Hold, PathLimit, RodView};
 use crate::mechanics::{Configuration, Energy, Rod, State, TimeGrid, Trajectory, Wrench};
 use crate::mpc::{ClosedLoop, Sample};
-use crate::output::closed_loop::{LimitPeak, MpcSummary, SampleRow, write_samples};
+use crate::output::closed_loop::{EffortRange, LimitPeak, MpcSummary, SampleRow, write_samples};
 use crate::output::{
     ControlRow, EffortRow, MotionRecord, OutputError, ResultDirectory, RowFiles, ThinnedMotion,
     json_value, render_report, write_controls, write_efforts,
@@ -169,9 +169,46 @@ impl Recording {
                 self.controls.push(row(end, end, &command.to[at]));
             }
         }
+        let driven = closed.controller().driven_actuators();
+        for pair in driven.chunks(2) {
+            let [start, end] = [command.start, command.end];
+            let row = |t_start, t_end, efforts: &[f64]| ControlRow {
+                t_start,
+                t_end,
+                fx: efforts[pair[0]],
+                fy: 0.0,
+                fz: 0.0,
+                mx: pair.get(1).map_or(0.0, |second| efforts[*second]),
+                my: 0.0,
+                mz: 0.0,
+                node: 0,
+            };
+            if self.hold == Hold::Constant {
+                self.controls.push(row(start, end, &command.efforts_from));
+            } else {
+                self.controls.push(row(start, start, &command.efforts_from));
+                self.controls.push(row(end, end, &command.efforts_to));
+            }
+        }
         let state = arm.state();
         self.note_efforts(arm.rod(), arm.time(), &state, &arm.acting_efforts());
         self.push(arm.rod(), arm.time(), &state, &acting.unwrap_or_default())
+    }
+
+    /// Returns the least and the largest effort that acted in each actuator in the arm.
+    pub(super) fn effort_ranges(&self, rod: &Rod) -> Vec<EffortRange> {
+        (rod.actuators.iter().enumerate())
+            .map(|(index, actuator)| {
+                let rows = self.efforts.iter().skip(index).step_by(rod.actuators.len());
+                let efforts = rows.map(|row| row.effort);
+                EffortRange {
+                    name: actuator.name.clone(),
+                    unit: actuator.density.effort_unit(),
+                    least: efforts.clone().fold(f64::INFINITY, f64::min),
+                    largest: efforts.fold(f64::NEG_INFINITY, f64::max),
+                }
+            })
+            .collect()
     }
 
     /// Writes the files of the result, the summary last.
