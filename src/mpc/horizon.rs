@@ -19,9 +19,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::command::{ControlOrder, component_mut};
 use super::error::MpcError;
-use super::estimator::{Disturbance, ModelParameters};
+use super::estimator::{Disturbance, ModelParameters, Motions};
 use super::knots::Knots;
-use super::motions::Motions;
 use super::rows::{Evaluated, Rows};
 use super::soft_rows::SoftRows;
 use crate::control::path::{PathLimit, RodView};
