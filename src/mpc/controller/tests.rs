@@ -430,7 +430,7 @@ fn holding_efforts_hold() {
     // The weight of the effort leaves 3e-6.
     assert!(off(&arm, &found) < 1e-5, "{found:?}");
     let softer = Arm {
-        section: arm.section.scaled(0.9, 1.0),
+        section: arm.section.clone().scaled(0.9, 1.0),
         ..arm.clone()
     };
     let uncorrected = off(&softer, &found);
