@@ -85,6 +85,7 @@ impl ResultKind {
                 "trajectory.npz",
                 "samples.csv",
                 "controls.csv",
+                "efforts.csv",
                 "report.html",
                 SUMMARY,
             ],

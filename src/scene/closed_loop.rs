@@ -65,7 +65,9 @@ impl ClosedLoopSetup {
     pub fn unbent_paths(&self, stop: &StopSignal) -> Vec<String> {
         let model = &*self.model;
         // Actuators in the arm reach other places than forces on the tip.
-        if self.experiment.task.actuators.is_empty() {
+        let task = &self.experiment.task;
+        let pushes = task.actuators.iter().any(|own| own.force.acts());
+        if !task.efforts.is_empty() && !pushes {
             return Vec::new();
         }
         let tracks = self

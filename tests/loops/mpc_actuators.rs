@@ -1,11 +1,13 @@
 //! Loops of arms with tendons and chambers: the tensions of a loop on its own model are those of a solve, bounds and rates hold, estimators
 //! know the efforts, and a wrong arm is followed.
 
+use crate::serving::{Desk, Plant, state_line};
 use crate::tracking::{TENSION, TENSION_RATE, discretization, tendon_arm, tendon_task};
 
 use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
+use serde_json::json;
 use softarm::control::Hold;
 use softarm::mechanics::{Density, Rod, State, TimeScheme};
 use softarm::mpc::{
@@ -415,4 +417,60 @@ fn forces_and_tensions_go_together() {
     let rms = run.tip_error.rms / scene.arm.length;
     assert!(rms < 5e-3, "{rms}");
     assert!(most > 0.0 && most <= 0.05 * (1.0 + 1e-9), "{most}");
+}
+
+/// A served loop names its tensions with their unit, limits and pretension, and its commands have whole tensions: those of the closed loop
+/// in the library, to the rounding of a rotation through JSON, which a loop on the same model does not amplify by more than 1e5.
+#[test]
+fn served_tensions_are_those_of_the_library() {
+    let mut scene = scene(Hold::Linear);
+    scene.sensing = Sensing::Everything;
+    scene.settings = LoopSettings::default();
+    scene.duration = 0.3;
+    let mut tensions = Vec::new();
+    let run = scene.run(Contender::Mpc, &mut |_, closed| {
+        let own = closed.controller().efforts(closed.sent());
+        tensions.push(own.map(|(_, ends)| ends).collect::<Vec<_>>());
+        ControlFlow::Continue(())
+    });
+    assert!(run.unwrap().broke_down.is_none());
+    let plant = Plant::new(&scene);
+    let mut arm = plant.arm(&scene);
+    let mut desk = Desk::new(&scene);
+    assert!(desk.hello["actuators"].as_array().unwrap().is_empty());
+    let first = &desk.hello["efforts"][0];
+    assert_eq!(
+        (&first["name"], &first["unit"]),
+        (&json!("east"), &json!("N"))
+    );
+    assert_eq!(
+        (&first["rest"], &first["least"]),
+        (&json!(0.4), &json!(0.0))
+    );
+    assert_eq!(first["most"], json!(TENSION));
+    assert_eq!(first["fastest_fall"], json!(TENSION_RATE[0]));
+    for (k, expected) in tensions.iter().enumerate() {
+        let t = 0.01 * k as f64;
+        let line = desk.command(&state_line(t, &arm.state_on_model()));
+        let of = |end: &str| -> Vec<f64> {
+            let efforts = line["efforts"].as_array().unwrap();
+            efforts
+                .iter()
+                .map(|own| own[end].as_f64().unwrap())
+                .collect()
+        };
+        let (from, to) = (of("from"), of("to"));
+        for (i, [a, b]) in expected.iter().enumerate() {
+            let off = (from[i] - a).abs().max((to[i] - b).abs());
+            assert!(off < 1e-9 * TENSION, "sample {k}, tendon {i}: {off:e}");
+        }
+        arm.send(&Command {
+            start: line["from_s"].as_f64().unwrap(),
+            end: line["to_s"].as_f64().unwrap(),
+            efforts_from: from.iter().map(|tension| tension - 0.4).collect(),
+            efforts_to: to.iter().map(|tension| tension - 0.4).collect(),
+            ..Command::default()
+        });
+        arm.advance(t + 0.01).unwrap();
+    }
 }

@@ -127,7 +127,8 @@ impl Controller {
         let problem = &self.horizon.problem;
         let tip = problem.rod.tip();
         let acts = (problem.wrench_actuators().iter())
-            .find(|actuator| actuator.node == tip && actuator.force.axes != [false; 3])?;
+            .find(|actuator| actuator.node == tip && actuator.force.axes != [false; 3])
+            .filter(|actuator| problem.efforts.is_none() || actuator.force.acts())?;
         let holding = self.holding(Along::All)?;
         let spacing = SAMPLES_A_HOLD * self.settings.period;
         let units = [problem.rod.scales.force, problem.rod.scales.moment];
