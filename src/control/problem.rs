@@ -12,7 +12,7 @@ use super::tracking::Tracking;
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::sparse_motion::SparseMotion;
-use crate::mechanics::{ControlSignal, Efforts, Rod, State, TimeGrid, Wrench};
+use crate::mechanics::{ControlSignal, Efforts, Rod, State, StrainActuator, TimeGrid, Wrench};
 use crate::stop::StopSignal;
 
 /// Limit of one of the two vectors of a wrench.
@@ -637,6 +637,21 @@ impl OptimalControlProblem {
         let efforts = self.efforts.as_ref()?;
         let place = 6 * component.actuator.checked_sub(efforts.first)? + component.axis;
         efforts.places.iter().position(|own| *own == place)
+    }
+
+    /// Returns the actuators of the rod whose efforts are controls, with the channels of these.
+    pub(crate) fn driven(&self) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
+        (self.efforts.iter()).flat_map(move |efforts| {
+            let places = efforts.actuators.iter().zip(&efforts.places);
+            places.filter_map(move |(&actuator, &place)| {
+                let component = Component {
+                    actuator: efforts.first + place / 6,
+                    axis: place % 6,
+                };
+                let actuator = self.rod.actuators.iter().nth(actuator)?;
+                Some((actuator, self.channel(&component)))
+            })
+        })
     }
 
     /// Returns the magnitude that counts as 1 in the solver of a driven actuator's effort, by its index among those.

@@ -245,6 +245,12 @@ impl Sensor {
     /// nothing is measured.
     pub fn new(settings: &SensorSettings, plant: &Rod) -> Result<Self, MpcError> {
         settings.check()?;
+        let [_, at_clamp] = settings.kinds();
+        if !plant.actuators.is_empty() && at_clamp.iter().any(Option::is_some) {
+            return Err(MpcError::Unsupported(
+                "the force on the clamp of an arm with actuators in it does not follow from its shape alone; measure poses or curvatures",
+            ));
+        }
         Ok(Self {
             settings: settings.clone(),
             rod: plant.clone(),

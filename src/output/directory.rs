@@ -89,6 +89,7 @@ impl ResultKind {
                 END_FILE,
                 "samples.csv",
                 "controls.csv",
+                "efforts.csv",
                 "report.html",
                 SUMMARY,
             ],

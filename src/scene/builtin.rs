@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 27] = [
+const SCENES: [(&str, &str); 28] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -72,6 +72,10 @@ const SCENES: [(&str, &str); 27] = [
     (
         "mpc-track-circle",
         include_str!("../../examples/scenes/mpc-track-circle.toml"),
+    ),
+    (
+        "mpc-tendons",
+        include_str!("../../examples/scenes/mpc-tendons.toml"),
     ),
     (
         "mpc-reach",

@@ -177,7 +177,12 @@ impl<'a> Page<'a> {
                     kind(behind(entry.at_key, self.definitions).0, self.definitions)
                 }
                 Some(heading) => link(heading),
-                None => link(&entry.heading()),
+                // Of several keys of this table with the same keys, the first has the section.
+                None => {
+                    let mut alike = entries.iter();
+                    let first = alike.find(|other| other.definition == entry.definition);
+                    link(&first.unwrap_or(entry).heading())
+                }
             };
             let cells = [
                 format!("`{key}`"),

@@ -179,7 +179,8 @@ impl Task {
             },
         )?;
         let actuators = self.actuators(&rod);
-        let default_weights = default_weights(self.cost.effort, &rod, &actuators);
+        let default_weights =
+            default_weights(self.cost.effort, &rod, &actuators, !self.efforts.is_empty());
         let (carriers, acting) = own::acting(&self.own_actuators, actuators.len(), &rod, &initial)?;
         let mut actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
         let (carriers, efforts) = effort::efforts(&self.efforts, actuators.len(), &rod)?;
@@ -320,7 +321,7 @@ impl Task {
             .cost
             .tracks
             .iter()
-            .filter(|_| self.actuators.is_empty())
+            .filter(|_| self.actuators.is_empty() && self.efforts.is_empty())
         {
             for (what, is_followed, weight) in [
                 ("track.weight", !track.path.is_empty(), track.weight),

@@ -354,6 +354,47 @@ fn from_asks_for_a_result_directory() {
     }
 }
 
+/// An actuator of the plant that no actuator of the arm goes with, or that cannot be: the error is at the key that is wrong.
+#[test]
+fn actuators_of_the_plant_name_their_keys() {
+    for (plant, key, words) in [
+        (
+            "plant.tendon=[{name = 'firs'}]",
+            "plant.tendon.0.name",
+            "no [[tendon]] of the scene is named \"firs\"",
+        ),
+        (
+            "plant.chamber=[{name = 'first'}]",
+            "plant.chamber.0.name",
+            "no [[chamber]]",
+        ),
+        (
+            "plant.tendon=[{name = 'first'}, {name = 'first'}]",
+            "plant.tendon.1.name",
+            "is that of plant.tendon.0",
+        ),
+        (
+            "plant.tendon=[{name = 'first', effort_factor = 0.0}]",
+            "plant.tendon.0.effort_factor",
+            "not a positive",
+        ),
+        (
+            "plant.tendon=[{name = 'first', saturation = [1.0, 2.0]}]",
+            "plant.tendon.0.saturation",
+            "does not contain the effort at rest, 0.5",
+        ),
+        (
+            "plant.tendon=[{name = 'first', offset_m = [0.0, inf]}]",
+            "plant.tendon.0.offset_m.1",
+            "",
+        ),
+    ] {
+        let error = error_of("mpc-tendons", &[plant]);
+        assert_eq!(error.key(), Some(key), "{error}");
+        assert!(error.message().contains(words), "{error}");
+    }
+}
+
 /// An actuator in the arm that cannot be: the error is at the key that is wrong.
 #[test]
 fn actuators_in_the_arm_name_their_keys() {

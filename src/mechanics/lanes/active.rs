@@ -8,8 +8,8 @@ use super::place::{FORCE, MOMENT, Place, Slots};
 use super::rule::Stress;
 use super::vector::{Lanes, Row, Vec3, row};
 use crate::mechanics::buffer::Buffer;
+use crate::mechanics::configuration::Configuration;
 use crate::mechanics::element::{ActivePoint, ActiveTangent, Density};
-use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::time::TimeScheme;
@@ -27,6 +27,9 @@ pub struct ActiveLanes {
     pub present: Vec<f64>,
     /// Efforts of the interval under way: its mean under the implicit scheme, otherwise those at its end.
     pub coming: Vec<f64>,
+    /// Memory for a jump of the efforts, and for the shape at which it occurs.
+    jump: Vec<f64>,
+    shape: Configuration,
 }
 
 impl ActiveLanes {
@@ -86,7 +89,9 @@ impl ActiveLanes {
             kinds,
             rows,
             present: none.clone(),
+            jump: none.clone(),
             coming: none,
+            shape: rod.rest.clone(),
         }))
     }
 
@@ -184,10 +189,11 @@ impl LaneIntegrator<'_> {
         } else {
             if active.present != active.coming {
                 let halves = active.present.iter().zip(&active.coming);
-                let jump: Vec<f64> = halves
-                    .map(|(before, after)| 0.5 * (after - before))
-                    .collect();
-                self.add_jump(&jump);
+                for (jump, (before, after)) in active.jump.iter_mut().zip(halves) {
+                    *jump = 0.5 * (after - before);
+                }
+                let ActiveLanes { jump, shape, .. } = &mut *active;
+                self.add_jump(jump, shape);
             }
             write(1, &mut active.coming);
             active.present.copy_from_slice(&active.coming);
@@ -195,17 +201,22 @@ impl LaneIntegrator<'_> {
         self.active = Some(active);
     }
 
-    /// Adds the forces of the actuators with these efforts at the present configuration.
-    fn add_jump(&mut self, efforts: &[f64]) {
+    /// Adds the forces of the actuators with these efforts at the present configuration, for which `shape` is memory.
+    fn add_jump(&mut self, efforts: &[f64], shape: &mut Configuration) {
         let n = self.rod.n_nodes();
-        let positions: Vec<Vector3<f64>> = (0..n).map(|node| self.position(node)).collect();
-        let rotations: Vec<_> = (0..n).map(|node| self.rotation(node)).collect();
-        let mut forces = NodalForces::zeros(n);
-        forces.add_active(self.rod, &positions, &rotations, efforts);
+        for node in 0..n {
+            shape.positions[node] = self.position(node);
+            shape.rotations[node] = self.rotation(node);
+        }
+        let forces = &mut self.seating;
+        forces.forces.fill(Vector3::zeros());
+        forces.moments.fill(Vector3::zeros());
+        forces.add_active(self.rod, &shape.positions, &shape.rotations, efforts);
         for node in self.rod.first_free_node()..n {
             let place = self.slots.place(node);
-            self.add(place, FORCE, &forces.forces[node]);
-            self.add(place, MOMENT, &forces.moments[node]);
+            let (force, moment) = (self.seating.forces[node], self.seating.moments[node]);
+            self.add(place, FORCE, &force);
+            self.add(place, MOMENT, &moment);
         }
     }
 }

@@ -301,6 +301,16 @@ impl Rod {
         strain: &ElementStrain,
         efforts: &[f64],
     ) -> Option<IntervalStress> {
+        self.active_stress_under(q, strain, &|actuator| efforts[actuator])
+    }
+
+    /// Returns [`Self::active_stress`] where `effort` gives the effort of an actuator.
+    fn active_stress_under(
+        &self,
+        q: usize,
+        strain: &ElementStrain,
+        effort: &dyn Fn(usize) -> f64,
+    ) -> Option<IntervalStress> {
         let points = self.actuators.on(q);
         if points.is_empty() {
             return None;
@@ -318,7 +328,7 @@ impl Rod {
                 StrainRule::Helical => (at.slopes::<1>(point.density, linear, psi), 1.0),
                 StrainRule::Trapezoidal => (at.slopes::<2>(point.density, linear, psi), 2.0),
             };
-            let effort = efforts[point.actuator];
+            let effort = effort(point.actuator);
             for (out, n) in out.linear.iter_mut().zip(slopes.linear) {
                 *out -= n.vector() * (ends * effort);
             }
@@ -333,7 +343,7 @@ impl Rod {
         &self,
         q: usize,
         strain: &ElementStrain,
-        efforts: &[f64],
+        effort: &dyn Fn(usize) -> f64,
     ) -> SMatrix<f64, 9, 9> {
         let length = self.elements[q].length;
         let (linear, psi) = stretched(strain, length);
@@ -344,7 +354,7 @@ impl Rod {
                 StrainRule::Helical => at.bends::<1>(point.density, linear, psi),
                 StrainRule::Trapezoidal => at.bends::<2>(point.density, linear, psi),
             };
-            sum = sum.plus(bends, Lanes::splat(Scalar, -efforts[point.actuator]));
+            sum = sum.plus(bends, Lanes::splat(Scalar, -effort(point.actuator)));
         }
         let mut out = SMatrix::<f64, 9, 9>::zeros();
         let mut put = |i: usize, j: usize, block: nalgebra::Matrix3<f64>| {
@@ -386,7 +396,8 @@ impl Rod {
         let (strain, b) = rule.strain_derivative(element.length, pose);
         let stress = self.active_stress(q, &strain, efforts)?;
         let bent = element.stiffness_under(rule, pose, &stress, 0.0);
-        Some(bent + b.transpose() * self.active_tangent(q, &strain, efforts) * b)
+        let tangent = self.active_tangent(q, &strain, &|actuator| efforts[actuator]);
+        Some(bent + b.transpose() * tangent * b)
     }
 
     /// Returns the derivative along the pose at the end of an interval of the pull there of the stress at the mean strain; `None` if no
@@ -395,15 +406,15 @@ impl Rod {
         &self,
         q: usize,
         poses: &[ElementPose; 2],
-        efforts: &[f64],
+        effort: &dyn Fn(usize) -> f64,
     ) -> Option<ElementStiffness> {
         let (element, rule) = (&self.elements[q], self.strain_rule);
         let start = rule.strain(element.length, &poses[0]);
         let (end, b) = rule.strain_derivative(element.length, &poses[1]);
         let mean = start.mean(&end);
-        let stress = self.active_stress(q, &mean, efforts)?;
+        let stress = self.active_stress_under(q, &mean, effort)?;
         let bent = element.stiffness_under(rule, &poses[1], &stress, 0.0);
-        Some(bent + b.transpose() * self.active_tangent(q, &mean, efforts) * b * 0.5)
+        Some(bent + b.transpose() * self.active_tangent(q, &mean, effort) * b * 0.5)
     }
 
     /// Returns the coordinates `y` of the actuators in a configuration, each in the unit of work over that of its effort.

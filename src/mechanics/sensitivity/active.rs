@@ -47,6 +47,12 @@ impl ActiveTimes {
         })
     }
 
+    /// Replaces the efforts by those along another motion of the same rod.
+    pub fn renew(&mut self, motion: &Motion) {
+        self.table
+            .write(&motion.rod.actuators, &motion.grid, motion.control);
+    }
+
     /// Writes the efforts of time node `k` to one lane. Before the first and after the last interval of the grid there is none.
     pub fn put(&mut self, k: usize, lane: usize, n_lanes: usize) {
         let n = self.table.n_actuators;
@@ -340,6 +346,9 @@ pub(super) fn times<S: Simd>(mut blocks: Blocks<S>, factor: f64) -> Blocks<S> {
     blocks
 }
 
+/// Number of lanes of the widest vectors.
+const MOST_LANES: usize = 8;
+
 /// Wrenches on the nodes under a unit effort of each of some actuators, and their derivatives along the configuration.
 ///
 /// Under the explicit scheme there is one set for every time node. Under the implicit scheme there is one for each interval, with the
@@ -348,8 +357,15 @@ pub(super) fn times<S: Simd>(mut blocks: Blocks<S>, factor: f64) -> Blocks<S> {
 pub struct EffortPulls {
     n_nodes: usize,
     n_actuators: usize,
+    /// Number of sets of the present motion.
+    n_sets: usize,
     /// Number of ends: 1 explicit, 2 implicit.
     ends: usize,
+    /// Place of every actuator of the rod among those that are evaluated.
+    index: Vec<Option<usize>>,
+    /// Poses of all nodes at both ends of a set, and covectors there, with a set in each lane.
+    poses: [Buffer; 2],
+    covectors: Buffer,
     /// Six numbers of every node, for every set, end and actuator: force, spatial, and moment, body frame, per effort.
     wrenches: Vec<f64>,
     /// The derivative of the covectors' product with the wrenches, `(δx, ζ)` of every node, in the same order; empty without covectors.
@@ -369,29 +385,69 @@ impl EffortPulls {
         actuators: &[usize],
         covectors: Option<&Covectors>,
     ) -> Self {
+        let mut out = Self::new(motion, actuators, covectors.is_some());
+        out.evaluate(motion, trajectory, covectors);
+        out
+    }
+
+    /// Creates memory for motions of this rod of at most this duration.
+    #[must_use]
+    pub fn new(motion: &Motion, actuators: &[usize], with_slopes: bool) -> Self {
         let rod = motion.rod;
-        let implicit = rod.scheme == TimeScheme::Implicit;
-        let (n_sets, ends) = if implicit {
-            (motion.grid.n_steps, 2)
-        } else {
-            (motion.grid.n_steps + 1, 1)
-        };
-        let n = n_sets * ends * actuators.len() * rod.n_nodes() * 6;
-        let mut out = Self {
-            n_nodes: rod.n_nodes(),
-            n_actuators: actuators.len(),
-            ends,
-            wrenches: vec![0.0; n],
-            slopes: vec![0.0; if covectors.is_some() { n } else { 0 }],
+        let ends = match rod.scheme {
+            TimeScheme::Explicit => 1,
+            TimeScheme::Implicit => 2,
         };
         let mut index = vec![None; rod.actuators.len()];
         for (own, &actuator) in actuators.iter().enumerate() {
             index[actuator] = Some(own);
         }
+        let n_lanes = dispatch(Arch::new(), CountLanes);
+        let n_covectors = if with_slopes {
+            ends * rod.n_nodes() * 6
+        } else {
+            0
+        };
+        let mut out = Self {
+            n_nodes: rod.n_nodes(),
+            n_actuators: actuators.len(),
+            n_sets: motion.grid.n_steps + 2 - ends,
+            ends,
+            index,
+            poses: [0, 1].map(|_| Buffer::zeros(rod.n_nodes() * POSE_ROWS * n_lanes)),
+            covectors: Buffer::zeros(n_covectors * n_lanes),
+            wrenches: Vec::new(),
+            slopes: Vec::new(),
+        };
+        let n = out.at(out.n_sets, 0, 0);
+        out.wrenches = vec![0.0; n];
+        out.slopes = vec![0.0; if with_slopes { n } else { 0 }];
+        out
+    }
+
+    /// Evaluates the unit efforts along another motion of the same rod. `covectors` are given if the memory is to have slopes.
+    pub fn evaluate(
+        &mut self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        covectors: Option<&Covectors>,
+    ) {
+        let rod = motion.rod;
+        self.n_sets = motion.grid.n_steps + 2 - self.ends;
+        self.wrenches.fill(0.0);
+        self.slopes.fill(0.0);
+        let (n_sets, ends) = (self.n_sets, self.ends);
         let arch = Arch::new();
         let n_lanes = dispatch(arch, CountLanes);
-        let mut poses = [0, 1].map(|_| Buffer::zeros(rod.n_nodes() * POSE_ROWS * n_lanes));
-        let mut covector_rows = Buffer::zeros(ends * rod.n_nodes() * 6 * n_lanes);
+        let Self {
+            index,
+            poses,
+            covectors: covector_rows,
+            wrenches,
+            slopes,
+            ..
+        } = self;
+        let n_actuators = self.n_actuators;
         for first in (0..n_sets).step_by(n_lanes) {
             for lane in 0..n_lanes {
                 let set = (first + lane).min(n_sets - 1);
@@ -416,12 +472,15 @@ impl EffortPulls {
             }
             let work = PullGroup {
                 rod,
-                index: &index,
+                index,
                 first,
                 n_sets: n_sets.min(first + n_lanes) - first,
-                poses: &poses,
+                ends,
+                n_actuators,
+                poses,
                 covectors: covectors.map(|_| &covector_rows[..]),
-                out: &mut out,
+                wrenches,
+                slopes,
             };
             match rod.strain_rule {
                 StrainRule::Helical => dispatch(arch, RuledPulls::<Helical>(work, PhantomData)),
@@ -430,7 +489,6 @@ impl EffortPulls {
                 }
             }
         }
-        out
     }
 
     fn at(&self, set: usize, end: usize, actuator: usize) -> usize {
@@ -458,7 +516,7 @@ impl EffortPulls {
         actuator: usize,
         visit: &mut dyn FnMut(usize, usize, usize, f64),
     ) {
-        let mut all = |times: &[usize], weight: f64, wrenches: &[f64]| {
+        self.visit_sets(k, actuator, &mut |times, weight, wrenches| {
             for (at, wrench) in wrenches.iter().enumerate() {
                 if *wrench != 0.0 {
                     for &time in times {
@@ -466,18 +524,28 @@ impl EffortPulls {
                     }
                 }
             }
-        };
+        });
+    }
+
+    /// Calls `visit(times, weight, wrenches)` for the wrenches on all nodes at time node `k`, six numbers for each, that follow from a unit
+    /// effort at each of some time nodes, up to a weight.
+    pub fn visit_sets(
+        &self,
+        k: usize,
+        actuator: usize,
+        visit: &mut dyn FnMut(&[usize], f64, &[f64]),
+    ) {
         if self.ends == 1 {
-            all(&[k], 1.0, self.wrenches(k, 0, actuator));
+            visit(&[k], 1.0, self.wrenches(k, 0, actuator));
             return;
         }
-        let n_sets = self.wrenches.len() / (2 * self.n_actuators * self.n_nodes * 6);
+        let n_sets = self.n_sets;
         let weight = 0.5 * interval_share(k, n_sets);
         if k < n_sets {
-            all(&[k, k + 1], weight, self.wrenches(k, 0, actuator));
+            visit(&[k, k + 1], weight, self.wrenches(k, 0, actuator));
         }
         if k > 0 {
-            all(&[k - 1, k], weight, self.wrenches(k - 1, 1, actuator));
+            visit(&[k - 1, k], weight, self.wrenches(k - 1, 1, actuator));
         }
     }
 }
@@ -495,9 +563,12 @@ struct PullGroup<'a> {
     index: &'a [Option<usize>],
     first: usize,
     n_sets: usize,
+    ends: usize,
+    n_actuators: usize,
     poses: &'a [Buffer; 2],
     covectors: Option<&'a [f64]>,
-    out: &'a mut EffortPulls,
+    wrenches: &'a mut [f64],
+    slopes: &'a mut [f64],
 }
 
 struct RuledPulls<'a, R>(PullGroup<'a>, PhantomData<R>);
@@ -514,9 +585,19 @@ impl<R: TangentRule> WithSimd for RuledPulls<'_, R> {
 impl PullGroup<'_> {
     #[inline(always)]
     fn run<S: Simd, R: TangentRule>(self, simd: S) {
-        let Self { rod, out, .. } = self;
-        let ends = out.ends;
-        let mut numbers = Buffer::zeros(12 * S::F64_LANES);
+        let Self {
+            rod,
+            ends,
+            n_actuators,
+            wrenches,
+            slopes,
+            ..
+        } = self;
+        let at = |set: usize, end: usize, actuator: usize| {
+            ((set * ends + end) * n_actuators + actuator) * rod.n_nodes() * 6
+        };
+        let mut numbers = [0.0; 12 * MOST_LANES];
+        let numbers = &mut numbers[..12 * S::F64_LANES];
         for (q, element) in rod.elements.iter().enumerate() {
             let points = rod.actuators.on(q);
             if points.is_empty() {
@@ -579,13 +660,13 @@ impl PullGroup<'_> {
                 let Some(actuator) = self.index[point.actuator] else {
                     continue;
                 };
-                let at = point.in_element(simd, element.length);
+                let here = point.in_element(simd, element.length);
                 let mut pulls = [[[zero; 3]; 2]; 3];
                 for (pulls, (poses, strain)) in pulls.iter_mut().zip(&poses).take(signs.len()) {
                     let slopes = if R::END_WEIGHT == 1.0 {
-                        at.slopes::<1>(point.density, strain.linear, strain.angular)
+                        here.slopes::<1>(point.density, strain.linear, strain.angular)
                     } else {
-                        at.slopes::<2>(point.density, strain.linear, strain.angular)
+                        here.slopes::<2>(point.density, strain.linear, strain.angular)
                     };
                     // The potential is minus the coordinate.
                     let stress = slopes.times(Lanes::splat(simd, -1.0));
@@ -594,20 +675,15 @@ impl PullGroup<'_> {
                     }
                 }
                 for end in 0..ends {
-                    let base = out.at(self.first, end, actuator);
-                    let set = out.at(1, 0, 0);
+                    let base = at(self.first, end, actuator);
+                    let set = at(1, 0, 0);
                     let place = (base + q * 6, set, self.n_sets);
                     let [force, a, b] = pulls[0][end];
-                    add(
-                        &mut out.wrenches,
-                        place,
-                        [force, -a, -force, -b],
-                        &mut numbers,
-                    );
+                    add(wrenches, place, [force, -a, -force, -b], numbers);
                     if self.covectors.is_some() {
                         let found = [0, 1, 2].map(|i: usize| pulls[i][end]);
                         let [dx, a, b] = both[end].slope(&found);
-                        add(&mut out.slopes, place, [-dx, a, dx, b], &mut numbers);
+                        add(slopes, place, [-dx, a, dx, b], numbers);
                     }
                 }
             }

@@ -68,6 +68,15 @@ impl Memory {
         }
     }
 
+    /// Prepares for another motion of the same rod.
+    pub fn renew(&mut self, motion: &Motion) {
+        for workspace in [&mut self.many, &mut self.single].into_iter().flatten() {
+            if let Some(active) = &mut workspace.active {
+                active.renew(motion);
+            }
+        }
+    }
+
     /// Linearizes the time nodes from `first` on into `steps`; with multipliers, their curvature as well. The result depends neither
     /// on the instruction set nor on what is linearized in one call.
     ///

@@ -195,6 +195,16 @@ pub enum EstimateError {
         /// End of the command, s.
         end: f64,
     },
+    /// A command has efforts for another number of actuators.
+    #[error(
+        "the command has {given} efforts, and the model has {n_actuators} actuators: give one for each, or none"
+    )]
+    Efforts {
+        /// Number of efforts.
+        given: usize,
+        /// Number of actuators of the model.
+        n_actuators: usize,
+    },
     /// A command acts on a node that the model does not have.
     #[error("the command acts on node {node}, and the model has nodes 0 to {}", n_nodes - 1)]
     Node {

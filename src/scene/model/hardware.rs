@@ -277,6 +277,25 @@ impl Scene {
         tendons.chain(chambers).chain(muscles).collect()
     }
 
+    /// Returns the index among the actuators of the arm of the one of a section with a name; whether its effort is a control; and its effort
+    /// at rest.
+    pub(in crate::scene) fn hardware_named(
+        &self,
+        section: &str,
+        name: &str,
+    ) -> Option<(usize, bool, f64)> {
+        let all = self.hardware();
+        let index = (all.iter()).position(|own| own.section == section && own.name() == name)?;
+        Some((index, all[index].bounds.1.is_some(), all[index].rest.1))
+    }
+
+    /// Returns the names of the actuators of a section.
+    pub(in crate::scene) fn hardware_names(&self, section: &str) -> Vec<String> {
+        let all = self.hardware();
+        let own = all.iter().filter(|own| own.section == section);
+        own.map(Common::name).collect()
+    }
+
     /// The actuators of the arm.
     pub(in crate::scene) fn strain_actuators(&self) -> Vec<StrainActuator> {
         self.hardware().iter().map(Common::of_arm).collect()

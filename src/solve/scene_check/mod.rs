@@ -19,10 +19,10 @@ pub(crate) use self::forecast::{expectation, output_size, time_in_words};
 pub(crate) use self::holding::{ABOVE, CANNOT, UNSTABLE, WITHIN};
 use self::holding::{NOT_FOUND, distance, need};
 use super::causes::{MOST_ELEMENTS, stands_by_symmetry};
-use crate::control::{Bound, Channel, Component, OptimalControlProblem, named_axes};
+use crate::control::{Bound, Channel, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::vibration::{SmallMotions, weight_number};
-use crate::mechanics::{BaseCondition, Place, Rod, StrainActuator, TipSpring, static_equilibrium};
+use crate::mechanics::{BaseCondition, Place, Rod, TipSpring, static_equilibrium};
 use crate::memory::{of_simulation, of_solve};
 use crate::output::quantity::{digits, quantity};
 use crate::output::summary::{
@@ -90,7 +90,7 @@ pub(crate) fn check_scene(
             distance: distance(&setup.problem),
             own_units: (setup.problem.acting.iter())
                 .map(|acting| acting.actuator.named_controls().1.to_string())
-                .chain(driven(&setup.problem).map(|(actuator, _)| {
+                .chain(setup.problem.driven().map(|(actuator, _)| {
                     format!("{} ({})", actuator.density.effort_unit(), actuator.name)
                 }))
                 .collect(),
@@ -287,7 +287,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             controls: Some(format!("{n} {name}, {bounds}")),
         }
     });
-    let efforts = driven(problem).map(|(actuator, channel)| {
+    let efforts = problem.driven().map(|(actuator, channel)| {
         let unit = actuator.density.effort_unit();
         let given = actuator.effort(0.0);
         let range = match channel.bound.and_then(|bound| bound.interval(0)) {
@@ -317,19 +317,4 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         .chain(own)
         .chain(efforts)
         .collect()
-}
-
-/// Returns the actuators of the rod whose efforts are controls, with the channels of these.
-fn driven(problem: &OptimalControlProblem) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
-    (problem.efforts.iter()).flat_map(move |efforts| {
-        let places = efforts.actuators.iter().zip(&efforts.places);
-        places.filter_map(move |(&actuator, &place)| {
-            let component = Component {
-                actuator: efforts.first + place / 6,
-                axis: place % 6,
-            };
-            let actuator = problem.rod.actuators.iter().nth(actuator)?;
-            Some((actuator, problem.channel(&component)))
-        })
-    })
 }
