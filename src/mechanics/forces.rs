@@ -40,7 +40,8 @@ impl NodalForces {
             after: 0.0,
         };
         self.add_loads(rod, rotations, &instant);
-        self.add_active(rod, positions, rotations, &rod.actuators.efforts(t));
+        let efforts = rod.efforts_at(rod.actuators.efforts(t), positions, rotations);
+        self.add_active(rod, positions, rotations, &efforts);
     }
 
     /// Adds the forces of the actuators with the given efforts at one instant.
@@ -62,7 +63,8 @@ impl NodalForces {
         }
     }
 
-    fn add_gradient(&mut self, q: usize, gradient: &ElementGradient) {
+    /// Adds the forces on the ends of element `q` of a gradient.
+    pub(super) fn add_gradient(&mut self, q: usize, gradient: &ElementGradient) {
         self.forces[q] += gradient.force;
         self.forces[q + 1] -= gradient.force;
         self.moments[q] -= gradient.moment_a;

@@ -4,7 +4,6 @@ use nalgebra::SMatrix;
 
 use super::element::ElementStiffness;
 use super::rod::Rod;
-use super::strain_actuator::StrainActuator;
 use super::time::TimeScheme;
 
 /// Returns the largest time step at which the explicit integrator is linearly stable about the rest shape, s: `2/ω` with `ω` the highest
@@ -20,24 +19,27 @@ pub fn stable_step(rod: &Rod) -> f64 {
     2.0 / fastest
 }
 
-/// Returns the smallest and the largest of the elements' highest `ω`, each element on its own at rest, 1/s.
+/// Returns the smallest and the largest of the elements' highest `ω`, each element on its own at rest, 1/s. The springs of winches, which
+/// act on all elements together, raise the largest one by their own upper bound.
 fn highest_frequencies(rod: &Rod) -> [f64; 2] {
-    (0..rod.n_elements())
-        .map(|q| highest_frequency_squared(rod, q).sqrt())
+    let efforts = rod.largest_efforts();
+    let [slowest, fastest] = (0..rod.n_elements())
+        .map(|q| highest_frequency_squared(rod, q, &efforts).sqrt())
         .fold([f64::INFINITY, 0.0], |[slowest, fastest], own| {
             [slowest.min(own), fastest.max(own)]
-        })
+        });
+    match rod.squared_frequency_of_winches() {
+        0.0 => [slowest, fastest],
+        more => [slowest, (fastest * fastest + more).sqrt()],
+    }
 }
 
-/// Returns the highest `ω²` of element `q` on its own at rest, 1/s².
-fn highest_frequency_squared(rod: &Rod, q: usize) -> f64 {
+/// Returns the highest `ω²` of element `q` on its own at rest, 1/s², under the given efforts of actuators.
+fn highest_frequency_squared(rod: &Rod, q: usize, efforts: &[f64]) -> f64 {
     let rest = &rod.rest;
     let pose = Rod::element_pose(q, &rest.positions, &rest.rotations);
     let (_, mut k) = rod.elements[q].stiffness(rod.strain_rule, &pose);
-    let largest: Vec<f64> = (rod.actuators.iter())
-        .map(StrainActuator::largest_effort)
-        .collect();
-    if let Some(active) = rod.active_stiffness(q, &pose, &largest) {
+    if let Some(active) = rod.active_stiffness(q, &pose, efforts) {
         k += active;
     }
     let full = expand(&k);

@@ -2,14 +2,50 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::mechanics::Rod;
+use crate::control::{Component, OptimalControlProblem};
+use crate::mechanics::signal::EffortTable;
+use crate::mechanics::{Density, Rod, StrainActuator, Trajectory, Wrench};
+use crate::output::summary::SlackSummary;
 use crate::output::{EffortRow, MotionRecord};
 
-/// Returns the rows of `efforts.csv` for a recorded motion; `efforts` gives those of all actuators in a row of the record.
+/// Returns the commands of all actuators just after a time node, from their efforts there and the coefficients of the control: the effort
+/// plus its rate times the lag. `None` if no actuator has a lag.
+pub(crate) fn commands(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+    k: usize,
+    efforts: &[f64],
+) -> Option<Vec<f64>> {
+    let driven = problem.efforts.as_ref()?;
+    let mut out = None;
+    for (&actuator, &place) in driven.actuators.iter().zip(&driven.places) {
+        let component = Component {
+            actuator: driven.first + place / 6,
+            axis: place % 6,
+        };
+        let lag = problem.channel(&component).lag;
+        if lag == 0.0 {
+            continue;
+        }
+        let n = problem.actuators.len();
+        let along = |lag: f64| -> f64 {
+            let weights = problem.control.command_weights(k, lag);
+            let term = |&(j, weight): &(usize, f64)| {
+                weight * coefficients[j * n + component.actuator].to_array()[component.axis]
+            };
+            weights.iter().map(term).sum()
+        };
+        out.get_or_insert_with(|| efforts.to_vec())[actuator] += along(lag) - along(0.0);
+    }
+    out
+}
+
+/// Returns the rows of `efforts.csv` for a recorded motion; `inputs` gives those of all actuators in a row of the record, and their commands
+/// where any of them has a lag.
 pub(crate) fn effort_rows(
     rod: &Rod,
     record: &MotionRecord,
-    efforts: impl Fn(usize) -> Vec<f64>,
+    inputs: impl Fn(usize) -> (Vec<f64>, Option<Vec<f64>>),
 ) -> Vec<EffortRow> {
     let rest = rod.actuator_coordinates(&rod.rest.positions, &rod.rest.rotations);
     let n = record.n_nodes;
@@ -22,15 +58,72 @@ pub(crate) fn effort_rows(
             .map(Matrix3::from_row_slice)
             .collect();
         let coordinates = rod.actuator_coordinates(&positions, &rotations);
-        let parts = rod.actuators.iter().zip(efforts(k));
-        for ((actuator, effort), (y, at_rest)) in parts.zip(coordinates.iter().zip(&rest)) {
+        let (inputs, commands) = inputs(k);
+        let parts = rod.actuators.iter().zip(coordinates.iter().zip(&rest));
+        for (i, (actuator, (y, at_rest))) in parts.enumerate() {
             out.push(EffortRow {
                 t: record.t[k],
                 name: actuator.name.clone(),
-                effort,
+                effort: rod.actuators.law(i, inputs[i], *y).effort,
                 coordinate: y - at_rest,
+                command: commands.as_ref().map(|commands| commands[i]),
+                displacement: (rod.actuators.has_winches())
+                    .then(|| displacement(actuator, inputs[i], y - at_rest)),
             });
         }
     }
     out
+}
+
+/// Returns the displacement of a tendon, m, for an input and a coordinate relative to the stress-free shape; `None` for another actuator.
+fn displacement(actuator: &StrainActuator, input: f64, coordinate: f64) -> Option<f64> {
+    match actuator.density {
+        _ if actuator.winch.is_some() => Some(input),
+        Density::Shortening => Some(-coordinate),
+        Density::Lengthening | Density::Volume | Density::Muscle | Density::Braid { .. } => None,
+    }
+}
+
+/// Returns the fraction of the rows of `efforts.csv` in which the tendon of each winch has no tension.
+pub(crate) fn slack(rod: &Rod, rows: &[EffortRow]) -> Vec<SlackSummary> {
+    let efforts: Vec<f64> = rows.iter().map(|row| row.effort).collect();
+    slack_of(rod, &efforts)
+}
+
+/// Returns the fraction of the time nodes of a motion at which the tendon of each winch has no tension.
+pub(crate) fn slack_of_motion(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+    motion: &Trajectory,
+) -> Vec<SlackSummary> {
+    let rod = &problem.rod;
+    if !rod.actuators.has_winches() {
+        return Vec::new();
+    }
+    let control = problem.signal(&problem.control, coefficients);
+    let table = EffortTable::of(&rod.actuators, &problem.grid, Some(&control));
+    let inputs = table.nodes.chunks_exact(table.n_actuators).enumerate();
+    let efforts: Vec<f64> = inputs
+        .flat_map(|(k, inputs)| {
+            let (x, r) = (motion.positions_at(k), motion.rotations_at(k));
+            rod.efforts_at(inputs.to_vec(), x, r)
+        })
+        .collect();
+    slack_of(rod, &efforts)
+}
+
+/// Returns the slack of every winch from the efforts of all actuators at one time after the other.
+fn slack_of(rod: &Rod, efforts: &[f64]) -> Vec<SlackSummary> {
+    let n = rod.actuators.len();
+    (rod.actuators.iter().enumerate())
+        .filter(|(_, actuator)| actuator.winch.is_some())
+        .map(|(i, actuator)| {
+            let own: Vec<f64> = efforts.iter().skip(i).step_by(n).copied().collect();
+            let slack = own.iter().filter(|effort| **effort == 0.0).count();
+            SlackSummary {
+                name: actuator.name.clone(),
+                fraction: slack as f64 / own.len().max(1) as f64,
+            }
+        })
+        .collect()
 }
