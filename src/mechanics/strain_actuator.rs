@@ -184,6 +184,15 @@ impl StrainActuator {
         (self.effort.iter()).fold(self.largest, |most, (_, input)| most.max(size(*input)))
     }
 
+    /// Returns the unit of its input; empty for a number.
+    #[must_use]
+    pub fn input_unit(&self) -> &'static str {
+        match self.winch {
+            Some(_) => "m",
+            None => self.density.effort_unit(),
+        }
+    }
+
     /// Returns the given input at the instant `t`; at a jump the value after it.
     #[must_use]
     pub fn effort(&self, t: f64) -> f64 {

@@ -92,7 +92,7 @@ pub(crate) fn check_scene(
             own_units: (setup.problem.acting.iter())
                 .map(|acting| acting.actuator.named_controls().1.to_string())
                 .chain(driven(&setup.problem).map(|(actuator, _)| {
-                    format!("{} ({})", actuator.density.effort_unit(), actuator.name)
+                    format!("{} ({})", actuator.input_unit(), actuator.name)
                 }))
                 .collect(),
         });
@@ -289,7 +289,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         }
     });
     let efforts = driven(problem).map(|(actuator, channel)| {
-        let unit = actuator.density.effort_unit();
+        let unit = actuator.input_unit();
         let given = actuator.effort(0.0);
         let range = match channel.bound.and_then(|bound| bound.interval(0)) {
             None => "UNBOUNDED".to_string(),
