@@ -28,10 +28,33 @@ fn highest_frequencies(rod: &Rod) -> [f64; 2] {
         .fold([f64::INFINITY, 0.0], |[slowest, fastest], own| {
             [slowest.min(own), fastest.max(own)]
         });
-    match rod.squared_frequency_of_winches() {
+    match squared_frequency_of_winches(rod) {
         0.0 => [slowest, fastest],
         more => [slowest, (fastest * fastest + more).sqrt()],
     }
+}
+
+/// Returns the sum over all winches of `k gᵀM⁻¹g` with the pull `g` of a unit tension on the nodes at rest, 1/s²: by so much at most the
+/// springs of the tendons raise the highest `ω²` (Weyl).
+fn squared_frequency_of_winches(rod: &Rod) -> f64 {
+    // Pulled in by anything, so that no tendon is slack.
+    let inputs: Vec<f64> = (rod.actuators.iter())
+        .map(|own| -own.largest_input().max(f64::EPSILON * rod.scales.length))
+        .collect();
+    let (positions, rotations) = (&rod.rest.positions, &rod.rest.rotations);
+    (rod.effort_slopes(&inputs, positions, rotations).iter())
+        .map(|own| {
+            let nodes = rod.nodes.iter().enumerate().skip(rod.first_free_node());
+            let sum: f64 = nodes
+                .map(|(q, node)| {
+                    let (force, moment) = (own.pull.forces[q], own.pull.moments[q]);
+                    force.norm_squared() / node.mass
+                        + moment.dot(&moment.component_div(&node.rotary))
+                })
+                .sum();
+            -own.slope * sum
+        })
+        .sum()
 }
 
 /// Returns the highest `ω²` of element `q` on its own at rest, 1/s², under the given efforts of actuators.

@@ -19,7 +19,7 @@ const PREFACE: [&str; 3] = [
 ];
 
 /// Units by the end of a key, longer ends first.
-const UNITS: [(&str, &str); 22] = [
+const UNITS: [(&str, &str); 23] = [
     ("rotary_kg_m", "kg m"),
     ("_n_m_per_m", "N m/m"),
     ("_n_per_m", "N/m"),
@@ -31,6 +31,7 @@ const UNITS: [(&str, &str); 22] = [
     ("_rad_s", "rad/s"),
     ("_m_s2", "m/s²"),
     ("_1_m", "1/m"),
+    ("_1_n", "1/N"),
     ("_1_s", "1/s"),
     ("_n_m", "N m"),
     ("_n_s", "N/s"),

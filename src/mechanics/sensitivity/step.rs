@@ -5,10 +5,10 @@ use nalgebra::{Matrix3, SMatrix};
 use super::TILE;
 use crate::mechanics::actuator::ActingDerivative;
 use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature};
+use crate::mechanics::forces::EffortSlope;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::LoadDerivative;
 use crate::mechanics::rod::Rod;
-use crate::mechanics::strain_actuator::EffortSlope;
 
 /// The linearized equations of motion of one time node, laid out for the sweeps: a kick with the stiffness at `k`, whose weight is
 /// multiplied in, then the drift to `k + 1`.

@@ -79,23 +79,24 @@ pub(crate) fn check_scene(
         let size = problem_size(&setup.problem);
         let time = SolveTime::of_problem(&setup.problem);
         concerns.extend(shorter(&setup, &time));
-        plan = Some(Plan {
-            actuators: actuators(&setup.problem),
-            need: need(&setup.problem, scene.staying(), setup.arm.length),
-            cost: SolveCost {
-                iteration_s: time.iteration,
-                iterations: time.iterations(),
-                check_s: time.check,
-                total_s: time.range(),
-            },
-            distance: distance(&setup.problem),
-            own_units: (setup.problem.acting.iter())
-                .map(|acting| acting.actuator.named_controls().1.to_string())
-                .chain(driven(&setup.problem).map(|(actuator, _)| {
-                    format!("{} ({})", actuator.input_unit(), actuator.name)
-                }))
-                .collect(),
-        });
+        plan =
+            Some(Plan {
+                actuators: actuators(&setup.problem),
+                need: need(&setup.problem, scene.staying(), setup.arm.length),
+                cost: SolveCost {
+                    iteration_s: time.iteration,
+                    iterations: time.iterations(),
+                    check_s: time.check,
+                    total_s: time.range(),
+                },
+                distance: distance(&setup.problem),
+                own_units: (setup.problem.acting.iter())
+                    .map(|acting| acting.actuator.named_controls().1.to_string())
+                    .chain(driven(&setup.problem).map(|(actuator, _)| {
+                        format!("{} ({})", actuator.input_unit(), actuator.name)
+                    }))
+                    .collect(),
+            });
         let memory = of_solve(&setup, 1, n_threads);
         (
             setup.problem.rod,

@@ -11,15 +11,14 @@
 use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
-use super::element::{
+use super::{Rod, RodError, require};
+use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
     ElementStrain, IntervalStress, StrainRule,
 };
-use super::forces::NodalForces;
-use super::lanes::vector::{Lanes, Vec3};
-use super::load::profile;
-use super::rod::{Rod, RodError, require};
-use super::time::TimeNode;
+use crate::mechanics::load::profile;
+use crate::mechanics::time::TimeNode;
+use crate::mechanics::vector::{Lanes, Vec3};
 
 /// The line of an actuator in the arm at rest.
 ///
@@ -176,7 +175,8 @@ pub struct StrainActuator {
 
 impl StrainActuator {
     /// Returns the largest size of the input at any time; of a winch the farthest that it pulls in, or zero.
-    fn largest_input(&self) -> f64 {
+    #[must_use]
+    pub fn largest_input(&self) -> f64 {
         let size = |input: f64| match &self.winch {
             None => input.abs(),
             Some(_) => -input,
@@ -200,7 +200,7 @@ impl StrainActuator {
     }
 
     /// Returns the given input that the steps beside a time node take, with jumps shared between time nodes like those of
-    /// [loads](super::load).
+    /// [loads](crate::mechanics::load).
     #[must_use]
     pub fn effort_at_node(&self, node: &TimeNode) -> f64 {
         profile::kept_at_node(&self.effort, node)
@@ -272,7 +272,7 @@ pub struct PlacedPoint {
 impl PlacedPoint {
     /// Returns the point in an element of rest length `length` (m).
     #[inline(always)]
-    pub(super) fn in_element<S: Simd>(&self, simd: S, length: f64) -> ActivePoint<S> {
+    pub(in crate::mechanics) fn in_element<S: Simd>(&self, simd: S, length: f64) -> ActivePoint<S> {
         let of = |value: f64| Lanes::splat(simd, value);
         ActivePoint {
             weight: of(self.weight / length),
@@ -464,18 +464,6 @@ impl StrainActuators {
     }
 }
 
-/// The derivative of an effort along the configuration: `δu = slope (pull·δq)`, with the wrenches `pull` on the nodes of a unit effort.
-/// Its forces have the derivative `slope pull pullᵀ`, of rank one.
-#[derive(Clone, Debug)]
-pub(super) struct EffortSlope {
-    /// Index of the actuator.
-    pub actuator: usize,
-    /// `∂u/∂y`, negative.
-    pub slope: f64,
-    /// Forces, spatial frame, and moments, body frame of the node, per effort.
-    pub pull: NodalForces,
-}
-
 /// Returns a strain times the length of the element.
 fn stretched(strain: &ElementStrain, length: f64) -> ([Vec3<Scalar>; 2], Vec3<Scalar>) {
     (
@@ -584,7 +572,7 @@ impl Rod {
 
     /// Returns the derivative along the pose at the end of an interval of the pull there of the stress at the mean strain; `None` if no
     /// actuator passes the element.
-    pub(super) fn arriving_active_stiffness(
+    pub(in crate::mechanics) fn arriving_active_stiffness(
         &self,
         q: usize,
         poses: &[ElementPose; 2],
@@ -634,30 +622,6 @@ impl Rod {
         Some(winch.compliance * length + of_arm)
     }
 
-    /// Returns the sum over all winches of `k gᵀM⁻¹g` with the pull `g` of a unit tension on the nodes at rest, 1/s²: by so much at most the
-    /// springs of the tendons raise the highest `ω²` (Weyl).
-    #[must_use]
-    pub(super) fn squared_frequency_of_winches(&self) -> f64 {
-        // Pulled in by anything, so that no tendon is slack.
-        let inputs: Vec<f64> = (self.actuators.iter())
-            .map(|own| -own.largest_input().max(f64::EPSILON * self.scales.length))
-            .collect();
-        let (positions, rotations) = (&self.rest.positions, &self.rest.rotations);
-        (self.effort_slopes(&inputs, positions, rotations).iter())
-            .map(|own| {
-                let nodes = self.nodes.iter().enumerate().skip(self.first_free_node());
-                let sum: f64 = nodes
-                    .map(|(q, node)| {
-                        let (force, moment) = (own.pull.forces[q], own.pull.moments[q]);
-                        force.norm_squared() / node.mass
-                            + moment.dot(&moment.component_div(&node.rotary))
-                    })
-                    .sum();
-                -own.slope * sum
-            })
-            .sum()
-    }
-
     /// Returns the coordinates `y` of the actuators in a configuration, each in the unit of work over that of its effort.
     #[must_use]
     pub fn actuator_coordinates(
@@ -674,7 +638,7 @@ impl Rod {
     }
 
     /// Returns the coordinates of the actuators at the mean strains of an interval.
-    pub(super) fn mean_coordinates(
+    pub(in crate::mechanics) fn mean_coordinates(
         &self,
         ends: [(&[Vector3<f64>], &[nalgebra::Matrix3<f64>]); 2],
     ) -> Vec<f64> {
@@ -702,34 +666,6 @@ impl Rod {
         let coordinates = self.actuator_coordinates(positions, rotations);
         (inputs.iter().zip(coordinates).enumerate())
             .map(|(i, (input, y))| self.actuators.law(i, *input, y).effort)
-            .collect()
-    }
-
-    /// Returns the [derivatives](EffortSlope) of the efforts of winches with tension, for the inputs of all actuators.
-    pub(super) fn effort_slopes(
-        &self,
-        inputs: &[f64],
-        positions: &[Vector3<f64>],
-        rotations: &[nalgebra::Matrix3<f64>],
-    ) -> Vec<EffortSlope> {
-        if !self.actuators.has_winches() {
-            return Vec::new();
-        }
-        let coordinates = self.actuator_coordinates(positions, rotations);
-        (inputs.iter().zip(coordinates).enumerate())
-            .map(|(i, (input, y))| (i, self.actuators.law(i, *input, y).along_coordinate))
-            .filter(|(_, slope)| *slope != 0.0)
-            .map(|(i, slope)| {
-                let mut unit = vec![0.0; self.actuators.len()];
-                unit[i] = 1.0;
-                let mut pull = NodalForces::zeros(self.n_nodes());
-                pull.add_active(self, positions, rotations, &unit);
-                EffortSlope {
-                    actuator: i,
-                    slope,
-                    pull,
-                }
-            })
             .collect()
     }
 
