@@ -107,6 +107,7 @@ fn draw(seed: u64) -> Option<Problem> {
                     ..Route::straight([place.x, place.y])
                 },
                 effort: vec![(0.0, 0.0)],
+                winch: None,
                 largest,
             }
         })
@@ -141,6 +142,7 @@ fn draw(seed: u64) -> Option<Problem> {
             bounds: [0.0, largest],
             rate: None,
             scale: None,
+            lag: None,
         })
         .collect();
     for target in &mut task.targets {

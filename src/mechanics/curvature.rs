@@ -64,7 +64,9 @@ pub struct OwnCurvature {
     pub time_node: usize,
     /// The rod node and the component of every row: 0..3 `δx` (spatial), 3..6 `ζ` (body).
     pub rows: Vec<(usize, usize)>,
-    /// Symmetric, as many rows and columns as `rows`; unit of the functional per unit of both components.
+    /// Linear forms of the rows, a coefficient for each of them; empty if every row is a form by itself.
+    pub forms: Vec<Vec<f64>>,
+    /// Symmetric, as many rows and columns as there are forms; unit of the functional per unit of both.
     pub matrix: Mat<f64>,
 }
 

@@ -433,7 +433,9 @@ impl<'a> Statics<'a> {
         at: &Configuration,
         residual: &[Vector6<f64>],
     ) -> Option<(Configuration, Vec<Vector6<f64>>)> {
-        let factor = Tangent::of(self.stiffness(at)).factor()?;
+        let mut tangent = Tangent::of(self.stiffness(at));
+        tangent.add_winches(self.rod, at, self.t);
+        let factor = tangent.factor()?;
         let step = factor.solve(&[residual.to_vec()]).swap_remove(0);
         let l = self.rod.shortest_element();
         let reach = l * step.len() as f64;

@@ -134,7 +134,7 @@ pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
-pub use strain_actuator::{PlacedPoint, Route, StrainActuator, StrainActuators};
+pub use strain_actuator::{EffortLaw, PlacedPoint, Route, StrainActuator, StrainActuators, Winch};
 pub use swept::SweptSurface;
 pub use tangent::Stability;
 pub use time::{Clock, TimeGrid, TimeNode, TimeScheme};

@@ -526,8 +526,7 @@ impl Rod {
         for load in &p.distributed_loads {
             loads.extend(load.lumped(p.length, &mesh));
         }
-        let lengths: Vec<f64> = elements.iter().map(|element| element.length).collect();
-        let actuators = StrainActuators::new(p.actuators.clone(), &lengths)?;
+        let actuators = StrainActuators::new(p.actuators.clone(), p.strain_rule, &elements)?;
         Ok(Self {
             strain_rule: p.strain_rule,
             model: p.model,

@@ -219,6 +219,11 @@ impl Horizon {
                 "the controller's targets are soft; leave out tolerances of targets",
             ));
         }
+        if problem.rod.actuators.has_winches() || problem.driven().any(|(_, own)| own.lag != 0.0) {
+            return Err(MpcError::Unsupported(
+                "the controller knows neither winches nor lags of actuators in the arm; leave them out",
+            ));
+        }
         if problem.duration.is_some() {
             return Err(MpcError::Unsupported(
                 "the controller knows a fixed duration; leave out free_duration",

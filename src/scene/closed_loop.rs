@@ -306,12 +306,19 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: waypoints, a free duration and cubic blocks.
+    /// Refuses features that the controller does not support: winches and lags, waypoints, a free duration and cubic blocks.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
+        let winch_or_lag = self.winch_or_lag();
         let refusals = [
+            (
+                winch_or_lag.as_deref().unwrap_or_default(),
+                winch_or_lag.is_some(),
+                "a closed loop does not know winches, nor lags of its own actuators, yet",
+                "give bounds on the effort alone, and lags of the plant as plant.tendon.N.lag_s",
+            ),
             (
                 "task.via",
                 task.is_some_and(|task| !task.via.is_empty()),

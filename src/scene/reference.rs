@@ -19,7 +19,7 @@ const PREFACE: [&str; 3] = [
 ];
 
 /// Units by the end of a key, longer ends first.
-const UNITS: [(&str, &str); 24] = [
+const UNITS: [(&str, &str); 25] = [
     ("_kg_m2_s", "kg m²/s"),
     ("_kg_m_s", "kg m/s"),
     ("rotary_kg_m", "kg m"),
@@ -33,6 +33,7 @@ const UNITS: [(&str, &str); 24] = [
     ("_rad_s", "rad/s"),
     ("_m_s2", "m/s²"),
     ("_1_m", "1/m"),
+    ("_1_n", "1/N"),
     ("_1_s", "1/s"),
     ("_n_m", "N m"),
     ("_n_s", "N/s"),

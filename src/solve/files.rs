@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::efforts::effort_rows;
+use super::efforts::{commands, effort_rows};
 use super::examined::{Examined, Spent, beside, examine};
 use super::page::{SolvePage, iteration, sensitivity, solve_page};
 use super::solution::{Solution, stopped_steps_per_row};
@@ -132,7 +132,9 @@ fn write(
             let table = EffortTable::of(&problem.rod.actuators, &problem.grid, Some(&control));
             let rows = effort_rows(&problem.rod, &record, |row| {
                 let k = (row * stride).min(problem.grid.n_steps);
-                table.nodes[k * table.n_actuators..][..table.n_actuators].to_vec()
+                let own = table.nodes[k * table.n_actuators..][..table.n_actuators].to_vec();
+                let commands = commands(problem, &solution.coefficients, k, &own);
+                (own, commands)
             });
             write_efforts(&directory.path().join("efforts.csv"), &rows)?;
         }

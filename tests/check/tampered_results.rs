@@ -661,6 +661,7 @@ proptest! {
             goals: &goals,
             path: &path,
             rates: &rates,
+            commands: &[],
         };
         let constraints = &problem.path;
         let exists = |row: &PathMultiplier| {

@@ -20,3 +20,4 @@ mod staying;
 mod strain_actuators;
 mod terms;
 mod tilt;
+mod winches;

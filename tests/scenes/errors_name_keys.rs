@@ -445,6 +445,56 @@ fn actuators_in_the_arm_name_their_keys() {
             "is that of tendon.0",
         ),
         (
+            "tendon=[{offset_m = [0.01, 0.0], profile = [[0.0, 1.0]], lag_s = 0.1}]",
+            "tendon.0.tension_n",
+            "makes it a control",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], lag_s = 0.0}]",
+            "tendon.0.lag_s",
+            "not a positive time",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], displacement_m = [-0.01, 0.0], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m",
+            "contradicts tendon.0.tension_n",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], pretension_n = 1.0, displacement_profile = [[0.0, 0.0]], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_profile",
+            "contradicts tendon.0.pretension_n",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], profile = [[0.0, 1.0]], displacement_profile = [[0.0, 0.0]], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_profile",
+            "contradicts tendon.0.profile",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_m = [-0.01, 0.0], displacement_profile = [[0.0, 0.0]], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_profile",
+            "contradicts tendon.0.displacement_m",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_m = [-0.01, 0.0]}]",
+            "tendon.0.compliance_1_n",
+            "follows from the stretch",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_m = [-inf, 0.0], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m.0",
+            "without end",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m",
+            "describes the tendon of a winch",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_profile = [[0.0, 0.0]], rate_m_s = 0.1, compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m",
+            "makes it a control",
+        ),
+        (
             "chamber=[{offset_m = [0.01, 0.0], area_m2 = 0.0}]",
             "chamber.0.area_m2",
             "not a positive area",
@@ -458,5 +508,20 @@ fn actuators_in_the_arm_name_their_keys() {
         let error = error_of("reach", &[actuator]);
         assert_eq!(error.key(), Some(key), "{error}");
         assert!(error.message().contains(words), "{error}");
+    }
+    // An effort with a lag, and a winch, do not jump.
+    for (actuator, key) in [
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], lag_s = 0.1}]",
+            "tendon.0.lag_s",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_m = [-0.01, 0.0], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m",
+        ),
+    ] {
+        let error = error_of("reach", &[actuator, "control.hold='constant'"]);
+        assert_eq!(error.key(), Some(key), "{error}");
+        assert!(error.message().contains("does not jump"), "{error}");
     }
 }

@@ -9,3 +9,4 @@ mod sections;
 mod statics;
 mod strain_actuators;
 mod vibration;
+mod winches;

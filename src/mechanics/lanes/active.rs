@@ -1,6 +1,6 @@
 //! The stress of [actuators](crate::mechanics::strain_actuator) in the elements of a block, one element per lane.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use pulp::Simd;
 
 use super::LaneIntegrator;
@@ -25,11 +25,14 @@ pub struct ActiveLanes {
     rows: Buffer,
     /// Efforts that the forces at the time node contain: those just before it, or none after the motion was [seated](super::LaneIntegrator).
     pub present: Vec<f64>,
-    /// Efforts of the interval under way: its mean under the implicit scheme, otherwise those at its end.
+    /// Efforts of the interval under way: its mean under the implicit scheme, otherwise those at its end. The efforts of winches are zero
+    /// here: their forces are added where the configuration is known, or in the iteration of a step that is solved for.
     pub coming: Vec<f64>,
     /// Memory for a jump of the efforts, and for the shape at which it occurs.
     jump: Vec<f64>,
     shape: Configuration,
+    /// Inputs of winches: those whose efforts are among the present ones, and those of the interval under way.
+    inputs: Option<[Vec<f64>; 2]>,
 }
 
 impl ActiveLanes {
@@ -88,6 +91,7 @@ impl ActiveLanes {
         Some(Box::new(Self {
             kinds,
             rows,
+            inputs: (rod.actuators.has_winches()).then(|| [none.clone(), none.clone()]),
             present: none.clone(),
             jump: none.clone(),
             coming: none,
@@ -97,16 +101,30 @@ impl ActiveLanes {
 
     /// Returns the points of all blocks under the coming efforts.
     pub fn blocks<S: Simd>(&self) -> ActiveBlocks<'_, S> {
+        self.under(&self.coming)
+    }
+
+    /// Returns the points of all blocks under given efforts.
+    pub fn under<'a, S: Simd>(&'a self, efforts: &'a [f64]) -> ActiveBlocks<'a, S> {
         ActiveBlocks {
             kinds: &self.kinds,
             rows: super::vector::rows::<S>(&self.rows),
-            efforts: &self.coming,
+            efforts,
         }
     }
 
     /// Forgets the efforts that act.
     pub fn rest(&mut self) {
         self.present.fill(0.0);
+        if let Some([present, _]) = &mut self.inputs {
+            // No input has these efforts.
+            present.fill(f64::NAN);
+        }
+    }
+
+    /// Returns the inputs of the interval under way, if any of them is that of a winch.
+    pub fn winch_inputs(&self) -> Option<&[f64]> {
+        self.inputs.as_ref().map(|[_, coming]| &coming[..])
     }
 }
 
@@ -187,6 +205,7 @@ impl LaneIntegrator<'_> {
                 *mean = 0.5 * (*mean + start);
             }
         } else {
+            self.find_efforts(&mut active);
             if active.present != active.coming {
                 let halves = active.present.iter().zip(&active.coming);
                 for (jump, (before, after)) in active.jump.iter_mut().zip(halves) {
@@ -198,7 +217,57 @@ impl LaneIntegrator<'_> {
             write(1, &mut active.coming);
             active.present.copy_from_slice(&active.coming);
         }
+        if let Some([_, inputs]) = &mut active.inputs {
+            inputs.copy_from_slice(&active.coming);
+            for (effort, own) in active.coming.iter_mut().zip(self.rod.actuators.iter()) {
+                if own.winch.is_some() {
+                    *effort = 0.0;
+                }
+            }
+        }
         self.active = Some(active);
+    }
+
+    /// Turns the coming inputs of winches, if they are other ones than those whose efforts act, into efforts at the present configuration.
+    fn find_efforts(&self, active: &mut ActiveLanes) {
+        let Some([inputs, _]) = &active.inputs else {
+            return;
+        };
+        let is_same = inputs.iter().zip(&active.coming).all(|(a, b)| a == b);
+        let coming = std::mem::take(&mut active.coming);
+        active.coming = if is_same {
+            active.present.clone()
+        } else {
+            let (positions, rotations) = self.poses();
+            self.rod.efforts_at(coming, &positions, &rotations)
+        };
+    }
+
+    /// Adds the forces of winches at the time node at which an explicit step has arrived.
+    pub(super) fn arrive_winches(&mut self) {
+        let Some(mut active) = self.active.take() else {
+            return;
+        };
+        if let (Some([present, coming]), TimeScheme::Explicit) =
+            (&mut active.inputs, self.rod.scheme)
+        {
+            let (positions, rotations) = self.poses();
+            let efforts = self.rod.efforts_at(coming.clone(), &positions, &rotations);
+            present.copy_from_slice(coming);
+            let winches: Vec<f64> = (efforts.iter().zip(self.rod.actuators.iter()))
+                .map(|(effort, own)| own.winch.map_or(0.0, |_| *effort))
+                .collect();
+            active.present = efforts;
+            self.add_jump(&winches, &mut active.shape);
+        }
+        self.active = Some(active);
+    }
+
+    /// Returns the present positions and rotations of all nodes.
+    pub(super) fn poses(&self) -> (Vec<Vector3<f64>>, Vec<Matrix3<f64>>) {
+        let nodes = 0..self.rod.n_nodes();
+        let positions = nodes.clone().map(|node| self.position(node)).collect();
+        (positions, nodes.map(|node| self.rotation(node)).collect())
     }
 
     /// Adds the forces of the actuators with these efforts at the present configuration, for which `shape` is memory.

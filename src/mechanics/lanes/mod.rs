@@ -549,6 +549,7 @@ impl<'a> LaneIntegrator<'a> {
             self.put_base();
         }
         self.step += 1;
+        self.arrive_winches();
         let first = self.rod.first_free_node();
         let acting = self.acting(control);
         let given = control.iter().map(|(node, wrench)| (node, *wrench));

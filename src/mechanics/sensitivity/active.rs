@@ -25,6 +25,7 @@ use crate::mechanics::time::TimeScheme;
 /// Efforts along a motion, and those of a group of time nodes, one in each lane.
 #[derive(Debug)]
 pub(super) struct ActiveTimes {
+    /// The inputs: efforts, or the displacements of winches.
     table: EffortTable,
     /// Efforts of the time nodes, or of the intervals after them and then of those before them.
     lanes: Buffer,
@@ -53,9 +54,30 @@ impl ActiveTimes {
             .write(&motion.rod.actuators, &motion.grid, motion.control);
     }
 
-    /// Writes the efforts of time node `k` to one lane. Before the first and after the last interval of the grid there is none.
-    pub fn put(&mut self, k: usize, lane: usize, n_lanes: usize) {
+    /// Returns the inputs at time node `k`.
+    pub fn inputs(&self, k: usize) -> &[f64] {
         let n = self.table.n_actuators;
+        &self.table.nodes[k * n..][..n]
+    }
+
+    /// Writes the efforts of time node `k` of a trajectory to one lane. Before the first and after the last interval of the grid there is
+    /// none. Winches have steps that are explicit.
+    pub fn put(
+        &mut self,
+        (rod, trajectory): (&Rod, &Trajectory),
+        k: usize,
+        lane: usize,
+        n_lanes: usize,
+    ) {
+        let n = self.table.n_actuators;
+        if rod.actuators.has_winches() && !self.intervals {
+            let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+            let efforts = rod.efforts_at(self.inputs(k).to_vec(), x, r);
+            for (actuator, effort) in efforts.into_iter().enumerate() {
+                self.lanes[actuator * n_lanes + lane] = effort;
+            }
+            return;
+        }
         for actuator in 0..n {
             if self.intervals {
                 let of =

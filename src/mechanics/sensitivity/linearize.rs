@@ -13,7 +13,10 @@ use self::solved::SolveRows;
 pub(super) use self::solved::{Weights, element_at};
 use super::active::ActiveTimes;
 use super::dilated::element_drifts;
-use super::step::{LinearizedStep, NodeDrift, add_reordered, pack_acting, pack_loads, square};
+use super::step::{
+    LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_acting, pack_loads,
+    square,
+};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::curvature::{
@@ -112,6 +115,9 @@ impl Memory {
                 if let (Some(multipliers), Some(curvature)) =
                     (along.multipliers, &mut step.curvature)
                 {
+                    for winch in &step.winches {
+                        winch.add_curvature(along, multipliers, k, curvature);
+                    }
                     let loads = load_curvatures(along.motion, along.trajectory, multipliers, k);
                     curvature.add_neighbors(along.motion.rod, &before, &loads, next);
                     std::mem::swap(&mut before, next);
@@ -228,6 +234,57 @@ pub(super) fn turn_error(motion: &Motion, trajectory: &Trajectory, k: usize) -> 
                 not_finite(node, k, time, what)
             })
         })
+}
+
+/// Returns the kicks of winches with tension at time node `k`.
+fn winch_kicks(
+    along: &Along,
+    active: Option<&ActiveTimes>,
+    k: usize,
+    weight: f64,
+) -> Vec<WinchKick> {
+    let (Some(active), rod) = (active, along.motion.rod) else {
+        return Vec::new();
+    };
+    let (x, r) = (
+        along.trajectory.positions_at(k),
+        along.trajectory.rotations_at(k),
+    );
+    (rod.effort_slopes(active.inputs(k), x, r).iter())
+        .map(|slope| WinchKick::new(rod, slope, weight))
+        .collect()
+}
+
+impl WinchKick {
+    /// Adds `k' (λ·g) ∂²y` to the second derivatives of the elements, with the derivative `k'` of the tension along the coordinate `y`, its
+    /// pull `g` and the multipliers `λ`. The rest, `k' (g bᵀ + b gᵀ)` with the derivative `b` of `λ·g`, couples all elements.
+    fn add_curvature(
+        &self,
+        along: &Along,
+        multipliers: &Multipliers,
+        k: usize,
+        curvature: &mut StepCurvature,
+    ) {
+        let (motion, trajectory) = (along.motion, along.trajectory);
+        let rod = motion.rod;
+        let pulled: f64 = (self.pull())
+            .map(|(node, component, pull)| {
+                let (linear, angular) = multipliers.at(motion, k, node);
+                let covector = [linear, angular][component / 3][component % 3];
+                covector * pull
+            })
+            .sum();
+        let mut unit = vec![0.0; rod.actuators.len()];
+        // The potential of an effort is minus the coordinate.
+        unit[self.actuator] = -self.factor * pulled;
+        for (q, target) in curvature.elements.iter_mut().enumerate() {
+            let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+            let pose = Rod::element_pose(q, x, r);
+            if let Some(stiffness) = rod.active_stiffness(q, &pose, &unit) {
+                add_reordered(target, &(0.5 * (stiffness + stiffness.transpose())));
+            }
+        }
+    }
 }
 
 /// The kick of a time node: half of it at either end of the stretch.
@@ -530,7 +587,8 @@ impl Group<'_> {
             self.workspace.weights[lane] = self.kick(k).weight;
             let workspace = &mut *self.workspace;
             if let Some(active) = &mut workspace.active {
-                active.put(k, lane, n_lanes);
+                let along = (self.along.motion.rod, self.along.trajectory);
+                active.put(along, k, lane, n_lanes);
             }
             let Some(multipliers) = self.along.multipliers else {
                 continue;
@@ -574,6 +632,7 @@ impl Group<'_> {
                 &acting_derivatives(self.along.motion, self.along.trajectory, k),
                 kick.weight,
             );
+            step.winches = winch_kicks(self.along, self.workspace.active.as_ref(), k, kick.weight);
             step.first_free_node = rod.first_free_node();
             step.element_drifts.clear();
             if solved {

@@ -189,7 +189,12 @@ impl Memory {
         self.workspace.put_poses(trajectory, start, end, n_lanes);
         if let Some(active) = &mut self.workspace.active {
             for lane in 0..n_lanes {
-                active.put((start + lane).min(n_steps), lane, n_lanes);
+                active.put(
+                    (motion.rod, trajectory),
+                    (start + lane).min(n_steps),
+                    lane,
+                    n_lanes,
+                );
             }
         }
         if let Some(solve) = &mut self.workspace.solve {

@@ -123,7 +123,7 @@ impl Recording {
 
     fn note_efforts(&mut self, rod: &Rod, t: f64, state: &State, efforts: &[f64]) {
         if !rod.actuators.is_empty() {
-            (self.efforts).extend(efforts_at(rod, t, &state.configuration, efforts));
+            (self.efforts).extend(efforts_at(rod, t, &state.configuration, efforts, None));
         }
     }
 

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 use super::{FRAMES, ROWS};
 use crate::mechanics::{Density, Rod, StrainActuator};
 use crate::output::{Columns, MotionRecord, ReportRoute};
+use crate::solve::efforts::shape_of;
 use crate::task::EffortControl;
 
 /// Colors of curves by their names in the style sheet; a group with more curves begins anew.
@@ -22,12 +23,13 @@ pub(super) struct Shown {
     pub columns: Columns,
 }
 
-/// Returns the actuators of `rod` along a motion; `efforts` gives those of all in a row of the record, `controls` are those with bounds.
+/// Returns the actuators of `rod` along a motion; `inputs` gives those of all in a row of the record, `controls` are those with bounds. Of a
+/// winch, whose input is a displacement, the tension is shown, without bounds.
 pub(super) fn shown(
     rod: &Rod,
     record: &MotionRecord,
     controls: &[EffortControl],
-    efforts: &dyn Fn(usize) -> Vec<f64>,
+    inputs: &dyn Fn(usize) -> Vec<f64>,
 ) -> Shown {
     let mut columns = Columns::new();
     if rod.actuators.is_empty() {
@@ -37,6 +39,11 @@ pub(super) fn shown(
             columns,
         };
     }
+    let efforts = |row: usize| {
+        let shape = shape_of(record, row);
+        rod.efforts_at(inputs(row), &shape.positions, &shape.rotations)
+    };
+    let largest = rod.largest_efforts();
     let frames: Vec<Vec<f64>> = (record.thinned_rows(FRAMES).into_iter())
         .map(efforts)
         .collect();
@@ -52,12 +59,14 @@ pub(super) fn shown(
     for (index, own) in rod.actuators.iter().enumerate() {
         let column = |rows: &[Vec<f64>]| rows.iter().map(|row| row[index]).collect::<Vec<f64>>();
         let curve = column(&curves);
-        let bound = (controls.iter()).find_map(|c| (c.actuator == index).then_some(c.bounds));
+        let bound = (controls.iter())
+            .find_map(|c| (c.actuator == index && own.winch.is_none()).then_some(c.bounds));
+        let most = largest[index];
         let group = group(own.density);
         let members = groups.entry(group).or_default();
         let slack = curve
             .iter()
-            .filter(|effort| is_slack(own, **effort))
+            .filter(|effort| is_slack(**effort, most))
             .count();
         members.push(json!({
             "name": own.name,
@@ -72,7 +81,7 @@ pub(super) fn shown(
             "least": curve.iter().copied().fold(f64::INFINITY, f64::min),
             "most": curve.iter().copied().fold(f64::NEG_INFINITY, f64::max),
             "slack": slack as f64 / curve.len().max(1) as f64,
-            "last": curve.last().filter(|effort| !is_slack(own, **effort)).unwrap_or(&0.0),
+            "last": curve.last().filter(|effort| !is_slack(**effort, most)).unwrap_or(&0.0),
         }));
         let limits = bounds.entry(group).or_default();
         for limit in bound
@@ -85,7 +94,7 @@ pub(super) fn shown(
             }
         }
         columns.insert(format!("effort_{index}"), curve);
-        routes.push(route(rod, own, column(&frames)));
+        routes.push(route(rod, own, most, column(&frames)));
     }
     let groups = groups.into_iter().map(|(group, members)| {
         let (word, title) = WORDS[group];
@@ -133,13 +142,13 @@ fn group(density: Density) -> usize {
 /// Part of the largest effort below which an actuator is slack: far above the tolerance of a solve, and not to be seen in a picture.
 const SLACK: f64 = 1e-4;
 
-/// Tells whether an actuator does nothing that counts.
-fn is_slack(own: &StrainActuator, effort: f64) -> bool {
-    effort.abs() <= SLACK * own.largest_effort()
+/// Tells whether an actuator, whose largest effort is `most`, does nothing that counts.
+fn is_slack(effort: f64, most: f64) -> bool {
+    effort.abs() <= SLACK * most
 }
 
 /// Returns the line of an actuator through the nodes that it passes, with its effort at the frames of the picture.
-fn route(rod: &Rod, own: &StrainActuator, efforts: Vec<f64>) -> ReportRoute {
+fn route(rod: &Rod, own: &StrainActuator, most: f64, efforts: Vec<f64>) -> ReportRoute {
     const SAME: f64 = 1e-9;
     let places = rod.places();
     let nodes: Vec<usize> = (0..places.len())
@@ -160,9 +169,9 @@ fn route(rod: &Rod, own: &StrainActuator, efforts: Vec<f64>) -> ReportRoute {
         },
         slack: efforts
             .iter()
-            .map(|effort| is_slack(own, *effort))
+            .map(|effort| is_slack(*effort, most))
             .collect(),
-        most: own.largest_effort(),
+        most,
         efforts: efforts.into_iter().map(|effort| effort as f32).collect(),
     }
 }

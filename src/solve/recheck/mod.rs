@@ -264,6 +264,7 @@ impl<'a> SavedSolution<'a> {
                 limits: &self.setup.check_limits(),
                 hessian: self.setup.settings.hessian.name(),
                 tolerance: self.setup.settings.tolerance,
+                coefficients: &self.coefficients,
                 trajectory: &self.trajectory,
                 multipliers: &self.multipliers.goals,
                 feedback: gains.as_ref(),

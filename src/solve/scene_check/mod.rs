@@ -78,23 +78,24 @@ pub(crate) fn check_scene(
         let size = problem_size(&setup.problem);
         let time = SolveTime::of_problem(&setup.problem);
         concerns.extend(shorter(&setup, &time));
-        plan = Some(Plan {
-            actuators: actuators(&setup.problem),
-            need: need(&setup.problem, scene.staying(), setup.arm.length),
-            cost: SolveCost {
-                iteration_s: time.iteration,
-                iterations: time.iterations(),
-                check_s: time.check,
-                total_s: time.range(),
-            },
-            distance: distance(&setup.problem),
-            own_units: (setup.problem.acting.iter())
-                .map(|acting| acting.actuator.named_controls().1.to_string())
-                .chain(setup.problem.driven().map(|(actuator, _)| {
-                    format!("{} ({})", actuator.density.effort_unit(), actuator.name)
-                }))
-                .collect(),
-        });
+        plan =
+            Some(Plan {
+                actuators: actuators(&setup.problem),
+                need: need(&setup.problem, scene.staying(), setup.arm.length),
+                cost: SolveCost {
+                    iteration_s: time.iteration,
+                    iterations: time.iterations(),
+                    check_s: time.check,
+                    total_s: time.range(),
+                },
+                distance: distance(&setup.problem),
+                own_units: (setup.problem.acting.iter())
+                    .map(|acting| acting.actuator.named_controls().1.to_string())
+                    .chain(setup.problem.driven().map(|(actuator, _)| {
+                        format!("{} ({})", actuator.input_unit(), actuator.name)
+                    }))
+                    .collect(),
+            });
         let memory = of_solve(&setup, 1, n_threads);
         (
             setup.problem.rod,
@@ -288,7 +289,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         }
     });
     let efforts = problem.driven().map(|(actuator, channel)| {
-        let unit = actuator.density.effort_unit();
+        let unit = actuator.input_unit();
         let given = actuator.effort(0.0);
         let range = match channel.bound.and_then(|bound| bound.interval(0)) {
             None => "UNBOUNDED".to_string(),

@@ -21,7 +21,7 @@ use crate::output::{
 };
 use crate::scene::{Scene, Simulation};
 use crate::solve::causes::causes;
-use crate::solve::efforts::effort_rows;
+use crate::solve::efforts::{effort_rows, slack};
 use crate::solve::page::simulation_page;
 use crate::stop::StopSignal;
 
@@ -308,13 +308,13 @@ impl<'a> Run<'a> {
         self.checkpoint().write(&self.folder)
     }
 
-    /// Writes the files of the result.
+    /// Writes the files of the result, and adds to the summary what follows from the recorded rows.
     pub(super) fn write(
         mut self,
         result: &ResultDirectory,
         scene: &Scene,
         end: &End,
-        summary: &SimulateSummary,
+        summary: &mut SimulateSummary,
     ) -> Result<(), OutputError> {
         self.trajectory
             .write_npz(&result.path().join("trajectory.npz"))?;
@@ -324,8 +324,10 @@ impl<'a> Run<'a> {
         let rod = &self.setup.rod;
         if !rod.actuators.is_empty() {
             let record = MotionRecord::read_npz(&result.path().join("trajectory.npz"))?;
-            let rows = effort_rows(rod, &record, |row| rod.actuators.efforts(record.t[row]));
+            let given = |row: usize| (rod.actuators.efforts(record.t[row]), None);
+            let rows = effort_rows(rod, &record, given);
             write_efforts(&result.path().join("efforts.csv"), &rows)?;
+            summary.slack = slack(rod, &rows);
         }
         if !matches!(end, End::Failed(_)) {
             self.checkpoint().write(result.path())?;
@@ -409,6 +411,7 @@ impl<'a> Run<'a> {
             dilatation: extremes.dilatation,
             length_m: extremes.length,
             clearance: self.tally.clearance.summary(),
+            slack: Vec::new(),
             accuracy: None,
             directory: target.display().to_string(),
         }

@@ -97,7 +97,7 @@ pub fn recompute(
     let (functional, state_cost) = conditions.functional(multipliers);
     let pulled = conditions.control_gradient(&functional, multipliers.goals);
 
-    let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers.rates);
+    let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers);
     // As in the solver, a problem whose terms all vanish is judged against one unit of effort.
     let spline = Spline::of(problem);
     let channels =

@@ -20,6 +20,7 @@ mod chain;
 mod coupling;
 mod instant;
 mod step;
+mod winches;
 
 use std::marker::PhantomData;
 
@@ -33,6 +34,7 @@ use self::step::{
     EQUATION_ROWS, ORDERS, Outcome, PUSHED, RATE_ROWS, RESIDUAL, SPUN, SolvedStep, TRIAL_ROWS,
     TURNED,
 };
+use self::winches::{WinchFactors, Winches};
 use super::constants::Constants;
 use super::place::Slots;
 use super::sweep::POSITION;
@@ -71,6 +73,7 @@ pub struct Solver {
     /// Blocks of the matrix that is factored.
     equations: Buffer,
     chain: Chain,
+    winches: WinchFactors,
     /// Tells whether the next step computes new factors.
     stale: bool,
     pace: Pace,
@@ -160,6 +163,7 @@ impl Solver {
             order: 0,
             equations: buffer(EQUATION_ROWS),
             chain: Chain::new(rod.n_nodes() - first),
+            winches: WinchFactors::default(),
             stale: true,
             pace: Pace::default(),
             rounding: Rounding::of(rod, weights, time_step),
@@ -258,6 +262,12 @@ impl LaneIntegrator<'_> {
         self.add_control(control[0]);
         self.share_jumps();
         self.prepare_efforts(control);
+        let implicit = self.rod.scheme == TimeScheme::Implicit;
+        let inputs = (self.active.as_ref().filter(|_| implicit))
+            .and_then(|active| Some(active.winch_inputs()?.to_vec()));
+        let winches = inputs
+            .as_ref()
+            .map(|inputs| Winches::new(self.rod, inputs, self.poses()));
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }
@@ -276,6 +286,7 @@ impl LaneIntegrator<'_> {
                 elements,
                 kinds,
                 active: self.active.as_deref(),
+                winches,
                 solver: &mut solver,
                 held,
                 half_damping: 0.5 * self.rod.viscous_damping * self.clock.step,

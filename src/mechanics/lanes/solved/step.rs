@@ -2,6 +2,7 @@
 
 use std::marker::PhantomData;
 
+use nalgebra::Vector3;
 use pulp::{Simd, WithSimd};
 
 use super::Solver;
@@ -10,6 +11,7 @@ use super::coupling::{ActiveCoupling, SolvedRule};
 use super::instant::{
     INSTANT_ROWS, STRAINED, elastic_stress, framed, instant, interval_stress, next_lane, pose,
 };
+use super::winches::{Poses, Winches};
 use crate::mechanics::lanes::active::{ActiveBlocks, ActiveLanes};
 use crate::mechanics::lanes::element::{Chord, STRESS_ROWS, fold};
 use crate::mechanics::lanes::place::Slots;
@@ -22,6 +24,7 @@ use crate::mechanics::lanes::vector::{
     Frame, Lanes, Mat3, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows,
 };
 use crate::mechanics::part::apart;
+use crate::mechanics::rotation::from_quaternion;
 use crate::mechanics::rotation_step::{momentum, momentum_slope, spin_inertia};
 use crate::mechanics::time::TimeScheme;
 
@@ -94,6 +97,8 @@ pub struct SolvedStep<'a, R> {
     pub kinds: &'a [[usize; 2]],
     /// Actuators on the strains, if there are any.
     pub active: Option<&'a ActiveLanes>,
+    /// Winches of an implicit step.
+    pub winches: Option<Winches<'a>>,
     pub solver: &'a mut Solver,
     /// Pose of a base that is held, at the end of the step.
     pub held: Option<[f64; 7]>,
@@ -117,7 +122,8 @@ impl<R: SolvedRule> WithSimd for SolvedStep<'_, R> {
             nodes: blocks::<S, NODE_ROWS>(self.nodes),
             elements: rows::<S>(self.elements),
             kinds: self.kinds,
-            active: self.active.map(ActiveLanes::blocks),
+            active: self.active,
+            winches: self.winches,
             solver: self.solver,
             held: self.held,
             kick: Lanes::splat(simd, self.time_step * scale),
@@ -136,7 +142,8 @@ struct Work<'a, S: Simd, R> {
     nodes: &'a [[Row<S>; NODE_ROWS]],
     elements: &'a [Row<S>],
     kinds: &'a [[usize; 2]],
-    active: Option<ActiveBlocks<'a, S>>,
+    active: Option<&'a ActiveLanes>,
+    winches: Option<Winches<'a>>,
     solver: &'a mut Solver,
     held: Option<[f64; 7]>,
     /// `h/(1 + a)`
@@ -147,6 +154,30 @@ struct Work<'a, S: Simd, R> {
     decay: Lanes<S>,
     normalize: bool,
     rule: PhantomData<R>,
+}
+
+/// Returns the actuators under their efforts.
+#[inline(always)]
+fn active_blocks<'a, S: Simd>(
+    active: Option<&'a ActiveLanes>,
+    winches: &'a Option<Winches>,
+) -> Option<ActiveBlocks<'a, S>> {
+    active.map(|active| match winches {
+        None => active.blocks(),
+        Some(winches) => active.under(&winches.efforts),
+    })
+}
+
+/// Returns the poses of all nodes in the first seven rows of a buffer of trials.
+fn trial_poses(slots: Slots, trial: &[f64], n_nodes: usize) -> Poses {
+    (0..n_nodes)
+        .map(|node| {
+            let at = slots.index(slots.place(node), TRIAL_ROWS, 0);
+            let [x, y, z, rotation @ ..] =
+                std::array::from_fn::<f64, 7, _>(|i| trial[at + i * slots.n_lanes]);
+            (Vector3::new(x, y, z), from_quaternion(rotation))
+        })
+        .unzip()
 }
 
 /// Largest squares over the nodes that move.
@@ -314,6 +345,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     fn attempt(&mut self) -> Trial {
         let simd = self.simd;
         let Solver {
+            slots,
             rates,
             trial,
             instants: [start, end],
@@ -356,6 +388,11 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             let trial = blocks::<S, TRIAL_ROWS>(trial);
             pose(simd, &trial[0], 0).frame.store(&mut end[0], 0);
         }
+        if let Some(winches) = &mut self.winches {
+            let end = trial_poses(*slots, trial, winches.rod.n_nodes());
+            winches.find(&end);
+        }
+        let active = active_blocks::<S>(self.active, &self.winches);
         let trial = blocks_mut::<S, TRIAL_ROWS>(trial);
         let n_blocks = trial.len();
         let [mut linear, mut angular] = [zero; 2];
@@ -376,13 +413,13 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             let strained = R::strained(&a, &b, &chord);
             R::store(&strained, &mut end[i][STRAINED..]);
             folded = folded.max(fold(constants, strained.w));
-            if self.active.is_some() {
+            if active.is_some() {
                 folded = folded.max(pressed(constants, &strained));
             }
             let before = R::load(simd, &start[i][STRAINED..]);
             let mut stress =
                 interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
-            if let (Some(active), TimeScheme::Implicit) = (&self.active, *scheme) {
+            if let (Some(active), TimeScheme::Implicit) = (&active, *scheme) {
                 let mean = before.mean(&strained);
                 R::add_active(active, i, &mean, &mut stress);
             }
@@ -440,8 +477,10 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             scheme,
             equations,
             chain,
+            winches: winch_factors,
             ..
         } = &mut *self.solver;
+        let active = active_blocks::<S>(self.active, &self.winches);
         {
             let trial = blocks::<S, TRIAL_ROWS>(trial);
             let start = blocks::<S, INSTANT_ROWS>(start);
@@ -455,7 +494,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
                     instant::<S, R>(simd, end, i),
                 );
                 let mut coupling = R::coupling(constants, &before, &after);
-                if let (Some(active), TimeScheme::Implicit) = (&self.active, *scheme) {
+                if let (Some(active), TimeScheme::Implicit) = (&active, *scheme) {
                     // The mean strain changes with half of that at the end.
                     let share = Lanes::splat(simd, 0.5 / weights.end);
                     let mean = before.strained.mean(&after.strained);
@@ -492,6 +531,10 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             rows: equations,
             rates,
         });
+        if let Some(winches) = &self.winches {
+            let end = trial_poses(*slots, trial, winches.rod.n_nodes());
+            winches.factor(chain, *first, &end, winch_factors);
+        }
         self.solver.work.factorizations += 1;
     }
 
@@ -506,6 +549,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             trial,
             instants: [start, _],
             chain,
+            winches: winch_factors,
             ..
         } = &mut *self.solver;
         let (n_blocks, n_lanes) = (slots.n_blocks, S::F64_LANES);
@@ -528,6 +572,9 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             }
         }
         chain.solve();
+        if let Some(winches) = &self.winches {
+            winches.amend(self.weight, winch_factors, &mut chain.columns);
+        }
         let columns = &chain.columns[..];
         for lane in 0..n_lanes {
             for block in 0..n_blocks {
@@ -607,6 +654,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         let differences = blocks_mut::<S, { 6 * ORDERS }>(differences);
         let state = blocks_mut::<S, STATE_ROWS>(self.state);
         let n_blocks = trial.len();
+        let active = active_blocks::<S>(self.active, &self.winches);
         let inverse = [1.0 / tolerance[0], 1.0 / tolerance[1]];
         let mut errors = [Lanes::splat(simd, 0.0); ORDERS];
         let n_differences = match scheme {
@@ -631,7 +679,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
                 TimeScheme::Implicit => None,
                 TimeScheme::Explicit => {
                     let mut stress = elastic_stress::<S, R>(constants, &strained);
-                    if let Some(active) = &self.active {
+                    if let Some(active) = &active {
                         R::add_active(active, i, &strained.measures(), &mut stress);
                     }
                     Some(R::pull(&strained, frames, &stress))
@@ -639,7 +687,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             };
             let mut stress =
                 interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
-            if let (Some(active), TimeScheme::Implicit) = (&self.active, *scheme) {
+            if let (Some(active), TimeScheme::Implicit) = (&active, *scheme) {
                 let mean = before.mean(&strained);
                 R::add_active(active, i, &mean, &mut stress);
             }
