@@ -132,7 +132,7 @@ fn half_a_second_twice_is_a_second() {
     for more in [
         "",
         "--set time.integrator=\"explicit\" --set time.step_s=0.00006103515625",
-        "--set rod.model=\"consistent\"",
+        "--set rod.model=\"consistent\" --set time.integrator=\"explicit\" --set time.step_s=0.00006103515625",
         spin,
     ] {
         let row = "--set output.rate_hz=64";

@@ -62,6 +62,8 @@ pub(super) fn shown(
         let bound = (controls.iter())
             .find_map(|c| (c.actuator == index && own.winch.is_none()).then_some(c.bounds));
         let most = largest[index];
+        // In words an effort that does not count is none.
+        let told = |effort: f64| if is_slack(effort, most) { 0.0 } else { effort };
         let group = group(own.density);
         let members = groups.entry(group).or_default();
         let slack = curve
@@ -78,10 +80,10 @@ pub(super) fn shown(
             "offset_to": own.route.offset_to,
             "turns": own.route.turns,
             "bounds": bound,
-            "least": curve.iter().copied().fold(f64::INFINITY, f64::min),
-            "most": curve.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            "least": told(curve.iter().copied().fold(f64::INFINITY, f64::min)),
+            "most": told(curve.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
             "slack": slack as f64 / curve.len().max(1) as f64,
-            "last": curve.last().filter(|effort| !is_slack(**effort, most)).unwrap_or(&0.0),
+            "last": told(curve.last().copied().unwrap_or(0.0)),
         }));
         let limits = bounds.entry(group).or_default();
         for limit in bound
