@@ -12,6 +12,7 @@ use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
 use super::{Rod, RodError, require};
+use crate::mechanics::configuration::Configuration;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
     ElementStrain, IntervalStress, StrainRule,
@@ -649,14 +650,11 @@ impl Rod {
     }
 
     /// Returns the coordinates of the actuators at the mean strains of an interval.
-    pub(in crate::mechanics) fn mean_coordinates(
-        &self,
-        ends: [(&[Vector3<f64>], &[nalgebra::Matrix3<f64>]); 2],
-    ) -> Vec<f64> {
+    pub(in crate::mechanics) fn mean_coordinates(&self, ends: [&Configuration; 2]) -> Vec<f64> {
         (self.actuators).coordinates(self.strain_rule, &self.elements, |q| {
             let length = self.elements[q].length;
-            let [start, end] = ends.map(|(positions, rotations)| {
-                let pose = Self::element_pose(q, positions, rotations);
+            let [start, end] = ends.map(|at| {
+                let pose = Self::element_pose(q, &at.positions, &at.rotations);
                 self.strain_rule.strain(length, &pose)
             });
             start.mean(&end)

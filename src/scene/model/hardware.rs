@@ -429,7 +429,7 @@ impl Keys<'_> {
                 ("rate_m_s", tendon.rate_m_s.is_some()),
                 ("rest_displacement_m", tendon.rest_displacement_m != 0.0),
             ];
-            for (name, _) in of_winch.into_iter().filter(|(_, is_given)| *is_given) {
+            if let Some((name, _)) = of_winch.into_iter().find(|(_, is_given)| *is_given) {
                 let relation = format!(
                     "{name} describes the tendon of a winch, whose input is displacement_m or displacement_profile"
                 );
@@ -447,7 +447,7 @@ impl Keys<'_> {
             ("pretension_n", tendon.pretension_n != 0.0),
             ("profile", tendon.profile.is_some()),
         ];
-        for (name, _) in of_tension.into_iter().filter(|(_, is_given)| *is_given) {
+        if let Some((name, _)) = of_tension.into_iter().find(|(_, is_given)| *is_given) {
             return Err(self.contradiction(&key(input), &key(name)));
         }
         if let Some([least, _]) = tendon.displacement_m

@@ -41,6 +41,7 @@ use super::sweep::POSITION;
 use super::{LaneIntegrator, NORMALIZE_EVERY, dispatch};
 use crate::mechanics::base_motion::BaseState;
 use crate::mechanics::buffer::Buffer;
+use crate::mechanics::configuration::Configuration;
 use crate::mechanics::element::{Helical, StrainRule, Trapezoidal};
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::implicit::IntervalWeights;
@@ -265,9 +266,14 @@ impl LaneIntegrator<'_> {
         let implicit = self.rod.scheme == TimeScheme::Implicit;
         let inputs = (self.active.as_ref().filter(|_| implicit))
             .and_then(|active| Some(active.winch_inputs()?.to_vec()));
-        let winches = inputs
-            .as_ref()
-            .map(|inputs| Winches::new(self.rod, inputs, self.poses()));
+        let winches = inputs.as_ref().map(|inputs| {
+            let (positions, rotations) = self.poses();
+            let start = Configuration {
+                positions,
+                rotations,
+            };
+            Winches::new(self.rod, inputs, start)
+        });
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }

@@ -11,7 +11,8 @@ use super::coupling::{ActiveCoupling, SolvedRule};
 use super::instant::{
     INSTANT_ROWS, STRAINED, elastic_stress, framed, instant, interval_stress, next_lane, pose,
 };
-use super::winches::{Poses, Winches};
+use super::winches::Winches;
+use crate::mechanics::configuration::Configuration;
 use crate::mechanics::lanes::active::{ActiveBlocks, ActiveLanes};
 use crate::mechanics::lanes::element::{Chord, STRESS_ROWS, fold};
 use crate::mechanics::lanes::place::Slots;
@@ -169,15 +170,19 @@ fn active_blocks<'a, S: Simd>(
 }
 
 /// Returns the poses of all nodes in the first seven rows of a buffer of trials.
-fn trial_poses(slots: Slots, trial: &[f64], n_nodes: usize) -> Poses {
-    (0..n_nodes)
+fn trial_poses(slots: Slots, trial: &[f64], n_nodes: usize) -> Configuration {
+    let (positions, rotations) = (0..n_nodes)
         .map(|node| {
             let at = slots.index(slots.place(node), TRIAL_ROWS, 0);
             let [x, y, z, rotation @ ..] =
                 std::array::from_fn::<f64, 7, _>(|i| trial[at + i * slots.n_lanes]);
             (Vector3::new(x, y, z), from_quaternion(rotation))
         })
-        .unzip()
+        .unzip();
+    Configuration {
+        positions,
+        rotations,
+    }
 }
 
 /// Largest squares over the nodes that move.

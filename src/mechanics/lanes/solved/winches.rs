@@ -10,14 +10,12 @@
 //! x = x₀ - A⁻¹P (I + D Qᵀ A⁻¹P)⁻¹ D Qᵀ x₀        A x₀ = r
 //! ```
 
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector};
 
 use super::chain::{Chain, Column, SIZE};
+use crate::mechanics::configuration::Configuration;
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rod::Rod;
-
-/// Positions and rotations of all nodes.
-pub type Poses = (Vec<Vector3<f64>>, Vec<Matrix3<f64>>);
 
 /// `A⁻¹p` and `q` of every winch, node by node from the first free one.
 #[derive(Clone, Debug, Default)]
@@ -32,7 +30,7 @@ pub struct Winches<'a> {
     /// Inputs of all actuators, the mean over the interval.
     pub inputs: &'a [f64],
     /// The poses at the start.
-    pub start: Poses,
+    pub start: Configuration,
     /// Efforts of all actuators at the present trial.
     pub efforts: Vec<f64>,
     /// `k` of all actuators.
@@ -41,7 +39,7 @@ pub struct Winches<'a> {
 
 impl<'a> Winches<'a> {
     /// Prepares the winches of a step.
-    pub fn new(rod: &'a Rod, inputs: &'a [f64], start: Poses) -> Self {
+    pub fn new(rod: &'a Rod, inputs: &'a [f64], start: Configuration) -> Self {
         Self {
             rod,
             inputs,
@@ -51,13 +49,9 @@ impl<'a> Winches<'a> {
         }
     }
 
-    fn ends<'b>(&'b self, end: &'b Poses) -> [(&'b [Vector3<f64>], &'b [Matrix3<f64>]); 2] {
-        [&self.start, end].map(|(x, r)| (&x[..], &r[..]))
-    }
-
     /// Finds the efforts for a trial of the poses at the end.
-    pub fn find(&mut self, end: &Poses) {
-        let coordinates = self.rod.mean_coordinates(self.ends(end));
+    pub fn find(&mut self, end: &Configuration) {
+        let coordinates = self.rod.mean_coordinates([&self.start, end]);
         for (i, y) in coordinates.into_iter().enumerate() {
             let law = self.rod.actuators.law(i, self.inputs[i], y);
             self.efforts[i] = law.effort;
@@ -66,14 +60,14 @@ impl<'a> Winches<'a> {
     }
 
     /// Returns the wrenches of a unit effort of one actuator at the mean strain on the nodes at both ends of the step.
-    fn pulls(&self, actuator: usize, end: &Poses) -> [NodalForces; 2] {
+    fn pulls(&self, actuator: usize, end: &Configuration) -> [NodalForces; 2] {
         let rod = self.rod;
         let mut unit = vec![0.0; rod.actuators.len()];
         unit[actuator] = 1.0;
-        let ends = self.ends(end);
+        let ends = [&self.start, end];
         let mut out = [0, 1].map(|_| NodalForces::zeros(rod.n_nodes()));
         for (q, element) in rod.elements.iter().enumerate() {
-            let poses = ends.map(|(x, r)| Rod::element_pose(q, x, r));
+            let poses = ends.map(|at| Rod::element_pose(q, &at.positions, &at.rotations));
             let strains =
                 (poses.each_ref()).map(|pose| rod.strain_rule.strain(element.length, pose));
             let Some(stress) = rod.active_stress(q, &strains[0].mean(&strains[1]), &unit) else {
@@ -88,7 +82,13 @@ impl<'a> Winches<'a> {
 
     /// Computes `A⁻¹p` and `q` of all winches from new factors of `A`, for a trial of the poses at the end. Forces are in the frames of
     /// the nodes at the start.
-    pub fn factor(&self, chain: &mut Chain, first: usize, end: &Poses, out: &mut WinchFactors) {
+    pub fn factor(
+        &self,
+        chain: &mut Chain,
+        first: usize,
+        end: &Configuration,
+        out: &mut WinchFactors,
+    ) {
         out.responses.clear();
         out.pulls.clear();
         for (i, own) in self.rod.actuators.iter().enumerate() {
@@ -96,7 +96,11 @@ impl<'a> Winches<'a> {
                 continue;
             }
             let [p, q] = self.pulls(i, end).map(|pull| {
-                let nodes = pull.forces.iter().zip(&pull.moments).zip(&self.start.1);
+                let nodes = pull
+                    .forces
+                    .iter()
+                    .zip(&pull.moments)
+                    .zip(&self.start.rotations);
                 let columns = nodes.skip(first).map(|((force, moment), rotation)| {
                     let (f, m) = (rotation.tr_mul(force), moment);
                     Column([f.x, f.y, f.z, m.x, m.y, m.z, 0.0, 0.0])
