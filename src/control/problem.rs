@@ -481,10 +481,11 @@ impl OptimalControlProblem {
     }
 
     /// Returns the number of unknowns of the configurations for the sparse route, if it [supports](SparseMotion::unknowns_per_time_node)
-    /// the rod; `None` with user-defined actuators or actuators on the strains.
+    /// the rod; `None` with actuators of the rod, user-defined ones, or potentials of nodes.
     #[must_use]
     pub fn n_states(&self) -> Option<usize> {
-        if !self.acting.is_empty() || !self.rod.actuators.is_empty() {
+        let potentials = !self.rod.actuators.functions().is_empty();
+        if !self.acting.is_empty() || !self.rod.actuators.is_empty() || potentials {
             return None;
         }
         SparseMotion::unknowns_per_time_node(&self.motion())
@@ -649,6 +650,12 @@ impl OptimalControlProblem {
             })
             .unit()
         })
+    }
+
+    /// Tells whether anything acts at time nodes by wrenches that depend on the configuration: a control, or a function of a node's pose.
+    #[must_use]
+    pub fn acts_on_configuration(&self) -> bool {
+        self.depends_on_configuration() || !self.rod.actuators.functions().is_empty()
     }
 
     /// Tells whether a control acts by wrenches that depend on the configuration.

@@ -67,6 +67,8 @@ pub mod load_path;
 mod mesh;
 pub(crate) mod place;
 #[doc(hidden)]
+pub mod pose_actuator;
+#[doc(hidden)]
 pub mod rod;
 pub mod rotation;
 mod rotation_step;
@@ -117,6 +119,10 @@ pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
 pub(crate) use mesh::MOST_ELEMENTS;
 pub use mesh::Mesh;
 pub use place::Place;
+pub use pose_actuator::{
+    Cable, Magnet, OfPose, PlacedFunction, Pose, PoseActuator, PoseFunction, Posed,
+    SharedPoseFunction, Span,
+};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile, SectionSegment,
@@ -127,7 +133,7 @@ pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
-pub use strain_actuator::{PlacedPoint, Route, StrainActuator, StrainActuators};
+pub use strain_actuator::{Drive, PlacedPoint, RodActuators, Route, StrainActuator};
 pub use swept::SweptSurface;
 pub use tangent::Stability;
 pub use time::{Clock, TimeGrid, TimeNode, TimeScheme};

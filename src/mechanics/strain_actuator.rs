@@ -17,6 +17,8 @@ use super::element::{
 };
 use super::lanes::vector::{Lanes, Vec3};
 use super::load::profile;
+use super::mesh::Mesh;
+use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
 use super::rod::{Rod, RodError, require};
 use super::time::TimeNode;
 
@@ -100,7 +102,22 @@ pub struct StrainActuator {
     pub largest: f64,
 }
 
-impl StrainActuator {
+/// What the actuators of a rod have in common, on strains or on [poses](super::pose_actuator).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drive {
+    /// Name in results.
+    pub name: String,
+    /// Unit of the effort in messages; empty for a number.
+    pub unit: &'static str,
+    /// Where it begins, as a fraction of the length.
+    pub from: f64,
+    /// Given effort over time, as [`StrainActuator::effort`].
+    pub effort: Vec<(f64, f64)>,
+    /// Largest size of its effort at any time, as [`StrainActuator::largest`].
+    pub largest: f64,
+}
+
+impl Drive {
     /// Returns the largest size of the effort at any time.
     #[must_use]
     pub fn largest_effort(&self) -> f64 {
@@ -121,6 +138,27 @@ impl StrainActuator {
     }
 
     fn check(&self) -> Result<(), RodError> {
+        require("largest effort", self.largest, |x| x >= 0.0, "zero or more")?;
+        for (time, effort) in &self.effort {
+            require("time of an effort", *time, |_| true, "finite")?;
+            require("effort", *effort, |_| true, "finite")?;
+        }
+        Ok(())
+    }
+}
+
+impl StrainActuator {
+    fn drive(&self) -> Drive {
+        Drive {
+            name: self.name.clone(),
+            unit: self.density.effort_unit(),
+            from: self.route.from,
+            effort: self.effort.clone(),
+            largest: self.largest,
+        }
+    }
+
+    fn check(&self) -> Result<(), RodError> {
         let Route {
             from,
             to,
@@ -136,12 +174,20 @@ impl StrainActuator {
             require("offset of an actuator", value, |_| true, "finite")?;
         }
         require("turns of an actuator", turns, |_| true, "finite")?;
-        require("largest effort", self.largest, |x| x >= 0.0, "zero or more")?;
-        for (time, effort) in &self.effort {
-            require("time of an effort", *time, |_| true, "finite")?;
-            require("effort", *effort, |_| true, "finite")?;
-        }
         Ok(())
+    }
+}
+
+impl PoseActuator {
+    fn drive(&self) -> Drive {
+        let starts = self.parts.iter().map(|(span, _)| span.breaks()[0]);
+        Drive {
+            name: self.name.clone(),
+            unit: self.unit,
+            from: starts.fold(1.0, f64::min),
+            effort: self.effort.clone(),
+            largest: self.largest,
+        }
     }
 }
 
@@ -174,22 +220,47 @@ impl PlacedPoint {
     }
 }
 
-/// The actuators of a rod, and their points in its elements.
+/// The actuators of a rod, those on strains before those on poses, with their points in its elements and their functions of its nodes, and
+/// the potentials of its nodes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct StrainActuators {
-    actuators: Vec<StrainActuator>,
+pub struct RodActuators {
+    drives: Vec<Drive>,
+    /// Densities of those on strains.
+    densities: Vec<Density>,
+    functions: Vec<PlacedFunction>,
     /// Points in the order of the elements.
     points: Vec<PlacedPoint>,
     /// First point of every element, and the number of all.
     starts: Vec<usize>,
 }
 
-impl StrainActuators {
-    /// Places actuators on elements of the given rest lengths (m).
+impl RodActuators {
+    /// Places actuators on strains and on poses, and potentials without an effort, on elements of the given rest lengths (m).
     ///
     /// # Errors
     /// Returns [`RodError`] for a part that does not exist, or a number that is not finite.
-    pub(super) fn new(actuators: Vec<StrainActuator>, lengths: &[f64]) -> Result<Self, RodError> {
+    pub(super) fn new(
+        strains: &[StrainActuator],
+        poses: &[PoseActuator],
+        potentials: &[(Span, OfPose)],
+        (mesh, lengths): (&Mesh, &[f64]),
+    ) -> Result<Self, RodError> {
+        let mut out = Self::on_strains(strains, lengths)?;
+        for actuator in poses {
+            let index = Some(out.drives.len());
+            out.drives.push(actuator.drive());
+            for part in &actuator.parts {
+                (out.functions).extend(PlacedFunction::placed(part, index, mesh)?);
+            }
+        }
+        for potential in potentials {
+            (out.functions).extend(PlacedFunction::placed(potential, None, mesh)?);
+        }
+        out.drives.iter().try_for_each(Drive::check)?;
+        Ok(out)
+    }
+
+    fn on_strains(actuators: &[StrainActuator], lengths: &[f64]) -> Result<Self, RodError> {
         actuators.iter().try_for_each(StrainActuator::check)?;
         if actuators.is_empty() {
             return Ok(Self::default());
@@ -227,7 +298,9 @@ impl StrainActuators {
             start = end;
         }
         Ok(Self {
-            actuators,
+            drives: actuators.iter().map(StrainActuator::drive).collect(),
+            densities: actuators.iter().map(|own| own.density).collect(),
+            functions: Vec::new(),
             points,
             starts,
         })
@@ -236,18 +309,30 @@ impl StrainActuators {
     /// Tells whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.actuators.is_empty()
+        self.drives.is_empty()
     }
 
     /// Returns the number of actuators.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.actuators.len()
+        self.drives.len()
     }
 
-    /// Returns the actuators.
-    pub fn iter(&self) -> impl Iterator<Item = &StrainActuator> {
-        self.actuators.iter()
+    /// Returns what the actuators have in common, those on strains first.
+    pub fn iter(&self) -> impl Iterator<Item = &Drive> {
+        self.drives.iter()
+    }
+
+    /// Returns the densities of those on strains, which are the first actuators.
+    #[must_use]
+    pub fn densities(&self) -> &[Density] {
+        &self.densities
+    }
+
+    /// Returns the functions of nodes: parts of the coordinates of actuators on poses, and potentials without an effort.
+    #[must_use]
+    pub fn functions(&self) -> &[PlacedFunction] {
+        &self.functions
     }
 
     /// Returns the points in element `q`.
@@ -276,8 +361,8 @@ impl StrainActuators {
     #[must_use]
     pub fn with_efforts(&self, efforts: &[f64]) -> Self {
         let mut out = self.clone();
-        for (actuator, effort) in out.actuators.iter_mut().zip(efforts) {
-            actuator.effort = vec![(0.0, *effort)];
+        for (drive, effort) in out.drives.iter_mut().zip(efforts) {
+            drive.effort = vec![(0.0, *effort)];
         }
         out
     }
@@ -429,6 +514,12 @@ impl Rod {
             for point in points {
                 let at = point.in_element(Scalar, element.length);
                 out[point.actuator] += at.value(point.density, &linear[..ends], psi);
+            }
+        }
+        for own in self.actuators.functions() {
+            if let Some(actuator) = own.actuator {
+                let at = own.pose(positions, rotations);
+                out[actuator] += own.weight * own.function.function().value(&at);
             }
         }
         out

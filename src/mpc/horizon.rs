@@ -38,9 +38,10 @@ const NEGLIGIBLE: f64 = 1e-4;
 /// Effect of one unit of a control component on a node: the node, the component of its wrench, and the force or moment in N or N m.
 type Effect = (usize, usize, f64);
 
-/// Returns the effects of every component; `None` if an actuator of one's own is not linear, or the rod has actuators on its strains.
+/// Returns the effects of every component; `None` if an actuator of one's own is not linear, or the rod has actuators or
+/// potentials.
 fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<Vec<Vec<Effect>>> {
-    if !problem.rod.actuators.is_empty() {
+    if !problem.rod.actuators.is_empty() || !problem.rod.actuators.functions().is_empty() {
         return None;
     }
     let maps = (problem.acting.iter())

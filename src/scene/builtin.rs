@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 22] = [
+const SCENES: [(&str, &str); 23] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -18,6 +18,10 @@ const SCENES: [(&str, &str); 22] = [
     (
         "reach-tendons",
         include_str!("../../examples/scenes/reach-tendons.toml"),
+    ),
+    (
+        "reach-guidewire",
+        include_str!("../../examples/scenes/reach-guidewire.toml"),
     ),
     (
         "paper-arm",

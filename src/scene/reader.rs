@@ -74,6 +74,31 @@ impl Misfit {
     }
 }
 
+/// Returns where the documents have the actuators that a word may mean.
+fn page_of(word: &str) -> Option<&'static str> {
+    const PAGES: [(&[&str], &str); 2] = [
+        (
+            &[
+                "tendon",
+                "tension",
+                "pressure",
+                "chamber",
+                "muscle",
+                "pneumatic",
+            ],
+            "[[tendon]], [[chamber]] and [[muscle]] are actuators in the arm, see docs/solves.md#tendons-chambers-and-muscles",
+        ),
+        (
+            &["magnet", "field", "cable", "rope"],
+            "[[magnet]] and [[cable]] act on places of the arm, see docs/solves.md#magnets-and-cables",
+        ),
+    ];
+    let word = word.to_lowercase();
+    let mut pages = PAGES.iter();
+    let (_, page) = pages.find(|(stems, _)| stems.iter().any(|stem| word.contains(stem)))?;
+    Some(page)
+}
+
 impl std::error::Error for Misfit {}
 
 impl fmt::Display for Misfit {
@@ -91,7 +116,10 @@ impl de::Error for Misfit {
         let mut misfit = Misfit::new("unknown key".to_string());
         misfit.help = Some(match nearest(field, known.iter().copied()) {
             Some(near) => format!("did you mean `{near}`?"),
-            None => format!("known keys here: {}", known.join(", ")),
+            None => match page_of(field) {
+                Some(page) => format!("known keys here: {}; {page}", known.join(", ")),
+                None => format!("known keys here: {}", known.join(", ")),
+            },
         });
         misfit
     }

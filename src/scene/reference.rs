@@ -19,7 +19,7 @@ const PREFACE: [&str; 3] = [
 ];
 
 /// Units by the end of a key, longer ends first.
-const UNITS: [(&str, &str); 22] = [
+const UNITS: [(&str, &str); 28] = [
     ("rotary_kg_m", "kg m"),
     ("_n_m_per_m", "N m/m"),
     ("_n_per_m", "N/m"),
@@ -29,7 +29,12 @@ const UNITS: [(&str, &str); 22] = [
     ("_kg_m3", "kg/m³"),
     ("_kg_m", "kg/m"),
     ("_rad_s", "rad/s"),
+    ("_t_m_s", "T/m/s"),
     ("_m_s2", "m/s²"),
+    ("_a_m2", "A m²"),
+    ("_m3", "m³"),
+    ("_t_m", "T/m"),
+    ("_t_s", "T/s"),
     ("_1_m", "1/m"),
     ("_1_s", "1/s"),
     ("_n_m", "N m"),
@@ -42,6 +47,7 @@ const UNITS: [(&str, &str); 22] = [
     ("_m", "m"),
     ("_n", "N"),
     ("_s", "s"),
+    ("_t", "T"),
 ];
 
 /// Returns the reference of a scene file with this JSON Schema.

@@ -248,6 +248,8 @@ quantities! {
     Radius: "radius", "meters";
     Area: "area", "m²";
     ActiveStress: "stress", "Pa";
+    Remanence: "remanence", "T";
+    Volume: "volume", "m³";
     Diameter: "diameter", "meters";
     Edge: "edge", "meters";
     Width: "width", "meters";

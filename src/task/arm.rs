@@ -8,9 +8,9 @@ use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibr
 use crate::mechanics::rotation::from_direction;
 use crate::mechanics::rows;
 use crate::mechanics::{
-    BaseCondition, DistributedLoad, Load, LoadFrame, Material, Mesh, NodeInertia, Rod, RodError,
-    RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State, StrainActuator,
-    TimeScheme,
+    BaseCondition, DistributedLoad, Load, LoadFrame, Material, Mesh, NodeInertia, OfPose,
+    PoseActuator, Rod, RodError, RodModel, RodParameters, RotaryInertia, Section, SectionProfile,
+    Span, State, StrainActuator, TimeScheme,
 };
 use crate::stop::StopSignal;
 
@@ -65,6 +65,10 @@ pub struct Arm {
     pub distributed_loads: Vec<DistributedLoad>,
     /// Actuators on the strains of the arm: tendons, chambers, muscles.
     pub actuators: Vec<StrainActuator>,
+    /// Actuators on the poses of places of the arm: magnets, cables, and those of one's own.
+    pub pose_actuators: Vec<PoseActuator>,
+    /// Potentials of places of the arm that have no effort, J.
+    pub potentials: Vec<(Span, OfPose)>,
     /// A rigid body at the tip, with its center of mass there and its principal axes along the tip's.
     pub payload: Option<NodeInertia>,
     /// Rigid bodies at fractions of the length, with their centers of mass on the axis of the arm and their principal axes along those of
@@ -103,6 +107,8 @@ impl Arm {
             loads: Vec::new(),
             distributed_loads: Vec::new(),
             actuators: Vec::new(),
+            pose_actuators: Vec::new(),
+            potentials: Vec::new(),
             payload: None,
             bodies: Vec::new(),
             radii,
@@ -200,6 +206,8 @@ impl Arm {
             loads: Vec::new(),
             distributed_loads: Vec::new(),
             actuators: self.actuators.clone(),
+            pose_actuators: self.pose_actuators.clone(),
+            potentials: self.potentials.clone(),
             payload: self.payload,
             bodies: self.bodies.clone(),
         }

@@ -15,6 +15,7 @@ mod free_duration;
 mod optimal_control;
 mod path_constraints;
 mod path_tracking;
+mod pose_actuators;
 mod staying;
 mod strain_actuators;
 mod terms;

@@ -11,6 +11,7 @@ use super::vector::{Lanes, Row, Vec3, row};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::element::{ActivePoint, ActiveTangent, Density};
 use crate::mechanics::forces::NodalForces;
+use crate::mechanics::pose_actuator::{Pose, Posed};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::time::TimeScheme;
@@ -28,6 +29,9 @@ pub struct ActiveLanes {
     pub present: Vec<f64>,
     /// Efforts of the interval under way: its mean under the implicit scheme, otherwise those at its end.
     pub coming: Vec<f64>,
+    /// Efforts that the forces of functions of nodes contain, just before the time node or none after the motion was seated; before they are
+    /// added at the end of a step, those that they will have.
+    pub posed: Vec<f64>,
 }
 
 impl ActiveLanes {
@@ -53,9 +57,9 @@ impl ActiveLanes {
         }
         let mut kinds = Vec::new();
         let mut first = Vec::new();
-        for (index, actuator) in rod.actuators.iter().enumerate() {
+        for (index, density) in rod.actuators.densities().iter().enumerate() {
             first.push(kinds.len());
-            kinds.extend((0..most[index]).map(|_| (index, actuator.density)));
+            kinds.extend((0..most[index]).map(|_| (index, *density)));
         }
         let n_lanes = slots.n_lanes;
         let mut rows = Buffer::zeros(slots.n_blocks * kinds.len() * POINT_ROWS * n_lanes);
@@ -87,7 +91,8 @@ impl ActiveLanes {
             kinds,
             rows,
             present: none.clone(),
-            coming: none,
+            coming: none.clone(),
+            posed: none,
         }))
     }
 
@@ -103,6 +108,7 @@ impl ActiveLanes {
     /// Forgets the efforts that act.
     pub fn rest(&mut self) {
         self.present.fill(0.0);
+        self.posed.fill(0.0);
     }
 }
 
@@ -176,6 +182,14 @@ impl LaneIntegrator<'_> {
             controls[end].add_efforts(out);
         };
         write(0, &mut active.coming);
+        if !self.rod.actuators.functions().is_empty() {
+            let halves = active.posed.iter().zip(&active.coming);
+            let jump: Vec<f64> = halves
+                .map(|(before, after)| 0.5 * (after - before))
+                .collect();
+            self.add_posed(Posed::Driven, &jump);
+            write(1, &mut active.posed);
+        }
         if self.rod.scheme == TimeScheme::Implicit {
             std::mem::swap(&mut active.present, &mut active.coming);
             write(1, &mut active.coming);
@@ -196,13 +210,44 @@ impl LaneIntegrator<'_> {
         self.active = Some(active);
     }
 
-    /// Adds the forces of the actuators with these efforts at the present configuration.
+    /// Adds the forces of functions of nodes under the given efforts at the present configuration.
+    fn add_posed(&mut self, which: Posed, efforts: &[f64]) {
+        let rod = self.rod;
+        let free = rod.first_free_node();
+        for (own, factor) in rod
+            .posed(which, efforts)
+            .filter(|(own, _)| own.node >= free)
+        {
+            let at = Pose {
+                position: self.position(own.node),
+                rotation: self.rotation(own.node),
+            };
+            let wrench = own.wrench(&at, factor);
+            let place = self.slots.place(own.node);
+            self.add(place, FORCE, &wrench.force);
+            self.add(place, MOMENT, &wrench.moment);
+        }
+    }
+
+    /// Adds the forces of functions of nodes just before the time node at which a step has arrived.
+    pub(super) fn arrive_posed(&mut self) {
+        if self.rod.actuators.functions().is_empty() {
+            return;
+        }
+        self.add_posed(Posed::Alone, &[]);
+        if let Some(active) = self.active.take() {
+            self.add_posed(Posed::Driven, &active.posed);
+            self.active = Some(active);
+        }
+    }
+
+    /// Adds the forces of the stress of actuators with these efforts at the present configuration.
     fn add_jump(&mut self, efforts: &[f64]) {
         let n = self.rod.n_nodes();
         let positions: Vec<Vector3<f64>> = (0..n).map(|node| self.position(node)).collect();
         let rotations: Vec<_> = (0..n).map(|node| self.rotation(node)).collect();
         let mut forces = NodalForces::zeros(n);
-        forces.add_active(self.rod, &positions, &rotations, efforts);
+        forces.add_active_stress(self.rod, &positions, &rotations, efforts);
         for node in self.rod.first_free_node()..n {
             let place = self.slots.place(node);
             self.add(place, FORCE, &forces.forces[node]);

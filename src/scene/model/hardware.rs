@@ -160,17 +160,51 @@ impl RateBound {
     }
 }
 
-/// The keys that all actuators of an arm share, by their own names.
+/// The keys of an effort, by their own names.
+pub(super) struct EffortKeys {
+    pub section: &'static str,
+    pub index: usize,
+    /// Place of the effort in its keys, if they are arrays; bounds that are equal then are a given effort.
+    pub component: Option<usize>,
+    pub bounds: (&'static str, Option<[f64; 2]>),
+    pub rate: (&'static str, Option<RateBound>),
+    pub rest: (&'static str, f64),
+    /// Key of a given effort over time; it is there or not.
+    pub profile: (&'static str, bool),
+}
+
+impl EffortKeys {
+    /// The least and the largest effort of a control.
+    fn range(&self) -> Option<[f64; 2]> {
+        let [least, most] = self.bounds.1?;
+        (self.component.is_none() || least != most).then_some([least, most])
+    }
+
+    /// The largest size of the finite bounds.
+    pub fn largest(&self) -> f64 {
+        (self.bounds.1.iter().flatten())
+            .filter(|bound| bound.is_finite())
+            .fold(0.0, |most: f64, bound| most.max(bound.abs()))
+    }
+
+    /// The control of the actuator with an index among those of the arm.
+    pub fn of_task(&self, actuator: usize) -> Option<EffortControl> {
+        Some(EffortControl {
+            actuator,
+            bounds: self.range()?,
+            rate: self.rate.1.map(RateBound::range),
+            scale: None,
+        })
+    }
+}
+
+/// The keys that all actuators on strains share.
 struct Common<'a> {
-    section: &'static str,
-    index: usize,
+    effort: EffortKeys,
     name: &'a Option<String>,
     route: Route,
     density: Density,
     scale: f64,
-    bounds: (&'static str, Option<[f64; 2]>),
-    rate: (&'static str, Option<RateBound>),
-    rest: (&'static str, f64),
     profile: &'a Option<Vec<[f64; 2]>>,
 }
 
@@ -178,8 +212,15 @@ struct Common<'a> {
 macro_rules! common {
     ($own:expr, $section:literal, $index:expr, $density:expr, $scale:expr, $bounds:ident, $rate:ident, $rest:ident) => {
         Common {
-            section: $section,
-            index: $index,
+            effort: EffortKeys {
+                section: $section,
+                index: $index,
+                component: None,
+                bounds: (stringify!($bounds), $own.$bounds),
+                rate: (stringify!($rate), $own.$rate),
+                rest: (stringify!($rest), $own.$rest),
+                profile: ("profile", $own.profile.is_some()),
+            },
             name: &$own.name,
             route: Route {
                 from: $own.from.get(),
@@ -190,9 +231,6 @@ macro_rules! common {
             },
             density: $density,
             scale: $scale,
-            bounds: (stringify!($bounds), $own.$bounds),
-            rate: (stringify!($rate), $own.$rate),
-            rest: (stringify!($rest), $own.$rest),
             profile: &$own.profile,
         }
     };
@@ -200,7 +238,8 @@ macro_rules! common {
 
 impl Common<'_> {
     fn name(&self) -> String {
-        (self.name.clone()).unwrap_or_else(|| format!("{} {}", self.section, self.index))
+        let EffortKeys { section, index, .. } = self.effort;
+        (self.name.clone()).unwrap_or_else(|| format!("{section} {index}"))
     }
 
     fn of_arm(&self) -> StrainActuator {
@@ -212,23 +251,12 @@ impl Common<'_> {
             scale: self.scale,
             route: self.route,
             effort: if given.is_empty() {
-                vec![(0.0, self.rest.1)]
+                vec![(0.0, self.effort.rest.1)]
             } else {
                 given
             },
-            largest: (self.bounds.1.iter().flatten())
-                .filter(|bound| bound.is_finite())
-                .fold(0.0, |most: f64, bound| most.max(bound.abs())),
+            largest: self.effort.largest(),
         }
-    }
-
-    fn of_task(&self, actuator: usize) -> Option<EffortControl> {
-        Some(EffortControl {
-            actuator,
-            bounds: self.bounds.1?,
-            rate: self.rate.1.map(RateBound::range),
-            scale: None,
-        })
     }
 }
 
@@ -284,35 +312,38 @@ impl Scene {
 
     /// The efforts that the optimizer chooses.
     pub(in crate::scene) fn effort_controls(&self) -> Vec<EffortControl> {
-        (self.hardware().iter().enumerate())
-            .filter_map(|(index, own)| own.of_task(index))
-            .collect()
+        let strains = self.hardware();
+        let mut out: Vec<EffortControl> = (strains.iter().enumerate())
+            .filter_map(|(index, own)| own.effort.of_task(index))
+            .collect();
+        out.extend(self.pose_controls(strains.len()));
+        out
     }
 }
 
 impl Keys<'_> {
     /// Checks all actuators in the arm.
     pub(in crate::scene) fn check_hardware(&self, scene: &Scene) -> Checked {
-        let all = scene.hardware();
-        for (at, own) in all.iter().enumerate() {
-            self.check_common(own)?;
-            if let Some(other) = all[..at].iter().find(|other| other.name() == own.name()) {
-                let key = format!("{}.{}", own.section, own.index);
-                let message = format!(
-                    "its name, \"{}\", is that of {}.{}",
-                    own.name(),
-                    other.section,
-                    other.index
-                );
+        let mut names = Vec::new();
+        for own in scene.hardware() {
+            self.check_common(&own)?;
+            let EffortKeys { section, index, .. } = own.effort;
+            names.push((own.name(), format!("{section}.{index}")));
+        }
+        self.check_poses(scene, &mut names)?;
+        for (at, (name, key)) in names.iter().enumerate() {
+            if let Some((_, other)) = names[..at].iter().find(|(other, _)| other == name) {
+                let message = format!("its name, \"{name}\", is that of {other}");
                 let help = "give every actuator a name of its own";
-                return Err(self.source.error_at(&key, message, Some(help.into())));
+                return Err(self.source.error_at(key, message, Some(help.into())));
             }
         }
         Ok(())
     }
 
     fn check_common(&self, own: &Common) -> Checked {
-        let key = |name: &str| format!("{}.{}.{name}", own.section, own.index);
+        let EffortKeys { section, index, .. } = own.effort;
+        let key = |name: &str| format!("{section}.{index}.{name}");
         let Route {
             from,
             to,
@@ -329,11 +360,22 @@ impl Keys<'_> {
                 .error_at(&key("to"), message, None)
                 .expecting("expected a larger fraction, up to 1 (tip)"));
         }
-        let (rest_key, rest) = own.rest;
-        self.finite_number(&key(rest_key), rest)?;
         if let Some(rows) = own.profile {
             self.table(&key("profile"), rows, "a constant effort")?;
         }
+        self.check_effort(&own.effort)
+    }
+
+    /// Checks bounds, rate, rest and profile of an effort against each other.
+    pub(super) fn check_effort(&self, own: &EffortKeys) -> Checked {
+        let EffortKeys { section, index, .. } = own;
+        let key = |name: &str| format!("{section}.{index}.{name}");
+        let part = |name: &str| match own.component {
+            Some(component) => format!("{}.{component}", key(name)),
+            None => key(name),
+        };
+        let (rest_key, rest) = own.rest;
+        self.finite_number(&part(rest_key), rest)?;
         let (bounds_key, bounds) = own.bounds;
         let (rate_key, rate) = own.rate;
         let Some([least, most]) = bounds else {
@@ -343,13 +385,15 @@ impl Keys<'_> {
             }
             return Ok(());
         };
-        if own.profile.is_some() {
-            return Err(self.contradiction(&key("profile"), &key(bounds_key)));
+        let (profile_key, has_profile) = own.profile;
+        if has_profile {
+            return Err(self.contradiction(&key(profile_key), &key(bounds_key)));
         }
-        if !(least < most) {
+        let fixed = own.component.is_some() && least == most && least.is_finite();
+        if !(least < most || fixed) {
             let message = format!("[{}, {}] is no range", digits(least), digits(most));
             return Err((self.source)
-                .error_at(&key(bounds_key), message, None)
+                .error_at(&part(bounds_key), message, None)
                 .expecting("expected [least, largest], the second above the first"));
         }
         if !(least <= rest && rest <= most) {
@@ -360,7 +404,7 @@ impl Keys<'_> {
                 digits(most)
             );
             return Err((self.source)
-                .error_at(&key(rest_key), message, None)
+                .error_at(&part(rest_key), message, None)
                 .expecting("expected a value within the bounds"));
         }
         if let Some([down, up]) = rate.map(RateBound::range)

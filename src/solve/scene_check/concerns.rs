@@ -4,9 +4,7 @@ use super::super::causes::SAME;
 use super::hardly_meant::hardly_meant;
 use crate::mechanics::stability::{bent_step, stable_step};
 use crate::mechanics::vibration::{weight_in_words, weight_number};
-use crate::mechanics::{
-    Density, Rod, RodModel, RotaryInertia, StrainActuator, StrainRule, TimeScheme,
-};
+use crate::mechanics::{Density, Drive, Rod, RodModel, RotaryInertia, StrainRule, TimeScheme};
 use crate::output::summary::{OutputSize, RestSummary};
 use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
 
@@ -61,7 +59,7 @@ fn pressed(rod: &Rod) -> Option<String> {
                 let is_tendon = point.density == Density::Shortening;
                 if is_tendon && !std::mem::replace(&mut seen[point.actuator], true) {
                     let own = rod.actuators.iter().nth(point.actuator);
-                    sum += own.map_or(0.0, StrainActuator::largest_effort);
+                    sum += own.map_or(0.0, Drive::largest_effort);
                 }
             }
             sum / rod.elements[q].linear_stiffness.z

@@ -22,7 +22,7 @@ use super::causes::{MOST_ELEMENTS, stands_by_symmetry};
 use crate::control::{Bound, Channel, Component, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::vibration::{SmallMotions, weight_number};
-use crate::mechanics::{BaseCondition, Place, Rod, StrainActuator, TipSpring, static_equilibrium};
+use crate::mechanics::{BaseCondition, Drive, Place, Rod, TipSpring, static_equilibrium};
 use crate::memory::{of_simulation, of_solve};
 use crate::output::quantity::{digits, quantity};
 use crate::output::summary::{
@@ -91,9 +91,10 @@ pub(crate) fn check_scene(
             distance: distance(&setup.problem),
             own_units: (setup.problem.acting.iter())
                 .map(|acting| acting.actuator.named_controls().1.to_string())
-                .chain(driven(&setup.problem).map(|(actuator, _)| {
-                    format!("{} ({})", actuator.density.effort_unit(), actuator.name)
-                }))
+                .chain(
+                    driven(&setup.problem)
+                        .map(|(actuator, _)| format!("{} ({})", actuator.unit, actuator.name)),
+                )
                 .collect(),
         });
         let memory = of_solve(&setup, 1, n_threads);
@@ -289,7 +290,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         }
     });
     let efforts = driven(problem).map(|(actuator, channel)| {
-        let unit = actuator.density.effort_unit();
+        let unit = actuator.unit;
         let given = actuator.effort(0.0);
         let range = match channel.bound.and_then(|bound| bound.interval(0)) {
             None => "UNBOUNDED".to_string(),
@@ -302,7 +303,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             }
         };
         ActuatorSummary {
-            node: Place::Fraction(actuator.route.from).node(&problem.rod.mesh),
+            node: Place::Fraction(actuator.from).node(&problem.rod.mesh),
             force: NO_WRENCH.into(),
             moment: NO_WRENCH.into(),
             controls: Some(format!("{}, {range}", actuator.name)),
@@ -321,7 +322,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
 }
 
 /// Returns the actuators of the rod whose efforts are controls, with the channels of these.
-fn driven(problem: &OptimalControlProblem) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
+fn driven(problem: &OptimalControlProblem) -> impl Iterator<Item = (&Drive, &Channel)> {
     (problem.efforts.iter()).flat_map(move |efforts| {
         let places = efforts.actuators.iter().zip(&efforts.places);
         places.filter_map(move |(&actuator, &place)| {
