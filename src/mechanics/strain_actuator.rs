@@ -357,6 +357,16 @@ impl RodActuators {
         }
     }
 
+    /// Returns the same actuators with efforts that are given at two instants (s), linear in between and constant outside.
+    #[must_use]
+    pub fn with_efforts_at(&self, ends: [(f64, &[f64]); 2]) -> Self {
+        let mut out = self.clone();
+        for (index, drive) in out.drives.iter_mut().enumerate() {
+            drive.effort = ends.map(|(t, efforts)| (t, efforts[index])).to_vec();
+        }
+        out
+    }
+
     /// Returns the same actuators with constant given efforts.
     #[must_use]
     pub fn with_efforts(&self, efforts: &[f64]) -> Self {

@@ -430,7 +430,7 @@ fn a_cable_and_a_magnet_written_anew_are_the_built_in_ones() {
             }
         };
         same(&model.jacobian, &other_model.jacobian, 1e-9);
-        let [hessian, other] = [model, other_model].map(|model| model.hessian.as_ref());
+        let [hessian, other] = [model, other_model].map(|model| model.curvature.as_ref());
         same(hessian.expect("a Hessian"), other.expect("a Hessian"), 1e-6);
     }
 }

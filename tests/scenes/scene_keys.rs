@@ -14,7 +14,7 @@ use toml::Value;
 /// goals are soft, and the fifth an arm of a named material that is given by its diameters
 /// and comes to rest within tolerances; then two rings, a rectangle, an arm of segments, one with stiffnesses about two
 /// axes, and one with actuators in it.
-const SCENES: [&[&str]; 11] = [
+const SCENES: [&[&str]; 12] = [
     &[
         "rod.length_m=1.5",
         "rod.elements=12",
