@@ -6,6 +6,7 @@ use super::element::ElementGradient;
 use super::pose_actuator::Posed;
 use super::rod::Rod;
 use super::time::{TimeNode, TimeScheme};
+use super::{Configuration, Wrench};
 
 /// Force (spatial, N) and moment (body frame, N m) on every node.
 #[derive(Clone, Debug, PartialEq)]
@@ -165,6 +166,20 @@ impl NodalForces {
             let wrench = load.wrench_at_node(node, &rotations[load.node]);
             self.forces[load.node] += wrench.force;
             self.moments[load.node] += wrench.moment;
+        }
+    }
+}
+
+impl Rod {
+    /// Returns the wrench of the base on an arm at rest in a shape, under the loads at time `t`: force in the spatial frame, moment in the
+    /// frame of the base.
+    #[must_use]
+    pub fn static_reaction(&self, at: &Configuration, t: f64) -> Wrench {
+        let mut net = NodalForces::zeros(self.n_nodes());
+        net.evaluate(self, &at.positions, &at.rotations, t);
+        Wrench {
+            force: -net.forces[0],
+            moment: -net.moments[0],
         }
     }
 }

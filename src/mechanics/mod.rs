@@ -64,12 +64,12 @@ pub mod linearization;
 #[doc(hidden)]
 pub mod load;
 pub mod load_path;
+mod logarithm;
 mod mesh;
 pub(crate) mod place;
 #[doc(hidden)]
-pub mod pose_actuator;
-#[doc(hidden)]
 pub mod rod;
+mod rod_error;
 pub mod rotation;
 mod rotation_step;
 pub(crate) mod rows;
@@ -84,21 +84,23 @@ pub(crate) mod slow_modes;
 pub mod sparse_motion;
 #[doc(hidden)]
 pub mod stability;
+mod state_tangent;
 #[doc(hidden)]
 mod step_error;
 #[doc(hidden)]
 pub mod stepper;
 mod stiffness;
 #[doc(hidden)]
-pub mod strain_actuator;
-#[doc(hidden)]
 pub mod strain_coordinates;
 mod swept;
 pub(crate) mod tangent;
 mod time;
+mod vector;
 #[doc(hidden)]
 pub mod vibration;
 
+#[doc(hidden)]
+pub use self::rod::{pose_actuator, strain_actuator};
 #[doc(hidden)]
 pub use actuator::{Acting, ActingDerivative};
 pub use actuator::{Actuator, SharedActuator, StateView};

@@ -1,21 +1,27 @@
 //! The discrete rod: elements, sections, lumped masses, base, loads and scales.
 
+#[doc(hidden)]
+pub mod pose_actuator;
+#[doc(hidden)]
+pub mod strain_actuator;
+
 use nalgebra::{Matrix3, Vector3};
 
+use self::pose_actuator::{OfPose, PoseActuator, Span};
+use self::strain_actuator::{RodActuators, StrainActuator};
 use super::base_motion::{BaseMotion, BaseState};
 use super::configuration::{Configuration, State};
 use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
-use super::forces::NodalForces;
-use super::load::{DistributedLoad, Load, Wrench};
+use super::load::{DistributedLoad, Load};
 use super::mesh::Mesh;
-use super::pose_actuator::{OfPose, PoseActuator, Span};
 use super::rotation::{exp, log_tangent};
 use super::rows;
-use super::strain_actuator::{RodActuators, StrainActuator};
 use super::time::TimeScheme;
 
-pub use super::section::{Material, Section, SectionProfile, SectionSegment};
+pub use super::rod_error::RodError;
+pub(super) use super::rod_error::require;
+pub use super::section::{Material, NodeInertia, Section, SectionProfile, SectionSegment};
 
 /// The condition at the base, node 0.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,15 +40,6 @@ impl BaseCondition {
     pub fn driven(motion: BaseMotion) -> Self {
         Self::Driven(Box::new(motion))
     }
-}
-
-/// Lumped inertia of a node.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct NodeInertia {
-    /// Mass, kg.
-    pub mass: f64,
-    /// Principal moments of inertia, body frame, kg m².
-    pub rotary: Vector3<f64>,
 }
 
 /// Kind of the rotary inertia of nodes.
@@ -274,50 +271,6 @@ pub struct Rod {
     pub scales: Scales,
 }
 
-/// A parameter that no rod can have.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum RodError {
-    /// A number is out of its range.
-    #[error("{parameter}: {value} is not {expected}")]
-    OutOfRange {
-        /// Name of the field of [`RodParameters`], or of a quantity computed from them.
-        parameter: &'static str,
-        /// The offending value.
-        value: f64,
-        /// The values that are allowed.
-        expected: &'static str,
-    },
-    /// Every piece between two breaks needs an element.
-    #[error(
-        "n_elements: {elements} are too few: the rod has {least} pieces, each of which needs an element"
-    )]
-    FewElements {
-        /// The number of elements.
-        elements: usize,
-        /// The least number.
-        least: usize,
-    },
-    /// A feature is supported by [`RodModel::Standard`] only.
-    #[error("{parameter}: only the standard model has it")]
-    NeedsStandardModel {
-        /// Name of the field of [`RodParameters`].
-        parameter: &'static str,
-    },
-}
-
-impl RodError {
-    /// Returns the name of the field of [`RodParameters`], or of a quantity computed from them.
-    #[must_use]
-    pub fn parameter(&self) -> &'static str {
-        match self {
-            Self::OutOfRange { parameter, .. } | Self::NeedsStandardModel { parameter } => {
-                parameter
-            }
-            Self::FewElements { .. } => "n_elements",
-        }
-    }
-}
-
 /// Largest `|RᵀR - I|` of a rotation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-9;
 
@@ -325,23 +278,6 @@ const FRACTION: &str = "a fraction of the length";
 
 fn is_fraction(s: f64) -> bool {
     (0.0..=1.0).contains(&s)
-}
-
-pub(super) fn require(
-    parameter: &'static str,
-    value: f64,
-    holds: impl Fn(f64) -> bool,
-    expected: &'static str,
-) -> Result<(), RodError> {
-    if value.is_finite() && holds(value) {
-        Ok(())
-    } else {
-        Err(RodError::OutOfRange {
-            parameter,
-            value,
-            expected,
-        })
-    }
 }
 
 impl Rod {
@@ -679,18 +615,6 @@ impl Rod {
         };
         out.rotations[0] = base.rotation;
         out
-    }
-
-    /// Returns the wrench of the base on an arm at rest in a shape, under the loads at time `t`: force in the spatial frame, moment in the
-    /// frame of the base.
-    #[must_use]
-    pub fn static_reaction(&self, at: &Configuration, t: f64) -> Wrench {
-        let mut net = NodalForces::zeros(self.n_nodes());
-        net.evaluate(self, &at.positions, &at.rotations, t);
-        Wrench {
-            force: -net.forces[0],
-            moment: -net.moments[0],
-        }
     }
 
     /// Moves node 0 to the pose of `base`, with the momenta `m v` and `J ω` of its motion.

@@ -17,9 +17,8 @@ use faer::{Accum, Mat, Par};
 use nalgebra::{Matrix3, Vector3};
 
 use super::error::MpcError;
-use super::estimator::{Disturbance, ModelParameters};
+use super::estimator::{Disturbance, ModelParameters, Motions};
 use super::knots::Knots;
-use super::motions::Motions;
 use super::rows::{Evaluated, Rows};
 use super::soft_rows::SoftRows;
 use crate::control::path::{PathLimit, RodView};

@@ -60,7 +60,6 @@ mod holding;
 mod horizon;
 mod knots;
 mod limits;
-mod motions;
 mod plant;
 mod rows;
 mod sensor;

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::error::{MpcError, state_fits};
 use super::estimator::{Disturbance, Kind, Reader};
-use super::signal::{Measurement, Reading, Signal};
+use super::signal::{EARLY, Measurement, Reading, Signal};
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{Rod, State};
 
@@ -225,9 +225,6 @@ impl SensorSettings {
         }
     }
 }
-
-/// Fraction of a period, or of a step, by which a time may be early: more than the rounding of times up to 1e9 periods.
-pub(super) const EARLY: f64 = 1e-6;
 
 /// A simulated sensor on a plant.
 #[derive(Clone, Debug)]

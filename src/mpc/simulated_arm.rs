@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::command::Command;
 use super::error::MpcError;
-use super::sensor::EARLY;
+use super::signal::EARLY;
 use super::transfer::Transfer;
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};

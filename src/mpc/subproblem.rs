@@ -15,11 +15,9 @@ use faer::linalg::triangular_solve::{
 use faer::{Mat, Par, Spec};
 
 use super::error::MpcError;
-use super::soft_rows::SoftRows;
+use super::soft_rows::{INSIDE, SoftRows};
 
-/// Fraction of the way to zero that a multiplier may go, and factor on the product of multiplier and slack from one iteration to the next:
-/// Boyd and Vandenberghe 2004, pages 612 and 613.
-pub(super) const INSIDE: f64 = 0.99;
+/// Factor on the product of multiplier and slack from one iteration to the next: Boyd and Vandenberghe 2004, pages 612 and 613.
 const CENTERING: f64 = 0.1;
 /// Largest fraction of a set's room at the caller's inner point that the first iterate uses: any fraction below 1 gives a first iterate
 /// within all sets. With 0.8 and 0.95, the error of the tip changes in the fifth digit in a loop with bounded rates.

@@ -36,7 +36,6 @@ mod keys;
 mod materials;
 mod model;
 mod overrides;
-mod path;
 mod reader;
 #[cfg(feature = "schema")]
 mod reference;
@@ -50,8 +49,7 @@ mod values;
 
 pub(crate) use check::MOST_ELEMENTS;
 pub use closed_loop::ClosedLoopSetup;
-pub use describe::DescribeError;
-pub use error::SceneError;
+pub use error::{DescribeError, SceneError};
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::*;
 pub use source::SceneSource;

@@ -20,7 +20,7 @@
 use pulp::Simd;
 
 use super::rule::{Blocks, Stress, TangentRule};
-use crate::mechanics::lanes::vector::{Lanes, Mat3, Vec3};
+use crate::mechanics::vector::{Lanes, Mat3, Vec3};
 
 /// The coordinate of an actuator per length of the rod, as a function of the tangent `p` of its line and of the twist `κ₃`.
 #[derive(Clone, Copy, Debug, PartialEq)]

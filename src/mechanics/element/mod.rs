@@ -34,9 +34,9 @@ pub(crate) use self::law::Thinning;
 pub(crate) use self::rule::{
     Blocks, Displacement, Elasticity, Helical, Stress, TangentRule, Trapezoidal,
 };
-use crate::mechanics::lanes::logarithm::Logarithm;
-use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
+use crate::mechanics::logarithm::Logarithm;
 use crate::mechanics::rotation::{self, InverseTangentCoefficients, log_tangent};
+use crate::mechanics::vector::{Lanes, Mat3, Quaternion, Vec3};
 
 /// The rule by which the strains of an element follow from its two nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

@@ -6,7 +6,7 @@
 use pulp::Simd;
 
 use super::Element;
-use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
+use crate::mechanics::vector::{Lanes, Mat3, Quaternion, Vec3};
 
 /// A matrix over `(dx; body a; body b)`, in blocks.
 pub type Blocks<S> = [[Mat3<S>; 3]; 3];

@@ -4,9 +4,8 @@ use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::LaneIntegrator;
-use super::place::{Place, Slots};
+use super::place::{FORCE, MOMENT, Place, Slots};
 use super::rule::Stress;
-use super::sweep::{FORCE, MOMENT};
 use super::vector::{Lanes, Row, Vec3, row};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::element::{ActivePoint, ActiveTangent, Density};

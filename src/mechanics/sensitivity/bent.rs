@@ -3,8 +3,7 @@
 use pulp::Simd;
 
 use super::active::sum;
-use super::linearize::{Group, MULTIPLIER_ROWS, Reach, store_block};
-use super::solved::element_at;
+use super::linearize::{Group, MULTIPLIER_ROWS, Reach, element_at, store_block};
 use crate::mechanics::curvature::StressCurvature;
 use crate::mechanics::element::ElementStiffness;
 use crate::mechanics::element::{Blocks, Elasticity, TangentRule};

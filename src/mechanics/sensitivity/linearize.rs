@@ -1,15 +1,18 @@
 //! The linearization of consecutive time nodes: the standard model in vector instructions, one time node in each lane, and a time node by
 //! itself where the section thins or an element is bent by more than vectors take.
 
+mod solved;
+
 use std::marker::PhantomData;
 use std::ops::RangeInclusive;
 
 use nalgebra::{SVector, Vector3};
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
+use self::solved::SolveRows;
+pub(super) use self::solved::{Weights, element_at};
 use super::active::ActiveTimes;
 use super::dilated::element_drifts;
-use super::solved::SolveRows;
 use super::step::{LinearizedStep, NodeDrift, add_reordered, pack_acting, pack_loads, square};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;

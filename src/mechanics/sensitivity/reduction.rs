@@ -6,7 +6,6 @@ use faer::Mat;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::step::StepCurvature;
-use super::tile::Tile;
 use super::{BATCH, TILE};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::curvature::{OwnCurvature, own_within};
@@ -272,10 +271,7 @@ impl Block {
     }
 
     /// Adds `Zᵀ Q Z` of one round of `n_steps` time nodes that its tiles have recorded.
-    pub fn add(&mut self, arch: Arch, left: &Tile, right: &Tile, n_steps: usize) {
-        let (Some(left), Some(right)) = (&left.record, &right.record) else {
-            return;
-        };
+    pub fn add(&mut self, arch: Arch, left: &Record, right: &Record, n_steps: usize) {
         if !(left.active && right.active) {
             return;
         }

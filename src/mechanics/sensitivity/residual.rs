@@ -5,8 +5,9 @@ use std::marker::PhantomData;
 use nalgebra::Vector3;
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
-use super::linearize::{AnyTurn, MildTurn, Reach, Workspace, is_possible, turn_error};
-use super::solved::{Weights, element_at};
+use super::linearize::{
+    AnyTurn, MildTurn, Reach, Weights, Workspace, element_at, is_possible, turn_error,
+};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::StrainRule;

@@ -28,6 +28,7 @@ mod covariance;
 mod gate;
 mod inbox;
 mod kalman;
+mod motions;
 mod node_frames;
 mod observer;
 mod parameter;
@@ -39,6 +40,7 @@ mod unknown_forces;
 
 pub use self::inbox::Inbox;
 pub use self::kalman::{KalmanFilter, KalmanSettings, RandomWalk};
+pub(in crate::mpc) use self::motions::Motions;
 pub use self::observer::{BoundaryObserver, ObserverSettings};
 pub(in crate::mpc) use self::parameter::ModelParameters;
 use self::parameter::Parameter;

@@ -4,10 +4,9 @@ use std::ops::Range;
 
 use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};
 use crate::mpc::command::Command;
-use crate::mpc::motions::Motions;
-use crate::mpc::sensor::EARLY;
+use crate::mpc::signal::EARLY;
 
-use super::{Disturbance, EstimateError, ModelParameters};
+use super::{Disturbance, EstimateError, ModelParameters, Motions};
 
 /// Moves a state of the model under commands and a disturbance. After its creation it allocates no memory if steps are explicit.
 #[derive(Clone, Debug)]

@@ -11,12 +11,11 @@
 //!
 //! and the weights of both impulses add up to that of the kick: either scheme has the elastic stress of the time node with the kick's
 //! weight, and the changes of the strain with `β` and `-γ`. How the stress of the interval after it answers to the interval's end, `X`, is
-//! the only other matrix of an element; see [`SolvedDrift`](super::step::SolvedDrift).
+//! the only other matrix of an element; see [`SolvedDrift`](crate::mechanics::sensitivity::SolvedDrift).
 
 use pulp::Simd;
 
-use super::active::{ActiveTimes, sum, times};
-use super::linearize::{Group, Reach, matrix, scatter, store, store_block};
+use super::{Group, Reach, matrix, scatter, store, store_block};
 use crate::mechanics::block_tridiagonal::{Square, invert, multiply, negate};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::element::{ActiveTangent, Blocks, Elasticity, Stress, TangentRule};
@@ -25,6 +24,7 @@ use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, 
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::linearization::{Kick, Motion};
 use crate::mechanics::rod::Rod;
+use crate::mechanics::sensitivity::active::{ActiveTimes, sum, times};
 use crate::mechanics::time::TimeScheme;
 
 /// Rows of a node: `Fᵀ` and `Θ⁻¹`.
@@ -36,7 +36,7 @@ const WEIGHT_ROWS: usize = 3;
 
 /// Additional data of the time nodes of steps that are solved for.
 #[derive(Debug)]
-pub(super) struct SolveRows {
+pub(in crate::mechanics::sensitivity) struct SolveRows {
     spins: Buffer,
     couplings: Buffer,
     weights: Buffer,
@@ -110,7 +110,7 @@ impl SolveRows {
 
 /// Weights of the elastic stress, and of those that the change of the strain until the next time node and since the last one makes, s.
 #[derive(Clone, Copy)]
-pub(super) struct Weights<S: Simd> {
+pub(in crate::mechanics::sensitivity) struct Weights<S: Simd> {
     pub elastic: Lanes<S>,
     pub after: Lanes<S>,
     pub past: Lanes<S>,
@@ -412,7 +412,7 @@ impl Group<'_> {
 
 /// The pose of element `q`, and one where its ends are farther apart than the reach, or no numbers.
 #[inline(always)]
-pub(super) fn element_at<S: Simd, R: TangentRule, P: Reach<S>>(
+pub(in crate::mechanics::sensitivity) fn element_at<S: Simd, R: TangentRule, P: Reach<S>>(
     simd: S,
     poses: &[Row<S>],
     q: usize,

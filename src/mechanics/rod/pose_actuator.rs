@@ -6,19 +6,18 @@
 //!
 //! These forces act at the time nodes, like gravity and loads, under both time schemes. The step remains variational: with constant
 //! efforts the energy less `Σ u y` stays bounded. Of the motion of a node with the mass matrix `M` such a potential of the stiffness `K`
-//! allows steps up to `2/ω`, `ω²` the largest eigenvalue of `M⁻¹ K`, whatever the elements are ([`posed_step`](super::stability::posed_step)).
+//! allows steps up to `2/ω`, `ω²` the largest eigenvalue of `M⁻¹ K`, whatever the elements are ([`posed_step`](crate::mechanics::stability::posed_step)).
 
 use std::fmt;
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-use super::curvature::load_curvature;
-use super::load::Wrench;
-use super::mesh::Mesh;
-use super::place::Place;
-use super::rod::{Rod, RodError, require};
-use super::rotation::{exp, hat};
+use super::{Rod, RodError, require};
+use crate::mechanics::load::Wrench;
+use crate::mechanics::mesh::Mesh;
+use crate::mechanics::place::Place;
+use crate::mechanics::rotation::{exp, hat, load_curvature};
 
 /// Position (m) and rotation (body to space) of a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -332,7 +331,7 @@ pub struct PoseActuator {
     pub unit: &'static str,
     /// Functions whose sum is its coordinate.
     pub parts: Vec<(Span, OfPose)>,
-    /// Given effort over time, as that of a [`StrainActuator`](super::StrainActuator).
+    /// Given effort over time, as that of a [`StrainActuator`](super::strain_actuator::StrainActuator).
     pub effort: Vec<(f64, f64)>,
     /// Largest size of its effort at any time, which the stable step counts; no less than that of the given effort is counted.
     pub largest: f64,

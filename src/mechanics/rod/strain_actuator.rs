@@ -11,16 +11,16 @@
 use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
-use super::element::{
+use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
+use super::{Rod, RodError, require};
+use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, ElementGradient, ElementPose, ElementStiffness,
     ElementStrain, IntervalStress, StrainRule,
 };
-use super::lanes::vector::{Lanes, Vec3};
-use super::load::profile;
-use super::mesh::Mesh;
-use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
-use super::rod::{Rod, RodError, require};
-use super::time::TimeNode;
+use crate::mechanics::load::profile;
+use crate::mechanics::mesh::Mesh;
+use crate::mechanics::time::TimeNode;
+use crate::mechanics::vector::{Lanes, Vec3};
 
 /// The line of an actuator in the arm at rest.
 ///
@@ -131,7 +131,7 @@ impl Drive {
     }
 
     /// Returns the given effort that the steps beside a time node take, with jumps shared between time nodes like those of
-    /// [loads](super::load).
+    /// [loads](crate::mechanics::load).
     #[must_use]
     pub fn effort_at_node(&self, node: &TimeNode) -> f64 {
         profile::kept_at_node(&self.effort, node)
@@ -209,7 +209,7 @@ pub struct PlacedPoint {
 impl PlacedPoint {
     /// Returns the point in an element of rest length `length` (m).
     #[inline(always)]
-    pub(super) fn in_element<S: Simd>(&self, simd: S, length: f64) -> ActivePoint<S> {
+    pub(in crate::mechanics) fn in_element<S: Simd>(&self, simd: S, length: f64) -> ActivePoint<S> {
         let of = |value: f64| Lanes::splat(simd, value);
         ActivePoint {
             weight: of(self.weight / length),
@@ -486,7 +486,7 @@ impl Rod {
 
     /// Returns the derivative along the pose at the end of an interval of the pull there of the stress at the mean strain; `None` if no
     /// actuator passes the element.
-    pub(super) fn arriving_active_stiffness(
+    pub(in crate::mechanics) fn arriving_active_stiffness(
         &self,
         q: usize,
         poses: &[ElementPose; 2],
