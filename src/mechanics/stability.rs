@@ -40,31 +40,31 @@ fn highest_frequency_squared(rod: &Rod, q: usize) -> f64 {
     if let Some(active) = rod.active_stiffness(q, &pose, &largest) {
         k += active;
     }
-    let mut full = expand(&k);
+    let full = expand(&k);
     let mut shares = rod.element_inertia[q];
-    if !rod.actuators.functions().is_empty() {
-        for (end, share) in shares.iter_mut().enumerate() {
-            let posed = posed_bound(rod, q + end, &largest);
-            // Any part of the stiffness and inertia of a node may count for either element beside it.
-            let (sides, body) = body_on(rod, q + end);
-            if posed != Matrix6::zeros() {
-                let mut own = full.fixed_view_mut::<6, 6>(6 * end, 6 * end);
-                own += posed / sides;
-                share.mass += body.mass / sides;
-                share.rotary += body.rotary / sides;
-            }
+    let posed = !rod.actuators.functions().is_empty();
+    let bodies = [q, q + 1].map(|node| posed.then(|| body_on(rod, node)));
+    for (share, body) in shares.iter_mut().zip(&bodies) {
+        if let Some((sides, body)) = body {
+            share.mass += body.mass / *sides;
+            share.rotary += body.rotary / *sides;
         }
     }
     let mut inverse_root = SMatrix::<f64, 12, 1>::zeros();
     for (end, share) in shares.iter().enumerate() {
-        for i in 0..3 {
-            inverse_root[6 * end + i] = 1.0 / share.mass.sqrt();
-            inverse_root[6 * end + 3 + i] = 1.0 / share.rotary[i].sqrt();
-        }
+        (inverse_root.fixed_rows_mut::<6>(6 * end)).copy_from(&inverse_roots(share));
     }
-    let scaled = SMatrix::<f64, 12, 12>::from_fn(|i, j| {
+    let mut scaled = SMatrix::<f64, 12, 12>::from_fn(|i, j| {
         0.5 * (full[(i, j)] + full[(j, i)]) * inverse_root[i] * inverse_root[j]
     });
+    for (end, body) in bodies.iter().enumerate() {
+        if let Some((sides, _)) = body {
+            // Any part of the stiffness and inertia of a node may count for either element beside it.
+            let bound = posed_bound(rod, q + end, &largest, &inverse_roots(&shares[end]));
+            let mut own = scaled.fixed_view_mut::<6, 6>(6 * end, 6 * end);
+            own += bound / *sides;
+        }
+    }
     // The eigenvalue iteration would overflow, or never end, for values that are too large to be squared or not finite.
     let largest = scaled.amax();
     if !(largest > 0.0 && scaled.iter().all(|entry| entry.is_finite())) {
@@ -73,13 +73,19 @@ fn highest_frequency_squared(rod: &Rod, q: usize) -> f64 {
     largest * (scaled / largest).symmetric_eigenvalues().max()
 }
 
-/// Returns a bound of the stiffness of the functions of a node at rest, at the largest efforts.
-fn posed_bound(rod: &Rod, node: usize, largest: &[f64]) -> Matrix6<f64> {
+/// Returns the diagonal of `M^{-½}`.
+fn inverse_roots(inertia: &NodeInertia) -> Vector6<f64> {
+    let NodeInertia { mass, rotary } = inertia;
+    Vector6::new(*mass, *mass, *mass, rotary.x, rotary.y, rotary.z).map(|own| 1.0 / own.sqrt())
+}
+
+/// Returns a bound of `M^{-½} K M^{-½}` with the stiffness of the functions of a node at rest, at the largest efforts.
+fn posed_bound(rod: &Rod, node: usize, largest: &[f64], root: &Vector6<f64>) -> Matrix6<f64> {
     (rod.posed(Posed::All, largest)
         .filter(|(own, _)| own.node == node))
     .map(|(own, factor)| {
         let at = own.pose(&rod.rest.positions, &rod.rest.rotations);
-        own.function.stiffness_bound(&at) * factor.abs()
+        own.function.frequency_bound(&at, root) * factor.abs()
     })
     .sum()
 }
@@ -111,11 +117,8 @@ pub fn posed_step(rod: &Rod) -> f64 {
         .map(|own: &PlacedFunction| own.node))
     .filter(|node| *node >= rod.first_free_node())
     .map(|node| {
-        let NodeInertia { mass, rotary } = rod.nodes[node];
-        let root = Vector6::new(mass, mass, mass, rotary.x, rotary.y, rotary.z)
-            .map(|inertia| inertia.sqrt().recip());
-        let scaled = posed_bound(rod, node, &largest).component_mul(&(root * root.transpose()));
-        2.0 / scaled.symmetric_eigenvalues().max().max(0.0).sqrt()
+        let bound = posed_bound(rod, node, &largest, &inverse_roots(&rod.nodes[node]));
+        2.0 / bound.symmetric_eigenvalues().max().max(0.0).sqrt()
     })
     .fold(f64::INFINITY, f64::min)
 }

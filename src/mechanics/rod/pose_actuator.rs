@@ -223,20 +223,24 @@ impl OfPose {
         0.5 * (slopes + slopes.transpose())
     }
 
-    /// Returns a bound of the stiffness at a pose, positive semidefinite: the absolute value of the Hessian, and that of a magnet turned to
-    /// where it is stiffest.
+    /// Returns a bound of `M^{-½} K M^{-½}` with the stiffness `K` of a unit effort of either sign, 1/s² per effort, positive semidefinite:
+    /// the absolute value at a pose, where a magnet is turned to where it is stiffest, `|m| |B|` about the axes across it. `root` is the
+    /// diagonal of `M^{-½}`.
     #[must_use]
-    pub fn stiffness_bound(&self, at: &Pose) -> Matrix6<f64> {
-        let eigen = self.function().hessian(at).symmetric_eigen();
-        let size = Matrix6::from_diagonal(&eigen.eigenvalues.abs());
-        let mut out = eigen.eigenvectors * size * eigen.eigenvectors.transpose();
+    pub fn frequency_bound(&self, at: &Pose, root: &Vector6<f64>) -> Matrix6<f64> {
+        let mut hessian = self.function().hessian(at);
+        let mut across = Matrix3::zeros();
         if let Self::Magnet(magnet) = self {
+            let axis = magnet.moment.try_normalize(0.0).unwrap_or_default();
             let most = magnet.moment.norm() * magnet.field_at(&at.position).norm();
-            for i in 3..6 {
-                out[(i, i)] += most;
-            }
+            across = (Matrix3::identity() - axis * axis.transpose()) * most;
+            hessian.fixed_view_mut::<3, 3>(3, 3).fill(0.0);
         }
-        out
+        let scale = root * root.transpose();
+        let eigen = hessian.component_mul(&scale).symmetric_eigen();
+        let size = Matrix6::from_diagonal(&eigen.eigenvalues.abs());
+        let turning = from_blocks(&Matrix3::zeros(), &Matrix3::zeros(), &across);
+        eigen.eigenvectors * size * eigen.eigenvectors.transpose() + turning.component_mul(&scale)
     }
 
     /// Returns the wrench of a unit effort by which its size is judged: that on the arm at rest, with a magnet turned across the field.
