@@ -37,10 +37,9 @@ const NEGLIGIBLE: f64 = 1e-4;
 /// Effect of one unit of a control component on a node: the node, the component of its wrench, and the force or moment in N or N m.
 type Effect = (usize, usize, f64);
 
-/// Returns the effects of every component; `None` if an actuator of one's own is not linear, or the rod has actuators or
-/// potentials.
+/// Returns the effects of every component; `None` if an actuator of one's own is not linear, or the rod has actuators on its strains.
 fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<Vec<Vec<Effect>>> {
-    if !problem.rod.actuators.is_empty() || !problem.rod.actuators.functions().is_empty() {
+    if !problem.rod.actuators.is_empty() {
         return None;
     }
     let maps = (problem.acting.iter())
@@ -156,6 +155,11 @@ impl Horizon {
         if problem.goals.iter().any(has_tolerance) {
             return Err(MpcError::Unsupported(
                 "the controller's targets are soft; leave out tolerances of targets",
+            ));
+        }
+        if !problem.rod.actuators.functions().is_empty() {
+            return Err(MpcError::Unsupported(
+                "the controller does not know actuators on poses (magnets, cables) and potentials of nodes; leave them out",
             ));
         }
         if problem.duration.is_some() {

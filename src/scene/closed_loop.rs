@@ -298,12 +298,24 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: waypoints, a free duration and cubic blocks.
+    /// Refuses features that the controller does not support: magnets, cables, waypoints, a free duration and cubic blocks.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
         let refusals = [
+            (
+                "magnet",
+                !self.magnet.is_empty(),
+                "a closed loop does not know magnets yet",
+                "leave them out, or use solve and simulate",
+            ),
+            (
+                "cable",
+                !self.cable.is_empty(),
+                "a closed loop does not know cables yet",
+                "leave them out, or use solve and simulate",
+            ),
             (
                 "task.via",
                 task.is_some_and(|task| !task.via.is_empty()),

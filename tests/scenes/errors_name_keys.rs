@@ -362,7 +362,7 @@ fn words_for_actuators_find_their_page() {
             "pneumatics.0.pressure=1.0",
             "docs/solves.md#tendons-chambers-and-muscles",
         ),
-        ("magnetic_field.x=1.0", "docs/solves.md#magnets-and-cables"),
+        ("fields.x=1.0", "docs/solves.md#magnets-and-cables"),
         (
             "cable=[{anchor_m = [0.0, 0.0, 1.0], tension = [0.0, 1.0]}]",
             "did you mean `tension_n`?",

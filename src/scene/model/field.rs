@@ -407,7 +407,10 @@ impl Keys<'_> {
                 let message = format!("no magnet with a field of its own is called \"{other}\"");
                 return Err((self.source)
                     .error_at(&key("field_of"), message, None)
-                    .expecting(format!("expected one of {}", names.join(", "))));
+                    .expecting(match names.is_empty() {
+                        true => "expected the name of another magnet".to_string(),
+                        false => format!("expected one of {}", names.join(", ")),
+                    }));
             }
             let own = [
                 ("field_t", magnet.field_t.is_some()),
