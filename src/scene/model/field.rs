@@ -399,7 +399,7 @@ impl Keys<'_> {
         if let Some(other) = &magnet.field_of {
             let mut all = scene.magnet.iter().enumerate();
             let found = all.find(|(at, own)| *at != index && own.name(*at) == *other);
-            if !found.is_some_and(|(_, own)| own.field_of.is_none()) {
+            if found.is_none_or(|(_, own)| own.field_of.is_some()) {
                 let names = (scene.magnet.iter().enumerate())
                     .filter(|(at, own)| *at != index && own.field_of.is_none())
                     .map(|(at, own)| format!("\"{}\"", own.name(at)));
@@ -527,7 +527,7 @@ pub(in crate::scene) fn describing_poses(
                 // A component without a control stays at its value, if another one is a control.
                 let ranges = |from: usize, n: usize| {
                     let any = (from..from + n).any(|at| control(at).is_some());
-                    any.then(|| move |i: usize| bounds(from + i).unwrap_or([rest(from + i); 2]))
+                    any.then_some(move |i: usize| bounds(from + i).unwrap_or([rest(from + i); 2]))
                 };
                 owner.field_t = ranges(at, 3).map(|range| [0, 1, 2].map(range));
                 owner.rate_t_s = (at..at + 3).find_map(rate);
