@@ -1,6 +1,7 @@
 //! User-defined actuators along a point: the columns of their controls, and their part of the Hessian of the Lagrangian.
 
 use faer::Mat;
+use nalgebra::Vector6;
 
 use super::path::RowGradient;
 use super::problem::{Component, OptimalControlProblem};
@@ -10,7 +11,8 @@ use crate::mechanics::linearization::{AdjointSweep, Motion};
 use crate::mechanics::sensitivity::{EffortPulls, Sensitivities, interval_share};
 use crate::mechanics::signal::EffortTable;
 use crate::mechanics::{
-    ControlSignal, EffortLaw, FormTerm, StateForm, TimeScheme, Trajectory, Wrench,
+    ControlSignal, EffortLaw, FormTerm, PlacedFunction, Posed, StateForm, TimeScheme, Trajectory,
+    Wrench,
 };
 
 /// The thing that a component of the control acts on.
@@ -20,8 +22,10 @@ pub(super) enum Target {
     Node,
     /// A user-defined actuator, and the index of its control.
     Own(usize, usize),
-    /// An actuator of the rod: its index among those that are driven.
+    /// An actuator on the strains of the rod: its index among those that are driven.
     Effort(usize),
+    /// An actuator on poses of its nodes, likewise.
+    Posed(usize),
 }
 
 /// Returns what every component acts on.
@@ -30,10 +34,24 @@ pub(super) fn targets(problem: &OptimalControlProblem, components: &[Component])
         .map(|component| {
             let own =
                 (problem.own_control(component)).map(|(actuator, i)| Target::Own(actuator, i));
-            let effort = || problem.effort(component).map(Target::Effort);
+            let effort = || {
+                let index = problem.effort(component)?;
+                let strains = is_on_strains(problem, index);
+                Some(if strains {
+                    Target::Effort(index)
+                } else {
+                    Target::Posed(index)
+                })
+            };
             own.or_else(effort).unwrap_or(Target::Node)
         })
         .collect()
+}
+
+/// Tells whether a driven actuator acts on the strains of the rod.
+fn is_on_strains(problem: &OptimalControlProblem, index: usize) -> bool {
+    let n_strains = problem.rod.actuators.strains().len();
+    (problem.efforts.as_ref()).is_some_and(|efforts| efforts.actuators[index] < n_strains)
 }
 
 /// The user-defined actuators, and those of the rod, along a trajectory under a control.
@@ -45,23 +63,31 @@ pub(super) struct ActingAlong<'a> {
     nodes: Vec<Vec<usize>>,
     /// Derivative of the wrenches along the controls at every time node, actuator by actuator.
     jacobians: Vec<Vec<Mat<f64>>>,
-    /// Wrenches of unit efforts of the driven actuators of the rod.
+    /// Wrenches of unit efforts of the driven actuators of the rod, if some of them act on strains.
     pulls: Option<EffortPulls>,
     /// Efforts of all actuators of the rod as functions of their inputs, at every time node; empty without winches.
     laws: Vec<Vec<EffortLaw>>,
+    /// The functions of poses that each driven actuator has.
+    posed: Vec<Vec<&'a PlacedFunction>>,
+    trajectory: &'a Trajectory,
 }
 
 impl<'a> ActingAlong<'a> {
-    /// Evaluates the actuators along a trajectory; `None` if the problem has none.
+    /// Evaluates the actuators along a trajectory; `None` if [nothing depends on it](OptimalControlProblem::acts_on_configuration).
     pub fn of(
         problem: &'a OptimalControlProblem,
         signal: ControlSignal,
-        trajectory: &Trajectory,
+        trajectory: &'a Trajectory,
     ) -> Option<Self> {
-        if !problem.depends_on_configuration() {
+        if !problem.acts_on_configuration() {
             return None;
         }
         let rod = &problem.rod;
+        let driven = problem
+            .efforts
+            .as_ref()
+            .map_or(&[][..], |efforts| &efforts.actuators);
+        let on_strains = (0..driven.len()).any(|index| is_on_strains(problem, index));
         let jacobians = (problem.acting.iter())
             .map(|acting| {
                 (0..=problem.grid.n_steps)
@@ -92,9 +118,14 @@ impl<'a> ActingAlong<'a> {
             nodes: (problem.acting.iter())
                 .map(|acting| acting.actuator.nodes(rod))
                 .collect(),
-            pulls: (problem.efforts.as_ref()).map(|efforts| {
-                EffortPulls::of(&problem.motion(), trajectory, &efforts.actuators, None)
-            }),
+            pulls: on_strains.then(|| EffortPulls::of(&problem.motion(), trajectory, driven, None)),
+            posed: (driven.iter())
+                .map(|&actuator| {
+                    let all = rod.actuators.functions().iter();
+                    all.filter(|own| own.actuator == Some(actuator)).collect()
+                })
+                .collect(),
+            trajectory,
             problem,
             signal,
             jacobians,
@@ -117,6 +148,21 @@ impl<'a> ActingAlong<'a> {
                             wrench * self.law(time, index).along_input,
                         );
                     });
+                }
+                return;
+            }
+            Target::Posed(index) => {
+                let (x, r) = (
+                    self.trajectory.positions_at(k),
+                    self.trajectory.rotations_at(k),
+                );
+                for own in &self.posed[index] {
+                    let wrench = own.wrench(&own.pose(x, r), own.weight).to_array();
+                    for (component, slope) in wrench.into_iter().enumerate() {
+                        if slope != 0.0 {
+                            visit(k, own.node, component, slope);
+                        }
+                    }
                 }
                 return;
             }
@@ -178,13 +224,14 @@ impl<'a> ActingAlong<'a> {
             };
             let mut sums = vec![[0.0; 6]; n_nodes];
             for index in 0..driven {
-                self.visit(
-                    k,
-                    Target::Effort(index),
-                    &mut |time, node, component, slope| {
-                        sums[node][component] += slope * change.at(time).effort(index);
-                    },
-                );
+                let target = if is_on_strains(self.problem, index) {
+                    Target::Effort(index)
+                } else {
+                    Target::Posed(index)
+                };
+                self.visit(k, target, &mut |time, node, component, slope| {
+                    sums[node][component] += slope * change.at(time).effort(index);
+                });
             }
             wrenches.extend(sums.into_iter().map(Wrench::from_array));
         }
@@ -260,9 +307,16 @@ impl<'a> ActingAlong<'a> {
                     columns,
                 });
             }
+            self.posed_curvature(
+                k,
+                (motion, trajectory, costates),
+                &own,
+                &mut along_states,
+                &mut along_controls,
+            );
         }
         self.winch_curvature(motion, trajectory, costates, &mut along_states);
-        if let Some(efforts) = &problem.efforts {
+        if let Some(efforts) = problem.efforts.as_ref().filter(|_| self.pulls.is_some()) {
             let driven = &efforts.actuators;
             self.effort_curvature(
                 motion,
@@ -311,6 +365,77 @@ impl<'a> ActingAlong<'a> {
                     matrix: Mat::from_fn(2, 2, |i, j| if i == j { 0.0 } else { slope }),
                 });
             }
+        }
+    }
+
+    /// Appends the second derivatives of the wrenches of functions of poses at time node `k`: along the configuration, and for every driven
+    /// actuator along its effort and the configuration.
+    fn posed_curvature(
+        &self,
+        k: usize,
+        (motion, trajectory, costates): (&Motion, &Trajectory, &AdjointSweep),
+        targets: &[Target],
+        along_states: &mut Vec<OwnCurvature>,
+        along_controls: &mut Vec<ControlCurvature>,
+    ) {
+        let problem = self.problem;
+        let rod = &problem.rod;
+        if rod.actuators.functions().is_empty() {
+            return;
+        }
+        let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+        let along = Motion {
+            control: Some(&self.signal),
+            ..*motion
+        };
+        let efforts = along.efforts_at(k);
+        for (own, factor) in rod.posed(Posed::All, &efforts) {
+            let covector = costates.wrench(motion, k, own.node);
+            let bent = own
+                .function
+                .curvature(&own.pose(x, r), &covector, rod.scales.length);
+            along_states.push(OwnCurvature {
+                time_node: k,
+                rows: (0..6).map(|component| (own.node, component)).collect(),
+                forms: Vec::new(),
+                matrix: Mat::from_fn(6, 6, |i, j| factor * bent[(i, j)]),
+            });
+        }
+        let n_components = targets.len();
+        for (index, functions) in self
+            .posed
+            .iter()
+            .enumerate()
+            .filter(|(_, own)| !own.is_empty())
+        {
+            let terms = (functions.iter()).flat_map(|own| {
+                let covector = Vector6::from(costates.wrench(motion, k, own.node).to_array());
+                let tangent = own.function.tangent(&own.pose(x, r));
+                let slope = tangent.tr_mul(&covector) * own.weight;
+                (0..6).map(move |component| FormTerm {
+                    node: own.node,
+                    component,
+                    coefficient: slope[component],
+                })
+            });
+            let mut column = Vec::new();
+            for (coefficient, weight) in problem.control.weights(k) {
+                for (at, target) in targets.iter().enumerate() {
+                    if *target == Target::Posed(index) && weight != 0.0 {
+                        let unit = problem.unit_of_effort(index);
+                        column.push((coefficient * n_components + at, weight * unit));
+                    }
+                }
+            }
+            along_controls.push(ControlCurvature {
+                forms: vec![vec![StateForm {
+                    time_node: k,
+                    terms: terms.filter(|term| term.coefficient != 0.0).collect(),
+                }]],
+                cross: Mat::identity(1, 1),
+                own: Mat::zeros(1, 1),
+                columns: vec![column],
+            });
         }
     }
 

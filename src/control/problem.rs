@@ -12,7 +12,7 @@ use super::tracking::Tracking;
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::sparse_motion::SparseMotion;
-use crate::mechanics::{ControlSignal, Efforts, Rod, State, StrainActuator, TimeGrid, Wrench};
+use crate::mechanics::{ControlSignal, Drive, Efforts, Rod, State, TimeGrid, Wrench};
 use crate::stop::StopSignal;
 
 /// Limit of one of the two vectors of a wrench.
@@ -493,10 +493,11 @@ impl OptimalControlProblem {
     }
 
     /// Returns the number of unknowns of the configurations for the sparse route, if it [supports](SparseMotion::unknowns_per_time_node)
-    /// the rod; `None` with user-defined actuators or actuators on the strains.
+    /// the rod; `None` with actuators of the rod, user-defined ones, or potentials of nodes.
     #[must_use]
     pub fn n_states(&self) -> Option<usize> {
-        if !self.acting.is_empty() || !self.rod.actuators.is_empty() {
+        let potentials = !self.rod.actuators.functions().is_empty();
+        if !self.acting.is_empty() || !self.rod.actuators.is_empty() || potentials {
             return None;
         }
         SparseMotion::unknowns_per_time_node(&self.motion())
@@ -652,7 +653,7 @@ impl OptimalControlProblem {
     }
 
     /// Returns the actuators of the rod whose efforts are controls, with the channels of these.
-    pub(crate) fn driven(&self) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
+    pub(crate) fn driven(&self) -> impl Iterator<Item = (&Drive, &Channel)> {
         (self.efforts.iter()).flat_map(move |efforts| {
             let places = efforts.actuators.iter().zip(&efforts.places);
             places.filter_map(move |(&actuator, &place)| {
@@ -676,6 +677,12 @@ impl OptimalControlProblem {
             })
             .unit()
         })
+    }
+
+    /// Tells whether anything acts at time nodes by wrenches that depend on the configuration: a control, or a function of a node's pose.
+    #[must_use]
+    pub fn acts_on_configuration(&self) -> bool {
+        self.depends_on_configuration() || !self.rod.actuators.functions().is_empty()
     }
 
     /// Tells whether a control, or a winch, acts by wrenches that depend on the configuration.

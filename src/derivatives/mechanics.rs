@@ -1,7 +1,7 @@
 //! Derivatives of the rod: law of the elements, loads, linearized step.
 
 use fastrand::Rng;
-use nalgebra::{SVector, Vector3};
+use nalgebra::{SVector, Vector3, Vector6};
 
 use super::compare::{Groups, compare};
 use super::point::vector;
@@ -103,6 +103,47 @@ pub(super) fn loads(rod: &Rod, state: &State, seed: u64) -> Option<Block> {
         "loads that turn, by the rotation of their node",
         found,
     )
+}
+
+/// Compares the gradient of every function of a node's pose with its values, and its tangent with its gradient.
+pub(super) fn pose_functions(rod: &Rod, state: &State, seed: u64) -> [Option<Block>; 2] {
+    let rng = &mut Rng::with_seed(seed);
+    let at = &state.configuration;
+    let (mut pull, mut bend) = (Vec::new(), Vec::new());
+    for own in rod.actuators.functions() {
+        let pose = own.pose(&at.positions, &at.rotations);
+        let function = own.function.function();
+        let gradient = Vector6::from(function.gradient(&pose).to_array());
+        let tangent = own.function.tangent(&pose);
+        for part in 0..2 {
+            let unit = [rod.scales.length, 1.0][part];
+            let mut change = Vector6::zeros();
+            (change.fixed_rows_mut::<3>(3 * part)).copy_from(&vector(rng, unit));
+            let mut value = |s: f64| Some(vec![vec![function.value(&pose.moved(&(change * s)))]]);
+            let slope = vec![vec![gradient.dot(&change)]];
+            pull.push(compare(&mut value, &slope, ROUNDING));
+            let mut wrench = |s: f64| {
+                let wrench = function.gradient(&pose.moved(&(change * s)));
+                Some(groups([&wrench.force, &wrench.moment]))
+            };
+            let slopes: Groups = ((tangent * change).as_slice().chunks(3))
+                .map(<[f64]>::to_vec)
+                .collect();
+            bend.push(compare(&mut wrench, &slopes, ROUNDING));
+        }
+    }
+    [
+        gather(
+            "poses.gradient",
+            "wrenches of functions of poses (magnets, cables), and their values",
+            pull,
+        ),
+        gather(
+            "poses.tangent",
+            "stiffness of functions of poses, and their wrenches",
+            bend,
+        ),
+    ]
 }
 
 /// Two steps: both parities of the `consistent` model, a half kick at either end and a whole one between.

@@ -108,8 +108,9 @@ pub fn check_motion(rod: &Rod, grid: TimeGrid, seed: u64) -> Result<Report, Deri
     }
     let [stress, stiffness] = mechanics::element_law(rod, &state, seed);
     let loads = mechanics::loads(rod, &state, seed);
+    let [pull, bend] = mechanics::pose_functions(rod, &state, seed);
     let step = mechanics::step_linearization(rod, grid.step, &state, &|_| {}, seed)?;
-    let blocks = [stress, stiffness, loads, step];
+    let blocks = [stress, stiffness, loads, pull, bend, step];
     Ok(Report::new(blocks.into_iter().flatten().collect(), notes))
 }
 

@@ -5,7 +5,8 @@
 //! and its second derivatives belong to the Hessian of the Lagrangian. Solver, derivative check, certificate and regulator treat it like a
 //! force in the spatial frame or a moment in the body frame; these are linear in the control and constant along the configuration, and have
 //! code of their own. The certificate uses [`Actuator::wrench`] alone, which it differentiates by itself: a wrong derivative makes it
-//! reject the solution.
+//! reject the solution. An effort whose forces have a potential of single nodes needs one function with two derivatives instead, a
+//! [`PoseFunction`](super::PoseFunction).
 
 use std::fmt;
 use std::sync::Arc;

@@ -39,6 +39,7 @@ use super::linearization::{AdjointSweep, Motion};
 use super::load::LoadFrame;
 use super::rod::Rod;
 use super::rotation::exp;
+pub use super::rotation::load_curvature;
 
 /// Second derivative along `(δx_b - δx_a, ζ_a, ζ_b)` of an element; symmetric.
 pub type ElementCurvature = SMatrix<f64, 9, 9>;
@@ -301,14 +302,4 @@ pub fn inertia_curvature(
         part.copy_from(&block);
     }
     curvature
-}
-
-/// Second derivative of `λ·exp(±ζ̂)v` in `ζ`, either sign: `½(λvᵀ + vλᵀ) - (λ·v) I`.
-///
-/// A moment constant in space is `exp(-ζ̂)RᵀM` in the body frame; a force constant in the body is `R exp(ζ̂)f_b` in
-/// space, and `λ` is then turned into the body frame.
-#[must_use]
-pub fn load_curvature(covector: &Vector3<f64>, vector: &Vector3<f64>) -> Matrix3<f64> {
-    let outer = covector * vector.transpose();
-    0.5 * (outer + outer.transpose()) - Matrix3::from_diagonal_element(covector.dot(vector))
 }

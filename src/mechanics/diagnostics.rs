@@ -32,6 +32,7 @@ use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
 use super::inertia::InertiaRule;
 use super::load::Wrench;
+use super::pose_actuator::Posed;
 use super::rod::{BaseCondition, Rod};
 use super::rotation::cay_inverse;
 use super::rotation_step::TurnedNode;
@@ -202,6 +203,7 @@ fn forces_of_motion(rod: &Rod, node: &TimeNode, state: &State) -> NodalForces {
     let mut net = NodalForces::zeros(rod.n_nodes());
     net.evaluate_elastic(rod, x, r);
     net.add_loads(rod, r, node);
+    add_actuators(&mut net, rod, node, state);
     if rod.internal_damping > 0.0 {
         for (q, stress) in viscous_stresses(rod, state).iter().enumerate() {
             let pose = Rod::element_pose(q, x, r);
@@ -224,6 +226,21 @@ fn forces_of_motion(rod: &Rod, node: &TimeNode, state: &State) -> NodalForces {
         }
     }
     net
+}
+
+/// Adds the forces of actuators with their given efforts, and of potentials of nodes.
+fn add_actuators(net: &mut NodalForces, rod: &Rod, node: &TimeNode, state: &State) {
+    let at = &state.configuration;
+    let efforts = given_efforts(rod, node);
+    net.add_active(rod, &at.positions, &at.rotations, &efforts);
+    net.add_posed(rod, &at.positions, &at.rotations, (Posed::Alone, &[]));
+}
+
+/// Returns the given efforts of a rod's actuators that the steps beside a time node take.
+fn given_efforts(rod: &Rod, node: &TimeNode) -> Vec<f64> {
+    let mut efforts = vec![0.0; rod.actuators.len()];
+    rod.actuators.write_efforts(node, &mut efforts);
+    efforts
 }
 
 /// Returns the wrench that holds or drives node 0, on which `net` acts otherwise: `ṗ + c p - f`, and `Rᵀ d(R π)/dt + c π - τ`. The rates of
@@ -275,16 +292,25 @@ fn base_power(rod: &Rod, time_step: f64, node: &TimeNode, state: &State) -> f64 
     wrench.force.dot(&base.velocity) + wrench.moment.dot(&base.angular_velocity)
 }
 
-/// Returns `Σ f·v + τ·ω` of the loads, W.
+/// Returns `Σ f·v + τ·ω` of the loads and of the actuators, `Σ u ẏ`, W.
 fn load_power(rod: &Rod, node: &TimeNode, state: &State) -> f64 {
     let [velocity, spin] = velocities(rod, state);
-    (rod.loads.iter())
+    let loads: f64 = (rod.loads.iter())
         .map(|load| {
             let q = load.node;
             let wrench = load.wrench_at_node(node, &state.configuration.rotations[q]);
             wrench.force.dot(&velocity[q]) + wrench.moment.dot(&spin[q])
         })
-        .sum()
+        .sum();
+    if rod.actuators.is_empty() {
+        return loads;
+    }
+    let at = &state.configuration;
+    let mut active = NodalForces::zeros(rod.n_nodes());
+    active.add_active(rod, &at.positions, &at.rotations, &given_efforts(rod, node));
+    let pairs = active.forces.iter().zip(&velocity);
+    let turns = active.moments.iter().zip(&spin);
+    loads + pairs.chain(turns).map(|(a, b)| a.dot(b)).sum::<f64>()
 }
 
 /// Mean wrenches over one step, and their residual in the change of the momenta.
@@ -423,7 +449,7 @@ impl Step {
     }
 }
 
-/// Adds `factor` times gravity and loads at a time node.
+/// Adds `factor` times gravity, loads and the wrenches of functions of nodes at a time node.
 fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, node: &TimeNode, state: &State) {
     for (q, inertia) in rod.nodes.iter().enumerate() {
         let weight = rod.gravity * inertia.mass;
@@ -432,6 +458,14 @@ fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, node: &TimeNode, sta
     for load in &rod.loads {
         let wrench = load.wrench_at_node(node, &state.configuration.rotations[load.node]);
         sum.add(factor, state, load.node, &wrench.force, &wrench.moment);
+    }
+    if rod.actuators.functions().is_empty() {
+        return;
+    }
+    let at = &state.configuration;
+    for (own, size) in rod.posed(Posed::All, &given_efforts(rod, node)) {
+        let wrench = own.wrench(&own.pose(&at.positions, &at.rotations), size);
+        sum.add(factor, state, own.node, &wrench.force, &wrench.moment);
     }
 }
 

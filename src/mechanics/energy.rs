@@ -12,7 +12,7 @@ pub struct Energy {
     pub kinetic: f64,
     /// Elastic energy of the elements.
     pub elastic: f64,
-    /// Potential energy of gravity, `-Σ m g·x`.
+    /// Potential energy of gravity, `-Σ m g·x`, and of the potentials of nodes that have no effort.
     pub potential: f64,
 }
 
@@ -21,10 +21,14 @@ impl Energy {
     #[must_use]
     pub fn of(rod: &Rod, state: &State) -> Self {
         let configuration = &state.configuration;
+        let mut potential = rod.gravity_energy(&configuration.positions);
+        if !rod.actuators.functions().is_empty() {
+            potential += rod.potential_energy(&configuration.positions, &configuration.rotations);
+        }
         Self {
             kinetic: kinetic_energy(rod, state),
             elastic: rod.elastic_energy(&configuration.positions, &configuration.rotations),
-            potential: rod.gravity_energy(&configuration.positions),
+            potential,
         }
     }
 

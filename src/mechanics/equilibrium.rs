@@ -618,6 +618,7 @@ impl CostFunction for PotentialEnergy<'_> {
             let efforts = self.rod.actuators.efforts(self.t);
             energy += (self.rod).actuator_energy(&at.positions, &at.rotations, &efforts);
         }
+        energy += (self.rod).potential_energy(&at.positions, &at.rotations);
         for (load, s) in self.frozen.iter().skip(1).zip(&step) {
             energy -=
                 load.force.dot(&s.fixed_rows::<3>(0)) + load.moment.dot(&s.fixed_rows::<3>(3));

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::element::ElementGradient;
+use super::pose_actuator::Posed;
 use super::rod::Rod;
 use super::time::{TimeNode, TimeScheme};
 use super::{Configuration, Wrench};
@@ -53,6 +54,7 @@ impl NodalForces {
             after: 0.0,
         };
         self.add_loads(rod, rotations, &instant);
+        self.add_posed(rod, positions, rotations, (Posed::Alone, &[]));
         let efforts = rod.efforts_at(rod.actuators.efforts(t), positions, rotations);
         self.add_active(rod, positions, rotations, &efforts);
     }
@@ -66,6 +68,36 @@ impl NodalForces {
         efforts: &[f64],
     ) {
         if efforts.iter().all(|effort| *effort == 0.0) {
+            return;
+        }
+        self.add_posed(rod, positions, rotations, (Posed::Driven, efforts));
+        self.add_active_stress(rod, positions, rotations, efforts);
+    }
+
+    /// Adds the forces of functions of nodes, those of actuators with the given efforts.
+    pub fn add_posed(
+        &mut self,
+        rod: &Rod,
+        positions: &[Vector3<f64>],
+        rotations: &[Matrix3<f64>],
+        (which, efforts): (Posed, &[f64]),
+    ) {
+        for (own, factor) in rod.posed(which, efforts) {
+            let wrench = own.wrench(&own.pose(positions, rotations), factor);
+            self.forces[own.node] += wrench.force;
+            self.moments[own.node] += wrench.moment;
+        }
+    }
+
+    /// Adds the forces of the stress of actuators on strains with the given efforts.
+    pub fn add_active_stress(
+        &mut self,
+        rod: &Rod,
+        positions: &[Vector3<f64>],
+        rotations: &[Matrix3<f64>],
+        efforts: &[f64],
+    ) {
+        if rod.actuators.strains().is_empty() {
             return;
         }
         for q in 0..rod.n_elements() {
@@ -119,6 +151,7 @@ impl NodalForces {
             TimeScheme::Explicit => self.evaluate_elastic(rod, positions, rotations),
             TimeScheme::Implicit => self.start_with_gravity(rod),
         }
+        self.add_posed(rod, positions, rotations, (Posed::Alone, &[]));
     }
 
     fn start_with_gravity(&mut self, rod: &Rod) {

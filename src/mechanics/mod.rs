@@ -102,7 +102,7 @@ mod vector;
 pub mod vibration;
 
 #[doc(hidden)]
-pub use self::rod::strain_actuator;
+pub use self::rod::{pose_actuator, strain_actuator};
 #[doc(hidden)]
 pub use actuator::{Acting, ActingDerivative};
 pub use actuator::{Actuator, SharedActuator, StateView};
@@ -124,6 +124,10 @@ pub(crate) use mesh::MOST_ELEMENTS;
 pub use mesh::Mesh;
 pub use nodal_state::{NodalFault, NodalState};
 pub use place::Place;
+pub use pose_actuator::{
+    Cable, Magnet, OfPose, PlacedFunction, Pose, PoseActuator, PoseFunction, Posed,
+    SharedPoseFunction, Span,
+};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile, SectionSegment,
@@ -134,7 +138,9 @@ pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
-pub use strain_actuator::{EffortLaw, PlacedPoint, Route, StrainActuator, StrainActuators, Winch};
+pub use strain_actuator::{
+    Drive, EffortLaw, PlacedPoint, RodActuators, Route, StrainActuator, Winch,
+};
 pub use swept::SweptSurface;
 pub use tangent::Stability;
 pub use time::{Clock, TimeGrid, TimeNode, TimeScheme};

@@ -1,10 +1,14 @@
 //! The discrete rod: elements, sections, lumped masses, base, loads and scales.
 
 #[doc(hidden)]
+pub mod pose_actuator;
+#[doc(hidden)]
 pub mod strain_actuator;
 
 use nalgebra::{Matrix3, Vector3};
 
+use self::pose_actuator::{OfPose, PoseActuator, Span};
+use self::strain_actuator::{RodActuators, StrainActuator};
 use super::base_motion::{BaseMotion, BaseState};
 use super::configuration::{Configuration, State};
 use super::element::RodModel;
@@ -13,7 +17,6 @@ use super::load::{DistributedLoad, Load};
 use super::mesh::Mesh;
 use super::rotation::{exp, log_tangent};
 use super::rows;
-use super::strain_actuator::{StrainActuator, StrainActuators};
 use super::time::TimeScheme;
 
 pub use super::rod_error::RodError;
@@ -116,6 +119,10 @@ pub struct RodParameters {
     pub distributed_loads: Vec<DistributedLoad>,
     /// Actuators on the strains.
     pub actuators: Vec<StrainActuator>,
+    /// Actuators on the poses of nodes.
+    pub pose_actuators: Vec<PoseActuator>,
+    /// Potentials of nodes that have no effort, J.
+    pub potentials: Vec<(Span, OfPose)>,
     /// A rigid body on the tip node, with its center of mass there and its principal axes along the node's.
     pub payload: Option<NodeInertia>,
     /// Rigid bodies at fractions of the length, with their centers of mass on the axis of the rod and their principal axes along those of
@@ -150,6 +157,8 @@ impl RodParameters {
             loads: Vec::new(),
             distributed_loads: Vec::new(),
             actuators: Vec::new(),
+            pose_actuators: Vec::new(),
+            potentials: Vec::new(),
             payload: None,
             bodies: Vec::new(),
         }
@@ -163,6 +172,8 @@ impl RodParameters {
         breaks.extend(rows::steps(&self.curvature_rows));
         breaks.extend(self.bodies.iter().map(|(at, _)| *at));
         breaks.extend((self.actuators.iter()).flat_map(|own| [own.route.from, own.route.to]));
+        let posed = (self.pose_actuators.iter()).flat_map(|own| &own.parts);
+        breaks.extend((posed.chain(&self.potentials)).flat_map(|(span, _)| span.breaks()));
         Mesh::new(self.n_elements, &breaks, self.multiple)
     }
 
@@ -254,8 +265,8 @@ pub struct Rod {
     pub scheme: TimeScheme,
     /// Given loads on nodes; distributed ones are lumped.
     pub loads: Vec<Load>,
-    /// Actuators on the strains, and where they pass the elements.
-    pub actuators: StrainActuators,
+    /// Actuators and where they act, and potentials of nodes.
+    pub actuators: RodActuators,
     /// Reference magnitudes.
     pub scales: Scales,
 }
@@ -526,7 +537,8 @@ impl Rod {
         for load in &p.distributed_loads {
             loads.extend(load.lumped(p.length, &mesh));
         }
-        let actuators = StrainActuators::new(p.actuators.clone(), p.strain_rule, &elements)?;
+        let places = (&mesh, p.strain_rule, &elements[..]);
+        let actuators = RodActuators::new(&p.actuators, &p.pose_actuators, &p.potentials, places)?;
         Ok(Self {
             strain_rule: p.strain_rule,
             model: p.model,

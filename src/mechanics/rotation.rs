@@ -331,6 +331,16 @@ pub fn log_tangent(psi: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() - 0.5 * psi_hat + c.value * psi_hat * psi_hat
 }
 
+/// Second derivative of `λ·exp(±ζ̂)v` in `ζ`, either sign: `½(λvᵀ + vλᵀ) - (λ·v) I`.
+///
+/// A moment constant in space is `exp(-ζ̂)RᵀM` in the body frame; a force constant in the body is `R exp(ζ̂)f_b` in
+/// space, and `λ` is then turned into the body frame.
+#[must_use]
+pub fn load_curvature(covector: &Vector3<f64>, vector: &Vector3<f64>) -> Matrix3<f64> {
+    let outer = covector * vector.transpose();
+    0.5 * (outer + outer.transpose()) - Matrix3::from_diagonal_element(covector.dot(vector))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

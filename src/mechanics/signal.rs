@@ -4,7 +4,7 @@ use super::actuator::{Acting, StateView, component_at};
 use super::configuration::Trajectory;
 use super::load::Wrench;
 use super::rod::Rod;
-use super::strain_actuator::StrainActuators;
+use super::strain_actuator::RodActuators;
 use super::time::TimeGrid;
 
 /// Wrenches on some nodes at one time node. They have no effect on a held or driven node.
@@ -113,11 +113,7 @@ pub struct EffortTable {
 impl EffortTable {
     /// Returns the efforts on a time grid.
     #[must_use]
-    pub fn of(
-        actuators: &StrainActuators,
-        grid: &TimeGrid,
-        control: Option<&ControlSignal>,
-    ) -> Self {
+    pub fn of(actuators: &RodActuators, grid: &TimeGrid, control: Option<&ControlSignal>) -> Self {
         let mut table = Self {
             n_actuators: actuators.len(),
             nodes: Vec::new(),
@@ -130,7 +126,7 @@ impl EffortTable {
     /// Replaces the efforts by those on another time grid, in the same memory.
     pub fn write(
         &mut self,
-        actuators: &StrainActuators,
+        actuators: &RodActuators,
         grid: &TimeGrid,
         control: Option<&ControlSignal>,
     ) {
@@ -157,7 +153,7 @@ impl EffortTable {
 /// Returns the effort of an actuator in the interval from time node `k` to the next: the mean of those just after its start and just before
 /// its end.
 pub(super) fn interval_effort(
-    actuators: &StrainActuators,
+    actuators: &RodActuators,
     grid: &TimeGrid,
     control: Option<&ControlSignal>,
     k: usize,

@@ -1,9 +1,10 @@
 //! Time steps: the stable step of the explicit integrator, the limit of the implicit one under bending, and the automatic step.
 
-use nalgebra::SMatrix;
+use nalgebra::{Matrix6, SMatrix, Vector6};
 
 use super::element::ElementStiffness;
-use super::rod::Rod;
+use super::pose_actuator::{PlacedFunction, Posed};
+use super::rod::{NodeInertia, Rod};
 use super::time::TimeScheme;
 
 /// Returns the largest time step at which the explicit integrator is linearly stable about the rest shape, s: `2/ω` with `ω` the highest
@@ -11,7 +12,8 @@ use super::time::TimeScheme;
 ///
 /// By the element eigenvalue theorem (Irons and Treharne 1971) no assembled frequency is higher, so the bound is safe; for a uniform rod it
 /// is sharp within a few percent. A payload is left out, because more inertia only lowers frequencies. Under the trapezoidal rule it is `2
-/// / sqrt(max(4EA/(ρA l²), 4GA/(ρA l²) + GA/J₁, 4EI/(J₁ l²) + GA/J₁, 4GJ/(J₃ l²)))`, J per unit length. Actuators on the strains count with their largest efforts.
+/// / sqrt(max(4EA/(ρA l²), 4GA/(ρA l²) + GA/J₁, 4EI/(J₁ l²) + GA/J₁, 4GJ/(J₃ l²)))`, J per unit length. Actuators count with their largest efforts, and functions
+/// of nodes with a bound of their stiffness at rest, together with the bodies on their nodes.
 /// Compressed elements (dilatation e < 1) and large loads can shorten it.
 #[must_use]
 pub fn stable_step(rod: &Rod) -> f64 {
@@ -66,22 +68,86 @@ fn highest_frequency_squared(rod: &Rod, q: usize, efforts: &[f64]) -> f64 {
         k += active;
     }
     let full = expand(&k);
-    let mut inverse_root = SMatrix::<f64, 12, 1>::zeros();
-    for (end, share) in rod.element_inertia[q].iter().enumerate() {
-        for i in 0..3 {
-            inverse_root[6 * end + i] = 1.0 / share.mass.sqrt();
-            inverse_root[6 * end + 3 + i] = 1.0 / share.rotary[i].sqrt();
+    let mut shares = rod.element_inertia[q];
+    let posed = !rod.actuators.functions().is_empty();
+    let bodies = [q, q + 1].map(|node| posed.then(|| body_on(rod, node)));
+    for (share, body) in shares.iter_mut().zip(&bodies) {
+        if let Some((sides, body)) = body {
+            share.mass += body.mass / *sides;
+            share.rotary += body.rotary / *sides;
         }
     }
-    let scaled = SMatrix::<f64, 12, 12>::from_fn(|i, j| {
+    let mut inverse_root = SMatrix::<f64, 12, 1>::zeros();
+    for (end, share) in shares.iter().enumerate() {
+        (inverse_root.fixed_rows_mut::<6>(6 * end)).copy_from(&inverse_roots(share));
+    }
+    let mut scaled = SMatrix::<f64, 12, 12>::from_fn(|i, j| {
         0.5 * (full[(i, j)] + full[(j, i)]) * inverse_root[i] * inverse_root[j]
     });
+    for (end, body) in bodies.iter().enumerate() {
+        if let Some((sides, _)) = body {
+            // Any part of the stiffness and inertia of a node may count for either element beside it.
+            let bound = posed_bound(rod, q + end, efforts, &inverse_roots(&shares[end]));
+            let mut own = scaled.fixed_view_mut::<6, 6>(6 * end, 6 * end);
+            own += bound / *sides;
+        }
+    }
     // The eigenvalue iteration would overflow, or never end, for values that are too large to be squared or not finite.
     let largest = scaled.amax();
     if !(largest > 0.0 && scaled.iter().all(|entry| entry.is_finite())) {
         return f64::INFINITY;
     }
     largest * (scaled / largest).symmetric_eigenvalues().max()
+}
+
+/// Returns the diagonal of `M^{-½}`.
+fn inverse_roots(inertia: &NodeInertia) -> Vector6<f64> {
+    let NodeInertia { mass, rotary } = inertia;
+    Vector6::new(*mass, *mass, *mass, rotary.x, rotary.y, rotary.z).map(|own| 1.0 / own.sqrt())
+}
+
+/// Returns a bound of `M^{-½} K M^{-½}` with the stiffness of the functions of a node at rest, at the largest efforts.
+fn posed_bound(rod: &Rod, node: usize, largest: &[f64], root: &Vector6<f64>) -> Matrix6<f64> {
+    (rod.posed(Posed::All, largest)
+        .filter(|(own, _)| own.node == node))
+    .map(|(own, factor)| {
+        let at = own.pose(&rod.rest.positions, &rod.rest.rotations);
+        own.function.frequency_bound(&at, root) * factor.abs()
+    })
+    .sum()
+}
+
+/// Returns the number of elements beside a node, and the inertia that it has besides theirs.
+fn body_on(rod: &Rod, node: usize) -> (f64, NodeInertia) {
+    let mut body = rod.nodes[node];
+    let right = rod.element_inertia.get(node).map(|ends| ends[0]);
+    let left = (node.checked_sub(1)).map(|q| rod.element_inertia[q][1]);
+    let sides: Vec<NodeInertia> = right.into_iter().chain(left).collect();
+    for side in &sides {
+        body.mass -= side.mass;
+        body.rotary -= side.rotary;
+    }
+    // Without a body, what rounding leaves.
+    body.mass = body.mass.max(0.0);
+    body.rotary = body.rotary.map(|inertia| inertia.max(0.0));
+    (sides.len() as f64, body)
+}
+
+/// Returns the largest step that the functions of the nodes' poses allow under either scheme, s: `2/ω` with `ω²` the largest eigenvalue of
+/// a node's inertia and the bound of their stiffness at rest; infinite without any.
+#[must_use]
+pub fn posed_step(rod: &Rod) -> f64 {
+    let largest = rod.largest_efforts();
+    (rod.actuators
+        .functions()
+        .iter()
+        .map(|own: &PlacedFunction| own.node))
+    .filter(|node| *node >= rod.first_free_node())
+    .map(|node| {
+        let bound = posed_bound(rod, node, &largest, &inverse_roots(&rod.nodes[node]));
+        2.0 / bound.symmetric_eigenvalues().max().max(0.0).sqrt()
+    })
+    .fold(f64::INFINITY, f64::min)
 }
 
 /// Returns the stiffness with respect to `(x_a, η_a, x_b, η_b)` from that with respect to `(x_b - x_a, η_a, η_b)`.
@@ -131,7 +197,8 @@ pub fn bent_step(rod: &Rod) -> f64 {
 }
 
 /// Returns the step of `step_s = "auto"`, s: [`AUTO_STEP_FRACTION`] of the stable step, or 0.55 of it for a rod with unequal elements;
-/// under the implicit scheme the resolving step, or the bent step if that is shorter, unless the explicit one is longer.
+/// under the implicit scheme the resolving step, or the bent step or [`AUTO_STEP_FRACTION`] of the posed step if that is shorter, unless the
+/// explicit one is longer.
 #[must_use]
 pub fn automatic_step(rod: &Rod) -> f64 {
     let [slowest, fastest] = highest_frequencies(rod);
@@ -143,6 +210,9 @@ pub fn automatic_step(rod: &Rod) -> f64 {
     let stable = fraction * (2.0 / fastest);
     match rod.scheme {
         TimeScheme::Explicit => stable,
-        TimeScheme::Implicit => stable.max(resolving_step(rod).min(bent_step(rod))),
+        TimeScheme::Implicit => {
+            let posed = AUTO_STEP_FRACTION * posed_step(rod);
+            stable.max(resolving_step(rod).min(bent_step(rod)).min(posed))
+        }
     }
 }

@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Vector6};
 
 use super::block_tridiagonal::BlockTridiagonal;
 use super::configuration::Configuration;
+use super::pose_actuator::Posed;
 use super::rod::Rod;
 
 /// Returns the derivative of minus the forces and body moments on the free nodes (elements, loads at their value at time `t`, and
@@ -21,6 +22,7 @@ pub(super) fn tangent_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockT
         }
         out.add_element(first, q, &k);
     }
+    out.add_posed(rod, at, (Posed::All, &efforts));
     for load in rod.loads.iter().filter(|load| load.node >= first) {
         let (force, moment) = load.wrench_derivative(t, &at.rotations[load.node]);
         let block = &mut out.diagonal[load.node - first];
@@ -51,4 +53,23 @@ pub(super) fn winch_stiffness(
         (-own.slope, vector.collect())
     })
     .collect()
+}
+
+impl BlockTridiagonal {
+    /// Adds the stiffness of functions of nodes, those of actuators with the given efforts, to a matrix over the free nodes.
+    pub(crate) fn add_posed(
+        &mut self,
+        rod: &Rod,
+        at: &Configuration,
+        (which, efforts): (Posed, &[f64]),
+    ) {
+        let first = rod.first_free_node();
+        for (own, factor) in rod
+            .posed(which, efforts)
+            .filter(|(own, _)| own.node >= first)
+        {
+            let pose = own.pose(&at.positions, &at.rotations);
+            self.diagonal[own.node - first] -= own.function.tangent(&pose) * factor;
+        }
+    }
 }

@@ -27,7 +27,7 @@ use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
 use crate::control::{ActuatedNode, Channel, Hold};
 use crate::mechanics::linearization::StateTangent;
-use crate::mechanics::{Rod, State, StepError, StrainActuator, Wrench};
+use crate::mechanics::{Drive, Rod, State, StepError, Wrench};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
 
@@ -580,7 +580,7 @@ impl Controller {
     }
 
     /// Returns the actuators in the arm whose efforts are controls, with the channels of these.
-    pub(super) fn driven(&self) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
+    pub(super) fn driven(&self) -> impl Iterator<Item = (&Drive, &Channel)> {
         self.horizon.problem.driven()
     }
 

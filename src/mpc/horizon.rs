@@ -224,6 +224,11 @@ impl Horizon {
                 "the controller knows neither winches nor lags of actuators in the arm; leave them out",
             ));
         }
+        if !problem.rod.actuators.functions().is_empty() {
+            return Err(MpcError::Unsupported(
+                "the controller does not know actuators on poses (magnets, cables) and potentials of nodes; leave them out",
+            ));
+        }
         if problem.duration.is_some() {
             return Err(MpcError::Unsupported(
                 "the controller knows a fixed duration; leave out free_duration",

@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 28] = [
+const SCENES: [(&str, &str); 29] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -38,6 +38,10 @@ const SCENES: [(&str, &str); 28] = [
     (
         "elastica-muscles",
         include_str!("../../examples/scenes/elastica-muscles.toml"),
+    ),
+    (
+        "reach-guidewire",
+        include_str!("../../examples/scenes/reach-guidewire.toml"),
     ),
     (
         "paper-arm",

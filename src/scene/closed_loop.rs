@@ -306,7 +306,8 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: winches and lags, waypoints, a free duration and cubic blocks.
+    /// Refuses features that the controller does not support: winches and lags, magnets, cables, waypoints, a free duration and cubic
+    /// blocks.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
@@ -318,6 +319,18 @@ impl Scene {
                 winch_or_lag.is_some(),
                 "a closed loop does not know winches, nor lags of its own actuators, yet",
                 "give bounds on the effort alone, and lags of the plant as plant.tendon.N.lag_s",
+            ),
+            (
+                "magnet",
+                !self.magnet.is_empty(),
+                "a closed loop does not know magnets yet",
+                "leave them out, or use solve and simulate",
+            ),
+            (
+                "cable",
+                !self.cable.is_empty(),
+                "a closed loop does not know cables yet",
+                "leave them out, or use solve and simulate",
             ),
             (
                 "task.via",

@@ -8,7 +8,7 @@ use super::model::{
     Base, BaseKind, Body, Damping, DistributedLoad, Gravity, Initial, Limit, Load, Objective,
     Obstacle, Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme, TimeStep,
     describe_section, described_control, described_motion, described_targets, described_task,
-    describing_hardware,
+    describing_hardware, describing_poses,
 };
 use super::values::known;
 use crate::mechanics::{self, BaseCondition};
@@ -62,6 +62,10 @@ impl Scene {
         let (tendon, chamber, muscle) = hardware.ok_or(DescribeError(
             "its arm has a push rod or a braid, or actuators in another order than tendons, chambers, muscles",
         ))?;
+        let poses = describing_poses(&arm.pose_actuators, arm.actuators.len(), &task.efforts);
+        let (magnet, cable) = poses.filter(|_| arm.potentials.is_empty()).ok_or(DescribeError(
+            "its arm has potentials or actuators on poses of its own, or others than magnets and then cables",
+        ))?;
         let obstacles = (task.limits.iter())
             .take_while(|limit| limit.is_obstacle())
             .count();
@@ -104,6 +108,8 @@ impl Scene {
             tendon,
             chamber,
             muscle,
+            magnet,
+            cable,
             initial: Some(Initial::describing(&task.start)),
             time: Time {
                 end_s: known(task.horizon),

@@ -129,7 +129,7 @@ impl Keys<'_> {
     /// Returns the error for an arm with more pieces than elements.
     pub fn few_elements(&self, elements: usize, pieces: usize) -> SceneError {
         let message = format!(
-            "{elements} do not suffice: elements end where segments meet, where the curvature at rest has a step, and at bodies"
+            "{elements} do not suffice: elements end where segments meet, where the curvature at rest has a step, at bodies, and where actuators end or are attached"
         );
         let help = "plant.elements and estimator.elements likewise".to_string();
         (self.source.error_at("rod.elements", message, Some(help)))

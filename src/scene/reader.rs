@@ -142,8 +142,8 @@ const TOPICS: [(&[&str], &str); 4] = [
         "actuators in the arm are [[tendon]], [[chamber]] and [[muscle]] sections: see \"Tendons, chambers and muscles\" in docs/solves.md",
     ),
     (
-        &["magnet"],
-        "magnets are actuators of a program: see \"An actuator of your own\" in docs/extending.md",
+        &["magnet", "field_t", "cable"],
+        "magnets in a field are [[magnet]] sections and cables to points in space [[cable]] sections: see \"Magnets and cables\" in docs/solves.md",
     ),
 ];
 

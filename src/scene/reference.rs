@@ -19,7 +19,7 @@ const PREFACE: [&str; 3] = [
 ];
 
 /// Units by the end of a key, longer ends first.
-const UNITS: [(&str, &str); 25] = [
+const UNITS: [(&str, &str); 31] = [
     ("_kg_m2_s", "kg m²/s"),
     ("_kg_m_s", "kg m/s"),
     ("rotary_kg_m", "kg m"),
@@ -31,7 +31,12 @@ const UNITS: [(&str, &str); 25] = [
     ("_kg_m3", "kg/m³"),
     ("_kg_m", "kg/m"),
     ("_rad_s", "rad/s"),
+    ("_t_m_s", "T/m/s"),
     ("_m_s2", "m/s²"),
+    ("_a_m2", "A m²"),
+    ("_m3", "m³"),
+    ("_t_m", "T/m"),
+    ("_t_s", "T/s"),
     ("_1_m", "1/m"),
     ("_1_n", "1/N"),
     ("_1_s", "1/s"),
@@ -45,6 +50,7 @@ const UNITS: [(&str, &str); 25] = [
     ("_m", "m"),
     ("_n", "N"),
     ("_s", "s"),
+    ("_t", "T"),
 ];
 
 /// Returns the reference of a scene file with this JSON Schema.

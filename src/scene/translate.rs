@@ -325,8 +325,10 @@ impl Scene {
         let bodies = self.body.iter().map(|body| body.at.get());
         let actuators = self.strain_actuators().into_iter();
         let actuators = actuators.flat_map(|own| [own.route.from, own.route.to]);
+        let poses = self.pose_actuators().into_iter().flat_map(|own| own.parts);
+        let poses = poses.flat_map(|(span, _)| span.breaks());
         let of_rod = segments.chain(rows::steps(&curvature)).chain(bodies);
-        of_rod.chain(actuators).collect()
+        of_rod.chain(actuators).chain(poses).collect()
     }
 
     /// The arm that the scene describes.
@@ -370,6 +372,8 @@ impl Scene {
             base_position: self.base.position_m.into(),
             base_rotation,
             actuators: self.strain_actuators(),
+            pose_actuators: self.pose_actuators(),
+            potentials: Vec::new(),
             gravity: self
                 .gravity
                 .as_ref()

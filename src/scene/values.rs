@@ -249,6 +249,8 @@ quantities! {
     Area: "area", "m²";
     ActiveStress: "stress", "Pa";
     TendonCompliance: "compliance", "1/N";
+    Remanence: "remanence", "T";
+    Volume: "volume", "m³";
     Diameter: "diameter", "meters";
     Edge: "edge", "meters";
     Width: "width", "meters";

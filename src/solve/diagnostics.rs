@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::control::OptimalControlProblem;
+use crate::mechanics::signal::EffortTable;
 use crate::mechanics::{
     Diagnostics, Load, LoadFrame, NodeWrenches, PowerBalance, Rod, State, StateView, StepError,
     Stepper, Wrench,
@@ -43,6 +44,8 @@ pub(super) fn visit(
     let n_own = loaded.loads.len();
     let mut stepper = Stepper::new(&problem.rod, grid, problem.initial.clone());
     let mut before = None;
+    let table = EffortTable::of(&loaded.actuators, &grid, Some(&control));
+    let efforts = |k: usize| &table.nodes[k * table.n_actuators..][..table.n_actuators];
     for k in 0..=grid.n_steps {
         let t = grid.time(k);
         if let Some(earlier) = k.checked_sub(1) {
@@ -55,6 +58,10 @@ pub(super) fn visit(
         }
         let state = stepper.state();
         loaded.loads.truncate(n_own);
+        if table.n_actuators > 0 {
+            let ends = [(t - h, efforts(k.saturating_sub(1))), (t, efforts(k))];
+            loaded.actuators = loaded.actuators.with_efforts_at(ends);
+        }
         // The wrenches of the step's start act at its start only, those of its end at its end only, so that each end has its own.
         if let Some(earlier) = k.checked_sub(1) {
             let at = control.at(earlier);

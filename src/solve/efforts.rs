@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::control::{Component, OptimalControlProblem};
 use crate::mechanics::signal::EffortTable;
-use crate::mechanics::{Configuration, Density, Rod, StrainActuator, Trajectory, Wrench};
+use crate::mechanics::{Configuration, Density, Rod, Trajectory, Wrench};
 use crate::output::summary::SlackSummary;
 use crate::output::{EffortRow, MotionRecord};
 
@@ -89,15 +89,16 @@ pub(crate) fn efforts_at(
             coordinate: y - at_rest,
             command: commands.map(|commands| commands[i]),
             displacement: (rod.actuators.has_winches())
-                .then(|| displacement(actuator, inputs[i], y - at_rest)),
+                .then(|| displacement(rod, i, inputs[i], y - at_rest)),
         })
         .collect()
 }
 
 /// Returns the displacement of a tendon, m, for an input and a coordinate relative to the stress-free shape; `None` for another actuator.
-fn displacement(actuator: &StrainActuator, input: f64, coordinate: f64) -> Option<f64> {
-    match actuator.density {
-        _ if actuator.winch.is_some() => Some(input),
+fn displacement(rod: &Rod, actuator: usize, input: f64, coordinate: f64) -> Option<f64> {
+    let own = rod.actuators.strains().get(actuator)?;
+    match own.density {
+        _ if own.winch.is_some() => Some(input),
         Density::Shortening => Some(-coordinate),
         Density::Lengthening | Density::Volume | Density::Muscle | Density::Braid { .. } => None,
     }

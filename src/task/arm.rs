@@ -11,8 +11,8 @@ use crate::mechanics::rotation::{from_direction, log, log_tangent, quaternion, w
 use crate::mechanics::rows;
 use crate::mechanics::{
     BaseCondition, Configuration, DistributedLoad, Load, LoadFrame, Material, Mesh, NodalState,
-    NodeInertia, Rod, RodError, RodModel, RodParameters, RotaryInertia, Section, SectionProfile,
-    State, StrainActuator, TimeScheme,
+    NodeInertia, OfPose, PoseActuator, Rod, RodError, RodModel, RodParameters, RotaryInertia,
+    Section, SectionProfile, Span, State, StrainActuator, TimeScheme,
 };
 use crate::stop::StopSignal;
 
@@ -67,6 +67,10 @@ pub struct Arm {
     pub distributed_loads: Vec<DistributedLoad>,
     /// Actuators on the strains of the arm: tendons, chambers, muscles.
     pub actuators: Vec<StrainActuator>,
+    /// Actuators on the poses of places of the arm: magnets, cables, and those of one's own.
+    pub pose_actuators: Vec<PoseActuator>,
+    /// Potentials of places of the arm that have no effort, J.
+    pub potentials: Vec<(Span, OfPose)>,
     /// A rigid body at the tip, with its center of mass there and its principal axes along the tip's.
     pub payload: Option<NodeInertia>,
     /// Rigid bodies at fractions of the length, with their centers of mass on the axis of the arm and their principal axes along those of
@@ -105,6 +109,8 @@ impl Arm {
             loads: Vec::new(),
             distributed_loads: Vec::new(),
             actuators: Vec::new(),
+            pose_actuators: Vec::new(),
+            potentials: Vec::new(),
             payload: None,
             bodies: Vec::new(),
             radii,
@@ -202,6 +208,8 @@ impl Arm {
             loads: Vec::new(),
             distributed_loads: Vec::new(),
             actuators: self.actuators.clone(),
+            pose_actuators: self.pose_actuators.clone(),
+            potentials: self.potentials.clone(),
             payload: self.payload,
             bodies: self.bodies.clone(),
         }

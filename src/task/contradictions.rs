@@ -294,7 +294,8 @@ fn strain(problem: &OptimalControlProblem, goal: &Wanted) -> f64 {
 fn largest_force(problem: &OptimalControlProblem) -> Option<f64> {
     let rod = &problem.rod;
     let wrenches = problem.wrench_actuators();
-    if wrenches.len() < problem.actuators.len() {
+    let others = !rod.actuators.is_empty() || !rod.actuators.functions().is_empty();
+    if others || wrenches.len() < problem.actuators.len() {
         return None;
     }
     let mut sum = rod.mass() * rod.gravity.norm();

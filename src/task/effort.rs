@@ -4,7 +4,7 @@ use nalgebra::{Vector2, Vector3};
 
 use super::error::DiscretizeError;
 use crate::control::{ActuatedNode, Bound, Channel, Hold};
-use crate::mechanics::{Efforts, Rod};
+use crate::mechanics::{Efforts, PlacedFunction, Rod};
 
 /// An actuator of the [arm](super::Arm) whose effort the optimizer chooses.
 ///
@@ -132,16 +132,38 @@ pub(super) fn efforts(
 /// Returns the effort of an actuator that bends and twists the arm at rest by a radian in all, as the sum over the elements of moment over
 /// stiffness, or the displacement of its winch from `least` on that makes this effort; `None` if it has no moment.
 fn bending_scale(rod: &Rod, actuator: usize, least: f64) -> Option<f64> {
+    let posed: f64 = (rod.actuators.functions().iter())
+        .filter(|own| own.actuator == Some(actuator))
+        .map(|own| posed_angle(rod, own))
+        .sum();
     let mut unit = vec![0.0; rod.actuators.len()];
     unit[actuator] = 1.0;
-    let angle: f64 = (rod.elements.iter().enumerate())
+    let angle = (rod.elements.iter().enumerate())
         .filter_map(|(q, element)| {
             let stress = rod.active_stress(q, &element.rest, &unit)?;
             let turn = stress.angular.component_div(&element.angular_stiffness);
             Some(element.length * (Vector2::new(turn.x, turn.y).norm() + turn.z.abs()))
         })
-        .sum();
+        .sum::<f64>()
+        + posed;
     let flexibility = rod.winch_flexibility(actuator, least).unwrap_or(1.0);
     // Below rounding of an offset there is no moment.
     (angle > f64::MIN_POSITIVE).then(|| flexibility / angle)
+}
+
+/// Returns the angle by which a function of a node's pose bends and twists the arm at rest per effort: its
+/// [usual wrench](crate::mechanics::OfPose::usual_wrench) as moments in the elements up to the node, over their stiffness.
+fn posed_angle(rod: &Rod, own: &PlacedFunction) -> f64 {
+    let rest = &rod.rest;
+    let at = own.pose(&rest.positions, &rest.rotations);
+    let wrench = own.function.usual_wrench(&at);
+    (rod.elements[..own.node].iter().enumerate())
+        .map(|(q, element)| {
+            let middle = 0.5 * (rest.positions[q] + rest.positions[q + 1]);
+            let lever = (at.position - middle).cross(&wrench.force);
+            let moment = wrench.moment + at.rotation.tr_mul(&lever);
+            let turn = moment.component_div(&element.angular_stiffness);
+            element.length * own.weight * (Vector2::new(turn.x, turn.y).norm() + turn.z.abs())
+        })
+        .sum()
 }

@@ -7,7 +7,9 @@ use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use pulp::Arch;
 
 use crate::mechanics::element::{Element, ElementPose};
-use crate::mechanics::{Density, PlacedPoint, RodModel, StrainRule};
+use crate::mechanics::{
+    Cable, Density, Magnet, OfPose, PlacedFunction, PlacedPoint, Pose, RodModel, StrainRule,
+};
 
 /// Number of directions: of `y = R_aᵀ dx`, and `η` of `A = R_aᵀ R_b`, which moves to `A (I + η̂)`. Strains depend on the pose through these
 /// only.
@@ -255,6 +257,57 @@ pub(super) fn coordinate(
         }
     }
     (value, slope)
+}
+
+/// Returns the value of a function of a node's pose and its gradient, along the position and along the rotation `R exp(ζ̂)`; the gradient
+/// is that of a function that softarm knows, otherwise zero.
+pub(super) fn of_pose(
+    own: &PlacedFunction,
+    x: &Vector3<f64>,
+    r: &Matrix3<f64>,
+) -> (f64, [Vector3<f64>; 2]) {
+    let position: Vector = [0, 1, 2].map(|i| {
+        let mut out = Dual::constant(x[i]);
+        out.slope[i] = 1.0;
+        out
+    });
+    // R exp(ζ̂) v = R v + R (ζ × v)
+    let turned = |v: &Vector3<f64>| -> Vector {
+        let (value, slope) = (r * v, r * v.cross_matrix());
+        [0, 1, 2].map(|i| {
+            let mut out = Dual::constant(value[i]);
+            for j in 0..3 {
+                out.slope[3 + j] = -slope[(i, j)];
+            }
+            out
+        })
+    };
+    let value = match &own.function {
+        OfPose::Magnet(Magnet {
+            moment,
+            field,
+            gradient,
+            center,
+        }) => {
+            let from = [0, 1, 2].map(|i| position[i] - Dual::constant(center[i]));
+            let field = [0, 1, 2].map(|i| {
+                let slope = [0, 1, 2].map(|j| Dual::constant(gradient[(i, j)]));
+                Dual::constant(field[i]) + dot(&slope, &from)
+            });
+            dot(&turned(moment), &field)
+        }
+        OfPose::Cable(Cable { offset, anchor }) => {
+            let lever = turned(offset);
+            let way = [0, 1, 2].map(|i| position[i] + lever[i] - Dual::constant(anchor[i]));
+            -dot(&way, &way).sqrt()
+        }
+        OfPose::Own(function) => Dual::constant(function.0.value(&Pose {
+            position: *x,
+            rotation: *r,
+        })),
+    };
+    let part = |from: usize| Vector3::from_fn(|i, _| value.slope[from + i]);
+    (value.value, [part(0), part(3)])
 }
 
 /// Returns the density of an actuator, of the tangent `p = v + κ × d + d'` of its line and of the twist.

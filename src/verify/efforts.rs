@@ -1,11 +1,16 @@
-//! Actuators on the strains, for the check: their coordinates are differentiated forward along the strains, and their stresses along the
-//! pose by the check's own derivative of the strains.
+//! Actuators of the rod, for the check: coordinates on strains are differentiated forward along the strains, and their stresses along the
+//! pose by the check's own derivative of the strains; functions of the poses of nodes are differentiated forward, those of a program's own
+//! by differences of their values.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::dual;
 use super::interval::{self, Nine, Strained, add_to_nodes, pose};
-use crate::mechanics::{NodeWrenches, Rod, TimeNode, TimeScheme, Wrench};
+use super::limits::slope_at_zero;
+use crate::mechanics::rotation::exp;
+use crate::mechanics::{
+    NodeWrenches, OfPose, PlacedFunction, Pose, Rod, TimeNode, TimeScheme, Wrench,
+};
 
 /// Returns the given inputs at a side of a time node with those of a control: efforts, or the displacements of winches.
 pub(crate) fn inputs(rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Vec<f64> {
@@ -202,10 +207,16 @@ pub(crate) fn coordinates(rod: &Rod, x: &[Vector3<f64>], r: &[Matrix3<f64>]) -> 
         return Vec::new();
     }
     let strains = interval::strains(rod, x, r);
-    coordinates_of(rod, |q| strains[q].0)
+    let mut out = coordinates_of(rod, |q| strains[q].0);
+    for own in rod.actuators.functions() {
+        if let Some(actuator) = own.actuator {
+            out[actuator] += own.weight * dual::of_pose(own, &x[own.node], &r[own.node]).0;
+        }
+    }
+    out
 }
 
-/// Returns the coordinates of all actuators for the strains of the elements.
+/// Returns the coordinates of all actuators for the strains of the elements; those on poses have none.
 fn coordinates_of(rod: &Rod, strain: impl Fn(usize) -> Nine) -> Vec<f64> {
     let mut out = vec![0.0; rod.actuators.len()];
     for q in 0..rod.n_elements() {
@@ -292,4 +303,105 @@ pub(super) fn paired(a: [&[Vector3<f64>]; 2], b: [&[Vector3<f64>]; 2]) -> f64 {
         a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
     };
     of(a[0], b[0]) + of(a[1], b[1])
+}
+
+/// Shift in differences along positions, in lengths of the rod; turn along rotations, rad.
+const SHIFT: f64 = 1e-3;
+
+/// Returns the gradient of a function of a node's pose: along the position, and along the rotation in the body frame.
+fn pose_gradient(
+    own: &PlacedFunction,
+    x: &Vector3<f64>,
+    r: &Matrix3<f64>,
+    length: f64,
+) -> [Vector3<f64>; 2] {
+    let OfPose::Own(function) = &own.function else {
+        return dual::of_pose(own, x, r).1;
+    };
+    let value = |position: Vector3<f64>, rotation: Matrix3<f64>| {
+        function.0.value(&Pose { position, rotation })
+    };
+    let along = |axis: usize| {
+        let shifted = |s: f64| value(x + Vector3::ith(axis, s * length), *r);
+        slope_at_zero(shifted, SHIFT) / length
+    };
+    let about = |axis: usize| {
+        slope_at_zero(
+            |angle: f64| value(*x, r * exp(&Vector3::ith(axis, angle))),
+            SHIFT,
+        )
+    };
+    [
+        Vector3::from_fn(|axis, _| along(axis)),
+        Vector3::from_fn(|axis, _| about(axis)),
+    ]
+}
+
+/// Returns the factor of a function in minus the energy under the efforts of all actuators.
+fn factor(own: &PlacedFunction, efforts: &[f64]) -> f64 {
+    own.weight * own.actuator.map_or(-1.0, |actuator| efforts[actuator])
+}
+
+/// Returns nodes and wrenches of the functions of poses under the given efforts.
+pub(super) fn posed(
+    rod: &Rod,
+    x: &[Vector3<f64>],
+    r: &[Matrix3<f64>],
+    efforts: &[f64],
+) -> impl Iterator<Item = (usize, Wrench)> {
+    (rod.actuators.functions().iter()).map(move |own| {
+        let size = factor(own, efforts);
+        let [force, moment] = pose_gradient(own, &x[own.node], &r[own.node], rod.scales.length);
+        let wrench = Wrench {
+            force: force * size,
+            moment: moment * size,
+        };
+        (own.node, wrench)
+    })
+}
+
+/// Adds `weight` times the slope of `Σ λ·w` over the functions of poses, for covectors of force and moment of every node, along every
+/// position and rotation.
+pub(super) fn add_posed_slopes(
+    rod: &Rod,
+    (x, r): (&[Vector3<f64>], &[Matrix3<f64>]),
+    efforts: &[f64],
+    weight: f64,
+    [lx, lr]: [&[Vector3<f64>]; 2],
+    [cx, ceta]: [&mut [Vector3<f64>]; 2],
+) {
+    let length = rod.scales.length;
+    for own in rod.actuators.functions() {
+        let (node, size) = (own.node, weight * factor(own, efforts));
+        if size == 0.0 {
+            continue;
+        }
+        let paired = |x: Vector3<f64>, r: Matrix3<f64>| {
+            let [force, moment] = pose_gradient(own, &x, &r, length);
+            lx[node].dot(&force) + lr[node].dot(&moment)
+        };
+        for axis in 0..3 {
+            let unit = |size: f64| Vector3::ith(axis, size);
+            let shifted = |s: f64| paired(x[node] + unit(s * length), r[node]);
+            cx[node][axis] += size * slope_at_zero(shifted, SHIFT) / length;
+            let turned = |angle: f64| paired(x[node], r[node] * exp(&unit(angle)));
+            ceta[node][axis] += size * slope_at_zero(turned, SHIFT);
+        }
+    }
+}
+
+/// Returns `Σ λ·w` of the functions of poses under a unit of one effort.
+pub(super) fn posed_work(
+    rod: &Rod,
+    (x, r): (&[Vector3<f64>], &[Matrix3<f64>]),
+    actuator: usize,
+    [lx, lr]: [&[Vector3<f64>]; 2],
+) -> f64 {
+    (rod.actuators.functions().iter())
+        .filter(|own| own.actuator == Some(actuator))
+        .map(|own| {
+            let [force, moment] = pose_gradient(own, &x[own.node], &r[own.node], rod.scales.length);
+            own.weight * (lx[own.node].dot(&force) + lr[own.node].dot(&moment))
+        })
+        .sum()
 }

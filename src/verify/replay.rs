@@ -158,6 +158,14 @@ impl<'a> Simulation<'a> {
             acting.force += pull.fixed_rows::<3>(0);
             acting.moment -= pull.fixed_rows::<3>(3);
         }
+        if !rod.actuators.functions().is_empty() {
+            let own = efforts::inputs(rod, node, control);
+            let posed = efforts::posed(rod, &at.positions, &at.rotations, &own);
+            for (_, wrench) in posed.filter(|(node, _)| *node == 0) {
+                acting.force += wrench.force;
+                acting.moment += wrench.moment;
+            }
+        }
         for load in rod.loads.iter().filter(|load| load.node == 0) {
             let wrench = load.wrench_at_node(node, rotation);
             acting.force += wrench.force;

@@ -793,3 +793,86 @@ fn says_the_same(copy: &Copy) {
         }
     }
 }
+
+/// A wire with a magnet that a field bends, and a cable.
+const FIELD: &str = "
+[rod]
+length_m = 0.04
+elements = 4
+[rod.material]
+youngs_modulus_pa = 5e5
+poisson_ratio = 0.45
+density_kg_m3 = 1100.0
+[rod.section]
+diameter_m = 0.002
+[damping]
+viscous_1_s = 20.0
+internal_s = 2e-3
+[time]
+end_s = 0.2
+integrator = \"implicit\"
+[[magnet]]
+name = \"tip\"
+moment_a_m2 = [0.0, 0.0, 2e-3]
+field_t = [[-0.05, 0.05], [-0.05, 0.05], [0.0, 0.0]]
+[[cable]]
+name = \"stay\"
+at = 0.5
+anchor_m = [-0.02, 0.0, 0.02]
+profile = [[0.0, 1e-4]]
+[control]
+blocks = 4
+[task]
+position_m = [0.012, 0.006, 0.0366]
+tolerance_m = 1e-3
+at_rest = false
+";
+
+/// An effort or a coordinate in `efforts.csv` that is off by a thousandth is found, and the untouched result is certified again.
+#[test]
+fn efforts_of_fields_are_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("scene.toml"), FIELD).unwrap();
+    let run = |args: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(args)
+            .args(["--threads", "1"])
+            .current_dir(folder.path())
+            .env("NO_COLOR", "1")
+            .output()
+            .unwrap()
+    };
+    let solved = run(&["solve", "scene.toml", "--out", "run", "--quiet"]);
+    assert_eq!(
+        solved.status.code(),
+        Some(DONE),
+        "{}",
+        String::from_utf8_lossy(&solved.stderr)
+    );
+    let path = folder.path().join("run").join("efforts.csv");
+    let text = fs::read_to_string(&path).unwrap();
+    assert_eq!(
+        run(&["verify", "run", "--quick", "--json"]).status.code(),
+        Some(DONE)
+    );
+    let rows: Vec<&str> = text.lines().collect();
+    for (name, column) in [("tip Bx", 2), ("tip By", 3), ("stay", 3)] {
+        let at = rows.len() - 5
+            + rows[rows.len() - 5..]
+                .iter()
+                .position(|row| row.contains(name))
+                .unwrap();
+        let mut parts: Vec<String> = rows[at].split(',').map(Into::into).collect();
+        let number: f64 = parts[column].parse().unwrap();
+        parts[column] = (number * 1.001).to_string();
+        let mut changed: Vec<String> = rows.iter().map(ToString::to_string).collect();
+        changed[at] = parts.join(",");
+        fs::write(&path, changed.join("\n") + "\n").unwrap();
+        let verified = run(&["verify", "run", "--quick", "--json"]);
+        assert_eq!(verified.status.code(), Some(REJECTED), "{name}");
+        let summary: Value = serde_json::from_slice(&verified.stdout).unwrap();
+        let failed = summary["check"]["failed"].as_array().unwrap();
+        assert!(failed.contains(&"efforts.csv".into()), "{name}: {failed:?}");
+        fs::write(&path, &text).unwrap();
+    }
+}

@@ -16,6 +16,7 @@ mod holding;
 mod optimal_control;
 mod path_constraints;
 mod path_tracking;
+mod pose_actuators;
 mod staying;
 mod strain_actuators;
 mod terms;

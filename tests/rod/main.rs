@@ -12,6 +12,7 @@ mod implicit;
 mod lanes;
 mod load_jumps;
 mod paper;
+mod pose_actuators;
 mod published_dynamics;
 mod strain_actuators;
 mod winches;

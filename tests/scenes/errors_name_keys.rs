@@ -395,6 +395,29 @@ fn actuators_of_the_plant_name_their_keys() {
     }
 }
 
+/// A word that is no key but names an actuator: the help has the right key or the page in the documents.
+#[test]
+fn words_for_actuators_find_their_page() {
+    for (key, help) in [
+        (
+            "pneumatics.0.pressure=1.0",
+            "\"Tendons, chambers and muscles\" in docs/solves.md",
+        ),
+        ("magnets.x=1.0", "\"Magnets and cables\" in docs/solves.md"),
+        (
+            "cable=[{anchor_m = [0.0, 0.0, 1.0], tension = [0.0, 1.0]}]",
+            "did you mean `tension_n`?",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], field = 1.0}]",
+            "field_",
+        ),
+    ] {
+        let error = error_of("reach", &[key]);
+        assert!(error.to_string().contains(help), "{error}");
+    }
+}
+
 /// An actuator in the arm that cannot be: the error is at the key that is wrong.
 #[test]
 fn actuators_in_the_arm_name_their_keys() {
@@ -503,6 +526,77 @@ fn actuators_in_the_arm_name_their_keys() {
             "muscle=[{offset_m = [0.01, 0.0], area_m2 = 1e-4, stress_pa = -1.0}]",
             "muscle.0.stress_pa",
             "not a positive stress",
+        ),
+        ("magnet=[{at = 0.5}]", "magnet.0", "nothing is given"),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 0.0]}]",
+            "magnet.0.moment_a_m2",
+            "all components are zero",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], remanence_t = 1.0, volume_m3 = 1e-9}]",
+            "magnet.0.remanence_t",
+            "contradicts magnet.0.moment_a_m2",
+        ),
+        (
+            "magnet=[{remanence_t = 1.0}]",
+            "magnet.0.volume_m3",
+            "goes with remanence_t",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], axis = [0.0, 0.0, 1.0]}]",
+            "magnet.0.axis",
+            "contradicts magnet.0.moment_a_m2",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], at = 0.5, along = [0.0, 1.0]}]",
+            "magnet.0.along",
+            "contradicts magnet.0.at",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], along = [0.5, 0.5]}]",
+            "magnet.0.along",
+            "does not come after",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], field_t = [[0.0, 0.1], [0.1, 0.0], [0.0, 0.0]]}]",
+            "magnet.0.field_t.1",
+            "no range",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], field_t = [[0.0, 0.1], [0.1, 0.1], [0.0, 0.0]]}]",
+            "magnet.0.rest_field_t.1",
+            "not within field_t",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], rate_t_s = 1.0}]",
+            "magnet.0.field_t",
+            "makes it a control",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], field_of = 'other'}]",
+            "magnet.0.field_of",
+            "no magnet with a field of its own",
+        ),
+        (
+            "magnet=[{moment_a_m2 = [0.0, 0.0, 1.0], name = 'a'}, {moment_a_m2 = [0.0, 0.0, 1.0], field_of = 'a', rest_field_t = [0.1, 0.0, 0.0]}]",
+            "magnet.1.rest_field_t",
+            "contradicts magnet.1.field_of",
+        ),
+        (
+            "cable=[{anchor_m = [0.0, 0.0, 1.0], tension_n = [-1.0, 1.0]}]",
+            "cable.0.tension_n",
+            "cannot push",
+        ),
+        (
+            "cable=[{anchor_m = [0.0, 0.0, 1.0], profile = [[0.0, -1.0]]}]",
+            "cable.0.profile",
+            "cannot push",
+        ),
+        (
+            "cable=[{anchor_m = [0.0, inf, 1.0]}]",
+            "cable.0.anchor_m.1",
+            "finite",
         ),
     ] {
         let error = error_of("reach", &[actuator]);

@@ -3,6 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod pose_actuators;
 mod published_frequencies;
 mod published_statics;
 mod sections;

@@ -13,7 +13,7 @@ use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rotation::{exp, log, log_tangent};
 use crate::mechanics::strain_coordinates::retract_shape;
 use crate::mechanics::tangent::{Mode, Tangent};
-use crate::mechanics::{Configuration, NodeWrenches, Rod, StateView, Wrench};
+use crate::mechanics::{Configuration, NodeWrenches, Posed, Rod, StateView, Wrench};
 
 /// A target of the tip.
 #[derive(Clone, Copy, Debug)]
@@ -220,6 +220,7 @@ impl Statics<'_> {
                     active.add_element(first, q, &stiffness);
                 }
             }
+            active.add_posed(rod, shape, (Posed::Driven, &efforts));
             out.add_blocks(active);
         }
         for acting in self.looking() {
@@ -372,7 +373,10 @@ impl Statics<'_> {
                 let scale = self.problem.channel(component).scale;
                 // The stiffness is linear in efforts.
                 if let Some(unit) = self.unit_effort(component, scale, shape, &wrenches) {
-                    return self.active_form(shape, &unit, 0..rod.n_elements(), &mode.shape);
+                    let all = 0..rod.n_nodes();
+                    let posed = self.posed_form(shape, (Posed::Driven, &unit), all, &mode.shape);
+                    return self.active_form(shape, &unit, 0..rod.n_elements(), &mode.shape)
+                        + posed;
                 }
                 if self.looking().next().is_none() {
                     return 0.0;
@@ -410,7 +414,29 @@ impl Statics<'_> {
             let (force, moment) = load.wrench_derivative(self.time, &shape.rotations[node]);
             -(shift.dot(&(force * turn)) + turn.dot(&(moment * turn)))
         });
-        elastic.sum::<f64>() + active + loads.sum::<f64>()
+        let posed = self.posed_form(shape, (Posed::All, efforts), node..node + 1, q);
+        elastic.sum::<f64>() + active + loads.sum::<f64>() + posed
+    }
+
+    /// Returns the terms of `qᵀ K q` from functions of some nodes, those of actuators with the given efforts.
+    fn posed_form(
+        &self,
+        shape: &Configuration,
+        (which, efforts): (Posed, &[f64]),
+        nodes: std::ops::Range<usize>,
+        q: &[Vector6<f64>],
+    ) -> f64 {
+        let first = self.rod().first_free_node();
+        (self.rod().posed(which, efforts))
+            .filter(|(own, _)| own.node >= first && nodes.contains(&own.node))
+            .map(|(own, factor)| {
+                let tangent = own
+                    .function
+                    .tangent(&own.pose(&shape.positions, &shape.rotations));
+                let motion = &q[own.node - first];
+                -factor * motion.dot(&(tangent * motion))
+            })
+            .sum()
     }
 
     /// Returns `δx` (rows from 0) or `η` (rows from 3) of a node in a deviation of the free nodes.

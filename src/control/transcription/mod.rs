@@ -321,9 +321,9 @@ impl<'a> Transcription<'a> {
         }
     }
 
-    /// Evaluates user-defined actuators at a point; `None` if there are none.
-    fn acting(&self, point: &LiftedPoint) -> Option<ActingAlong<'_>> {
-        if !self.problem.depends_on_configuration() {
+    /// Evaluates actuators at a point; `None` if there is nothing that [depends on it](OptimalControlProblem::acts_on_configuration).
+    fn acting<'b>(&'b self, point: &'b LiftedPoint) -> Option<ActingAlong<'b>> {
+        if !self.problem.acts_on_configuration() {
             return None;
         }
         ActingAlong::of(

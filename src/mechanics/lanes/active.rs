@@ -10,6 +10,7 @@ use super::vector::{Lanes, Row, Vec3, row};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Configuration;
 use crate::mechanics::element::{ActivePoint, ActiveTangent, Density};
+use crate::mechanics::pose_actuator::{Pose, Posed};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::time::TimeScheme;
@@ -33,6 +34,9 @@ pub struct ActiveLanes {
     shape: Configuration,
     /// Inputs of winches: those whose efforts are among the present ones, and those of the interval under way.
     inputs: Option<[Vec<f64>; 2]>,
+    /// Efforts that the forces of functions of nodes contain, just before the time node or none after the motion was seated; before they are
+    /// added at the end of a step, those that they will have.
+    pub posed: Vec<f64>,
 }
 
 impl ActiveLanes {
@@ -58,9 +62,9 @@ impl ActiveLanes {
         }
         let mut kinds = Vec::new();
         let mut first = Vec::new();
-        for (index, actuator) in rod.actuators.iter().enumerate() {
+        for (index, own) in rod.actuators.strains().iter().enumerate() {
             first.push(kinds.len());
-            kinds.extend((0..most[index]).map(|_| (index, actuator.density)));
+            kinds.extend((0..most[index]).map(|_| (index, own.density)));
         }
         let n_lanes = slots.n_lanes;
         let mut rows = Buffer::zeros(slots.n_blocks * kinds.len() * POINT_ROWS * n_lanes);
@@ -94,8 +98,9 @@ impl ActiveLanes {
             inputs: (rod.actuators.has_winches()).then(|| [none.clone(), none.clone()]),
             present: none.clone(),
             jump: none.clone(),
-            coming: none,
+            coming: none.clone(),
             shape: rod.rest.clone(),
+            posed: none,
         }))
     }
 
@@ -116,6 +121,7 @@ impl ActiveLanes {
     /// Forgets the efforts that act.
     pub fn rest(&mut self) {
         self.present.fill(0.0);
+        self.posed.fill(0.0);
         if let Some([present, _]) = &mut self.inputs {
             // No input has these efforts.
             present.fill(f64::NAN);
@@ -198,6 +204,14 @@ impl LaneIntegrator<'_> {
             controls[end].add_efforts(out);
         };
         write(0, &mut active.coming);
+        if !self.rod.actuators.functions().is_empty() {
+            let halves = active.posed.iter().zip(&active.coming);
+            let jump: Vec<f64> = halves
+                .map(|(before, after)| 0.5 * (after - before))
+                .collect();
+            self.add_posed(Posed::Driven, &jump);
+            write(1, &mut active.posed);
+        }
         if self.rod.scheme == TimeScheme::Implicit {
             std::mem::swap(&mut active.present, &mut active.coming);
             write(1, &mut active.coming);
@@ -226,6 +240,37 @@ impl LaneIntegrator<'_> {
             }
         }
         self.active = Some(active);
+    }
+
+    /// Adds the forces of functions of nodes under the given efforts at the present configuration.
+    fn add_posed(&mut self, which: Posed, efforts: &[f64]) {
+        let rod = self.rod;
+        let free = rod.first_free_node();
+        for (own, factor) in rod
+            .posed(which, efforts)
+            .filter(|(own, _)| own.node >= free)
+        {
+            let at = Pose {
+                position: self.position(own.node),
+                rotation: self.rotation(own.node),
+            };
+            let wrench = own.wrench(&at, factor);
+            let place = self.slots.place(own.node);
+            self.add(place, FORCE, &wrench.force);
+            self.add(place, MOMENT, &wrench.moment);
+        }
+    }
+
+    /// Adds the forces of functions of nodes just before the time node at which a step has arrived.
+    pub(super) fn arrive_posed(&mut self) {
+        if self.rod.actuators.functions().is_empty() {
+            return;
+        }
+        self.add_posed(Posed::Alone, &[]);
+        if let Some(active) = self.active.take() {
+            self.add_posed(Posed::Driven, &active.posed);
+            self.active = Some(active);
+        }
     }
 
     /// Turns the coming inputs of winches, if they are other ones than those whose efforts act, into efforts at the present configuration.
@@ -270,7 +315,7 @@ impl LaneIntegrator<'_> {
         (positions, nodes.map(|node| self.rotation(node)).collect())
     }
 
-    /// Adds the forces of the actuators with these efforts at the present configuration, for which `shape` is memory.
+    /// Adds the forces of the stress of actuators with these efforts at the present configuration, for which `shape` is memory.
     fn add_jump(&mut self, efforts: &[f64], shape: &mut Configuration) {
         let n = self.rod.n_nodes();
         for node in 0..n {
@@ -280,7 +325,7 @@ impl LaneIntegrator<'_> {
         let forces = &mut self.seating;
         forces.forces.fill(Vector3::zeros());
         forces.moments.fill(Vector3::zeros());
-        forces.add_active(self.rod, &shape.positions, &shape.rotations, efforts);
+        forces.add_active_stress(self.rod, &shape.positions, &shape.rotations, efforts);
         for node in self.rod.first_free_node()..n {
             let place = self.slots.place(node);
             let (force, moment) = (self.seating.forces[node], self.seating.moments[node]);

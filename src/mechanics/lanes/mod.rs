@@ -73,7 +73,7 @@ pub struct LaneIntegrator<'a> {
     seating: NodalForces,
     /// Present if steps are solved for.
     solver: Option<Box<Solver>>,
-    /// Present if the rod has actuators on its strains.
+    /// Present if the rod has actuators.
     active: Option<Box<ActiveLanes>>,
 }
 
@@ -555,5 +555,6 @@ impl<'a> LaneIntegrator<'a> {
         let given = control.iter().map(|(node, wrench)| (node, *wrench));
         (self.control).extend(given.chain(acting).filter(|(node, _)| *node >= first));
         self.add_loads();
+        self.arrive_posed();
     }
 }

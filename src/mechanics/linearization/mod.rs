@@ -49,8 +49,8 @@ pub struct Motion<'a> {
     pub initial: &'a State,
     /// Signal that may end a sweep early.
     pub stop: Option<&'a StopSignal>,
-    /// The control, if it has [actuators of one's own](super::Actuator): the linearization then contains the derivatives of their wrenches
-    /// along the configuration. Other controls are not read.
+    /// The control, if it has [actuators of one's own](super::Actuator) or efforts: the linearization then contains the derivatives of their
+    /// wrenches along the configuration. Other controls are not read.
     pub control: Option<&'a ControlSignal>,
 }
 
@@ -91,6 +91,16 @@ impl Motion<'_> {
                 impulse: 1.0 / (1.0 + a),
             }
         }
+    }
+
+    /// Returns the efforts of all actuators of the rod at time node `k`, the mean of both sides where they jump.
+    pub(crate) fn efforts_at(&self, k: usize) -> Vec<f64> {
+        let mut out = vec![0.0; self.rod.actuators.len()];
+        (self.rod.actuators).write_efforts(&self.grid.node(k), &mut out);
+        if let Some(control) = self.control {
+            control.at(k).add_efforts(&mut out);
+        }
+        out
     }
 
     /// Factor that an impulse at the end of an interval gets when it is added to the momentum that arrives there, so that

@@ -11,6 +11,7 @@
 use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
+use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
 use super::{Rod, RodError, require};
 use crate::mechanics::configuration::Configuration;
 use crate::mechanics::element::{
@@ -18,6 +19,7 @@ use crate::mechanics::element::{
     ElementStrain, IntervalStress, StrainRule,
 };
 use crate::mechanics::load::profile;
+use crate::mechanics::mesh::Mesh;
 use crate::mechanics::time::TimeNode;
 use crate::mechanics::vector::{Lanes, Vec3};
 
@@ -174,7 +176,24 @@ pub struct StrainActuator {
     pub largest: f64,
 }
 
-impl StrainActuator {
+/// What the actuators of a rod have in common, on strains or on [poses](super::pose_actuator).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drive {
+    /// Name in results.
+    pub name: String,
+    /// Unit of the effort in messages; empty for a number.
+    pub unit: &'static str,
+    /// Where it begins, as a fraction of the length.
+    pub from: f64,
+    /// Given effort over time, as [`StrainActuator::effort`].
+    pub effort: Vec<(f64, f64)>,
+    /// Largest size of its effort at any time, as [`StrainActuator::largest`].
+    pub largest: f64,
+    /// The winch of a tendon whose input is a displacement.
+    pub winch: Option<Winch>,
+}
+
+impl Drive {
     /// Returns the largest size of the input at any time; of a winch the farthest that it pulls in, or zero.
     #[must_use]
     pub fn largest_input(&self) -> f64 {
@@ -190,7 +209,7 @@ impl StrainActuator {
     pub fn input_unit(&self) -> &'static str {
         match self.winch {
             Some(_) => "m",
-            None => self.density.effort_unit(),
+            None => self.unit,
         }
     }
 
@@ -205,6 +224,35 @@ impl StrainActuator {
     #[must_use]
     pub fn effort_at_node(&self, node: &TimeNode) -> f64 {
         profile::kept_at_node(&self.effort, node)
+    }
+
+    fn check(&self) -> Result<(), RodError> {
+        require("largest effort", self.largest, |x| x >= 0.0, "zero or more")?;
+        for (time, effort) in &self.effort {
+            require("time of an effort", *time, |_| true, "finite")?;
+            require("effort", *effort, |_| true, "finite")?;
+        }
+        if self.winch.is_some() {
+            for pair in self.effort.windows(2) {
+                let later = |t: f64| t > pair[0].0;
+                let increasing = "after the one before, since a winch does not jump";
+                require("time of a displacement", pair[1].0, later, increasing)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl StrainActuator {
+    fn drive(&self) -> Drive {
+        Drive {
+            name: self.name.clone(),
+            unit: self.density.effort_unit(),
+            from: self.route.from,
+            effort: self.effort.clone(),
+            largest: self.largest,
+            winch: self.winch,
+        }
     }
 
     fn check(&self) -> Result<(), RodError> {
@@ -223,11 +271,6 @@ impl StrainActuator {
             require("offset of an actuator", value, |_| true, "finite")?;
         }
         require("turns of an actuator", turns, |_| true, "finite")?;
-        require("largest effort", self.largest, |x| x >= 0.0, "zero or more")?;
-        for (time, effort) in &self.effort {
-            require("time of an effort", *time, |_| true, "finite")?;
-            require("effort", *effort, |_| true, "finite")?;
-        }
         if let Some(winch) = &self.winch {
             let is_tendon = self.density == Density::Shortening && self.scale == 1.0;
             let only = "that of a tendon";
@@ -245,13 +288,22 @@ impl StrainActuator {
                 |b| b >= 0.0,
                 "zero or more",
             )?;
-            for pair in self.effort.windows(2) {
-                let later = |t: f64| t > pair[0].0;
-                let increasing = "after the one before, since a winch does not jump";
-                require("time of a displacement", pair[1].0, later, increasing)?;
-            }
         }
         Ok(())
+    }
+}
+
+impl PoseActuator {
+    fn drive(&self) -> Drive {
+        let starts = self.parts.iter().map(|(span, _)| span.breaks()[0]);
+        Drive {
+            name: self.name.clone(),
+            unit: self.unit,
+            from: starts.fold(1.0, f64::min),
+            effort: self.effort.clone(),
+            largest: self.largest,
+            winch: None,
+        }
     }
 }
 
@@ -284,10 +336,14 @@ impl PlacedPoint {
     }
 }
 
-/// The actuators of a rod, and their points in its elements.
+/// The actuators of a rod, those on strains before those on poses, with their points in its elements and their functions of its nodes, and
+/// the potentials of its nodes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct StrainActuators {
-    actuators: Vec<StrainActuator>,
+pub struct RodActuators {
+    drives: Vec<Drive>,
+    /// Those on strains, of which efforts and winches stand in `drives` too.
+    strains: Vec<StrainActuator>,
+    functions: Vec<PlacedFunction>,
     /// Points in the order of the elements.
     points: Vec<PlacedPoint>,
     /// First point of every element, and the number of all.
@@ -296,17 +352,46 @@ pub struct StrainActuators {
     at_rest: Vec<f64>,
 }
 
-impl StrainActuators {
-    /// Places actuators on elements.
+impl RodActuators {
+    /// Places actuators on strains and on poses, and potentials without an effort, on elements.
     ///
     /// # Errors
     /// Returns [`RodError`] for a part that does not exist, a number that is not finite, or a winch that pulls in more than all of its
     /// tendon.
     pub(super) fn new(
-        actuators: Vec<StrainActuator>,
-        rule: StrainRule,
-        elements: &[Element],
+        strains: &[StrainActuator],
+        poses: &[PoseActuator],
+        potentials: &[(Span, OfPose)],
+        (mesh, rule, elements): (&Mesh, StrainRule, &[Element]),
     ) -> Result<Self, RodError> {
+        let mut out = Self::on_strains(strains, elements)?;
+        for actuator in poses {
+            let index = Some(out.drives.len());
+            out.drives.push(actuator.drive());
+            for part in &actuator.parts {
+                (out.functions).extend(PlacedFunction::placed(part, index, mesh)?);
+            }
+        }
+        for potential in potentials {
+            (out.functions).extend(PlacedFunction::placed(potential, None, mesh)?);
+        }
+        out.drives.iter().try_for_each(Drive::check)?;
+        // Those on poses count from zero.
+        out.at_rest = out.strain_coordinates(rule, elements, |q| elements[q].rest);
+        for (actuator, at_rest) in out.drives.iter().zip(&out.at_rest) {
+            let Some(winch) = &actuator.winch else {
+                continue;
+            };
+            for (_, displacement) in &actuator.effort {
+                let is_some = |z: f64| winch.unstretched(z, *at_rest) > 0.0;
+                let less = "more than minus the length of the tendon";
+                require("displacement of a winch", *displacement, is_some, less)?;
+            }
+        }
+        Ok(out)
+    }
+
+    fn on_strains(actuators: &[StrainActuator], elements: &[Element]) -> Result<Self, RodError> {
         let lengths: Vec<f64> = elements.iter().map(|element| element.length).collect();
         actuators.iter().try_for_each(StrainActuator::check)?;
         if actuators.is_empty() {
@@ -344,34 +429,24 @@ impl StrainActuators {
             starts.push(points.len());
             start = end;
         }
-        let mut out = Self {
-            actuators,
+        Ok(Self {
+            drives: actuators.iter().map(StrainActuator::drive).collect(),
+            strains: actuators.to_vec(),
+            functions: Vec::new(),
             points,
             starts,
             at_rest: Vec::new(),
-        };
-        out.at_rest = out.coordinates(rule, elements, |q| elements[q].rest);
-        for (actuator, at_rest) in out.actuators.iter().zip(&out.at_rest) {
-            let Some(winch) = &actuator.winch else {
-                continue;
-            };
-            for (_, displacement) in &actuator.effort {
-                let is_some = |z: f64| winch.unstretched(z, *at_rest) > 0.0;
-                let less = "more than minus the length of the tendon";
-                require("displacement of a winch", *displacement, is_some, less)?;
-            }
-        }
-        Ok(out)
+        })
     }
 
-    /// Returns the coordinates of all actuators for the strains of the elements.
-    fn coordinates(
+    /// Returns the coordinates of all actuators for the strains of the elements; those on poses have none.
+    fn strain_coordinates(
         &self,
         rule: StrainRule,
         elements: &[Element],
         strain: impl Fn(usize) -> ElementStrain,
     ) -> Vec<f64> {
-        let mut out = vec![0.0; self.actuators.len()];
+        let mut out = vec![0.0; self.drives.len()];
         for (q, element) in elements.iter().enumerate() {
             let points = self.on(q);
             if points.is_empty() {
@@ -393,7 +468,7 @@ impl StrainActuators {
     /// Tells whether the effort of any of them depends on the configuration.
     #[must_use]
     pub fn has_winches(&self) -> bool {
-        self.actuators.iter().any(|own| own.winch.is_some())
+        self.drives.iter().any(|own| own.winch.is_some())
     }
 
     /// Returns the coordinates of the stress-free shape.
@@ -405,7 +480,7 @@ impl StrainActuators {
     /// Returns the effort of an actuator for an input and a coordinate.
     #[must_use]
     pub fn law(&self, actuator: usize, input: f64, coordinate: f64) -> EffortLaw {
-        match &self.actuators[actuator].winch {
+        match &self.drives[actuator].winch {
             Some(winch) => winch.law(input, coordinate, self.at_rest[actuator]),
             None => EffortLaw {
                 effort: input,
@@ -418,18 +493,30 @@ impl StrainActuators {
     /// Tells whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.actuators.is_empty()
+        self.drives.is_empty()
     }
 
     /// Returns the number of actuators.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.actuators.len()
+        self.drives.len()
     }
 
-    /// Returns the actuators.
-    pub fn iter(&self) -> impl Iterator<Item = &StrainActuator> {
-        self.actuators.iter()
+    /// Returns what the actuators have in common, those on strains first.
+    pub fn iter(&self) -> impl Iterator<Item = &Drive> {
+        self.drives.iter()
+    }
+
+    /// Returns those on strains as they were given, which are the first actuators; the efforts that act are those of [`RodActuators::iter`].
+    #[must_use]
+    pub fn strains(&self) -> &[StrainActuator] {
+        &self.strains
+    }
+
+    /// Returns the functions of nodes: parts of the coordinates of actuators on poses, and potentials without an effort.
+    #[must_use]
+    pub fn functions(&self) -> &[PlacedFunction] {
+        &self.functions
     }
 
     /// Returns the points in element `q`.
@@ -454,12 +541,22 @@ impl StrainActuators {
         }
     }
 
+    /// Returns the same actuators with efforts that are given at two instants (s), linear in between and constant outside.
+    #[must_use]
+    pub fn with_efforts_at(&self, ends: [(f64, &[f64]); 2]) -> Self {
+        let mut out = self.clone();
+        for (index, drive) in out.drives.iter_mut().enumerate() {
+            drive.effort = ends.map(|(t, efforts)| (t, efforts[index])).to_vec();
+        }
+        out
+    }
+
     /// Returns the same actuators with constant given inputs.
     #[must_use]
     pub fn with_efforts(&self, efforts: &[f64]) -> Self {
         let mut out = self.clone();
-        for (actuator, effort) in out.actuators.iter_mut().zip(efforts) {
-            actuator.effort = vec![(0.0, *effort)];
+        for (drive, effort) in out.drives.iter_mut().zip(efforts) {
+            drive.effort = vec![(0.0, *effort)];
         }
         out
     }
@@ -618,7 +715,7 @@ impl Rod {
     /// of the arm under a unit tension, `∫ (n·C₁⁻¹n + m·C₂⁻¹m) ds`. `None` for another actuator.
     #[must_use]
     pub fn winch_flexibility(&self, actuator: usize, displacement: f64) -> Option<f64> {
-        let winch = self.actuators.actuators[actuator].winch?;
+        let winch = self.actuators.drives[actuator].winch?;
         let mut unit = vec![0.0; self.actuators.len()];
         unit[actuator] = 1.0;
         let of_arm: f64 = (self.elements.iter().enumerate())
@@ -641,17 +738,23 @@ impl Rod {
         positions: &[Vector3<f64>],
         rotations: &[nalgebra::Matrix3<f64>],
     ) -> Vec<f64> {
-        self.actuators
-            .coordinates(self.strain_rule, &self.elements, |q| {
-                let pose = Self::element_pose(q, positions, rotations);
-                let length = self.elements[q].length;
-                self.strain_rule.strain(length, &pose)
-            })
+        let mut out = (self.actuators).strain_coordinates(self.strain_rule, &self.elements, |q| {
+            let pose = Self::element_pose(q, positions, rotations);
+            let length = self.elements[q].length;
+            self.strain_rule.strain(length, &pose)
+        });
+        for own in self.actuators.functions() {
+            if let Some(actuator) = own.actuator {
+                let at = own.pose(positions, rotations);
+                out[actuator] += own.weight * own.function.function().value(&at);
+            }
+        }
+        out
     }
 
     /// Returns the coordinates of the actuators at the mean strains of an interval.
     pub(in crate::mechanics) fn mean_coordinates(&self, ends: [&Configuration; 2]) -> Vec<f64> {
-        (self.actuators).coordinates(self.strain_rule, &self.elements, |q| {
+        (self.actuators).strain_coordinates(self.strain_rule, &self.elements, |q| {
             let length = self.elements[q].length;
             let [start, end] = ends.map(|at| {
                 let pose = Self::element_pose(q, &at.positions, &at.rotations);

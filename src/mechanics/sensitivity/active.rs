@@ -19,7 +19,7 @@ use crate::mechanics::load::Wrench;
 use crate::mechanics::part::{Part, apart};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::{ControlSignal, EffortTable};
-use crate::mechanics::strain_actuator::StrainActuators;
+use crate::mechanics::strain_actuator::RodActuators;
 use crate::mechanics::time::TimeScheme;
 
 /// Efforts along a motion, and those of a group of time nodes, one in each lane.
@@ -101,7 +101,7 @@ impl ActiveTimes {
     #[inline(always)]
     pub fn part<'a, S: Simd>(
         &'a self,
-        actuators: &'a StrainActuators,
+        actuators: &'a RodActuators,
         part: usize,
     ) -> ActiveEfforts<'a, S> {
         let n = self.table.n_actuators;
@@ -115,7 +115,7 @@ impl ActiveTimes {
 /// The actuators of a rod with an effort in each lane.
 #[derive(Clone, Copy)]
 pub(super) struct ActiveEfforts<'a, S: Simd> {
-    actuators: &'a StrainActuators,
+    actuators: &'a RodActuators,
     efforts: &'a [Row<S>],
 }
 

@@ -16,6 +16,7 @@ use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift,
 use crate::mechanics::lanes::vector::{Lanes, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::{Defects, Kick, Motion};
+use crate::mechanics::pose_actuator::Posed;
 use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::cay_inverse;
 use crate::mechanics::signal::ControlSignal;
@@ -107,6 +108,18 @@ pub(super) fn defects_on(
                 let wrench = load.wrench_at_node(&grid.node(k), &rotations[load.node]);
                 forces[load.node] += wrench.force;
                 moments[load.node] += wrench.moment;
+            }
+            if !rod.actuators.functions().is_empty() {
+                let along = Motion {
+                    control: Some(control),
+                    ..*motion
+                };
+                let efforts = along.efforts_at(k);
+                for (own, factor) in rod.posed(Posed::All, &efforts) {
+                    let wrench = own.wrench(&own.pose(positions, rotations), factor);
+                    forces[own.node] += wrench.force;
+                    moments[own.node] += wrench.moment;
+                }
             }
             for (node, wrench) in control.at(k).iter() {
                 forces[node] += wrench.force;

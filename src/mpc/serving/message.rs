@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::SERVING_VERSION;
 use crate::control::{ActuatedNode, Bound, Channel};
-use crate::mechanics::StrainActuator;
+use crate::mechanics::Drive;
 use crate::mpc::closed_loop::{Percentiles, TipError};
 use crate::mpc::estimator::Disturbance;
 use crate::mpc::sensor::SensorSettings;
@@ -124,7 +124,7 @@ pub(super) struct EffortLimits<'a> {
 }
 
 impl<'a> EffortLimits<'a> {
-    pub fn of((actuator, channel): (&'a StrainActuator, &Channel)) -> Self {
+    pub fn of((actuator, channel): (&'a Drive, &Channel)) -> Self {
         let rest = actuator.effort(0.0);
         let ends = |bound: Option<Bound>| {
             let interval = bound.and_then(|bound| bound.interval(0));
@@ -136,7 +136,7 @@ impl<'a> EffortLimits<'a> {
         let [fastest_fall, fastest_rise] = ends(channel.rate_bound);
         Self {
             name: &actuator.name,
-            unit: actuator.density.effort_unit(),
+            unit: actuator.input_unit(),
             rest,
             least,
             most,

@@ -214,28 +214,75 @@ impl RateBound {
     }
 }
 
-/// The keys that all actuators of an arm share, by their own names.
+/// The keys of an effort, by their own names.
+pub(super) struct EffortKeys {
+    pub section: &'static str,
+    pub index: usize,
+    /// Place of the effort in its keys, if they are arrays; bounds that are equal then are a given effort.
+    pub component: Option<usize>,
+    pub bounds: (&'static str, Option<[f64; 2]>),
+    pub rate: (&'static str, Option<RateBound>),
+    pub rest: (&'static str, f64),
+    /// Key of a given effort over time; it is there or not.
+    pub profile: (&'static str, bool),
+    /// Time constant of the lag of a control, s.
+    pub lag: Option<f64>,
+    /// The winch, if the effort is its displacement.
+    pub winch: Option<Winch>,
+}
+
+impl EffortKeys {
+    /// The least and the largest effort of a control.
+    fn range(&self) -> Option<[f64; 2]> {
+        let [least, most] = self.bounds.1?;
+        (self.component.is_none() || least != most).then_some([least, most])
+    }
+
+    /// The largest size of the finite bounds; of a winch the farthest that it pulls in.
+    pub fn largest(&self) -> f64 {
+        (self.bounds.1.iter().flatten())
+            .filter(|bound| bound.is_finite())
+            .map(|bound| self.winch.map_or(bound.abs(), |_| -bound))
+            .fold(0.0, f64::max)
+    }
+
+    /// The control of the actuator with an index among those of the arm.
+    pub fn of_task(&self, actuator: usize) -> Option<EffortControl> {
+        Some(EffortControl {
+            actuator,
+            bounds: self.range()?,
+            rate: self.rate.1.map(RateBound::range),
+            scale: None,
+            lag: self.lag,
+        })
+    }
+}
+
+/// The keys that all actuators on strains share.
 struct Common<'a> {
-    section: &'static str,
-    index: usize,
+    effort: EffortKeys,
     name: &'a Option<String>,
     route: Route,
     density: Density,
     scale: f64,
-    bounds: (&'static str, Option<[f64; 2]>),
-    rate: (&'static str, Option<RateBound>),
-    rest: (&'static str, f64),
-    lag: Option<f64>,
-    profile: (&'static str, &'a Option<Vec<[f64; 2]>>),
-    winch: Option<Winch>,
+    profile: &'a Option<Vec<[f64; 2]>>,
 }
 
 /// Collects the keys of an actuator; the names are those of its bounds, of its rate and of its effort at rest.
 macro_rules! common {
     ($own:expr, $section:literal, $index:expr, $density:expr, $scale:expr, $bounds:ident, $rate:ident, $rest:ident) => {
         Common {
-            section: $section,
-            index: $index,
+            effort: EffortKeys {
+                section: $section,
+                index: $index,
+                component: None,
+                bounds: (stringify!($bounds), $own.$bounds),
+                rate: (stringify!($rate), $own.$rate),
+                rest: (stringify!($rest), $own.$rest),
+                profile: ("profile", $own.profile.is_some()),
+                lag: $own.lag_s.map(Positive::get),
+                winch: None,
+            },
             name: &$own.name,
             route: Route {
                 from: $own.from.get(),
@@ -246,23 +293,19 @@ macro_rules! common {
             },
             density: $density,
             scale: $scale,
-            bounds: (stringify!($bounds), $own.$bounds),
-            rate: (stringify!($rate), $own.$rate),
-            rest: (stringify!($rest), $own.$rest),
-            lag: $own.lag_s.map(Positive::get),
-            profile: ("profile", &$own.profile),
-            winch: None,
+            profile: &$own.profile,
         }
     };
 }
 
 impl Common<'_> {
     fn name(&self) -> String {
-        (self.name.clone()).unwrap_or_else(|| format!("{} {}", self.section, self.index))
+        let EffortKeys { section, index, .. } = self.effort;
+        (self.name.clone()).unwrap_or_else(|| format!("{section} {index}"))
     }
 
     fn of_arm(&self) -> StrainActuator {
-        let rows = self.profile.1.iter().flatten();
+        let rows = self.profile.iter().flatten();
         let given: Vec<(f64, f64)> = rows.map(|&[t, effort]| (t, effort)).collect();
         StrainActuator {
             name: self.name(),
@@ -270,26 +313,13 @@ impl Common<'_> {
             scale: self.scale,
             route: self.route,
             effort: if given.is_empty() {
-                vec![(0.0, self.rest.1)]
+                vec![(0.0, self.effort.rest.1)]
             } else {
                 given
             },
-            winch: self.winch,
-            largest: (self.bounds.1.iter().flatten())
-                .filter(|bound| bound.is_finite())
-                .map(|bound| self.winch.map_or(bound.abs(), |_| -bound))
-                .fold(0.0, f64::max),
+            winch: self.effort.winch,
+            largest: self.effort.largest(),
         }
-    }
-
-    fn of_task(&self, actuator: usize) -> Option<EffortControl> {
-        Some(EffortControl {
-            actuator,
-            bounds: self.bounds.1?,
-            rate: self.rate.1.map(RateBound::range),
-            scale: None,
-            lag: self.lag,
-        })
     }
 }
 
@@ -312,14 +342,18 @@ impl Scene {
                 return by_tension;
             }
             Common {
-                bounds: ("displacement_m", own.displacement_m),
-                rate: ("rate_m_s", own.rate_m_s),
-                rest: ("rest_displacement_m", own.rest_displacement_m),
-                profile: ("displacement_profile", &own.displacement_profile),
-                winch: own.compliance_1_n.as_ref().map(|compliance| Winch {
-                    compliance: compliance.get(),
-                    outside: own.free_length_m.get(),
-                }),
+                effort: EffortKeys {
+                    bounds: ("displacement_m", own.displacement_m),
+                    rate: ("rate_m_s", own.rate_m_s),
+                    rest: ("rest_displacement_m", own.rest_displacement_m),
+                    profile: ("displacement_profile", own.displacement_profile.is_some()),
+                    winch: own.compliance_1_n.as_ref().map(|compliance| Winch {
+                        compliance: compliance.get(),
+                        outside: own.free_length_m.get(),
+                    }),
+                    ..by_tension.effort
+                },
+                profile: &own.displacement_profile,
                 ..by_tension
             }
         });
@@ -360,13 +394,16 @@ impl Scene {
         name: &str,
     ) -> Option<(usize, bool, f64)> {
         let all = self.hardware();
-        let index = (all.iter()).position(|own| own.section == section && own.name() == name)?;
-        Some((index, all[index].bounds.1.is_some(), all[index].rest.1))
+        let index =
+            (all.iter()).position(|own| own.effort.section == section && own.name() == name)?;
+        let own = &all[index].effort;
+        Some((index, own.bounds.1.is_some(), own.rest.1))
     }
 
     /// Returns a key of the first actuator on a winch, or with a lag, which closed loops do not know.
     pub(in crate::scene) fn winch_or_lag(&self) -> Option<String> {
         self.hardware().iter().find_map(|own| {
+            let own = &own.effort;
             let key = match own.winch {
                 Some(_) => "compliance_1_n",
                 None => own.lag.map(|_| "lag_s")?,
@@ -378,7 +415,7 @@ impl Scene {
     /// Returns the names of the actuators of a section.
     pub(in crate::scene) fn hardware_names(&self, section: &str) -> Vec<String> {
         let all = self.hardware();
-        let own = all.iter().filter(|own| own.section == section);
+        let own = all.iter().filter(|own| own.effort.section == section);
         own.map(Common::name).collect()
     }
 
@@ -389,9 +426,12 @@ impl Scene {
 
     /// The efforts that the optimizer chooses.
     pub(crate) fn effort_controls(&self) -> Vec<EffortControl> {
-        (self.hardware().iter().enumerate())
-            .filter_map(|(index, own)| own.of_task(index))
-            .collect()
+        let strains = self.hardware();
+        let mut out: Vec<EffortControl> = (strains.iter().enumerate())
+            .filter_map(|(index, own)| own.effort.of_task(index))
+            .collect();
+        out.extend(self.pose_controls(strains.len()));
+        out
     }
 }
 
@@ -401,19 +441,19 @@ impl Keys<'_> {
         for (index, tendon) in scene.tendon.iter().enumerate() {
             self.check_winch(&format!("tendon.{index}"), tendon)?;
         }
-        let all = scene.hardware();
-        for (at, own) in all.iter().enumerate() {
-            self.check_common(own, scene.control.as_ref().map(|control| control.hold))?;
-            if let Some(other) = all[..at].iter().find(|other| other.name() == own.name()) {
-                let key = format!("{}.{}", own.section, own.index);
-                let message = format!(
-                    "its name, \"{}\", is that of {}.{}",
-                    own.name(),
-                    other.section,
-                    other.index
-                );
+        let hold = scene.control.as_ref().map(|control| control.hold);
+        let mut names = Vec::new();
+        for own in scene.hardware() {
+            self.check_common(&own, hold)?;
+            let EffortKeys { section, index, .. } = own.effort;
+            names.push((own.name(), format!("{section}.{index}")));
+        }
+        self.check_poses(scene, &mut names)?;
+        for (at, (name, key)) in names.iter().enumerate() {
+            if let Some((_, other)) = names[..at].iter().find(|(other, _)| other == name) {
+                let message = format!("its name, \"{name}\", is that of {other}");
                 let help = "give every actuator a name of its own";
-                return Err(self.source.error_at(&key, message, Some(help.into())));
+                return Err(self.source.error_at(key, message, Some(help.into())));
             }
         }
         Ok(())
@@ -466,7 +506,8 @@ impl Keys<'_> {
     }
 
     fn check_common(&self, own: &Common, hold: Option<Hold>) -> Checked {
-        let key = |name: &str| format!("{}.{}.{name}", own.section, own.index);
+        let EffortKeys { section, index, .. } = own.effort;
+        let key = |name: &str| format!("{section}.{index}.{name}");
         let Route {
             from,
             to,
@@ -483,12 +524,22 @@ impl Keys<'_> {
                 .error_at(&key("to"), message, None)
                 .expecting("expected a larger fraction, up to 1 (tip)"));
         }
-        let (rest_key, rest) = own.rest;
-        self.finite_number(&key(rest_key), rest)?;
-        let (profile_key, profile) = own.profile;
-        if let Some(rows) = profile {
-            self.table(&key(profile_key), rows, "a constant effort")?;
+        if let Some(rows) = own.profile {
+            self.table(&key(own.effort.profile.0), rows, "a constant effort")?;
         }
+        self.check_effort(&own.effort, hold)
+    }
+
+    /// Checks bounds, rate, rest and profile of an effort against each other.
+    pub(super) fn check_effort(&self, own: &EffortKeys, hold: Option<Hold>) -> Checked {
+        let EffortKeys { section, index, .. } = own;
+        let key = |name: &str| format!("{section}.{index}.{name}");
+        let part = |name: &str| match own.component {
+            Some(component) => format!("{}.{component}", key(name)),
+            None => key(name),
+        };
+        let (rest_key, rest) = own.rest;
+        self.finite_number(&part(rest_key), rest)?;
         let (bounds_key, bounds) = own.bounds;
         let (rate_key, rate) = own.rate;
         let Some([least, most]) = bounds else {
@@ -514,13 +565,15 @@ impl Keys<'_> {
             let help = "set control.hold to \"linear\" or \"cubic\", or leave lag_s out";
             return Err((self.source).error_at(&key("lag_s"), message, Some(help.into())));
         }
-        if profile.is_some() {
+        let (profile_key, has_profile) = own.profile;
+        if has_profile {
             return Err(self.contradiction(&key(profile_key), &key(bounds_key)));
         }
-        if !(least < most) {
+        let fixed = own.component.is_some() && least == most && least.is_finite();
+        if !(least < most || fixed) {
             let message = format!("[{}, {}] is no range", digits(least), digits(most));
             return Err((self.source)
-                .error_at(&key(bounds_key), message, None)
+                .error_at(&part(bounds_key), message, None)
                 .expecting("expected [least, largest], the second above the first"));
         }
         if !(least <= rest && rest <= most) {
@@ -531,7 +584,7 @@ impl Keys<'_> {
                 digits(most)
             );
             return Err((self.source)
-                .error_at(&key(rest_key), message, None)
+                .error_at(&part(rest_key), message, None)
                 .expecting("expected a value within the bounds"));
         }
         if let Some([down, up]) = rate.map(RateBound::range)

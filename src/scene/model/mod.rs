@@ -3,6 +3,7 @@
 mod base;
 mod control;
 mod estimator;
+mod field;
 pub(super) mod geometry;
 mod hardware;
 mod initial;
@@ -21,6 +22,7 @@ mod time;
 pub use self::base::*;
 pub use self::control::*;
 pub use self::estimator::*;
+pub use self::field::*;
 pub use self::hardware::*;
 pub use self::initial::*;
 pub use self::limit::*;
@@ -76,6 +78,12 @@ pub struct Scene {
     /// Muscles in the arm.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub muscle: Vec<Muscle>,
+    /// Magnets in the arm, with the magnetic field around it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub magnet: Vec<Magnet>,
+    /// Cables from the arm to points in space.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cable: Vec<Cable>,
     /// State at t = 0. Absent: the stress-free shape, at rest or moving with a driven base.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub initial: Option<Initial>,

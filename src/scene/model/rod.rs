@@ -27,7 +27,7 @@ pub struct Rod {
     /// Rest length in m, positive.
     pub length_m: Positive<values::Length>,
     /// Number of elements, 1 to 5000; there is one node more than elements. An element ends where segments meet, where
-    /// the curvature at rest has a step, and at bodies; the elements are shared out among the pieces between these places
+    /// the curvature at rest has a step, at bodies, and where actuators end or are attached; the elements are shared out among the pieces between these places
     /// by length, at least one to each, and are equally long within a piece. Absent: chosen for `accuracy`.
     #[serde(default = "first_elements")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]

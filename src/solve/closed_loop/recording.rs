@@ -209,7 +209,7 @@ impl Recording {
                 let efforts = rows.map(|row| row.effort);
                 EffortRange {
                     name: actuator.name.clone(),
-                    unit: actuator.density.effort_unit(),
+                    unit: actuator.input_unit(),
                     least: efforts.clone().fold(f64::INFINITY, f64::min),
                     largest: efforts.fold(f64::NEG_INFINITY, f64::max),
                 }

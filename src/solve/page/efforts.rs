@@ -23,7 +23,7 @@ pub(super) struct Shown {
     pub columns: Columns,
 }
 
-/// Returns the actuators of `rod` along a motion; `inputs` gives those of all in a row of the record, `controls` are those with bounds. Of a
+/// Returns the actuators on the strains of `rod` along a motion; `inputs` gives those of all in a row of the record, `controls` are those with bounds. Of a
 /// winch, whose input is a displacement, the tension is shown, without bounds.
 pub(super) fn shown(
     rod: &Rod,
@@ -32,7 +32,7 @@ pub(super) fn shown(
     inputs: &dyn Fn(usize) -> Vec<f64>,
 ) -> Shown {
     let mut columns = Columns::new();
-    if rod.actuators.is_empty() {
+    if rod.actuators.strains().is_empty() {
         return Shown {
             routes: Vec::new(),
             groups: Value::Array(Vec::new()),
@@ -56,7 +56,7 @@ pub(super) fn shown(
     let mut routes = Vec::new();
     let mut groups: BTreeMap<usize, Vec<Value>> = BTreeMap::new();
     let mut bounds: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
-    for (index, own) in rod.actuators.iter().enumerate() {
+    for (index, own) in rod.actuators.strains().iter().enumerate() {
         let column = |rows: &[Vec<f64>]| rows.iter().map(|row| row[index]).collect::<Vec<f64>>();
         let curve = column(&curves);
         let bound = (controls.iter())

@@ -38,6 +38,15 @@ fn commands(
     out
 }
 
+/// The expected numbers of all actuators at a time node.
+struct Row {
+    inputs: Vec<f64>,
+    efforts: Vec<f64>,
+    /// Coordinates relative to the stress-free shape.
+    changes: Vec<f64>,
+    commands: Option<Vec<f64>>,
+}
+
 /// Checks every row of a solve, whose recorded motion has all time nodes.
 #[must_use]
 pub(super) fn check(
@@ -50,27 +59,54 @@ pub(super) fn check(
     let rod = &problem.rod;
     let signal = hold::signal(problem, 1, coefficients);
     let at_rest = efforts::coordinates(rod, &rod.rest.positions, &rod.rest.rotations);
-    for (k, rows) in rows.chunks(rod.actuators.len().max(1)).enumerate() {
-        let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
-        let inputs = efforts::inputs(rod, &problem.grid.node(k), &signal.at(k));
-        let coordinates = efforts::coordinates(rod, x, r);
-        let commands = commands(problem, coefficients, k, &inputs);
-        let efforts = efforts::of_inputs(rod, inputs.clone(), &coordinates);
+    let n = rod.actuators.len();
+    let along: Vec<Row> = (0..trajectory.n_times().min(problem.grid.n_steps + 1))
+        .map(|k| {
+            let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+            let inputs = efforts::inputs(rod, &problem.grid.node(k), &signal.at(k));
+            let coordinates = efforts::coordinates(rod, x, r);
+            let changes = coordinates.iter().zip(&at_rest).map(|(y, rest)| y - rest);
+            Row {
+                commands: commands(problem, coefficients, k, &inputs),
+                efforts: efforts::of_inputs(rod, inputs.clone(), &coordinates),
+                changes: changes.collect(),
+                inputs,
+            }
+        })
+        .collect();
+    // A value near zero is a difference of others: what counts is the largest along the motion.
+    let largest = |of: fn(&Row) -> &[f64], i: usize| {
+        along.iter().map(|row| of(row)[i].abs()).fold(0.0, f64::max)
+    };
+    let sizes: Vec<[f64; 2]> = (0..n)
+        .map(|i| {
+            [
+                largest(|row| &row.efforts, i),
+                largest(|row| &row.changes, i),
+            ]
+        })
+        .collect();
+    for (k, (rows, expected)) in rows.chunks(n.max(1)).zip(&along).enumerate() {
+        let Row {
+            inputs,
+            efforts,
+            changes,
+            commands,
+        } = expected;
         for (i, (row, actuator)) in rows.iter().zip(rod.actuators.iter()).enumerate() {
             let place = |column: &str| format!("{column}, row {k}, \"{}\"", actuator.name);
+            let [effort, change] = sizes[i];
             let allowed = ROUNDINGS * problem.grid.duration();
             out.number(row.t, problem.grid.time(k), allowed, || place("t"));
             out.word(&row.name, &actuator.name, || place("name"));
-            let rounding = ROUNDINGS * (efforts[i].abs() + actuator.effort(0.0).abs());
-            let allowed = rounding;
-            out.number(row.effort, efforts[i], allowed, || place("effort"));
-            let change = coordinates[i] - at_rest[i];
-            let allowed = DERIVED * change.abs() + ROUNDINGS * at_rest[i].abs();
-            out.number(row.coordinate, change, allowed, || place("coordinate"));
-            let displacement = match actuator.density {
+            let rounding = ROUNDINGS * (effort + actuator.effort(0.0).abs());
+            out.number(row.effort, efforts[i], rounding, || place("effort"));
+            let allowed = DERIVED * change + ROUNDINGS * at_rest[i].abs();
+            out.number(row.coordinate, changes[i], allowed, || place("coordinate"));
+            let displacement = match rod.actuators.strains().get(i).map(|own| own.density) {
                 _ if !rod.actuators.has_winches() => None,
                 _ if actuator.winch.is_some() => Some(inputs[i]),
-                Density::Shortening => Some(-change),
+                Some(Density::Shortening) => Some(-changes[i]),
                 _ => None,
             };
             if let Some(expected) = displacement {
@@ -78,7 +114,7 @@ pub(super) fn check(
                 let allowed = allowed + ROUNDINGS * expected.abs();
                 out.number(found, expected, allowed, || place("displacement"));
             }
-            let Some(commands) = &commands else {
+            let Some(commands) = commands else {
                 continue;
             };
             let found = row.command.unwrap_or(f64::NAN);

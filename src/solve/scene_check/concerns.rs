@@ -2,7 +2,7 @@
 
 use super::super::causes::SAME;
 use super::hardly_meant::hardly_meant;
-use crate::mechanics::stability::{bent_step, stable_step};
+use crate::mechanics::stability::{bent_step, posed_step, stable_step};
 use crate::mechanics::vibration::{weight_in_words, weight_number};
 use crate::mechanics::{Density, Rod, RodModel, RotaryInertia, StrainRule, TimeScheme};
 use crate::output::summary::{OutputSize, RestSummary};
@@ -113,6 +113,14 @@ pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
             "time.step_s: {step:.3e} s is longer than {bent:.3e} s, up to which implicit steps are stable in this arm bent into a \
              circle (2 sqrt(J/m)); where it is bent or loaded as strongly, waves that a step does not resolve will grow; give a \
              step_s of at most {bent:.3e} s, or \"auto\""
+        ));
+    }
+    let posed = posed_step(rod);
+    if rod.scheme == TimeScheme::Implicit && step > posed {
+        out.push(format!(
+            "time.step_s: {step:.3e} s is longer than {posed:.3e} s, up to which the forces of magnets and cables are stable on their \
+             nodes (2 sqrt(M/K)) under either integrator; give a step_s of at most {posed:.3e} s, or \"auto\", and the magnet its \
+             mass and inertia by [payload] or [[body]]"
         ));
     }
     let damping = rod.viscous_damping * step;

@@ -302,7 +302,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             }
         };
         ActuatorSummary {
-            node: Place::Fraction(actuator.route.from).node(&problem.rod.mesh),
+            node: Place::Fraction(actuator.from).node(&problem.rod.mesh),
             force: NO_WRENCH.into(),
             moment: NO_WRENCH.into(),
             controls: Some(format!("{}, {range}", actuator.name)),

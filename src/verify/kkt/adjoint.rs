@@ -266,6 +266,10 @@ impl Conditions<'_> {
             let view = self.view(k);
             acting::add_slopes(&*own.actuator, &view, &u, weight, [lx, lr], [cx, ceta]);
         }
+        if !rod.actuators.functions().is_empty() {
+            let own = efforts::inputs(rod, &self.problem.grid.node(k), &self.control.at(k));
+            efforts::add_posed_slopes(rod, (x, r), &own, weight, [lx, lr], [cx, ceta]);
+        }
         let inputs = if rod.scheme == TimeScheme::Explicit {
             efforts::inputs(rod, &self.problem.grid.node(k), &self.control.at(k))
         } else {
@@ -362,11 +366,22 @@ impl Conditions<'_> {
         covectors: [&[Vector3<f64>]; 2],
         out: &mut [Wrench],
     ) {
+        let (x, r) = (
+            self.trajectory.positions_at(k),
+            self.trajectory.rotations_at(k),
+        );
+        if let Some(driven) =
+            (self.control.efforts.as_ref()).filter(|_| !self.rod().actuators.functions().is_empty())
+        {
+            let width = self.control.width();
+            for (&actuator, &place) in driven.actuators.iter().zip(&driven.places) {
+                let work = efforts::posed_work(self.rod(), (x, r), actuator, covectors);
+                let carrier = &mut out[k * width + driven.first + place / 6];
+                let vector = [&mut carrier.force, &mut carrier.moment];
+                vector[place % 6 / 3][place % 3] += weight * work;
+            }
+        }
         if self.rod().scheme == TimeScheme::Explicit && self.control.efforts.is_some() {
-            let (x, r) = (
-                self.trajectory.positions_at(k),
-                self.trajectory.rotations_at(k),
-            );
             let strains = interval::strains(self.rod(), x, r);
             let here: Vec<Nine> = strains.iter().map(|(strain, _)| *strain).collect();
             let inputs =

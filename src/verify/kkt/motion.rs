@@ -140,7 +140,8 @@ pub(in crate::verify) fn element_spin(
         .sum()
 }
 
-/// Returns force and moment on every node at a time node: minus the energy's gradient, loads, and the control with user-defined actuators.
+/// Returns force and moment on every node at a time node: minus the energy's gradient, loads, functions of poses, and the control with
+/// user-defined actuators.
 pub(in crate::verify) fn applied(
     node: &TimeNode,
     at: &StateView,
@@ -165,6 +166,12 @@ pub(in crate::verify) fn applied(
     }
     for (node, wrench) in control.nodes.iter().zip(control.wrenches) {
         add(*node, wrench);
+    }
+    if !at.rod.actuators.functions().is_empty() {
+        let own = efforts::inputs(at.rod, node, &control);
+        for (node, wrench) in efforts::posed(at.rod, at.positions, at.rotations, &own) {
+            add(node, &wrench);
+        }
     }
     for own in control.acting {
         let u = own.controls(control.wrenches);

@@ -1,0 +1,619 @@
+//! Magnets in fields, and cables to points in space.
+
+use nalgebra::{Matrix3, Vector3};
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, Fraction, Positive, digits, known};
+use super::Scene;
+use super::hardware::{EffortKeys, RateBound};
+use crate::mechanics::{self, OfPose, Place, PoseActuator, Span};
+use crate::task::EffortControl;
+
+/// Vacuum permeability, N/A² (CODATA 2018).
+const PERMEABILITY: f64 = 1.256_637_062_12e-6;
+/// Names of the components of a field and of its gradient after that of the magnet.
+const FIELD: [&str; 3] = ["Bx", "By", "Bz"];
+const GRADIENT: [&str; 5] = ["Gxx", "Gxy", "Gxz", "Gyy", "Gyz"];
+
+/// A magnet in the arm and the magnetic field in which it is. Its moment m turns with the section; in the field B(x) = B + G (x - center)
+/// the arm has a force G m and a moment m × B there. The components of B are efforts, "NAME Bx", "NAME By" and "NAME Bz" in results: with
+/// `field_t` they are controls, with `profile` they are given, in simulations too; those of G likewise.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Magnet {
+    /// Name in results, one for each actuator. Absent: the word magnet with its place in the list, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Place on the arm, as a fraction of `rod.length_m` from the base. An element ends there. Default: 1, the tip.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at: Option<Fraction>,
+    /// Instead of `at`: [start, end] of a stretch as fractions, over which the moment is spread evenly. Elements end at both.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub along: Option<[Fraction; 2]>,
+    /// Magnetic moment in A m², in the axes of the section: the third one points to the tip.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moment_a_m2: Option<[f64; 3]>,
+    /// Instead of `moment_a_m2`: remanence Br in T; the moment is Br `volume_m3`/μ0 along `axis`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub remanence_t: Option<Positive<values::Remanence>>,
+    /// Volume of the magnet in m³, with `remanence_t`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub volume_m3: Option<Positive<values::Volume>>,
+    /// Direction of the moment in the axes of the section, with `remanence_t`. Default: [0, 0, 1], to the tip.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axis: Option<[f64; 3]>,
+    /// Name of another magnet, whose field this one feels; it then has no key of a field itself. Absent: it has its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field_of: Option<String>,
+    /// Least and largest value of each component of B in T, as [[least, largest] of x, of y, of z], which makes the components controls;
+    /// one with two equal numbers stays at that value. Absent: the field is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field_t: Option<[[f64; 2]; 3]>,
+    /// Largest rate of a component of B in T/s, or the fastest fall, negative, and the fastest rise. With it the field begins at
+    /// `rest_field_t`. Absent: it may jump.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_t_s: Option<RateBound>,
+    /// B in T before the task begins, within the bounds, from which effort is counted. Default: 0.
+    #[serde(default)]
+    pub rest_field_t: [f64; 3],
+    /// Given B over time, as [t in s, Bx, By, Bz in T] with increasing t; linear in between and constant outside. It does not go with
+    /// `field_t`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 4]>>,
+    /// Least and largest value of Gxx, Gxy, Gxz, Gyy and Gyz in T/m, which makes them controls; the others follow, because G is symmetric
+    /// and has no trace. Absent: the gradient is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient_t_m: Option<[[f64; 2]; 5]>,
+    /// Largest rate of a number of G in T/m/s, likewise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient_rate_t_m_s: Option<RateBound>,
+    /// The five numbers of G in T/m before the task begins. Absent: 0, or no gradient at all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rest_gradient_t_m: Option<[f64; 5]>,
+    /// Given G over time, as [t in s, its five numbers in T/m]. It does not go with `gradient_t_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient_profile: Option<Vec<[f64; 6]>>,
+    /// Point in m at which the field is B alone. Default: the origin.
+    #[serde(default)]
+    pub center_m: [f64; 3],
+}
+
+/// A cable from the arm to a fixed point in space, which pulls the arm toward that point with its tension. With `tension_n` its tension is a
+/// control, with `profile` it is given, in simulations too.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Cable {
+    /// Name in results, one for each actuator. Absent: the word cable with its place in the list, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Place on the arm where it is attached, as a fraction of `rod.length_m` from the base. An element ends there. Default: 1, the tip.
+    #[serde(default = "Fraction::one")]
+    pub at: Fraction,
+    /// Place in the section where it is attached, along its two axes, in m. Default: the axis of the arm.
+    #[serde(default)]
+    pub offset_m: [f64; 2],
+    /// The point in space in m.
+    pub anchor_m: [f64; 3],
+    /// Least and largest tension in N, which makes it a control; a cable pulls only. Absent: the tension is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tension_n: Option<[f64; 2]>,
+    /// Largest rate of the tension in N/s, or the fastest fall, negative, and the fastest rise. With it the tension begins at
+    /// `pretension_n`. Absent: it may jump.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_n_s: Option<RateBound>,
+    /// Tension in N before the task begins, within the bounds, from which effort is counted. Default: 0.
+    #[serde(default)]
+    pub pretension_n: f64,
+    /// Given tension over time, as [t in s, tension in N] with increasing t; linear in between and constant outside. It does not go with
+    /// `tension_n`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 2]>>,
+}
+
+/// An effort on poses, with the keys that it comes from.
+struct PoseEffort {
+    keys: EffortKeys,
+    name: String,
+    unit: &'static str,
+    parts: Vec<(Span, OfPose)>,
+    /// Rows of its profile; empty without one.
+    rows: Vec<(f64, f64)>,
+}
+
+impl Magnet {
+    fn name(&self, index: usize) -> String {
+        (self.name.clone()).unwrap_or_else(|| format!("magnet {index}"))
+    }
+
+    fn span(&self) -> Span {
+        match self.along {
+            Some([from, to]) => Span::Along(from.get(), to.get()),
+            None => Span::At(place(self.at.map_or(1.0, Fraction::get))),
+        }
+    }
+
+    /// The moment in the axes of the section, A m².
+    fn moment(&self) -> Vector3<f64> {
+        let size = self.remanence_t.map_or(0.0, values::Number::get)
+            * self.volume_m3.map_or(0.0, values::Number::get)
+            / PERMEABILITY;
+        let axis = Vector3::from(self.axis.unwrap_or([0.0, 0.0, 1.0]));
+        self.moment_a_m2
+            .map_or_else(|| axis.normalize() * size, Vector3::from)
+    }
+
+    fn has_gradient(&self) -> bool {
+        self.gradient_t_m.is_some()
+            || self.gradient_profile.is_some()
+            || self.rest_gradient_t_m.is_some()
+    }
+
+    /// The component of the field or of its gradient that an effort is, for this magnet.
+    fn in_field(&self, component: usize, center: [f64; 3]) -> OfPose {
+        let mut field = Vector3::zeros();
+        let mut gradient = Matrix3::zeros();
+        match component {
+            0..3 => field[component] = 1.0,
+            _ => gradient = unit_gradient(component - 3),
+        }
+        OfPose::Magnet(mechanics::Magnet {
+            moment: self.moment(),
+            field,
+            gradient,
+            center: center.into(),
+        })
+    }
+
+    fn efforts(&self, index: usize, feeling: &[&Self]) -> Vec<PoseEffort> {
+        let n = if self.has_gradient() { 8 } else { 3 };
+        (0..n)
+            .map(|component| {
+                let (in_field, at) = (component < 3, component % 3);
+                let at = if in_field { at } else { component - 3 };
+                let rest_gradient = self.rest_gradient_t_m.unwrap_or_default();
+                let keys = EffortKeys {
+                    section: "magnet",
+                    index,
+                    component: Some(at),
+                    bounds: match in_field {
+                        true => ("field_t", self.field_t.map(|bounds| bounds[at])),
+                        false => ("gradient_t_m", self.gradient_t_m.map(|bounds| bounds[at])),
+                    },
+                    rate: match in_field {
+                        true => ("rate_t_s", self.rate_t_s),
+                        false => ("gradient_rate_t_m_s", self.gradient_rate_t_m_s),
+                    },
+                    rest: match in_field {
+                        true => ("rest_field_t", self.rest_field_t[at]),
+                        false => ("rest_gradient_t_m", rest_gradient[at]),
+                    },
+                    profile: match in_field {
+                        true => ("profile", self.profile.is_some()),
+                        false => ("gradient_profile", self.gradient_profile.is_some()),
+                    },
+                    lag: None,
+                    winch: None,
+                };
+                let rows = match in_field {
+                    true => column(&self.profile, at),
+                    false => column(&self.gradient_profile, at),
+                };
+                let suffix = if in_field { FIELD[at] } else { GRADIENT[at] };
+                PoseEffort {
+                    keys,
+                    name: format!("{} {suffix}", self.name(index)),
+                    unit: if in_field { "T" } else { "T/m" },
+                    parts: (std::iter::once(&self).chain(feeling))
+                        .map(|magnet| (magnet.span(), magnet.in_field(component, self.center_m)))
+                        .collect(),
+                    rows,
+                }
+            })
+            .collect()
+    }
+}
+
+impl Cable {
+    fn effort(&self, index: usize) -> PoseEffort {
+        let [x, y] = self.offset_m;
+        PoseEffort {
+            keys: EffortKeys {
+                section: "cable",
+                index,
+                component: None,
+                bounds: ("tension_n", self.tension_n),
+                rate: ("rate_n_s", self.rate_n_s),
+                rest: ("pretension_n", self.pretension_n),
+                profile: ("profile", self.profile.is_some()),
+                lag: None,
+                winch: None,
+            },
+            name: (self.name.clone()).unwrap_or_else(|| format!("cable {index}")),
+            unit: "N",
+            parts: vec![(
+                Span::At(place(self.at.get())),
+                OfPose::Cable(mechanics::Cable {
+                    offset: Vector3::new(x, y, 0.0),
+                    anchor: self.anchor_m.into(),
+                }),
+            )],
+            rows: column(&self.profile, 0),
+        }
+    }
+}
+
+/// The place at a fraction of the length.
+fn place(fraction: f64) -> Place {
+    match fraction {
+        0.0 => Place::Base,
+        1.0 => Place::Tip,
+        _ => Place::Fraction(fraction),
+    }
+}
+
+/// A column of a table after the times, as rows of an effort.
+fn column<const N: usize>(rows: &Option<Vec<[f64; N]>>, at: usize) -> Vec<(f64, f64)> {
+    let rows = rows.iter().flatten();
+    rows.map(|row| (row[0], row[1 + at])).collect()
+}
+
+/// The symmetric matrix without trace of which one of the five numbers is 1 and the others are 0.
+fn unit_gradient(number: usize) -> Matrix3<f64> {
+    let [xx, xy, xz, yy, yz] = [0, 1, 2, 3, 4].map(|at| if at == number { 1.0 } else { 0.0 });
+    Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, -xx - yy)
+}
+
+impl PoseEffort {
+    fn of_arm(self) -> PoseActuator {
+        PoseActuator {
+            name: self.name,
+            unit: self.unit,
+            parts: self.parts,
+            largest: self.keys.largest(),
+            effort: if self.rows.is_empty() {
+                vec![(0.0, self.keys.rest.1)]
+            } else {
+                self.rows
+            },
+        }
+    }
+}
+
+impl Scene {
+    /// The efforts on poses: magnets, then cables.
+    fn pose_efforts(&self) -> Vec<PoseEffort> {
+        let magnets = self.magnet.iter().enumerate();
+        let magnets = magnets.filter(|(_, own)| own.field_of.is_none());
+        let magnets = magnets.flat_map(|(index, own)| {
+            let name = own.name(index);
+            let feels = |other: &&Magnet| other.field_of.as_ref() == Some(&name);
+            let feeling: Vec<&Magnet> = self.magnet.iter().filter(feels).collect();
+            own.efforts(index, &feeling)
+        });
+        let cables = self.cable.iter().enumerate();
+        magnets
+            .chain(cables.map(|(index, own)| own.effort(index)))
+            .collect()
+    }
+
+    /// The actuators on poses.
+    pub(in crate::scene) fn pose_actuators(&self) -> Vec<PoseActuator> {
+        (self.pose_efforts().into_iter())
+            .map(PoseEffort::of_arm)
+            .collect()
+    }
+
+    /// The efforts on poses that the optimizer chooses; `first` is the index of the first actuator on poses.
+    pub(super) fn pose_controls(&self, first: usize) -> Vec<EffortControl> {
+        (self.pose_efforts().iter().enumerate())
+            .filter_map(|(index, own)| own.keys.of_task(first + index))
+            .collect()
+    }
+}
+
+impl Keys<'_> {
+    /// Checks magnets and cables; `names` are those of the other actuators with their keys.
+    pub(super) fn check_poses(&self, scene: &Scene, names: &mut Vec<(String, String)>) -> Checked {
+        for (index, magnet) in scene.magnet.iter().enumerate() {
+            let section = format!("magnet.{index}");
+            self.check_magnet(scene, magnet, &section)?;
+            names.push((magnet.name(index), section));
+        }
+        for (index, cable) in scene.cable.iter().enumerate() {
+            let key = |name: &str| format!("cable.{index}.{name}");
+            self.finite(&key("offset_m"), &cable.offset_m)?;
+            self.finite(&key("anchor_m"), &cable.anchor_m)?;
+            let rows = cable.profile.as_deref();
+            if let Some(rows) = rows {
+                self.table(&key("profile"), rows, "a constant tension")?;
+            }
+            let lowest = [
+                cable.tension_n.map(|bounds| bounds[0]),
+                Some(cable.pretension_n),
+            ];
+            let given = rows.iter().flat_map(|rows| rows.iter()).map(|row| row[1]);
+            let keys = ["tension_n", "pretension_n", "profile"];
+            let mut pushing = (lowest.into_iter().flatten().zip(keys)).collect::<Vec<_>>();
+            if cable.tension_n.is_none() {
+                pushing = vec![(cable.pretension_n, "pretension_n")];
+            }
+            pushing.extend(given.map(|tension| (tension, "profile")));
+            if let Some((tension, name)) = pushing.iter().find(|(tension, _)| *tension < 0.0) {
+                let message = format!("a cable cannot push, with {} N", digits(*tension));
+                return Err((self.source)
+                    .error_at(&key(name), message, None)
+                    .expecting("expected 0 or more"));
+            }
+            let effort = cable.effort(index);
+            self.check_effort(&effort.keys, None)?;
+            names.push((effort.name, format!("cable.{index}")));
+        }
+        Ok(())
+    }
+
+    fn check_magnet(&self, scene: &Scene, magnet: &Magnet, section: &str) -> Checked {
+        let key = |name: &str| format!("{section}.{name}");
+        let given = [
+            ("moment_a_m2", magnet.moment_a_m2.is_some()),
+            ("remanence_t", magnet.remanence_t.is_some()),
+        ];
+        self.exactly_one(section, &given)?;
+        if let Some(moment) = &magnet.moment_a_m2 {
+            self.nonzero(&key("moment_a_m2"), moment)?;
+        }
+        if magnet.remanence_t.is_some() && magnet.volume_m3.is_none() {
+            return Err(self.missing(&key("volume_m3"), "goes with remanence_t"));
+        }
+        for (name, is_given) in [
+            ("volume_m3", magnet.volume_m3.is_some()),
+            ("axis", magnet.axis.is_some()),
+        ] {
+            if is_given && magnet.remanence_t.is_none() {
+                return Err(self.contradiction(&key(name), &key("moment_a_m2")));
+            }
+        }
+        if let Some(axis) = &magnet.axis {
+            self.nonzero(&key("axis"), axis)?;
+        }
+        if magnet.at.is_some() && magnet.along.is_some() {
+            return Err(self.contradiction(&key("along"), &key("at")));
+        }
+        if let Some([from, to]) = magnet.along.map(|ends| ends.map(Fraction::get))
+            && to <= from
+        {
+            let message = format!("{} does not come after {}", digits(to), digits(from));
+            return Err((self.source)
+                .error_at(&key("along"), message, None)
+                .expecting("expected [start, end], the end a larger fraction"));
+        }
+        self.finite(&key("center_m"), &magnet.center_m)?;
+        if let Some(rows) = &magnet.profile {
+            self.table(&key("profile"), rows, "a constant field")?;
+        }
+        if let Some(rows) = &magnet.gradient_profile {
+            self.table(&key("gradient_profile"), rows, "a constant gradient")?;
+        }
+        let index = section.rsplit('.').next().and_then(|at| at.parse().ok());
+        let index: usize = index.unwrap_or_default();
+        if let Some(other) = &magnet.field_of {
+            let mut all = scene.magnet.iter().enumerate();
+            let found = all.find(|(at, own)| *at != index && own.name(*at) == *other);
+            if found.is_none_or(|(_, own)| own.field_of.is_some()) {
+                let names = (scene.magnet.iter().enumerate())
+                    .filter(|(at, own)| *at != index && own.field_of.is_none())
+                    .map(|(at, own)| format!("\"{}\"", own.name(at)));
+                let names: Vec<String> = names.collect();
+                let message = format!("no magnet with a field of its own is called \"{other}\"");
+                return Err((self.source)
+                    .error_at(&key("field_of"), message, None)
+                    .expecting(match names.is_empty() {
+                        true => "expected the name of another magnet".to_string(),
+                        false => format!("expected one of {}", names.join(", ")),
+                    }));
+            }
+            let own = [
+                ("field_t", magnet.field_t.is_some()),
+                ("rate_t_s", magnet.rate_t_s.is_some()),
+                ("rest_field_t", magnet.rest_field_t != [0.0; 3]),
+                ("profile", magnet.profile.is_some()),
+                ("gradient_t_m", magnet.gradient_t_m.is_some()),
+                ("gradient_rate_t_m_s", magnet.gradient_rate_t_m_s.is_some()),
+                ("rest_gradient_t_m", magnet.rest_gradient_t_m.is_some()),
+                ("gradient_profile", magnet.gradient_profile.is_some()),
+                ("center_m", magnet.center_m != [0.0; 3]),
+            ];
+            if let Some((name, _)) = own.iter().find(|(_, given)| *given) {
+                return Err(self.contradiction(&key(name), &key("field_of")));
+            }
+            return Ok(());
+        }
+        if magnet.gradient_rate_t_m_s.is_some() && magnet.gradient_t_m.is_none() {
+            let relation = "goes with gradient_t_m, which makes it a control";
+            return Err(self.missing(&key("gradient_t_m"), relation));
+        }
+        (magnet.efforts(index, &[]).iter())
+            .try_for_each(|effort| self.check_effort(&effort.keys, None))
+    }
+}
+
+/// Returns magnets and cables that have these actuators on poses, the first of them with the index `first` among all, with the efforts that
+/// are controls; `None` for actuators that no scene has, or in another order.
+pub(in crate::scene) fn describing_poses(
+    actuators: &[PoseActuator],
+    first: usize,
+    efforts: &[EffortControl],
+) -> Option<(Vec<Magnet>, Vec<Cable>)> {
+    let (mut magnets, mut cables) = (Vec::<Magnet>::new(), Vec::new());
+    let control = |at: usize| {
+        efforts
+            .iter()
+            .find(|control| control.actuator == first + at)
+    };
+    let bounds = |at: usize| control(at).map(|control| control.bounds);
+    let rate = |at: usize| control(at).and_then(|control| control.rate.map(RateBound::Each));
+    let rest = |at: usize| match actuators[at].effort[..] {
+        [(_, only)] => only,
+        _ => 0.0,
+    };
+    if (0..actuators.len()).any(|at| control(at).is_some_and(|own| own.scale.is_some())) {
+        return None;
+    }
+    let mut at = 0;
+    while let Some(own) = actuators.get(at) {
+        match own.parts[..] {
+            [(Span::At(place), OfPose::Cable(cable))] if cable.offset.z == 0.0 => {
+                let rows = own.effort.iter().map(|&(t, effort)| [t, effort]).collect();
+                cables.push(Cable {
+                    name: Some(own.name.clone()).filter(|name| !name.is_empty()),
+                    at: known(place.fraction()),
+                    offset_m: [cable.offset.x, cable.offset.y],
+                    anchor_m: cable.anchor.into(),
+                    tension_n: bounds(at),
+                    rate_n_s: rate(at),
+                    pretension_n: rest(at),
+                    profile: (own.effort.len() > 1).then_some(rows),
+                });
+                at += 1;
+            }
+            _ if cables.is_empty() => {
+                let name = own.name.strip_suffix(FIELD[0])?.trim_end().to_string();
+                let is = |at: usize, suffix: &str| {
+                    let named = format!("{name} {suffix}");
+                    actuators.get(at).is_some_and(|own| own.name == named)
+                };
+                if !(0..3).all(|i| is(at + i, FIELD[i])) {
+                    return None;
+                }
+                let has_gradient = (0..5).all(|i| is(at + 3 + i, GRADIENT[i]));
+                let n = if has_gradient { 8 } else { 3 };
+                let group = &actuators[at..at + n];
+                let mut found =
+                    parts_of(group)?
+                        .into_iter()
+                        .enumerate()
+                        .map(|(i, (span, magnet))| {
+                            let (place, along) = match span {
+                                Span::At(place) => (Some(known(place.fraction())), None),
+                                Span::Along(from, to) => (None, Some([known(from), known(to)])),
+                            };
+                            Magnet {
+                                name: Some(match i {
+                                    0 => name.clone(),
+                                    _ => format!("{name} {i}"),
+                                }),
+                                at: place,
+                                along,
+                                moment_a_m2: Some(magnet.moment.into()),
+                                remanence_t: None,
+                                volume_m3: None,
+                                axis: None,
+                                field_of: (i > 0).then(|| name.clone()),
+                                field_t: None,
+                                rate_t_s: None,
+                                rest_field_t: [0.0; 3],
+                                profile: None,
+                                gradient_t_m: None,
+                                gradient_rate_t_m_s: None,
+                                rest_gradient_t_m: None,
+                                gradient_profile: None,
+                                center_m: [0.0; 3],
+                            }
+                        });
+                let mut owner = found.next()?;
+                let OfPose::Magnet(first_part) = &own.parts[0].1 else {
+                    return None;
+                };
+                owner.center_m = first_part.center.into();
+                // A component without a control stays at its value, if another one is a control.
+                let ranges = |from: usize, n: usize| {
+                    let any = (from..from + n).any(|at| control(at).is_some());
+                    any.then_some(move |i: usize| bounds(from + i).unwrap_or([rest(from + i); 2]))
+                };
+                owner.field_t = ranges(at, 3).map(|range| [0, 1, 2].map(range));
+                owner.rate_t_s = (at..at + 3).find_map(rate);
+                owner.rest_field_t = [0, 1, 2].map(|i| rest(at + i));
+                owner.profile = rows_of(&group[..3])?.map(|rows| {
+                    (rows.into_iter())
+                        .map(|(t, values)| [t, values[0], values[1], values[2]])
+                        .collect()
+                });
+                if has_gradient {
+                    owner.gradient_t_m = ranges(at + 3, 5).map(|range| [0, 1, 2, 3, 4].map(range));
+                    owner.gradient_rate_t_m_s = (at + 3..at + 8).find_map(rate);
+                    owner.rest_gradient_t_m = Some([0, 1, 2, 3, 4].map(|i| rest(at + 3 + i)));
+                    owner.gradient_profile = rows_of(&group[3..])?.map(|rows| {
+                        (rows.into_iter())
+                            .map(|(t, v)| [t, v[0], v[1], v[2], v[3], v[4]])
+                            .collect()
+                    });
+                }
+                magnets.push(owner);
+                magnets.extend(found);
+                at += n;
+            }
+            _ => return None,
+        }
+    }
+    Some((magnets, cables))
+}
+
+/// The magnets of the efforts of one field, if each of them has every effort as [`Magnet::in_field`] does.
+fn parts_of(group: &[PoseActuator]) -> Option<Vec<(Span, mechanics::Magnet)>> {
+    let first = group.first()?;
+    let magnets: Option<Vec<_>> = (first.parts.iter())
+        .map(|(span, function)| match function {
+            OfPose::Magnet(magnet) => Some((*span, *magnet)),
+            OfPose::Cable(_) | OfPose::Own(_) => None,
+        })
+        .collect();
+    let magnets = magnets?;
+    let center = magnets.first()?.1.center;
+    for (component, own) in group.iter().enumerate() {
+        let mut field = Vector3::zeros();
+        let mut gradient = Matrix3::zeros();
+        match component {
+            0..3 => field[component] = 1.0,
+            _ => gradient = unit_gradient(component - 3),
+        }
+        let expected: Vec<_> = (magnets.iter())
+            .map(|(span, magnet)| {
+                let moment = magnet.moment;
+                let in_field = mechanics::Magnet {
+                    moment,
+                    field,
+                    gradient,
+                    center,
+                };
+                (*span, OfPose::Magnet(in_field))
+            })
+            .collect();
+        if own.parts != expected {
+            return None;
+        }
+    }
+    Some(magnets)
+}
+
+/// Times and values of given efforts, if they have rows at the same times: `Some(None)` for constant ones, `None` for others.
+#[expect(clippy::type_complexity, reason = "rows of a table")]
+fn rows_of(group: &[PoseActuator]) -> Option<Option<Vec<(f64, Vec<f64>)>>> {
+    let first = &group.first()?.effort;
+    if group.iter().all(|own| own.effort.len() <= 1) {
+        return Some(None);
+    }
+    let times = |own: &PoseActuator| own.effort.iter().map(|row| row.0).collect::<Vec<_>>();
+    if !group.iter().all(|own| times(own) == times(&group[0])) {
+        return None;
+    }
+    let values = |row: usize| group.iter().map(|own| own.effort[row].1).collect();
+    let rows = first
+        .iter()
+        .enumerate()
+        .map(|(row, (t, _))| (*t, values(row)));
+    Some(Some(rows.collect()))
+}
