@@ -180,6 +180,7 @@ fn problem(tendons: bool, scheme: TimeScheme) -> OptimalControlProblem {
                 bounds: [0.0, 2.0],
                 rate: None,
                 scale: None,
+                lag: None,
             })
             .collect();
     }

@@ -76,6 +76,7 @@ pub fn tendon_arm(youngs: f64) -> Arm {
         route: Route::straight(offset),
         effort: vec![(0.0, 0.4)],
         largest: TENSION,
+        winch: None,
     };
     Arm {
         gravity: Vector3::new(0.0, 0.0, -9.81),
@@ -113,6 +114,7 @@ pub fn tendon_task(is_slow: bool) -> Task {
                 bounds: [0.0, TENSION],
                 rate: is_slow.then_some(TENSION_RATE),
                 scale: None,
+                lag: None,
             })
             .collect(),
         cost: Cost {

@@ -19,6 +19,7 @@ fn arm(radius: f64, tendons: &[Route], largest: f64) -> Arm {
             route: *route,
             effort: vec![(0.0, 0.0)],
             largest,
+            winch: None,
         })
         .collect();
     arm
@@ -34,6 +35,7 @@ fn problem(arm: &Arm, target: Vector3<f64>, tolerance: f64) -> OptimalControlPro
             bounds: [0.0, own.largest],
             rate: None,
             scale: None,
+            lag: None,
         })
         .collect();
     for target in &mut task.targets {

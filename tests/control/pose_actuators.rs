@@ -143,6 +143,7 @@ fn problem(
         route: Route::straight([8e-3, 0.0]),
         effort: vec![(0.0, 0.05)],
         largest: 0.0,
+        winch: None,
     };
     let alone = Spring {
         turning: 2e-3,
@@ -487,6 +488,7 @@ fn a_field_reaches_and_stays() {
             bounds: [-0.05, 0.05],
             rate: None,
             scale: None,
+            lag: None,
         })
         .collect();
     for target in &mut task.targets {

@@ -296,6 +296,7 @@ pub(in crate::mpc) fn tendon_arm() -> (Arm, Vec<EffortControl>) {
         },
         effort: vec![(0.0, 0.4)],
         largest: 4.0,
+        winch: None,
     };
     let arm = Arm {
         gravity: Vector3::new(0.0, 0.0, -9.81),
@@ -322,6 +323,7 @@ pub(in crate::mpc) fn tendon_arm() -> (Arm, Vec<EffortControl>) {
         bounds: [0.0, 4.0],
         rate: Some([-25.0, 20.0]),
         scale: None,
+        lag: None,
     });
     (arm, controls.into())
 }
