@@ -148,7 +148,7 @@ fn reach(target: Vector3<f64>, seconds: f64, control: &EffortControl) -> Task {
     task.efforts = (0..2)
         .map(|actuator| EffortControl {
             actuator,
-            ..control.clone()
+            ..*control
         })
         .collect();
     for target in &mut task.targets {

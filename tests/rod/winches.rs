@@ -74,8 +74,9 @@ fn potential(rod: &Rod, state: &State) -> f64 {
     Energy::of(rod, state).total() + rod.actuator_energy(&at.positions, &at.rotations, &inputs)
 }
 
-/// Under constant displacements, of tendons with tension and of slack ones, the energy with that of the springs has no drift, and what it
-/// wanders falls with the square of the step.
+/// Under constant displacements the energy with that of the springs has no drift. What it wanders falls with the square of explicit steps.
+/// The tendons go slack and taut on the way; where that happens within an implicit step, whose tension is that of the mean strain, the force
+/// has a kink and the order of the step falls to one.
 #[test]
 fn energy_with_that_of_the_springs_is_kept() {
     let winches = || {
@@ -100,7 +101,11 @@ fn energy_with_that_of_the_springs_is_kept() {
             let step = 0.25 * stable_step(&rod);
             let (coarse, fine) = (wander(step), wander(0.5 * step));
             eprintln!("{rule:?} {model:?} {scheme:?}: {coarse:e} {fine:e}");
-            assert!(fine < 0.35 * coarse, "{rule:?} {model:?} {scheme:?}");
+            let part = match scheme {
+                TimeScheme::Explicit => 0.35,
+                TimeScheme::Implicit => 0.6,
+            };
+            assert!(fine < part * coarse, "{rule:?} {model:?} {scheme:?}");
         }
     }
 }
@@ -212,6 +217,8 @@ fn the_ramp_of_till_ends_at_rest() {
         Rod::new(&RodParameters {
             scheme: TimeScheme::Implicit,
             viscous_damping: 8.0,
+            // Bending damping 5e-4 N m² s over EI; it also ends the waves that the step does not resolve.
+            internal_damping: 0.015,
             gravity: Vector3::new(-9.81, 0.0, 0.0),
             actuators: vec![StrainActuator {
                 winch: Some(Winch {
