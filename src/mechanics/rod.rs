@@ -2,10 +2,11 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::base_motion::{BaseMotion, BaseState};
+use super::base_motion::BaseState;
 use super::configuration::{Configuration, State};
 use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
+use super::ends::{EndCondition, Joint};
 use super::forces::NodalForces;
 use super::load::{DistributedLoad, Load, Wrench};
 use super::mesh::Mesh;
@@ -17,23 +18,7 @@ use super::time::TimeScheme;
 pub use super::section::{Material, Section, SectionProfile, SectionSegment};
 
 /// The condition at the base, node 0.
-#[derive(Clone, Debug, PartialEq)]
-pub enum BaseCondition {
-    /// Position and rotation fixed.
-    Clamped,
-    /// Position and rotation given as functions of time.
-    Driven(Box<BaseMotion>),
-    /// No constraint.
-    Free,
-}
-
-impl BaseCondition {
-    /// Returns a base that follows `motion`.
-    #[must_use]
-    pub fn driven(motion: BaseMotion) -> Self {
-        Self::Driven(Box::new(motion))
-    }
-}
+pub type BaseCondition = EndCondition;
 
 /// Lumped inertia of a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,6 +91,12 @@ pub struct RodParameters {
     pub base_position: Vector3<f64>,
     /// Rotation of the base, body to space, relative to which a driven base turns; the rod starts along its third column.
     pub base_rotation: Matrix3<f64>,
+    /// The condition at the tip, node `K`.
+    pub tip: EndCondition,
+    /// Position in which the tip is held, from which a driven tip moves, m; `None` for that of the stress-free shape.
+    pub tip_position: Option<Vector3<f64>>,
+    /// Rotation in which the tip is held, body to space; `None` for that of the stress-free shape.
+    pub tip_rotation: Option<Matrix3<f64>>,
     /// Acceleration of gravity, m/s².
     pub gravity: Vector3<f64>,
     /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum. A velocity without other forces decays as `exp(-c
@@ -148,6 +139,9 @@ impl RodParameters {
             base: BaseCondition::Clamped,
             base_position: Vector3::zeros(),
             base_rotation: Matrix3::identity(),
+            tip: EndCondition::Free,
+            tip_position: None,
+            tip_rotation: None,
             gravity: Vector3::zeros(),
             viscous_damping: 0.0,
             internal_damping: 0.0,
@@ -246,6 +240,12 @@ pub struct Rod {
     pub rest_chords: Vec<f64>,
     /// Pose relative to which a driven base moves: position, m, and rotation, body to space.
     pub base_reference: (Vector3<f64>, Matrix3<f64>),
+    /// The condition at the tip, node `K`.
+    pub tip_end: EndCondition,
+    /// Pose in which the tip is held, or relative to which a driven tip moves: position, m, and rotation, body to space.
+    pub tip_reference: (Vector3<f64>, Matrix3<f64>),
+    /// The held ends that have a place among the moving nodes.
+    pub joints: Vec<Joint>,
     /// Stress-free configuration, starting at the base pose (at t = 0).
     pub rest: Configuration,
     /// Acceleration of gravity, m/s².
@@ -376,6 +376,8 @@ impl Rod {
                 ("internal_damping", p.internal_damping > 0.0),
                 ("scheme", p.scheme == TimeScheme::Implicit),
                 ("rotary_inertia", p.rotary_inertia == RotaryInertia::Segment),
+                ("tip", p.tip != EndCondition::Free),
+                ("base", matches!(p.base, EndCondition::Pinned { .. })),
             ] {
                 if is_used {
                     return Err(RodError::NeedsStandardModel { parameter });
@@ -483,8 +485,29 @@ impl Rod {
         for (at, _) in &p.bodies {
             require("body place", *at, is_fraction, FRACTION)?;
         }
-        if let BaseCondition::Driven(motion) = &p.base {
-            motion.check()?;
+        for end in [&p.base, &p.tip] {
+            match end {
+                EndCondition::Driven(motion) => motion.check()?,
+                EndCondition::Pinned { axis: Some(axis) } => {
+                    let size = axis.norm();
+                    require("length of a hinge's axis", size, positive, "positive")?;
+                }
+                _ => {}
+            }
+        }
+        if let Some(position) = &p.tip_position {
+            for i in 0..3 {
+                require("tip_position", position[i], |_| true, "finite")?;
+            }
+        }
+        if let Some(rotation) = &p.tip_rotation {
+            let defect = (rotation.tr_mul(rotation) - Matrix3::identity()).norm();
+            require(
+                "|RᵀR - I| of tip_rotation",
+                defect,
+                |defect| defect < LARGEST_ROTATION_DEFECT,
+                "that of a rotation matrix, below 1e-9",
+            )?;
         }
         for q in 0..k {
             let psi = p.curvature(&mesh, q) * mesh.length(q, p.length);
@@ -588,6 +611,18 @@ impl Rod {
             nodes[node].mass += body.mass;
             nodes[node].rotary += body.rotary;
         }
+        let tip_reference = (
+            p.tip_position.unwrap_or(rest.positions[k]),
+            p.tip_rotation.unwrap_or(rest.rotations[k]),
+        );
+        let joints = Joint::of_ends((&p.base, &p.base_rotation), (&p.tip, &tip_reference.1), k);
+        // A hinge turns about its axis alone, so that its moment of inertia about it is all of its inertia.
+        for joint in &joints {
+            if let Some(axis) = joint.axis() {
+                let rotary = &mut nodes[joint.node].rotary;
+                *rotary = Vector3::repeat(axis.dot(&rotary.component_mul(&axis)));
+            }
+        }
         let mut loads = p.loads.clone();
         for load in &p.distributed_loads {
             loads.extend(load.lumped(p.length, &mesh));
@@ -605,6 +640,9 @@ impl Rod {
             rest_chords,
             base: p.base.clone(),
             base_reference: (p.base_position, p.base_rotation),
+            tip_end: p.tip.clone(),
+            tip_reference,
+            joints,
             rest,
             gravity: p.gravity,
             viscous_damping: p.viscous_damping,
@@ -639,7 +677,7 @@ impl Rod {
     pub fn first_free_node(&self) -> usize {
         match self.base {
             BaseCondition::Clamped | BaseCondition::Driven(_) => 1,
-            BaseCondition::Free => 0,
+            BaseCondition::Pinned { .. } | BaseCondition::Free => 0,
         }
     }
 
@@ -651,7 +689,7 @@ impl Rod {
                 let (position, rotation) = &self.base_reference;
                 Some(motion.at(position, rotation, t))
             }
-            BaseCondition::Clamped | BaseCondition::Free => None,
+            _ => None,
         }
     }
 
@@ -675,11 +713,17 @@ impl Rod {
     /// frame of the base.
     #[must_use]
     pub fn static_reaction(&self, at: &Configuration, t: f64) -> Wrench {
+        self.static_reaction_at(0, at, t)
+    }
+
+    /// Returns the wrench of the end at node `node` on an arm at rest in a shape, as [`Self::static_reaction`] does that of the base.
+    #[must_use]
+    pub fn static_reaction_at(&self, node: usize, at: &Configuration, t: f64) -> Wrench {
         let mut net = NodalForces::zeros(self.n_nodes());
         net.evaluate(self, &at.positions, &at.rotations, t);
         Wrench {
-            force: -net.forces[0],
-            moment: -net.moments[0],
+            force: -net.forces[node],
+            moment: -net.moments[node],
         }
     }
 
@@ -692,11 +736,12 @@ impl Rod {
         state.angular_momentum[0] = rotary.component_mul(&base.angular_velocity);
     }
 
-    /// Moves a driven base to its pose at time `t` (s); does nothing for any other base.
+    /// Moves a driven base, and the held part of other ends, to their poses at time `t` (s).
     pub fn start_base(&self, t: f64, state: &mut State) {
         if let Some(base) = self.driven_base(t) {
             self.set_base(&base, state);
         }
+        self.start_joints(t, state);
     }
 
     /// Returns the mean power of Kelvin-Voigt damping over a step of length `time_step`, W: `τ Σ l ṡ·C ṡ`.
@@ -892,7 +937,7 @@ fn rest_shape(p: &RodParameters, mesh: &Mesh) -> Configuration {
             let start = motion.at(&p.base_position, &p.base_rotation, 0.0);
             (start.position, start.rotation)
         }
-        BaseCondition::Clamped | BaseCondition::Free => (p.base_position, p.base_rotation),
+        _ => (p.base_position, p.base_rotation),
     };
     let mut shape = Configuration {
         positions: vec![position],

@@ -8,8 +8,15 @@ use super::rod::Rod;
 
 /// Returns the derivative of minus the forces and body moments on the free nodes (elements, loads at their value at time `t`, and
 /// actuators with their given efforts) along
-/// `(δx, η)` of these nodes, the first of them in block 0. It is symmetric at an equilibrium under loads with a potential.
+/// `(δx, η)` of these nodes, the first of them in block 0; motions that a joint holds are [fast modes of their own](Rod::hold_joints). It is symmetric at an equilibrium under loads with a potential.
 pub(super) fn tangent_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
+    let mut out = free_stiffness(rod, at, t);
+    rod.hold_joints(rod.first_free_node(), &mut out);
+    out
+}
+
+/// Returns the stiffness of [`tangent_stiffness`] as if the joints of the rod were free.
+pub(super) fn free_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
     let first = rod.first_free_node();
     let efforts = rod.actuators.efforts(t);
     let mut out = BlockTridiagonal::zeros(rod.n_nodes() - first);

@@ -108,6 +108,10 @@ impl Scene {
                 };
                 at(&format!("{goal}.{}", part.name()), help)
             }
+            DiscretizeError::HeldEnd { end, .. } => at(
+                &format!("{end}.kind"),
+                "use the verbs simulate, equilibrium and check, or choose another kind",
+            ),
             DiscretizeError::Duration { conflict, what } => {
                 let key = match conflict {
                     DurationConflict::Rate => "control".into(),
@@ -140,6 +144,8 @@ impl Scene {
             let (key, remedy) = match error.parameter() {
                 "scheme" => ("time.integrator", "set it to \"explicit\""),
                 "rotary_inertia" => ("rod.rotary_inertia", "set it to \"section\""),
+                "tip" => ("tip.kind", "set it to \"free\""),
+                "base" => ("base.kind", "set it to \"clamped\""),
                 _ => ("damping.internal_s", "leave it out"),
             };
             let help = format!("{remedy}, or set rod.model = \"standard\"");
@@ -218,13 +224,18 @@ impl Scene {
 /// Returns the remedy for an initial state that was not found.
 fn start_remedy(error: &EquilibriumError) -> &'static str {
     match error {
-        EquilibriumError::FreeBase => "set base.kind = \"clamped\", or initial.shape = \"rest\"",
+        EquilibriumError::FreeBase => {
+            "set base.kind = \"clamped\" or hold the tip, or initial.shape = \"rest\""
+        }
         EquilibriumError::NotConverged { .. } => {
             "set initial.shape = \"rest\" and let it settle (damping.viscous_1_s, or a profile that raises a [[load]] from 0), or \
              make gravity and loads smaller or the rod stiffer"
         }
         EquilibriumError::Overstretched { .. } => {
             "make the loads smaller or the rod stiffer; rod.model = \"standard\" bears any pull"
+        }
+        EquilibriumError::NotThere { .. } => {
+            "set initial.shape = \"equilibrium\", or leave out tip.position_m and the orientation of the tip"
         }
         EquilibriumError::Stopped(_) => {
             "set initial.shape = \"rest\", which needs no search, or a longer solver.deadline_s"

@@ -8,9 +8,9 @@ use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibr
 use crate::mechanics::rotation::from_direction;
 use crate::mechanics::rows;
 use crate::mechanics::{
-    BaseCondition, DistributedLoad, Load, LoadFrame, Material, Mesh, NodeInertia, Rod, RodError,
-    RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State, StrainActuator,
-    TimeScheme,
+    BaseCondition, DistributedLoad, EndCondition, Load, LoadFrame, Material, Mesh, NodeInertia,
+    Rod, RodError, RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State,
+    StrainActuator, TimeScheme,
 };
 use crate::stop::StopSignal;
 
@@ -47,12 +47,18 @@ pub struct Arm {
     pub curvature_rows: Vec<(f64, Vector3<f64>)>,
     /// Stress-free stretch (1: the arm is as long as `length`).
     pub rest_stretch: f64,
-    /// The condition at the base: clamped, driven or free.
+    /// The condition at the base: clamped, driven, pinned or free.
     pub base: BaseCondition,
     /// Position of the base, m; a driven base moves from this position.
     pub base_position: Vector3<f64>,
     /// Rotation of the base, body to space; the arm leaves it along its third column. A driven base turns from this rotation.
     pub base_rotation: Matrix3<f64>,
+    /// The condition at the tip: free, clamped, driven, or pinned.
+    pub tip: EndCondition,
+    /// Position in which the tip is held, from which a driven tip moves, m; `None` for that of the stress-free shape.
+    pub tip_position: Option<Vector3<f64>>,
+    /// Rotation in which the tip is held, body to space; `None` for that of the stress-free shape.
+    pub tip_rotation: Option<Matrix3<f64>>,
     /// Acceleration of gravity, m/s², spatial frame.
     pub gravity: Vector3<f64>,
     /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum.
@@ -97,6 +103,9 @@ impl Arm {
             base: BaseCondition::Clamped,
             base_position: Vector3::zeros(),
             base_rotation: Matrix3::identity(),
+            tip: EndCondition::Free,
+            tip_position: None,
+            tip_rotation: None,
             gravity: Vector3::zeros(),
             viscous_damping: 0.0,
             internal_damping: 0.0,
@@ -193,6 +202,9 @@ impl Arm {
             base: self.base.clone(),
             base_position: self.base_position,
             base_rotation: self.base_rotation,
+            tip: self.tip.clone(),
+            tip_position: self.tip_position,
+            tip_rotation: self.tip_rotation,
             gravity: self.gravity,
             viscous_damping: self.viscous_damping,
             internal_damping: self.internal_damping,
@@ -223,7 +235,7 @@ pub enum StartShape {
     /// The stress-free shape: gravity and loads act suddenly.
     #[default]
     Rest,
-    /// Static equilibrium under gravity and the loads at t = 0; needs a clamped or driven base.
+    /// Static equilibrium under gravity and the loads at t = 0; needs an end that is held.
     Equilibrium,
 }
 
@@ -239,6 +251,10 @@ pub struct Start {
     pub angular_velocity: Vector3<f64>,
 }
 
+/// Distance of a held tip from the end of the arm at rest, in lengths of the arm, or angle in rad, up to which it counts as there: rounding
+/// of a pose that is written in decimals.
+const AT_ITS_END: f64 = 1e-9;
+
 impl Start {
     /// The state of a rod at t = 0.
     ///
@@ -246,17 +262,23 @@ impl Start {
     /// [`EquilibriumError`] where there is no equilibrium to start from, or `stop` is raised before it is found.
     pub fn state(&self, rod: &Rod, stop: &StopSignal) -> Result<State, EquilibriumError> {
         let shape = match self.shape {
-            StartShape::Rest => rod.rest.clone(),
+            StartShape::Rest => {
+                let (distance, angle) = rod.largest_gap(&rod.rest, 0.0);
+                if distance > AT_ITS_END * rod.scales.length || angle > AT_ITS_END {
+                    return Err(EquilibriumError::NotThere { distance, angle });
+                }
+                rod.rest.clone()
+            }
             StartShape::Equilibrium => {
                 static_equilibrium_until(rod, &rod.rest, 0.0, &TipSpring::default(), stop)?
             }
         };
         Ok(match rod.base {
-            BaseCondition::Clamped | BaseCondition::Driven(_) => rod.at_rest_on_base(shape),
-            BaseCondition::Free => {
+            EndCondition::Free if !rod.is_held() => {
                 let center = rod.center_of_mass(&shape.positions);
                 rod.rigid_motion(shape, &center, &self.velocity, &self.angular_velocity)
             }
+            _ => rod.at_rest_on_base(shape),
         })
     }
 }

@@ -162,6 +162,12 @@ impl Task {
         };
         let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
         let (chosen, rod) = arm.choose(discretization, longest, work)?;
+        if let Some(joint) = rod.joints.first() {
+            return Err(DiscretizeError::HeldEnd {
+                end: if joint.node == 0 { "base" } else { "tip" },
+                kind: rod.end_at(joint.node).name(),
+            });
+        }
         let grid = self.grid(&rod, chosen.step, blocks)?;
         let n_steps = grid.n_steps as f64;
         if !(n_steps * rod.n_nodes() as f64 <= MOST_STORED_STATES) {

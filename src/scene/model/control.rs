@@ -8,7 +8,7 @@ use super::super::check::LARGEST_COUNT;
 use super::super::describe::DescribeError;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive, known};
-use super::{BaseKind, Scene};
+use super::{EndKind, Scene};
 use crate::control::{self, Hold};
 use crate::mechanics::Mesh;
 use crate::task::{
@@ -205,7 +205,7 @@ impl Keys<'_> {
         let elements = scene.rod.elements;
         for (index, actuator) in control.actuator.iter().enumerate() {
             let key = format!("control.actuator.{index}");
-            let held = scene.base.kind != BaseKind::Free && actuator.node == 0;
+            let held = scene.base.kind != EndKind::Free && actuator.node == 0;
             let earlier = &control.actuator[..index];
             let message = if actuator.node > elements {
                 format!("there is no node {}", actuator.node)

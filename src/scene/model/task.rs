@@ -9,7 +9,7 @@ use super::super::describe::DescribeError;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::geometry::wxyz;
-use super::{BaseKind, LoadNode, Scene};
+use super::{EndKind, LoadNode, Scene};
 use crate::control::{self, Enforcement, Goal};
 use crate::mechanics::Mesh;
 use crate::mechanics::rotation::from_quaternion;
@@ -375,7 +375,7 @@ impl Keys<'_> {
         let reach = LARGEST_STRETCH * stretch * mesh.fraction(index) * scene.rod.length_m.get();
         let [x, y, z] = std::array::from_fn(|axis| position[axis] - scene.base.position_m[axis]);
         let distance = x.hypot(y).hypot(z);
-        if scene.base.kind == BaseKind::Clamped && distance > reach {
+        if scene.base.kind == EndKind::Clamped && distance > reach {
             let message = format!("{} m from the base is out of reach", rounded(distance));
             let help = format!(
                 "rod.length_m is {} and base.position_m is the clamped end",

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Positive, digits};
-use super::BaseKind;
+use super::{EndKind, Scene};
 use crate::mechanics;
 use crate::task::{MOST_STEPS, StartShape};
 
@@ -125,7 +125,8 @@ pub struct Output {
 }
 
 impl Keys<'_> {
-    pub(in crate::scene) fn check_initial(&self, initial: &Initial, base: BaseKind) -> Checked {
+    pub(in crate::scene) fn check_initial(&self, initial: &Initial, scene: &Scene) -> Checked {
+        let tip = scene.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind);
         for (name, velocity) in [
             ("initial.velocity_m_s", &initial.velocity_m_s),
             (
@@ -137,13 +138,17 @@ impl Keys<'_> {
             if *velocity == [0.0; 3] {
                 continue;
             }
-            let (message, help) = match base {
-                BaseKind::Free => continue,
-                BaseKind::Clamped => (
+            let (message, help) = match scene.base.kind {
+                EndKind::Free if tip == EndKind::Free => continue,
+                EndKind::Free | EndKind::Pinned => (
+                    "an arm that is held at an end cannot start as a moving rigid body",
+                    "leave the velocity out, or free both ends",
+                ),
+                EndKind::Clamped => (
                     "a clamped arm cannot start as a moving rigid body",
                     "set base.kind = \"free\", or \"driven\" with a base.motion",
                 ),
-                BaseKind::Driven => (
+                EndKind::Driven => (
                     "an arm on a driven base starts with the velocity of its base",
                     "give the velocity in base.motion",
                 ),
