@@ -229,9 +229,15 @@ impl Rod {
             let q = joint.node;
             let driven = self.driven_end(q, t);
             let (position, rotation) = self.held_pose(joint, t);
+            let gap = self.gap(joint, &state.configuration, t);
             state.configuration.positions[q] = position;
             if !joint.turns() {
                 state.configuration.rotations[q] = rotation;
+            } else if joint.axis().is_some() {
+                let turn = Vector3::new(gap[3], gap[4], gap[5]);
+                if turn.norm() > ON_AXIS {
+                    state.configuration.rotations[q] *= super::rotation::exp(&turn);
+                }
             }
             let spin = joint.turning * state.angular_momentum[q];
             let moving = driven.map(|end| {
@@ -318,5 +324,7 @@ impl Rod {
     }
 }
 
+/// Angle between the axes of a hinge, rad, up to which they are one: rounding of a rotation.
+const ON_AXIS: f64 = 1e-12;
 /// Singular value of the conditions on a rigid motion, in units of the arm's length, below which they leave it free: rounding of poses.
 const NO_CONSTRAINT: f64 = 1e-9;

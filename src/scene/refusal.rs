@@ -101,17 +101,13 @@ impl Scene {
                     Obstruction::Goal => {
                         "move one of them, give it another time, a larger tolerance, or hard = false"
                     }
-                    Obstruction::Base => "choose another node, or base.kind = \"free\"",
+                    Obstruction::Base => "choose another node, or kind = \"free\" of that end",
                     Obstruction::Obstacle => {
                         "move one of them, give the obstacle a smaller margin_m, or one of them hard = false or a soft price"
                     }
                 };
                 at(&format!("{goal}.{}", part.name()), help)
             }
-            DiscretizeError::HeldEnd { end, .. } => at(
-                &format!("{end}.kind"),
-                "use the verbs simulate, equilibrium and check, or choose another kind",
-            ),
             DiscretizeError::Duration { conflict, what } => {
                 let key = match conflict {
                     DurationConflict::Rate => "control".into(),

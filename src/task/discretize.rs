@@ -162,12 +162,6 @@ impl Task {
         };
         let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
         let (chosen, rod) = arm.choose(discretization, longest, work)?;
-        if let Some(joint) = rod.joints.first() {
-            return Err(DiscretizeError::HeldEnd {
-                end: if joint.node == 0 { "base" } else { "tip" },
-                kind: rod.end_at(joint.node).name(),
-            });
-        }
         let grid = self.grid(&rod, chosen.step, blocks)?;
         let n_steps = grid.n_steps as f64;
         if !(n_steps * rod.n_nodes() as f64 <= MOST_STORED_STATES) {
@@ -702,9 +696,10 @@ fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
                 return refuse(GoalPart::Orientation, off, why, Obstruction::Goal);
             }
         }
-        if goal.node < rod.first_free_node() {
-            let (position, rotation) = match rod.driven_base(time) {
-                Some(base) => (base.position, base.rotation),
+        let joint = rod.joint(goal.node);
+        if goal.node < rod.first_free_node() || joint.is_some() {
+            let (position, rotation) = match rod.driven_end(goal.node, time) {
+                Some(end) => (end.position, end.rotation),
                 None => {
                     let start = &problem.initial.configuration;
                     (start.positions[goal.node], start.rotations[goal.node])
@@ -716,7 +711,7 @@ fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
                 return refuse(GoalPart::Position, off, why, Obstruction::Base);
             }
             let off = turn(&goal.rotation, &Some(rotation));
-            if off > angle {
+            if off > angle && joint.is_none_or(|joint| !joint.turns()) {
                 return refuse(GoalPart::Orientation, off, why, Obstruction::Base);
             }
         }

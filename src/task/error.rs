@@ -141,16 +141,6 @@ pub enum DiscretizeError {
         /// Unit of both.
         unit: &'static str,
     },
-    /// An end whose condition optimal control does not know.
-    #[error(
-        "optimal control and closed loops know no {kind} {end}: only a clamped, driven or free base, and a free tip"
-    )]
-    HeldEnd {
-        /// Name of the end, base or tip.
-        end: &'static str,
-        /// Its condition.
-        kind: &'static str,
-    },
     /// A feature of the problem that a free duration does not allow.
     #[error("a free duration does not go with {what}")]
     Duration {

@@ -11,6 +11,7 @@ mod analytic_optima;
 mod axes;
 mod continuous;
 mod distributed;
+mod ends;
 mod free_duration;
 mod optimal_control;
 mod path_constraints;

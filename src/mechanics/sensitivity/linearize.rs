@@ -580,6 +580,7 @@ impl Group<'_> {
                 kick.weight,
             );
             step.first_free_node = rod.first_free_node();
+            step.joints.clone_from(&rod.joints);
             step.element_drifts.clear();
             if solved {
                 step.drifts.clear();

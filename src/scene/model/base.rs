@@ -153,6 +153,18 @@ pub enum EndKind {
     Free,
 }
 
+impl EndKind {
+    /// Returns the word of the scene file.
+    pub(in crate::scene) fn name(self) -> &'static str {
+        match self {
+            Self::Clamped => "clamped",
+            Self::Pinned => "pinned",
+            Self::Driven => "driven",
+            Self::Free => "free",
+        }
+    }
+}
+
 impl Default for Base {
     fn default() -> Base {
         Base {
@@ -369,10 +381,11 @@ pub(in crate::scene) fn end_condition(
     })
 }
 
+/// Kind, axis and motion of an end.
+type DescribedEnd = (EndKind, Option<[f64; 3]>, Option<BaseMotion>);
+
 /// Returns the keys of an end with this condition.
-pub(in crate::scene) fn described_end(
-    end: &EndCondition,
-) -> Result<(EndKind, Option<[f64; 3]>, Option<BaseMotion>), DescribeError> {
+pub(in crate::scene) fn described_end(end: &EndCondition) -> Result<DescribedEnd, DescribeError> {
     Ok(match end {
         EndCondition::Clamped => (EndKind::Clamped, None, None),
         EndCondition::Pinned { axis } => (EndKind::Pinned, axis.map(Into::into), None),

@@ -329,6 +329,17 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             ..
         } = &mut *self.solver;
         let n_lanes = S::F64_LANES;
+        // The rounding of held motions must not enter the extrapolation of later steps, which would multiply it.
+        for HeldEnd { joint, place, .. } in self.ends {
+            let numbers: &mut [f64] = trial;
+            let at = (place.block * TRIAL_ROWS + MOVED) * n_lanes + place.lane;
+            let turned = Vector3::from_fn(|i, _| numbers[at + (3 + i) * n_lanes]);
+            let turned = joint.turning * turned;
+            for i in 0..3 {
+                numbers[at + i * n_lanes] = 0.0;
+                numbers[at + (3 + i) * n_lanes] = turned[i];
+            }
+        }
         let state = blocks::<S, STATE_ROWS>(self.state);
         let rates = blocks::<S, RATE_ROWS>(rates);
         let start = blocks::<S, INSTANT_ROWS>(start);
