@@ -7,6 +7,7 @@
 //! ```text
 //! cargo run --release --example tendon_suite -- 60
 //! cargo run --release --example tendon_suite -- 60 17          # only problem 17
+//! cargo run --release --example tendon_suite -- 60 17 20       # problem 17 with 20 elements, its target as before
 //! ```
 
 use std::error::Error;
@@ -106,6 +107,7 @@ fn draw(seed: u64) -> Option<Problem> {
                     ..Route::straight([place.x, place.y])
                 },
                 effort: vec![(0.0, 0.0)],
+                winch: None,
                 largest,
             }
         })
@@ -140,6 +142,7 @@ fn draw(seed: u64) -> Option<Problem> {
             bounds: [0.0, largest],
             rate: None,
             scale: None,
+            lag: None,
         })
         .collect();
     for target in &mut task.targets {
@@ -160,7 +163,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let count: usize = arguments.next().map_or(Ok(10), |text| text.parse())?;
     let only: Option<usize> = arguments.next().map(|text| text.parse()).transpose()?;
-    let discretization = Discretization::with_elements(ELEMENTS);
+    let elements = arguments.next().map_or(Ok(ELEMENTS), |text| text.parse())?;
+    let discretization = Discretization::with_elements(elements);
     let options = SolveOptions {
         settings: SqpSettings {
             max_iterations: MOST_ITERATIONS,

@@ -27,7 +27,7 @@ fn forget_peak() {
     std::fs::write("/proc/self/clear_refs", "5").unwrap();
 }
 
-/// Solve, check and gains of problems, each large by something else: steps, elements with gains, variables. The peak of each is
+/// Solve, check and gains of problems, each large by something else: steps, elements with gains, variables, tendons. The peak of each is
 /// no more than its estimate, and no less than a quarter of it.
 #[test]
 fn estimates_are_near_the_peak() {
@@ -48,11 +48,22 @@ fn estimates_are_near_the_peak() {
             "variables",
             ["control.blocks=150", "time.step_s=1e-3", "rod.elements=4"],
         ),
+        (
+            "tendons",
+            [
+                "time.step_s=5e-4",
+                "rod.elements=20",
+                "solver.hessian=\"exact\"",
+            ],
+        ),
     ] {
         let sets: Vec<String> = (settings.iter().chain(&["solver.max_iterations=2"]))
             .map(ToString::to_string)
             .collect();
-        let (scene, source) = Scene::from_toml("scene", SCENE, &sets).unwrap();
+        let (scene, source) = match name {
+            "tendons" => Scene::load("reach-tendons", &sets).unwrap(),
+            _ => Scene::from_toml("scene", SCENE, &sets).unwrap(),
+        };
         let setup = scene.optimal_control(&source).unwrap();
         let problem = &setup.problem;
         let from_rest = Search {
@@ -76,8 +87,9 @@ fn estimates_are_near_the_peak() {
             multipliers: multipliers.borrowed(),
         };
         setup.certify(&solution).unwrap();
-        let weights = setup.feedback.as_ref().unwrap();
-        Feedback::along(problem, solution.trajectory, &coefficients, weights, 1).unwrap();
+        if let Some(weights) = setup.feedback.as_ref() {
+            Feedback::along(problem, solution.trajectory, &coefficients, weights, 1).unwrap();
+        }
         let peak = peak();
         let words = format!("{name}: {:.0} MB of {:.0}", peak * 1e-6, estimate * 1e-6);
         println!("{words}");

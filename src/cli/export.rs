@@ -9,7 +9,7 @@ use super::error::CliError;
 use super::{Outcome, exit};
 use crate::output::export::{Backdrop, Destination, View, spread, write_csv, write_svg, write_vtk};
 use crate::output::replace::Writer;
-use crate::output::{MotionRecord, OutputError};
+use crate::output::{MotionRecord, OutputError, read_efforts};
 use crate::scene::Scene;
 use crate::task::Discretization;
 
@@ -56,9 +56,9 @@ pub(super) struct ExportArguments {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Format {
-    /// A series of .vtp files with radius and directors, and a .pvd file that ParaView opens
+    /// A series of .vtp files with radius, directors and efforts, and a .pvd file that ParaView opens
     Vtk,
-    /// One table: time, node, place, position, quaternion
+    /// One table: time, node, place, position, quaternion, efforts
     Csv,
     /// Pictures for papers and pages: one for each time, and one that plays them
     Svg,
@@ -82,6 +82,14 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
         ..scene.discretization()
     });
     let radii = arm.radii_at_nodes(&mesh);
+    let path = place.join("efforts.csv");
+    let efforts = if path.is_file() {
+        let names = arm.actuators.iter().map(|own| own.name.len());
+        let n_rows = motion.n_rows() * arm.actuators.len();
+        read_efforts(&path, n_rows, names.max().unwrap_or(0))?
+    } else {
+        Vec::new()
+    };
     let word = match arguments.to {
         Format::Vtk => "vtk",
         Format::Csv => "csv",
@@ -102,11 +110,11 @@ pub(super) fn run(arguments: &ExportArguments, console: &Console) -> Outcome {
     };
     let written = match arguments.to {
         Format::Vtk => {
-            write_vtk(&to, &motion, &radii, &rows)?;
+            write_vtk(&to, &motion, &radii, &efforts, &rows)?;
             folder.join("motion.pvd")
         }
         Format::Csv => {
-            write_csv(&to, &motion, &mesh.fractions(), &rows)?;
+            write_csv(&to, &motion, &mesh.fractions(), &efforts, &rows)?;
             folder.join("motion.csv")
         }
         Format::Svg => {

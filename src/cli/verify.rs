@@ -13,7 +13,7 @@ use super::{Global, Outcome, exit, memory};
 use crate::memory::of_verify;
 use crate::output::read_text;
 use crate::output::summary::NOT_CHECKED;
-use crate::scene::Scene;
+use crate::scene::{LARGEST_SCENE, Scene};
 use crate::solve::{SavedSolution, VerifySummary};
 
 /// Arguments of `verify`.
@@ -26,9 +26,6 @@ pub(super) struct VerifyArguments {
     #[arg(long)]
     quick: bool,
 }
-
-/// Bytes of a scene, at most.
-const LARGEST_SCENE: u64 = 1 << 20;
 
 pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();

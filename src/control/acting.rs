@@ -8,7 +8,10 @@ use crate::mechanics::actuator::{StateView, flat};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::linearization::{AdjointSweep, Motion};
 use crate::mechanics::sensitivity::{EffortPulls, Sensitivities, interval_share};
-use crate::mechanics::{ControlSignal, FormTerm, StateForm, TimeScheme, Trajectory, Wrench};
+use crate::mechanics::signal::EffortTable;
+use crate::mechanics::{
+    ControlSignal, EffortLaw, FormTerm, StateForm, TimeScheme, Trajectory, Wrench,
+};
 
 /// The thing that a component of the control acts on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +47,8 @@ pub(super) struct ActingAlong<'a> {
     jacobians: Vec<Vec<Mat<f64>>>,
     /// Wrenches of unit efforts of the driven actuators of the rod.
     pulls: Option<EffortPulls>,
+    /// Efforts of all actuators of the rod as functions of their inputs, at every time node; empty without winches.
+    laws: Vec<Vec<EffortLaw>>,
 }
 
 impl<'a> ActingAlong<'a> {
@@ -68,7 +73,22 @@ impl<'a> ActingAlong<'a> {
                     .collect()
             })
             .collect();
+        let laws = if rod.actuators.has_winches() {
+            let table = EffortTable::of(&rod.actuators, &problem.grid, Some(&signal));
+            (table.nodes.chunks_exact(table.n_actuators).enumerate())
+                .map(|(k, inputs)| {
+                    let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+                    let coordinates = rod.actuator_coordinates(x, r);
+                    (inputs.iter().zip(coordinates).enumerate())
+                        .map(|(i, (input, y))| rod.actuators.law(i, *input, y))
+                        .collect()
+                })
+                .collect()
+        } else {
+            Vec::new()
+        };
         Some(Self {
+            laws,
             nodes: (problem.acting.iter())
                 .map(|acting| acting.actuator.nodes(rod))
                 .collect(),
@@ -89,7 +109,14 @@ impl<'a> ActingAlong<'a> {
             Target::Own(actuator, control) => (actuator, control),
             Target::Effort(index) => {
                 if let Some(pulls) = &self.pulls {
-                    pulls.visit(k, index, visit);
+                    pulls.visit(k, index, &mut |time, node, component, wrench| {
+                        visit(
+                            time,
+                            node,
+                            component,
+                            wrench * self.law(time, index).along_input,
+                        );
+                    });
                 }
                 return;
             }
@@ -103,6 +130,20 @@ impl<'a> ActingAlong<'a> {
                 }
             }
         }
+    }
+
+    /// Returns the effort of a driven actuator, by its index among those, as a function of its input at a time node.
+    fn law(&self, k: usize, index: usize) -> EffortLaw {
+        let actuator = self
+            .problem
+            .efforts
+            .as_ref()
+            .map(|own| own.actuators[index]);
+        let law = self.laws.get(k).zip(actuator).map(|(laws, i)| laws[i]);
+        law.unwrap_or(EffortLaw {
+            along_input: 1.0,
+            ..EffortLaw::default()
+        })
     }
 
     /// Returns the first-order change of all wrenches with a change of the controls.
@@ -179,6 +220,7 @@ impl<'a> ActingAlong<'a> {
                 let n = rows.len();
                 along_states.push(OwnCurvature {
                     time_node: k,
+                    forms: Vec::new(),
                     matrix: Mat::from_fn(n, n, |i, j| matrix[(i, j)]),
                     rows: rows.clone(),
                 });
@@ -219,6 +261,7 @@ impl<'a> ActingAlong<'a> {
                 });
             }
         }
+        self.winch_curvature(motion, trajectory, costates, &mut along_states);
         if let Some(efforts) = &problem.efforts {
             let driven = &efforts.actuators;
             self.effort_curvature(
@@ -231,6 +274,44 @@ impl<'a> ActingAlong<'a> {
             );
         }
         (along_states, along_controls)
+    }
+
+    /// Appends the second derivatives along the configuration of the tensions of winches that couple all elements of their tendons: `k' (g bᵀ
+    /// + b gᵀ)` at every time node, with the derivative `k'` of the tension along its coordinate, its pull `g`, and the derivative `b` of
+    /// the costates' product with `g`.
+    fn winch_curvature(
+        &self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        costates: &AdjointSweep,
+        out: &mut Vec<OwnCurvature>,
+    ) {
+        if self.laws.is_empty() {
+            return;
+        }
+        let rod = &self.problem.rod;
+        let winches: Vec<usize> = (rod.actuators.iter().enumerate())
+            .filter(|(_, own)| own.winch.is_some())
+            .map(|(i, _)| i)
+            .collect();
+        let covector = |k: usize, _: usize, node: usize| costates.wrench(motion, k, node);
+        let pulls = EffortPulls::of(motion, trajectory, &winches, Some(&covector));
+        let rows: Vec<(usize, usize)> = (0..6 * rod.n_nodes()).map(|i| (i / 6, i % 6)).collect();
+        for (k, laws) in self.laws.iter().enumerate() {
+            for (at, &winch) in winches.iter().enumerate() {
+                let slope = laws[winch].along_coordinate;
+                if slope == 0.0 {
+                    continue;
+                }
+                let forms = [pulls.wrenches(k, 0, at), pulls.slopes(k, 0, at)];
+                out.push(OwnCurvature {
+                    time_node: k,
+                    rows: rows.clone(),
+                    forms: forms.map(<[f64]>::to_vec).to_vec(),
+                    matrix: Mat::from_fn(2, 2, |i, j| if i == j { 0.0 } else { slope }),
+                });
+            }
+        }
     }
 
     /// Appends the mixed second derivatives of the wrenches of the rod's actuators, along efforts and configuration: one form for every
@@ -267,16 +348,35 @@ impl<'a> ActingAlong<'a> {
             (n_steps + 1, 1)
         };
         let n_components = targets.len();
-        let form = |set: usize, end: usize, index: usize| StateForm {
-            time_node: set + end,
-            terms: (pulls.slopes(set, end, index).iter().enumerate())
-                .filter(|(_, slope)| **slope != 0.0)
-                .map(|(at, slope)| FormTerm {
-                    node: at / 6,
-                    component: at % 6,
-                    coefficient: *slope,
+        // The work of the costates in the pull of a unit effort; of explicit steps, which those with winches are.
+        let work = |set: usize, index: usize| -> f64 {
+            let wrenches = pulls.wrenches(set, 0, index).chunks_exact(6).enumerate();
+            wrenches
+                .map(|(node, wrench)| {
+                    let own = covector(set, 0, node).to_array();
+                    own.iter().zip(wrench).map(|(a, b)| a * b).sum::<f64>()
                 })
-                .collect(),
+                .sum()
+        };
+        let form = |set: usize, end: usize, index: usize| {
+            let law = self.law(set, index);
+            let mixed = if law.mixed == 0.0 {
+                0.0
+            } else {
+                law.mixed * work(set, index)
+            };
+            let both = pulls.slopes(set, end, index).iter();
+            StateForm {
+                time_node: set + end,
+                terms: (both.zip(pulls.wrenches(set, end, index)).enumerate())
+                    .map(|(at, (slope, pull))| FormTerm {
+                        node: at / 6,
+                        component: at % 6,
+                        coefficient: law.along_input * slope + mixed * pull,
+                    })
+                    .filter(|term| term.coefficient != 0.0)
+                    .collect(),
+            }
         };
         for set in 0..n_sets {
             let columns = (0..driven.len())
@@ -301,7 +401,12 @@ impl<'a> ActingAlong<'a> {
                     .map(|index| (0..ends).map(|end| form(set, end, index)).collect())
                     .collect(),
                 cross: Mat::identity(driven.len(), driven.len()),
-                own: Mat::zeros(driven.len(), driven.len()),
+                own: Mat::from_fn(driven.len(), driven.len(), |i, j| {
+                    match self.law(set, i).bend {
+                        bend if i == j && bend != 0.0 => bend * work(set, i),
+                        _ => 0.0,
+                    }
+                }),
                 columns,
             });
         }

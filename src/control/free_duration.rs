@@ -595,7 +595,8 @@ impl<'a> DurationSearch<'a> {
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
             let room = program.sets().iter().zip(&multipliers.normals);
             let rows = dot(&multipliers.constraints, &values.constraints)
-                + dot(&multipliers.inequalities, &values.inequalities);
+                + dot(&multipliers.inequalities, &values.inequalities)
+                + program.commanded(&point.variables, &multipliers.normals);
             Some([
                 values.objective + prices.sum::<f64>(),
                 rows - room.map(|(set, normal)| support(set, normal)).sum::<f64>(),

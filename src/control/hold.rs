@@ -247,6 +247,65 @@ impl ControlGrid {
             .collect()
     }
 
+    /// Returns weights of the coefficients whose sums bound the command `u + lag du/dt` at all times: its values just after the start and
+    /// just before the end of every block of a linear hold; its Bernstein coefficients in every block of a spline, the one that two blocks
+    /// share once. Empty for a constant hold, whose command is not a function.
+    #[must_use]
+    pub fn command_rows(&self, lag: f64) -> Vec<Vec<(usize, f64)>> {
+        // Weights of the values at these fractions of a block in every row (Farouki 2012, section 3.3).
+        const LINEAR: ([f64; 2], [[f64; 2]; 2]) = ([0.0, 1.0], [[1.0, 0.0], [0.0, 1.0]]);
+        const CUBIC: ([f64; 4], [[f64; 4]; 4]) = (
+            [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0],
+            [
+                [1.0, 0.0, 0.0, 0.0],
+                [-5.0 / 6.0, 3.0, -1.5, 1.0 / 3.0],
+                [1.0 / 3.0, -1.5, 3.0, -5.0 / 6.0],
+                [0.0, 0.0, 0.0, 1.0],
+            ],
+        );
+        let mut out = Vec::new();
+        let mut add = |block: usize, points: &[f64], rows: &[&[f64]]| {
+            let values: Vec<[f64; 4]> = (points.iter())
+                .map(|&s| {
+                    let (values, slopes) = self.basis(block, s);
+                    std::array::from_fn(|i| values[i] + lag * slopes[i])
+                })
+                .collect();
+            for row in rows {
+                let weight = |i: usize| -> f64 {
+                    (row.iter().zip(&values))
+                        .map(|(w, value)| w * value[i])
+                        .sum()
+                };
+                let weights = (0..=self.hold.degree()).map(|i| (block + i, weight(i)));
+                out.push(weights.filter(|(_, weight)| *weight != 0.0).collect());
+            }
+        };
+        for block in 0..self.n_blocks() {
+            match self.hold {
+                Hold::Constant => {}
+                Hold::Linear => add(block, &LINEAR.0, &LINEAR.1.each_ref().map(|row| &row[..])),
+                Hold::Cubic => {
+                    let rows = CUBIC.1.each_ref().map(|row| &row[..]);
+                    let last = block + 1 == self.n_blocks();
+                    add(block, &CUBIC.0, &rows[..if last { 4 } else { 3 }]);
+                }
+            }
+        }
+        out
+    }
+
+    /// Returns the weights of the coefficients in `u + lag du/dt` just after time node `k`, or just before it at the end.
+    #[must_use]
+    pub fn command_weights(&self, k: usize, lag: f64) -> Weights {
+        let begun = self.edges.partition_point(|&edge| edge <= k);
+        let block = begun.saturating_sub(1).min(self.n_blocks() - 1);
+        let (from, to) = (self.edges[block], self.edges[block + 1]);
+        let (values, slopes) = self.basis(block, (k - from) as f64 / (to - from) as f64);
+        let degree = self.hold.degree();
+        std::array::from_fn(|i| (block + i.min(degree), values[i] + lag * slopes[i]))
+    }
+
     fn gram(&self, functions: impl Fn(usize, f64) -> [f64; 4]) -> Mat<f64> {
         let n = self.n_coefficients();
         let mut out = Mat::zeros(n, n);
@@ -349,6 +408,67 @@ mod tests {
             .fold(0.0, f64::max);
         let largest = slopes.iter().fold(0.0, |m: f64, s| m.max(s.abs()));
         assert!(largest <= bound && largest > 0.5 * bound);
+    }
+
+    /// The command `u + lag du/dt` lies between the least and the largest row, is a row at the ends of blocks, and of `u = t` it is
+    /// `t + lag`: the rows are then those of a line, at the ends of blocks or at thirds of them.
+    #[test]
+    fn rows_of_commands_enclose_the_command() {
+        let lag = 0.07;
+        for hold in [Hold::Linear, Hold::Cubic] {
+            let grid = ControlGrid::new(hold, 7, 100, 0.01).expect("enough steps");
+            let rows = grid.command_rows(lag);
+            let of = |u: &[f64]| -> Vec<f64> {
+                let sum = |row: &Vec<(usize, f64)>| row.iter().map(|&(j, w)| w * u[j]).sum();
+                rows.iter().map(sum).collect()
+            };
+            let times = grid.edge_times();
+            let line = of(&grid.coefficient_times());
+            let mut expected = Vec::new();
+            for edge in times.windows(2) {
+                let places: &[f64] = match hold {
+                    Hold::Linear => &[0.0, 1.0],
+                    _ => &[0.0, 1.0 / 3.0, 2.0 / 3.0],
+                };
+                expected.extend(
+                    places
+                        .iter()
+                        .map(|s| edge[0] + s * (edge[1] - edge[0]) + lag),
+                );
+            }
+            if hold == Hold::Cubic {
+                expected.push(1.0 + lag);
+            }
+            assert_eq!(line.len(), expected.len());
+            for (found, expected) in line.iter().zip(&expected) {
+                assert!((found - expected).abs() < 1e-13, "{found} {expected}");
+            }
+            let u: Vec<f64> = (0..grid.n_coefficients())
+                .map(|j| ((j * 7) % 5) as f64)
+                .collect();
+            let own = of(&u);
+            let (low, high) = own
+                .iter()
+                .fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(*x), b.max(*x)));
+            let fine = grid.refined(16);
+            let mut reached = [false; 2];
+            for k in 0..=1600 {
+                let c: f64 = fine
+                    .command_weights(k, lag)
+                    .iter()
+                    .map(|(j, w)| w * u[*j])
+                    .sum();
+                assert!(
+                    low - 1e-12 <= c && c <= high + 1e-12,
+                    "{c} not in {low}..{high}"
+                );
+                reached[0] |= c < low + 0.1 * (high - low);
+                reached[1] |= c > high - 0.1 * (high - low);
+            }
+            assert_eq!(reached, [true; 2]);
+        }
+        let grid = ControlGrid::new(Hold::Constant, 7, 100, 0.01).expect("enough steps");
+        assert!(grid.command_rows(lag).is_empty());
     }
 
     /// More blocks than steps, and no blocks, are refused.

@@ -11,6 +11,7 @@
 //! shape, a shape that is stable under constant controls is also stable with its tip held in place, and all such shapes that were found
 //! are unstable under their controls or need more than the bounds allow.
 
+mod along;
 mod program;
 mod statics;
 
@@ -18,6 +19,7 @@ use std::ops::ControlFlow;
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
+pub(crate) use self::along::ControlsAlong;
 use self::program::{Aim, HoldingPoint, HoldingProgram, NEARER};
 use self::statics::{Statics, Target};
 use super::guess::{SOFT_SPRINGS, SPRINGS};

@@ -63,6 +63,7 @@ pub use feedback::{
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use held::Held;
 pub use hold::{ControlGrid, Hold};
+pub(crate) use holding::ControlsAlong;
 pub use holding::{CannotHold, Holding, HoldingError, NotFound, holding};
 #[doc(hidden)]
 pub use journal::{Listener, SearchEvent};

@@ -12,7 +12,7 @@ use super::tracking::Tracking;
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::sparse_motion::SparseMotion;
-use crate::mechanics::{ControlSignal, Efforts, Rod, State, TimeGrid, Wrench};
+use crate::mechanics::{ControlSignal, Efforts, Rod, State, StrainActuator, TimeGrid, Wrench};
 use crate::stop::StopSignal;
 
 /// Limit of one of the two vectors of a wrench.
@@ -103,6 +103,9 @@ pub struct Channel {
     pub axes: [bool; 3],
     /// Tells whether the first coefficient is zero.
     pub from_rest: bool,
+    /// Time constant of a first-order lag, s: `u` follows the command `u + lag du/dt`, for which the [bound](Self::bound) holds; that of the
+    /// rate holds for `u` itself. Zero: the command acts at once.
+    pub lag: f64,
 }
 
 impl Channel {
@@ -113,6 +116,7 @@ impl Channel {
         rate_bound: None,
         axes: [true; 3],
         from_rest: false,
+        lag: 0.0,
     };
 
     /// Returns a channel of all three components, without a limit of its rate.
@@ -124,7 +128,14 @@ impl Channel {
             rate_bound: None,
             axes: [true; 3],
             from_rest: false,
+            lag: 0.0,
         }
+    }
+
+    /// Returns the bound on the coefficients; `None` with a lag, where the [bound](Self::bound) is that of the command.
+    #[must_use]
+    pub fn coefficient_bound(&self) -> Option<Bound> {
+        self.bound.filter(|_| self.lag == 0.0)
     }
 
     /// Returns the magnitude that counts as 1 in the solver, N or N m: the scale, or a smaller bound. Variables far below 1 would be lost
@@ -172,10 +183,11 @@ impl Channel {
         }
     }
 
-    /// Returns by how much `u` exceeds the limit, or the size of components that may not act; 0 inside.
+    /// Returns by how much a coefficient `u` exceeds its limit, or the size of components that may not act; 0 inside.
     #[must_use]
     pub fn violation(&self, u: &Vector3<f64>) -> f64 {
-        let beyond = self.bound.map_or(0.0, |bound| bound.violation(u));
+        let bound = self.coefficient_bound();
+        let beyond = bound.map_or(0.0, |bound| bound.violation(u));
         beyond.max((u - self.acting(u)).amax())
     }
 }
@@ -639,6 +651,21 @@ impl OptimalControlProblem {
         efforts.places.iter().position(|own| *own == place)
     }
 
+    /// Returns the actuators of the rod whose efforts are controls, with the channels of these.
+    pub(crate) fn driven(&self) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
+        (self.efforts.iter()).flat_map(move |efforts| {
+            let places = efforts.actuators.iter().zip(&efforts.places);
+            places.filter_map(move |(&actuator, &place)| {
+                let component = Component {
+                    actuator: efforts.first + place / 6,
+                    axis: place % 6,
+                };
+                let actuator = self.rod.actuators.iter().nth(actuator)?;
+                Some((actuator, self.channel(&component)))
+            })
+        })
+    }
+
     /// Returns the magnitude that counts as 1 in the solver of a driven actuator's effort, by its index among those.
     pub(super) fn unit_of_effort(&self, index: usize) -> f64 {
         self.efforts.as_ref().map_or(1.0, |efforts| {
@@ -651,10 +678,10 @@ impl OptimalControlProblem {
         })
     }
 
-    /// Tells whether a control acts by wrenches that depend on the configuration.
+    /// Tells whether a control, or a winch, acts by wrenches that depend on the configuration.
     #[must_use]
     pub fn depends_on_configuration(&self) -> bool {
-        !self.acting.is_empty() || self.efforts.is_some()
+        !self.acting.is_empty() || self.efforts.is_some() || self.rod.actuators.has_winches()
     }
 
     /// Returns the actuators that are wrenches on nodes.

@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::rod::RodError;
+use super::rod_error::RodError;
 use super::rotation::{exp, exp_tangent};
 
 /// Displacement and rotation of the base from its reference pose `(x_b, R_b)`: `x_0(t) = x_b + d(t)`,

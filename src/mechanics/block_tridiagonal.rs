@@ -2,8 +2,8 @@
 //!
 //! `L U` with pivots by blocks and their quarters is the recursion `P_i = (A_ii - A_{i,i-1} U_{i-1})⁻¹`, `U_i = P_i A_{i,i+1}`. It stands
 //! here for one matrix ([`BlockTridiagonal::factor`]), and in the linearization of steps that are solved for for one matrix in each lane of
-//! a vector, which writes the factors of consecutive time nodes to the steps as it goes (`sensitivity/solved.rs`); both invert their
-//! pivots here. The steps themselves (`lanes/solved/chain.rs`) have but one matrix at a time, and eliminate it from both ends with the lanes along
+//! a vector, which writes the factors of consecutive time nodes to the steps as it goes (`sensitivity/linearize/solved.rs`); both invert
+//! their pivots here. The steps themselves (`lanes/solved/chain.rs`) have but one matrix at a time, and eliminate it from both ends with the lanes along
 //! the columns of a block, because a recursion from one end would wait for every operation of its own; there, blocks have no quarters.
 //!
 //! Neither faer nor nalgebra has a banded type, and a general sparse LU spends most of its time on the bookkeeping of a

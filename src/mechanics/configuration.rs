@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::linearization::StateTangent;
 use super::rotation::{exp, log};
+use super::state_tangent::StateTangent;
 
 /// Position and rotation of every node.
 #[derive(Debug, PartialEq)]

@@ -28,12 +28,12 @@ use pulp::Scalar;
 use super::configuration::Trajectory;
 use super::element::rule::DIFFERENCE_STEP;
 use super::element::{
-    Displacement, Elasticity, Element, ElementPose, ElementStiffness, Helical, StrainRule,
-    TangentRule, Trapezoidal, blocks_of, nine_by_nine, pose_of_any_turn,
+    AnyTurn, Displacement, Elasticity, Element, ElementPose, ElementStiffness, Helical, StrainRule,
+    TangentRule, Trapezoidal, blocks_of, nine_by_nine,
 };
 use super::implicit::IntervalWeights;
 use super::lanes;
-use super::lanes::curved::{CurvedEnd, StressBlocks};
+use super::lanes::curved::{CurvedEnd, StressBlocks, stress_curvature as stress_blocks};
 use super::lanes::vector::{Mat3, Vec3};
 use super::linearization::{AdjointSweep, Motion};
 use super::load::LoadFrame;
@@ -64,7 +64,9 @@ pub struct OwnCurvature {
     pub time_node: usize,
     /// The rod node and the component of every row: 0..3 `δx` (spatial), 3..6 `ζ` (body).
     pub rows: Vec<(usize, usize)>,
-    /// Symmetric, as many rows and columns as `rows`; unit of the functional per unit of both components.
+    /// Linear forms of the rows, a coefficient for each of them; empty if every row is a form by itself.
+    pub forms: Vec<Vec<f64>>,
+    /// Symmetric, as many rows and columns as there are forms; unit of the functional per unit of both.
     pub matrix: Mat<f64>,
 }
 
@@ -269,9 +271,8 @@ fn stress_curvature_by<R: TangentRule>(
         }
     });
     let law = Elasticity::of::<R>(Scalar, element);
-    let pose = pose_of_any_turn::<R>;
     let StressBlocks { start, cross, end } =
-        lanes::curved::stress_curvature::<Scalar, R>(&law, element.length, weights, &ends, pose);
+        stress_blocks::<Scalar, R, AnyTurn>(&law, element.length, weights, &ends);
     let [start, cross, end] = [start, cross, end].map(|blocks| nine_by_nine(&blocks));
     StressCurvature { start, cross, end }
 }

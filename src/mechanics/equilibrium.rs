@@ -101,13 +101,13 @@ pub enum EquilibriumError {
         /// Length divided by the length at rest.
         dilatation: f64,
     },
-    /// The stress-free shape does not end where its tip is held.
+    /// The shape at the start does not end where its tip is held.
     #[error(
-        "the arm at rest does not end where its tip is held: it is {distance:.3e} m and {angle:.3e} rad away; start from its equilibrium \
-         there (initial.shape = \"equilibrium\"), or leave out the pose of the tip, which is then held where the arm at rest ends"
+        "the shape at the start does not end where the tip is held: it ends {distance:.3e} m and {angle:.3e} rad away; start from its equilibrium \
+         there (initial.shape = \"equilibrium\"), or without the pose of the tip, which is then held where the arm at rest ends"
     )]
     NotThere {
-        /// Distance of the tip at rest from where it is held, m.
+        /// Distance of the tip from where it is held, m.
         distance: f64,
         /// Angle between them, rad.
         angle: f64,
@@ -555,7 +555,9 @@ impl<'a> Statics<'a> {
         at: &Configuration,
         residual: &[Vector6<f64>],
     ) -> Option<(Configuration, Vec<Vector6<f64>>)> {
-        let factor = Tangent::of(self.jacobian(at)).factor()?;
+        let mut tangent = Tangent::of(self.jacobian(at));
+        tangent.add_winches(self.rod, at, self.t);
+        let factor = tangent.factor()?;
         let step = factor.solve(&[residual.to_vec()]).swap_remove(0);
         let l = self.rod.shortest_element();
         let reach = l * step.len() as f64;

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::element::ElementGradient;
 use super::rod::Rod;
 use super::time::{TimeNode, TimeScheme};
+use super::{Configuration, Wrench};
 
 /// Force (spatial, N) and moment (body frame, N m) on every node.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,6 +14,18 @@ pub struct NodalForces {
     pub forces: Vec<Vector3<f64>>,
     /// Moments, body frame of each node.
     pub moments: Vec<Vector3<f64>>,
+}
+
+/// The derivative of an effort along the configuration: `δu = slope (pull·δq)`, with the wrenches `pull` on the nodes of a unit effort.
+/// Its forces have the derivative `slope pull pullᵀ`, of rank one.
+#[derive(Clone, Debug)]
+pub(super) struct EffortSlope {
+    /// Index of the actuator.
+    pub actuator: usize,
+    /// `∂u/∂y`, negative.
+    pub slope: f64,
+    /// Forces, spatial frame, and moments, body frame of the node, per effort.
+    pub pull: NodalForces,
 }
 
 impl NodalForces {
@@ -40,7 +53,8 @@ impl NodalForces {
             after: 0.0,
         };
         self.add_loads(rod, rotations, &instant);
-        self.add_active(rod, positions, rotations, &rod.actuators.efforts(t));
+        let efforts = rod.efforts_at(rod.actuators.efforts(t), positions, rotations);
+        self.add_active(rod, positions, rotations, &efforts);
     }
 
     /// Adds the forces of the actuators with the given efforts at one instant.
@@ -62,7 +76,8 @@ impl NodalForces {
         }
     }
 
-    fn add_gradient(&mut self, q: usize, gradient: &ElementGradient) {
+    /// Adds the forces on the ends of element `q` of a gradient.
+    pub(super) fn add_gradient(&mut self, q: usize, gradient: &ElementGradient) {
         self.forces[q] += gradient.force;
         self.forces[q + 1] -= gradient.force;
         self.moments[q] -= gradient.moment_a;
@@ -133,5 +148,53 @@ impl NodalForces {
             self.forces[load.node] += wrench.force;
             self.moments[load.node] += wrench.moment;
         }
+    }
+}
+
+impl Rod {
+    /// Returns the wrench of the base on an arm at rest in a shape, under the loads at time `t`: force in the spatial frame, moment in the
+    /// frame of the base.
+    #[must_use]
+    pub fn static_reaction(&self, at: &Configuration, t: f64) -> Wrench {
+        self.static_reaction_at(0, at, t)
+    }
+
+    /// Returns the wrench of the end at node `node` on an arm at rest in a shape, as [`Self::static_reaction`] does that of the base.
+    #[must_use]
+    pub fn static_reaction_at(&self, node: usize, at: &Configuration, t: f64) -> Wrench {
+        let mut net = NodalForces::zeros(self.n_nodes());
+        net.evaluate(self, &at.positions, &at.rotations, t);
+        Wrench {
+            force: -net.forces[node],
+            moment: -net.moments[node],
+        }
+    }
+
+    /// Returns the [derivatives](EffortSlope) of the efforts of winches with tension, for the inputs of all actuators.
+    pub(super) fn effort_slopes(
+        &self,
+        inputs: &[f64],
+        positions: &[Vector3<f64>],
+        rotations: &[nalgebra::Matrix3<f64>],
+    ) -> Vec<EffortSlope> {
+        if !self.actuators.has_winches() {
+            return Vec::new();
+        }
+        let coordinates = self.actuator_coordinates(positions, rotations);
+        (inputs.iter().zip(coordinates).enumerate())
+            .map(|(i, (input, y))| (i, self.actuators.law(i, *input, y).along_coordinate))
+            .filter(|(_, slope)| *slope != 0.0)
+            .map(|(i, slope)| {
+                let mut unit = vec![0.0; self.actuators.len()];
+                unit[i] = 1.0;
+                let mut pull = NodalForces::zeros(self.n_nodes());
+                pull.add_active(self, positions, rotations, &unit);
+                EffortSlope {
+                    actuator: i,
+                    slope,
+                    pull,
+                }
+            })
+            .collect()
     }
 }

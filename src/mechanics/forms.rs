@@ -1,10 +1,8 @@
 //! Linear forms of the variation of a motion at single time nodes, by which constraints and costs enter a linearized motion.
 
 use super::configuration::TrajectoryTangent;
-use super::linearization::StateTangent;
-
-/// Number of components of a node's tangent: `δx, ζ, δp, δπ`.
-pub const NODE_COMPONENTS: usize = 12;
+pub use super::state_tangent::NODE_COMPONENTS;
+use super::state_tangent::StateTangent;
 
 /// One component of one node, with its coefficient.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -55,6 +55,7 @@ pub mod forces;
 #[doc(hidden)]
 pub mod forms;
 pub(crate) mod guards;
+mod held;
 #[doc(hidden)]
 pub mod implicit;
 #[doc(hidden)]
@@ -66,10 +67,14 @@ pub mod linearization;
 #[doc(hidden)]
 pub mod load;
 pub mod load_path;
+mod logarithm;
 mod mesh;
+pub(crate) mod nodal_state;
+mod part;
 pub(crate) mod place;
 #[doc(hidden)]
 pub mod rod;
+mod rod_error;
 pub mod rotation;
 mod rotation_step;
 pub(crate) mod rows;
@@ -84,21 +89,23 @@ pub(crate) mod slow_modes;
 pub mod sparse_motion;
 #[doc(hidden)]
 pub mod stability;
+mod state_tangent;
 #[doc(hidden)]
 mod step_error;
 #[doc(hidden)]
 pub mod stepper;
 mod stiffness;
 #[doc(hidden)]
-pub mod strain_actuator;
-#[doc(hidden)]
 pub mod strain_coordinates;
 mod swept;
 pub(crate) mod tangent;
 mod time;
+mod vector;
 #[doc(hidden)]
 pub mod vibration;
 
+#[doc(hidden)]
+pub use self::rod::strain_actuator;
 #[doc(hidden)]
 pub use actuator::{Acting, ActingDerivative};
 pub use actuator::{Actuator, SharedActuator, StateView};
@@ -119,6 +126,7 @@ pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
 pub(crate) use mesh::MOST_ELEMENTS;
 pub use mesh::Mesh;
+pub use nodal_state::{NodalFault, NodalState};
 pub use place::Place;
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
@@ -130,7 +138,7 @@ pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;
 pub use stepper::Stepper;
 pub(crate) use stepper::StepperMemory;
-pub use strain_actuator::{PlacedPoint, Route, StrainActuator, StrainActuators};
+pub use strain_actuator::{EffortLaw, PlacedPoint, Route, StrainActuator, StrainActuators, Winch};
 pub use swept::SweptSurface;
 pub use tangent::Stability;
 pub use time::{Clock, TimeGrid, TimeNode, TimeScheme};

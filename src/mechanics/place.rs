@@ -80,3 +80,24 @@ pub(crate) fn locate(nodes: &[f64], part: f64) -> (usize, f64) {
     let s = if s < 1e-9 { 0.0 } else { s };
     (q, if s > 1.0 - 1e-9 { 1.0 } else { s })
 }
+
+/// Returns the poses at places that [`locate`] found.
+pub(crate) fn carry(places: &[(usize, f64)], from: &Configuration) -> Configuration {
+    let mut out = Configuration {
+        positions: Vec::new(),
+        rotations: Vec::new(),
+    };
+    carry_into(places, from, &mut out);
+    out
+}
+
+/// Writes the poses at places that [`locate`] found into existing memory.
+pub(crate) fn carry_into(places: &[(usize, f64)], from: &Configuration, out: &mut Configuration) {
+    out.positions.clear();
+    out.rotations.clear();
+    for &(q, s) in places {
+        let (position, rotation) = pose(from, q, s);
+        out.positions.push(position);
+        out.rotations.push(rotation);
+    }
+}

@@ -1,5 +1,8 @@
 //! The discrete rod: elements, sections, lumped masses, base, loads and scales.
 
+#[doc(hidden)]
+pub mod strain_actuator;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::base_motion::BaseState;
@@ -7,27 +10,19 @@ use super::configuration::{Configuration, State};
 use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::ends::{EndCondition, Joint};
-use super::forces::NodalForces;
-use super::load::{DistributedLoad, Load, Wrench};
+use super::load::{DistributedLoad, Load};
 use super::mesh::Mesh;
 use super::rotation::{exp, log_tangent};
 use super::rows;
 use super::strain_actuator::{StrainActuator, StrainActuators};
 use super::time::TimeScheme;
 
-pub use super::section::{Material, Section, SectionProfile, SectionSegment};
+pub use super::rod_error::RodError;
+pub(super) use super::rod_error::require;
+pub use super::section::{Material, NodeInertia, Section, SectionProfile, SectionSegment};
 
 /// The condition at the base, node 0.
 pub type BaseCondition = EndCondition;
-
-/// Lumped inertia of a node.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct NodeInertia {
-    /// Mass, kg.
-    pub mass: f64,
-    /// Principal moments of inertia, body frame, kg m².
-    pub rotary: Vector3<f64>,
-}
 
 /// Kind of the rotary inertia of nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -265,50 +260,6 @@ pub struct Rod {
     pub scales: Scales,
 }
 
-/// A parameter that no rod can have.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum RodError {
-    /// A number is out of its range.
-    #[error("{parameter}: {value} is not {expected}")]
-    OutOfRange {
-        /// Name of the field of [`RodParameters`], or of a quantity computed from them.
-        parameter: &'static str,
-        /// The offending value.
-        value: f64,
-        /// The values that are allowed.
-        expected: &'static str,
-    },
-    /// Every piece between two breaks needs an element.
-    #[error(
-        "n_elements: {elements} are too few: the rod has {least} pieces, each of which needs an element"
-    )]
-    FewElements {
-        /// The number of elements.
-        elements: usize,
-        /// The least number.
-        least: usize,
-    },
-    /// A feature is supported by [`RodModel::Standard`] only.
-    #[error("{parameter}: only the standard model has it")]
-    NeedsStandardModel {
-        /// Name of the field of [`RodParameters`].
-        parameter: &'static str,
-    },
-}
-
-impl RodError {
-    /// Returns the name of the field of [`RodParameters`], or of a quantity computed from them.
-    #[must_use]
-    pub fn parameter(&self) -> &'static str {
-        match self {
-            Self::OutOfRange { parameter, .. } | Self::NeedsStandardModel { parameter } => {
-                parameter
-            }
-            Self::FewElements { .. } => "n_elements",
-        }
-    }
-}
-
 /// Largest `|RᵀR - I|` of a rotation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-9;
 
@@ -316,23 +267,6 @@ const FRACTION: &str = "a fraction of the length";
 
 fn is_fraction(s: f64) -> bool {
     (0.0..=1.0).contains(&s)
-}
-
-pub(super) fn require(
-    parameter: &'static str,
-    value: f64,
-    holds: impl Fn(f64) -> bool,
-    expected: &'static str,
-) -> Result<(), RodError> {
-    if value.is_finite() && holds(value) {
-        Ok(())
-    } else {
-        Err(RodError::OutOfRange {
-            parameter,
-            value,
-            expected,
-        })
-    }
 }
 
 impl Rod {
@@ -627,8 +561,14 @@ impl Rod {
         for load in &p.distributed_loads {
             loads.extend(load.lumped(p.length, &mesh));
         }
-        let lengths: Vec<f64> = elements.iter().map(|element| element.length).collect();
-        let actuators = StrainActuators::new(p.actuators.clone(), &lengths)?;
+        let n_winches = p.actuators.iter().filter(|own| own.winch.is_some()).count();
+        require(
+            "winches of an arm with a pinned base or a held tip",
+            n_winches as f64,
+            |n| n == 0.0 || joints.is_empty(),
+            "none: give the tensions of its tendons",
+        )?;
+        let actuators = StrainActuators::new(p.actuators.clone(), p.strain_rule, &elements)?;
         Ok(Self {
             strain_rule: p.strain_rule,
             model: p.model,
@@ -707,24 +647,6 @@ impl Rod {
         };
         out.rotations[0] = base.rotation;
         out
-    }
-
-    /// Returns the wrench of the base on an arm at rest in a shape, under the loads at time `t`: force in the spatial frame, moment in the
-    /// frame of the base.
-    #[must_use]
-    pub fn static_reaction(&self, at: &Configuration, t: f64) -> Wrench {
-        self.static_reaction_at(0, at, t)
-    }
-
-    /// Returns the wrench of the end at node `node` on an arm at rest in a shape, as [`Self::static_reaction`] does that of the base.
-    #[must_use]
-    pub fn static_reaction_at(&self, node: usize, at: &Configuration, t: f64) -> Wrench {
-        let mut net = NodalForces::zeros(self.n_nodes());
-        net.evaluate(self, &at.positions, &at.rotations, t);
-        Wrench {
-            force: -net.forces[node],
-            moment: -net.moments[node],
-        }
     }
 
     /// Moves node 0 to the pose of `base`, with the momenta `m v` and `J ω` of its motion.
@@ -945,18 +867,24 @@ fn rest_shape(p: &RodParameters, mesh: &Mesh) -> Configuration {
     };
     for q in 0..mesh.n_elements() {
         let l = mesh.length(q, p.length);
-        let psi = p.curvature(mesh, q) * l;
-        let turn = exp(&psi);
-        // |ψ| < π, so S is regular.
-        let step = log_tangent(&psi)
-            .try_inverse()
-            .unwrap_or_else(Matrix3::identity)
-            * Vector3::new(0.0, 0.0, p.rest_stretch * l);
-        let rotation = shape.rotations[q];
-        shape.positions.push(shape.positions[q] + rotation * step);
-        shape.rotations.push(rotation * turn);
+        let along = Vector3::new(0.0, 0.0, p.rest_stretch * l);
+        append_element(&mut shape, &(p.curvature(mesh, q) * l), &along);
     }
     shape
+}
+
+/// Appends the node at the end of an element that is a helix: its rotation is turned by `psi`, less than half a turn, and its chord is the
+/// integral of the turning strain, whose sum along the element is `along`.
+pub(crate) fn append_element(shape: &mut Configuration, psi: &Vector3<f64>, along: &Vector3<f64>) {
+    let q = shape.positions.len() - 1;
+    // |ψ| < π, so S is regular.
+    let step = log_tangent(psi)
+        .try_inverse()
+        .unwrap_or_else(Matrix3::identity)
+        * along;
+    let rotation = shape.rotations[q];
+    shape.positions.push(shape.positions[q] + rotation * step);
+    shape.rotations.push(rotation * exp(psi));
 }
 
 /// Returns the rest strain by the rod's own rule, so that the rest shape is free of stress under both rules.

@@ -224,6 +224,14 @@ pub fn from_direction(direction: &Vector3<f64>, roll: f64) -> Matrix3<f64> {
     minimal * exp(&Vector3::new(0.0, 0.0, roll))
 }
 
+/// Returns by how much a matrix is no rotation: the largest entry of `R Rᵀ - 1`, and infinity without a positive determinant.
+pub(crate) fn stray(rotation: &Matrix3<f64>) -> f64 {
+    if !(rotation.determinant() > 0.0) {
+        return f64::INFINITY;
+    }
+    (rotation * rotation.transpose() - Matrix3::identity()).amax()
+}
+
 /// Projects a matrix near a rotation toward it: one step `R (3 I - RᵀR)/2` of Newton and Schulz, which squares `RᵀR - I`.
 #[must_use]
 pub fn orthonormalized(rotation: &Matrix3<f64>) -> Matrix3<f64> {

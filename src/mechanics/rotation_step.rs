@@ -6,8 +6,8 @@
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Scalar, Simd};
 
-use super::lanes::vector::{Lanes, Mat3, Vec3};
 use super::rotation::hat;
+use super::vector::{Lanes, Mat3, Vec3};
 
 /// `1/α`
 #[inline(always)]

@@ -1,6 +1,5 @@
 //! Materials, cross-sections, and how sections change along the arm.
 
-use super::rod::NodeInertia;
 use super::shape::Shape;
 use nalgebra::Vector3;
 
@@ -14,6 +13,15 @@ pub struct Section {
     /// `ρA`, kg/m.
     pub mass: f64,
     /// `diag(ρI₁, ρI₂, ρJ)`, kg m, body frame.
+    pub rotary: Vector3<f64>,
+}
+
+/// Lumped inertia of a node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NodeInertia {
+    /// Mass, kg.
+    pub mass: f64,
+    /// Principal moments of inertia, body frame, kg m².
     pub rotary: Vector3<f64>,
 }
 

@@ -81,6 +81,13 @@ impl NodeWrenches<'_> {
         })
     }
 
+    /// Returns the effort of the signal on an actuator of the rod; 0 if the signal does not drive it.
+    fn effort_on(&self, actuator: usize) -> f64 {
+        let index = (self.efforts)
+            .and_then(|efforts| efforts.actuators.iter().position(|own| *own == actuator));
+        index.map_or(0.0, |index| self.effort(index))
+    }
+
     /// Adds the efforts of the signal to those of all actuators of a rod.
     pub fn add_efforts(&self, out: &mut [f64]) {
         let Some(efforts) = self.efforts else {
@@ -111,47 +118,58 @@ impl EffortTable {
         grid: &TimeGrid,
         control: Option<&ControlSignal>,
     ) -> Self {
-        let n = actuators.len();
         let mut table = Self {
-            n_actuators: n,
-            nodes: vec![0.0; n * (grid.n_steps + 1)],
-            intervals: vec![0.0; n * grid.n_steps],
+            n_actuators: actuators.len(),
+            nodes: Vec::new(),
+            intervals: Vec::new(),
         };
+        table.write(actuators, grid, control);
+        table
+    }
+
+    /// Replaces the efforts by those on another time grid, in the same memory.
+    pub fn write(
+        &mut self,
+        actuators: &StrainActuators,
+        grid: &TimeGrid,
+        control: Option<&ControlSignal>,
+    ) {
+        let n = self.n_actuators;
         if n == 0 {
-            return table;
+            return;
         }
-        for (k, out) in table.nodes.chunks_exact_mut(n).enumerate() {
+        self.nodes.resize(n * (grid.n_steps + 1), 0.0);
+        self.intervals.resize(n * grid.n_steps, 0.0);
+        for (k, out) in self.nodes.chunks_exact_mut(n).enumerate() {
             actuators.write_efforts(&grid.node(k), out);
             if let Some(control) = control {
                 control.at(k).add_efforts(out);
             }
         }
-        for (k, out) in table.intervals.chunks_exact_mut(n).enumerate() {
-            write_interval_efforts(actuators, grid, control, k, out);
+        for (k, out) in self.intervals.chunks_exact_mut(n).enumerate() {
+            for (actuator, out) in out.iter_mut().enumerate() {
+                *out = interval_effort(actuators, grid, control, k, actuator);
+            }
         }
-        table
     }
 }
 
-/// Writes the efforts of the interval from time node `k` to the next: the mean of those just after its start and just before its end.
-pub(super) fn write_interval_efforts(
+/// Returns the effort of an actuator in the interval from time node `k` to the next: the mean of those just after its start and just before
+/// its end.
+pub(super) fn interval_effort(
     actuators: &StrainActuators,
     grid: &TimeGrid,
     control: Option<&ControlSignal>,
     k: usize,
-    out: &mut [f64],
-) {
-    let mut end = vec![0.0; out.len()];
-    for (side, node) in grid.clock().ends_of_step(k).into_iter().enumerate() {
-        let target = if side == 0 { &mut *out } else { &mut end[..] };
-        actuators.write_efforts(&node, target);
-        if let Some(control) = control {
-            control.at(k + side).add_efforts(target);
-        }
-    }
-    for (mean, end) in out.iter_mut().zip(end) {
-        *mean = 0.5 * (*mean + end);
-    }
+    actuator: usize,
+) -> f64 {
+    let ends = grid.clock().ends_of_step(k);
+    let [start, end] = [0, 1].map(|side| {
+        let given =
+            (actuators.iter().nth(actuator)).map_or(0.0, |own| own.effort_at_node(&ends[side]));
+        given + control.map_or(0.0, |control| control.at(k + side).effort_on(actuator))
+    });
+    0.5 * (start + end)
 }
 
 /// Wrenches on the same nodes at every time node. The default is no control, on any time grid.

@@ -4,7 +4,6 @@ use nalgebra::SMatrix;
 
 use super::element::ElementStiffness;
 use super::rod::Rod;
-use super::strain_actuator::StrainActuator;
 use super::time::TimeScheme;
 
 /// Returns the largest time step at which the explicit integrator is linearly stable about the rest shape, s: `2/ω` with `ω` the highest
@@ -20,24 +19,50 @@ pub fn stable_step(rod: &Rod) -> f64 {
     2.0 / fastest
 }
 
-/// Returns the smallest and the largest of the elements' highest `ω`, each element on its own at rest, 1/s.
+/// Returns the smallest and the largest of the elements' highest `ω`, each element on its own at rest, 1/s. The springs of winches, which
+/// act on all elements together, raise the largest one by their own upper bound.
 fn highest_frequencies(rod: &Rod) -> [f64; 2] {
-    (0..rod.n_elements())
-        .map(|q| highest_frequency_squared(rod, q).sqrt())
+    let efforts = rod.largest_efforts();
+    let [slowest, fastest] = (0..rod.n_elements())
+        .map(|q| highest_frequency_squared(rod, q, &efforts).sqrt())
         .fold([f64::INFINITY, 0.0], |[slowest, fastest], own| {
             [slowest.min(own), fastest.max(own)]
-        })
+        });
+    match squared_frequency_of_winches(rod) {
+        0.0 => [slowest, fastest],
+        more => [slowest, (fastest * fastest + more).sqrt()],
+    }
 }
 
-/// Returns the highest `ω²` of element `q` on its own at rest, 1/s².
-fn highest_frequency_squared(rod: &Rod, q: usize) -> f64 {
+/// Returns the sum over all winches of `k gᵀM⁻¹g` with the pull `g` of a unit tension on the nodes at rest, 1/s²: by so much at most the
+/// springs of the tendons raise the highest `ω²` (Weyl).
+fn squared_frequency_of_winches(rod: &Rod) -> f64 {
+    // Pulled in by anything, so that no tendon is slack.
+    let inputs: Vec<f64> = (rod.actuators.iter())
+        .map(|own| -own.largest_input().max(f64::EPSILON * rod.scales.length))
+        .collect();
+    let (positions, rotations) = (&rod.rest.positions, &rod.rest.rotations);
+    (rod.effort_slopes(&inputs, positions, rotations).iter())
+        .map(|own| {
+            let nodes = rod.nodes.iter().enumerate().skip(rod.first_free_node());
+            let sum: f64 = nodes
+                .map(|(q, node)| {
+                    let (force, moment) = (own.pull.forces[q], own.pull.moments[q]);
+                    force.norm_squared() / node.mass
+                        + moment.dot(&moment.component_div(&node.rotary))
+                })
+                .sum();
+            -own.slope * sum
+        })
+        .sum()
+}
+
+/// Returns the highest `ω²` of element `q` on its own at rest, 1/s², under the given efforts of actuators.
+fn highest_frequency_squared(rod: &Rod, q: usize, efforts: &[f64]) -> f64 {
     let rest = &rod.rest;
     let pose = Rod::element_pose(q, &rest.positions, &rest.rotations);
     let (_, mut k) = rod.elements[q].stiffness(rod.strain_rule, &pose);
-    let largest: Vec<f64> = (rod.actuators.iter())
-        .map(StrainActuator::largest_effort)
-        .collect();
-    if let Some(active) = rod.active_stiffness(q, &pose, &largest) {
+    if let Some(active) = rod.active_stiffness(q, &pose, efforts) {
         k += active;
     }
     let full = expand(&k);

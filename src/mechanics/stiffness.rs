@@ -1,14 +1,15 @@
 //! The tangent stiffness of the whole rod, a block-tridiagonal matrix.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector6};
 
 use super::block_tridiagonal::BlockTridiagonal;
 use super::configuration::Configuration;
 use super::rod::Rod;
 
 /// Returns the derivative of minus the forces and body moments on the free nodes (elements, loads at their value at time `t`, and
-/// actuators with their given efforts) along
-/// `(δx, η)` of these nodes, the first of them in block 0; motions that a joint holds are [fast modes of their own](Rod::hold_joints). It is symmetric at an equilibrium under loads with a potential.
+/// actuators with their efforts) along `(δx, η)` of these nodes, the first of them in block 0; motions that a joint holds are
+/// [fast modes of their own](Rod::hold_joints). It is symmetric at an equilibrium under loads with a potential. The effort of a winch is
+/// constant here; [`winch_stiffness`] has the rest.
 pub(super) fn tangent_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
     let mut out = free_stiffness(rod, at, t);
     rod.hold_joints(rod.first_free_node(), &mut out);
@@ -18,7 +19,7 @@ pub(super) fn tangent_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockT
 /// Returns the stiffness of [`tangent_stiffness`] as if the joints of the rod were free.
 pub(super) fn free_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
     let first = rod.first_free_node();
-    let efforts = rod.actuators.efforts(t);
+    let efforts = rod.efforts_at(rod.actuators.efforts(t), &at.positions, &at.rotations);
     let mut out = BlockTridiagonal::zeros(rod.n_nodes() - first);
     for (q, element) in rod.elements.iter().enumerate() {
         let pose = Rod::element_pose(q, &at.positions, &at.rotations);
@@ -39,4 +40,23 @@ pub(super) fn free_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTrid
         subtract(3, &moment);
     }
     out
+}
+
+/// Returns the part of the stiffness on the free nodes from the efforts of winches that change with the configuration: for every tendon
+/// with tension a factor, positive, and a vector `v` over `(δx, η)` of each node, of `factor v vᵀ`.
+pub(super) fn winch_stiffness(
+    rod: &Rod,
+    at: &Configuration,
+    t: f64,
+) -> Vec<(f64, Vec<Vector6<f64>>)> {
+    let first = rod.first_free_node();
+    let inputs = rod.actuators.efforts(t);
+    (rod.effort_slopes(&inputs, &at.positions, &at.rotations)
+        .iter())
+    .map(|own| {
+        let nodes = own.pull.forces.iter().zip(&own.pull.moments).skip(first);
+        let vector = nodes.map(|(f, m)| Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z));
+        (-own.slope, vector.collect())
+    })
+    .collect()
 }

@@ -18,7 +18,7 @@ use super::block_tridiagonal::BlockTridiagonal;
 use super::configuration::Configuration;
 use super::element::IntervalStress;
 use super::rod::Rod;
-use super::stiffness::tangent_stiffness;
+use super::stiffness::{tangent_stiffness, winch_stiffness};
 use super::vibration::inertia_roots;
 
 /// A square matrix of 6×6 blocks over the free nodes, the first of them in block 0.
@@ -143,7 +143,20 @@ impl Tangent {
 
     /// Returns the stiffness of the elements and of the rod's own loads at time `t`.
     pub fn stiffness(rod: &Rod, at: &Configuration, t: f64) -> Self {
-        Self::of(tangent_stiffness(rod, at, t))
+        let mut out = Self::of(tangent_stiffness(rod, at, t));
+        out.add_winches(rod, at, t);
+        out
+    }
+
+    /// Adds the change of the tensions of winches with the configuration, which couples all nodes that a tendon pulls.
+    pub fn add_winches(&mut self, rod: &Rod, at: &Configuration, t: f64) {
+        for (factor, vector) in winch_stiffness(rod, at, t) {
+            for (row, left) in vector.iter().enumerate() {
+                for (column, right) in vector.iter().enumerate() {
+                    self.add(row, column, &(left * right.transpose() * factor));
+                }
+            }
+        }
     }
 
     /// Returns the number of rows and columns.

@@ -3,7 +3,8 @@
 //! Deviations `q = (δx, η)` of the free nodes obey `M q̈ + c M q̇ + K q = 0` with the inertia `M` of the nodes, the viscous damping `c` and
 //! the tangent stiffness `K`. In a mode `K q = ω² M q` they change as `exp(s t)` with `s² + c s + ω² = 0`: if `ω² < 0` they grow. Of loads
 //! without a potential (body-fixed forces, spatial moments) the symmetric part of their stiffness is used, and Kelvin-Voigt damping is left
-//! out.
+//! out. So are the springs of winches, which couple all elements: with them no frequency is lower than without, and
+//! [`Stability`](super::Stability) counts them.
 //!
 //! By Sylvester's law of inertia `M^{-½} K M^{-½} - σ I` has as many negative pivot eigenvalues as there are `ω² < σ`. Counting them costs
 //! O(K), and bisection over `σ` finds any `ω²` to the rounding of the largest.

@@ -26,6 +26,10 @@ const SOLVE_POSES: f64 = 6.0;
 const CHECK_POSES: f64 = 4.0;
 /// Number of wrenches in all of these for every time and actuator.
 const SIGNALS: f64 = 6.0;
+/// Bytes for every node, time and effort of an actuator in the arm that is a control: its pull on the nodes and the slopes of that, and
+/// the terms of the mixed second derivatives. Four tendons over 20 elements take 544 with the exact Hessian; half as much again is added
+/// for other shapes.
+const EFFORT_NODE: f64 = 800.0;
 /// Number of dense matrices of the size of the subproblem: Hessians, eigenvectors, and Clarabel's copies and factors.
 const DENSE: f64 = 32.0;
 /// Number of dense matrices of rows by variables: gradients of all gathered forms, of rows and of goals, and Clarabel's copies.
@@ -226,10 +230,13 @@ impl Motion {
     fn of(problem: &OptimalControlProblem) -> Self {
         let nodes = problem.rod.n_nodes() as f64;
         let times = problem.grid.n_steps as f64 + 1.0;
+        let efforts = problem.efforts.as_ref();
+        let efforts = efforts.map_or(0, |own| own.actuators.len()) as f64;
         Self {
             nodes,
             pose: NUMBER * POSE * nodes * times,
-            signals: NUMBER * SIGNALS * 6.0 * problem.actuators.len() as f64 * times,
+            signals: NUMBER * SIGNALS * 6.0 * problem.actuators.len() as f64 * times
+                + EFFORT_NODE * nodes * efforts * times,
         }
     }
 }

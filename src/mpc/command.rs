@@ -1,9 +1,9 @@
-//! The command of one sample: wrenches on nodes of the model.
+//! The command of one sample: wrenches on nodes of the model, and efforts of the actuators in the arm.
 
-use crate::mechanics::Wrench;
+use crate::mechanics::{Efforts, NodeWrenches, Rod, Wrench};
 
-/// The wrenches that act until the next sample: on nodes of the model, linear in time.
-#[derive(Clone, Debug, PartialEq)]
+/// The wrenches and efforts that act until the next sample, linear in time.
+#[derive(Debug, Default, PartialEq)]
 pub struct Command {
     /// Time at which the command begins to act, s.
     pub start: f64,
@@ -15,24 +15,134 @@ pub struct Command {
     pub from: Vec<Wrench>,
     /// Wrenches at `end`.
     pub to: Vec<Wrench>,
+    /// What the command adds at `start` to the given effort (the pretension) of every actuator in the arm, in the unit of the effort; 0 for
+    /// an actuator whose effort is no control, and empty if none is. [`Controller::efforts`](super::Controller::efforts) has whole efforts.
+    pub efforts_from: Vec<f64>,
+    /// The same at `end`.
+    pub efforts_to: Vec<f64>,
+}
+
+impl Clone for Command {
+    fn clone(&self) -> Self {
+        Self {
+            nodes: self.nodes.clone(),
+            from: self.from.clone(),
+            to: self.to.clone(),
+            efforts_from: self.efforts_from.clone(),
+            efforts_to: self.efforts_to.clone(),
+            ..*self
+        }
+    }
+
+    /// Copies into existing memory.
+    fn clone_from(&mut self, other: &Self) {
+        (self.start, self.end) = (other.start, other.end);
+        self.nodes.clone_from(&other.nodes);
+        self.from.clone_from(&other.from);
+        self.to.clone_from(&other.to);
+        self.efforts_from.clone_from(&other.efforts_from);
+        self.efforts_to.clone_from(&other.efforts_to);
+    }
 }
 
 impl Command {
-    /// Adds the wrenches at time `t` to those of all nodes.
+    /// Adds the wrenches at time `t` to those of all nodes, and the efforts to those after them, in this [order](ControlOrder).
     pub(crate) fn add_at(&self, t: f64, all: &mut [Wrench]) {
-        let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
+        let s = self.fraction(t);
         for (node, (from, to)) in self.nodes.iter().zip(self.from.iter().zip(&self.to)) {
             all[*node].force += from.force * (1.0 - s) + to.force * s;
             all[*node].moment += from.moment * (1.0 - s) + to.moment * s;
+        }
+        let n = all.len();
+        let carriers = &mut all[n - self.efforts_from.len().div_ceil(6)..];
+        for (place, (from, to)) in (self.efforts_from.iter().zip(&self.efforts_to)).enumerate() {
+            *component_mut(carriers, place) += from * (1.0 - s) + to * s;
         }
     }
 
     /// Writes the wrenches at time `t`, constant outside of `start` to `end`.
     pub fn at(&self, t: f64, out: &mut [Wrench]) {
-        let s = ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0);
+        let s = self.fraction(t);
         for ((out, from), to) in out.iter_mut().zip(&self.from).zip(&self.to) {
             out.force = from.force * (1.0 - s) + to.force * s;
             out.moment = from.moment * (1.0 - s) + to.moment * s;
+        }
+    }
+
+    /// Writes the efforts at time `t`, beyond the given ones, to the wrenches that carry them, six to a wrench.
+    pub(super) fn write_efforts_at(&self, t: f64, carriers: &mut [Wrench]) {
+        let s = self.fraction(t);
+        for (place, (from, to)) in (self.efforts_from.iter().zip(&self.efforts_to)).enumerate() {
+            *component_mut(carriers, place) = from * (1.0 - s) + to * s;
+        }
+    }
+
+    fn fraction(&self, t: f64) -> f64 {
+        ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0)
+    }
+}
+
+/// Returns the number at a place among wrenches, six for each of them.
+pub(super) fn component_mut(wrenches: &mut [Wrench], place: usize) -> &mut f64 {
+    let wrench = &mut wrenches[place / 6];
+    match (place % 6).checked_sub(3) {
+        None => &mut wrench.force[place % 6],
+        Some(axis) => &mut wrench.moment[axis],
+    }
+}
+
+/// The order in memory of the controls of a motion at one instant: wrenches on some nodes of a rod, then the efforts that add to the given
+/// ones of all its actuators, six to a wrench.
+#[derive(Clone, Debug)]
+pub(super) struct ControlOrder {
+    pub nodes: Vec<usize>,
+    pub efforts: Option<Efforts>,
+}
+
+impl ControlOrder {
+    /// Returns the order for wrenches on the given nodes of a rod.
+    pub fn on(nodes: Vec<usize>, rod: &Rod) -> Self {
+        let n_actuators = rod.actuators.len();
+        Self {
+            efforts: (n_actuators > 0).then(|| Efforts {
+                actuators: (0..n_actuators).collect(),
+                first: nodes.len(),
+                places: (0..n_actuators).collect(),
+            }),
+            nodes,
+        }
+    }
+
+    /// Returns the order for wrenches on all nodes of a rod.
+    pub fn on_all(rod: &Rod) -> Self {
+        Self::on((0..rod.n_nodes()).collect(), rod)
+    }
+
+    /// Replaces the nodes.
+    pub fn place(&mut self, nodes: impl Iterator<Item = usize>) {
+        self.nodes.clear();
+        self.nodes.extend(nodes);
+        if let Some(efforts) = &mut self.efforts {
+            efforts.first = self.nodes.len();
+        }
+    }
+
+    /// Returns the number of wrenches, with those that carry efforts.
+    pub fn n_wrenches(&self) -> usize {
+        let efforts = self.efforts.as_ref();
+        self.nodes.len() + efforts.map_or(0, |efforts| efforts.places.len().div_ceil(6))
+    }
+
+    /// Returns no control.
+    pub fn none(&self) -> Vec<Wrench> {
+        vec![Wrench::default(); self.n_wrenches()]
+    }
+
+    /// Returns the controls of a motion.
+    pub fn of<'a>(&'a self, wrenches: &'a [Wrench]) -> NodeWrenches<'a> {
+        NodeWrenches {
+            efforts: self.efforts.as_ref(),
+            ..NodeWrenches::on(&self.nodes, wrenches)
         }
     }
 }

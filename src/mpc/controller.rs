@@ -20,15 +20,14 @@ pub(crate) use self::steps::with_long_steps;
 use self::steps::{Divided, period_and_horizon};
 use super::command::Command;
 use super::error::MpcError;
-use super::estimator::Disturbance;
-use super::holding::Holding;
+use super::estimator::{Disturbance, Motions};
+use super::holding::Held;
 use super::horizon::Horizon;
 use super::knots::Knots;
-use super::motions::Motions;
 use super::subproblem::{Subproblem, SubproblemEnd};
-use crate::control::{ActuatedNode, Hold};
+use crate::control::{ActuatedNode, Channel, Hold};
 use crate::mechanics::linearization::StateTangent;
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, Wrench};
+use crate::mechanics::{Rod, State, StepError, StrainActuator, Wrench};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
 
@@ -80,9 +79,11 @@ pub struct Controller {
     /// Rows of the subproblem that measure from the control that acts, and the step to a plan strictly within all bounds.
     from_acting: Vec<usize>,
     inside: Vec<f64>,
-    /// Scaled control that cancels the disturbance, and the force that holds the tip, which together cost no effort.
+    /// Scaled control that cancels the disturbance, and the wrench or controls that hold the tip, which together cost no effort.
     cancelling: Vec<f64>,
-    holding: Option<Holding>,
+    holding: Option<Held>,
+    /// Wrench on the tip by which the arm differs from its model.
+    disturbing: Wrench,
     /// Factor on the model's stiffness.
     stiffness: f64,
     /// Control that costs no effort, at every coefficient of the plan.
@@ -95,7 +96,7 @@ pub struct Controller {
     state: State,
     prediction: Motions,
     in_period: Divided,
-    /// Wrenches at both ends of a step, one for each node.
+    /// Controls at both ends of a step.
     wrenches: [Vec<Wrench>; 2],
     /// Tells whether a command acts; before the first one there is no jump.
     acts: bool,
@@ -274,6 +275,12 @@ impl Controller {
         let (n, n_components) = (horizon.n_variables(), horizon.components.len());
         let n_nodes = horizon.problem.rod.n_nodes();
         let nodes = horizon.actuated_nodes();
+        let is_driven = horizon.problem.efforts.is_some();
+        let n_efforts = if is_driven {
+            horizon.problem.rod.actuators.len()
+        } else {
+            0
+        };
         let state = horizon.start.clone();
         let mut controller = Self {
             subproblem: Subproblem::new(n, 2 * n, horizon.n_limit_rows()),
@@ -291,6 +298,7 @@ impl Controller {
             inside: vec![0.0; n],
             cancelling: vec![0.0; n_components],
             holding: None,
+            disturbing: Wrench::default(),
             stiffness: 1.0,
             free: vec![0.0; n],
             deviation: StateTangent::zeros(n_nodes),
@@ -303,11 +311,13 @@ impl Controller {
                 from: vec![Wrench::default(); nodes.len()],
                 to: vec![Wrench::default(); nodes.len()],
                 nodes,
+                efforts_from: vec![0.0; n_efforts],
+                efforts_to: vec![0.0; n_efforts],
             },
             prediction: Motions::new(&horizon.problem.rod, in_period.step, horizon.parameters()),
             state,
             in_period,
-            wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
+            wrenches: [(); 2].map(|()| horizon.order.none()),
             acts: false,
             record: SampleRecord {
                 iterations: 0,
@@ -427,6 +437,8 @@ impl Controller {
         }
         self.horizon.disturb(disturbance);
         self.stiffness = stiffness;
+        self.disturbing = *tip;
+        self.disturbing.force += weight;
         let rod_tip = self.horizon.problem.rod.tip();
         for ((free, component), scale) in
             (self.cancelling.iter_mut().zip(&self.horizon.components)).zip(&self.horizon.scales)
@@ -544,6 +556,32 @@ impl Controller {
     #[must_use]
     pub fn command(&self) -> &Command {
         &self.command
+    }
+
+    /// Returns name and whole effort, in its unit, of every actuator in the arm whose effort is a control: at the start of a command, and at
+    /// its end.
+    pub fn efforts<'a>(
+        &'a self,
+        command: &'a Command,
+    ) -> impl Iterator<Item = (&'a str, [f64; 2])> {
+        let problem = &self.horizon.problem;
+        let driven = (problem.efforts.iter()).flat_map(|efforts| &efforts.actuators);
+        driven.zip(self.driven()).map(move |(&index, (own, _))| {
+            let given = own.effort(command.start);
+            let ends = [&command.efforts_from, &command.efforts_to];
+            let added = ends.map(|added| added.get(index).copied().unwrap_or(0.0));
+            (&own.name[..], added.map(|added| given + added))
+        })
+    }
+
+    /// Returns the indices of the actuators in the arm whose efforts are controls.
+    pub(crate) fn driven_actuators(&self) -> &[usize] {
+        (self.horizon.problem.efforts.as_ref()).map_or(&[], |efforts| &efforts.actuators)
+    }
+
+    /// Returns the actuators in the arm whose efforts are controls, with the channels of these.
+    pub(super) fn driven(&self) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
+        self.horizon.problem.driven()
     }
 
     /// Returns the state in which the task begins.
@@ -925,7 +963,7 @@ impl Controller {
         let parameters = horizon.parameters();
         let Horizon {
             problem,
-            nodes,
+            order,
             start,
             disturbing,
             ..
@@ -939,8 +977,7 @@ impl Controller {
             fill(0, now);
             for k in 0..n_steps {
                 fill(k + 1, next);
-                let of = |wrenches| NodeWrenches::on(nodes, wrenches);
-                stepper.advance([of(now), of(next)])?;
+                stepper.advance([order.of(now), order.of(next)])?;
                 std::mem::swap(now, next);
             }
             Ok(())
@@ -970,4 +1007,4 @@ impl Controller {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

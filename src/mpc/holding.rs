@@ -12,10 +12,15 @@
 //! ```
 //!
 //! with the viscous damping `α`. The inertia of the rotations of elements is negligible.
+//!
+//! If efforts of actuators in the arm are controls, no wrench on the tip says what they are. The controls of least size within their bounds
+//! that put the tip there at rest are computed instead (`src/control/holding/along.rs`), without the force that accelerates the mass.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::cantilever::{CLAMPED_STIFFNESS, TIP_STIFFNESS};
+use crate::control::ControlsAlong;
+use crate::control::OptimalControlProblem;
 use crate::mechanics::equilibrium::{TipSpring, static_equilibrium_until};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::vibration::SmallMotions;
@@ -60,6 +65,106 @@ pub(in crate::mpc) enum Along {
     All,
     /// Times at which the reference rests and the arm is stable under the wrench; the wrench is zero at other times.
     Rests,
+}
+
+/// The control from which effort is measured.
+#[derive(Clone, Debug)]
+pub(super) enum Held {
+    /// A wrench on the tip holds the reference.
+    ByWrench(Holding),
+    /// All controls of the task hold it, efforts of actuators in the arm among them.
+    ByControls(HeldByControls),
+}
+
+/// The scaled controls that hold a model at the poses of a reference.
+#[derive(Clone, Debug)]
+pub(super) struct HeldByControls {
+    /// Controls at multiples of `spacing` from time 0 on: those of the model, their derivative by the factor on the model's stiffness, and
+    /// those by each component of a wrench on the tip, control by control.
+    controls: Vec<f64>,
+    n: usize,
+    spacing: f64,
+}
+
+impl HeldByControls {
+    /// Numbers that are kept of a control: itself, and its derivatives.
+    const KEPT: usize = 8;
+
+    /// Returns the controls along `reference`, as [`Holding::along`] returns wrenches. Where none is found they are zero.
+    pub fn along(
+        problem: &OptimalControlProblem,
+        reference: impl Fn(f64) -> TipPose,
+        [spacing, end]: [f64; 2],
+        along: Along,
+        stop: &StopSignal,
+    ) -> Option<Self> {
+        if !(end <= LONGEST) {
+            return None;
+        }
+        let stiffer = {
+            let mut rod = (*problem.rod).clone();
+            rod.take_stiffness(&problem.rod, 1.0 + STIFFER);
+            OptimalControlProblem {
+                rod: rod.into(),
+                ..problem.clone()
+            }
+        };
+        let mut held = ControlsAlong::new(problem);
+        let n = problem.actuated_components().len();
+        let mut out = Self {
+            controls: Vec::new(),
+            n,
+            spacing,
+        };
+        let mut before: Option<(TipPose, Vec<f64>)> = None;
+        for i in 0..=(end / spacing).ceil() as usize {
+            stop.check().ok()?;
+            let t = i as f64 * spacing;
+            let target = reference(t);
+            let moves = along == Along::Rests && reference(t + spacing) != target;
+            let numbers = match before.take().filter(|(pose, _)| *pose == target) {
+                Some((_, numbers)) => numbers,
+                None if moves => vec![0.0; Self::KEPT * n],
+                None => {
+                    let pose = (target.position, target.rotation);
+                    let found = held.hold(problem, pose, t);
+                    let kept = found.filter(|found| along == Along::All || found.is_stable);
+                    let other = held.clone().hold(&stiffer, pose, t);
+                    kept.zip(other).map_or_else(
+                        || vec![0.0; Self::KEPT * n],
+                        |(own, other)| {
+                            (0..n)
+                                .flat_map(|c| {
+                                    let slope = (other.controls[c] - own.controls[c]) / STIFFER;
+                                    [own.controls[c], slope].into_iter().chain(own.bearing[c])
+                                })
+                                .collect()
+                        },
+                    )
+                }
+            };
+            out.controls.extend_from_slice(&numbers);
+            before = (!moves).then_some((target, numbers));
+        }
+        Some(out)
+    }
+
+    /// Writes the controls at time `t` (s) that hold the model with `stiffness` times its own, under a wrench on its tip.
+    pub fn write(&self, t: f64, stiffness: f64, wrench: &Wrench, out: &mut [f64]) {
+        let size = Self::KEPT * self.n;
+        let at = (t / self.spacing).max(0.0);
+        let last = self.controls.len() / size - 1;
+        let (i, s) = ((at as usize).min(last), at.fract());
+        let wrench = wrench.to_array();
+        let of = |i: usize, c: usize| {
+            let numbers = &self.controls[i * size + c * Self::KEPT..][..Self::KEPT];
+            let borne: f64 = numbers[2..].iter().zip(&wrench).map(|(a, b)| a * b).sum();
+            numbers[0] + numbers[1] * (stiffness - 1.0) + borne
+        };
+        for (c, out) in out.iter_mut().enumerate() {
+            *out = of(i, c) * (1.0 - s) + of((i + 1).min(last), c) * s;
+        }
+    }
 }
 
 /// Tells whether a shape at rest is stable under a constant wrench on the tip, spatial force and moment in the body frame.

@@ -7,8 +7,9 @@
 //! r(v + x, s + δs) = r + J x + G δs,     ½ |r|² + ½ (v + x)ᵀ C (v + x) + ½ w |v₀ + x₀ - a|²
 //! ```
 //!
-//! `J` and `G` come from one reverse sweep: the covectors of the rows, read where the controls act and where the sweep ends. `C` is effort
-//! and rate, `a` the control that acts when the horizon begins.
+//! `J` and `G` come from one reverse sweep: the covectors of the rows, read where the controls act and where the sweep ends. An effort of an
+//! actuator in the arm acts by wrenches that follow from the configuration, so that its columns are evaluated along every roll-out. `C` is
+//! effort and rate, `a` the control that acts when the horizon begins.
 
 use std::sync::Arc;
 
@@ -16,18 +17,20 @@ use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use nalgebra::{Matrix3, Vector3};
 
+use super::command::{ControlOrder, component_mut};
 use super::error::MpcError;
-use super::estimator::{Disturbance, ModelParameters};
+use super::estimator::{Disturbance, ModelParameters, Motions};
 use super::knots::Knots;
-use super::motions::Motions;
 use super::rows::{Evaluated, Rows};
 use super::soft_rows::SoftRows;
 use crate::control::path::{PathLimit, RodView};
 use crate::control::{Component, Enforcement, Goal, OptimalControlProblem, Shape, residual};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
-use crate::mechanics::sensitivity::{ControlColumns, RepeatedReverse};
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, TimeGrid, Trajectory, Wrench};
+use crate::mechanics::sensitivity::{ControlColumns, EffortPulls, RepeatedReverse};
+use crate::mechanics::{
+    ControlSignal, Efforts, Rod, State, StepError, TimeGrid, Trajectory, Wrench,
+};
 use crate::stop::StopSignal;
 
 /// Negligible error of a tracked quantity, divided by the length, or in rad: a tenth of the default accuracy of a scene, 1e-3. Plans that
@@ -35,14 +38,13 @@ use crate::stop::StopSignal;
 /// same, with twice the value to three digits.
 const NEGLIGIBLE: f64 = 1e-4;
 
-/// Effect of one unit of a control component on a node: the node, the component of its wrench, and the force or moment in N or N m.
+/// Effect of one unit of a control component on a node: the node, the component of its wrench, and the force or moment in N or N m. The
+/// effort of an actuator in the arm stands in the wrenches after those of the nodes ([`ControlOrder`]).
 type Effect = (usize, usize, f64);
 
-/// Returns the effects of every component; `None` if an actuator of one's own is not linear, or the rod has actuators on its strains.
+/// Returns the effects of every component; `None` if an actuator of one's own is not linear.
 fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<Vec<Vec<Effect>>> {
-    if !problem.rod.actuators.is_empty() {
-        return None;
-    }
+    let driven = driven(problem);
     let maps = (problem.acting.iter())
         .map(|acting| {
             Some((
@@ -52,6 +54,10 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
         })
         .collect::<Option<Vec<_>>>()?;
     let of = |component: &Component| match problem.own_control(component) {
+        None if problem.effort(component).is_some() => (problem.effort(component).into_iter())
+            .map(|index| driven[index])
+            .map(|actuator| (problem.rod.n_nodes() + actuator / 6, actuator % 6, 1.0))
+            .collect(),
         None => {
             let node = problem.actuators[component.actuator].node;
             vec![(node, component.axis, 1.0)]
@@ -66,6 +72,11 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
     Some(components.iter().map(of).collect())
 }
 
+/// Returns the actuators in the arm whose efforts are controls.
+fn driven(problem: &OptimalControlProblem) -> &[usize] {
+    (problem.efforts.as_ref()).map_or(&[], |efforts| &efforts.actuators)
+}
+
 /// The model, at the plan and the start for which it was last prepared.
 #[derive(Debug)]
 pub(super) struct Horizon {
@@ -76,14 +87,19 @@ pub(super) struct Horizon {
     /// Wrenches of one unit of every component.
     pub effects: Vec<Vec<Effect>>,
     pub knots: Knots,
+    /// Components that are efforts, in the order of the driven actuators.
+    of_efforts: Vec<usize>,
     /// The grid of the present horizon; below it, that of the longest horizon, from the first start.
     pub grid: TimeGrid,
     longest: TimeGrid,
     rows: Rows,
-    /// All nodes.
-    pub nodes: Vec<usize>,
-    /// Wrenches at the two ends of a step, one for each node.
+    /// Order of the controls of a motion.
+    pub order: ControlOrder,
+    /// Controls at the two ends of a step.
     wrenches: [Vec<Wrench>; 2],
+    /// Efforts of the plan along the last roll-out, and the wrenches of unit efforts there; `None` without actuators in the arm.
+    efforts: Option<ControlSignal>,
+    pulls: Option<EffortPulls>,
     /// Indices and shapes of the obstacles among the limits of the problem, at t = 0 by the task.
     obstacles: Vec<(usize, Shape)>,
     /// The model without estimated errors.
@@ -92,7 +108,7 @@ pub(super) struct Horizon {
     pub stop: StopSignal,
     /// Parameters by which the model of the present horizon differs from the one without a disturbance.
     parameters: ModelParameters,
-    /// Disturbing wrench of every node, constant in time.
+    /// Disturbing wrench of every node, constant in time, and no effort.
     pub disturbing: Vec<Wrench>,
     /// By how much later commands act than they say, s.
     delay: f64,
@@ -116,8 +132,32 @@ struct Columns<'a> {
     knots: &'a Knots,
     grid: TimeGrid,
     effects: &'a [Vec<Effect>],
+    /// Wrenches of unit efforts, and the components that are efforts, in the order of the driven actuators.
+    pulls: Option<&'a EffortPulls>,
+    of_efforts: &'a [usize],
+    n_nodes: usize,
     scales: &'a [f64],
     n: usize,
+}
+
+impl Columns<'_> {
+    /// Returns the coefficients that act at some time nodes with the sums of their weights; unused entries have weight 0.
+    fn shares(&self, times: &[usize]) -> [(usize, f64); 4] {
+        let mut out = [(0, 0.0); 4];
+        let mut n = 0;
+        for &time in times {
+            for (coefficient, weight) in self.knots.at_node(&self.grid, time) {
+                match out[..n].iter_mut().find(|(own, _)| *own == coefficient) {
+                    Some((_, sum)) => *sum += weight,
+                    None => {
+                        out[n] = (coefficient, weight);
+                        n += 1;
+                    }
+                }
+            }
+        }
+        out
+    }
 }
 
 impl ControlColumns for Columns<'_> {
@@ -133,9 +173,30 @@ impl ControlColumns for Columns<'_> {
             for (at, (effects, scale)) in self.effects.iter().zip(self.scales).enumerate() {
                 let column = coefficient * self.effects.len() + at;
                 for &(node, component, effect) in effects {
-                    visit(column, node, component, weight * scale * effect);
+                    if node < self.n_nodes {
+                        visit(column, node, component, weight * scale * effect);
+                    }
                 }
             }
+        }
+        let Some(pulls) = self.pulls else {
+            return;
+        };
+        for (index, &at) in self.of_efforts.iter().enumerate() {
+            pulls.visit_sets(k, index, &mut |times, factor, wrenches| {
+                for (coefficient, weight) in self.shares(times) {
+                    let weight = weight * factor * self.scales[at];
+                    if weight == 0.0 {
+                        continue;
+                    }
+                    let column = coefficient * self.effects.len() + at;
+                    for (place, wrench) in wrenches.iter().enumerate() {
+                        if *wrench != 0.0 {
+                            visit(column, place / 6, place % 6, weight * wrench);
+                        }
+                    }
+                }
+            });
         }
     }
 
@@ -158,6 +219,11 @@ impl Horizon {
                 "the controller's targets are soft; leave out tolerances of targets",
             ));
         }
+        if problem.rod.actuators.has_winches() || problem.driven().any(|(_, own)| own.lag != 0.0) {
+            return Err(MpcError::Unsupported(
+                "the controller knows neither winches nor lags of actuators in the arm; leave them out",
+            ));
+        }
         if problem.duration.is_some() {
             return Err(MpcError::Unsupported(
                 "the controller knows a fixed duration; leave out free_duration",
@@ -175,7 +241,7 @@ impl Horizon {
         let components = problem.actuated_components();
         let Some(effects) = effects(&problem, &components) else {
             return Err(MpcError::Unsupported(
-                "the controller knows wrenches on nodes and actuators that are linear; leave out other own_actuators",
+                "the controller knows wrenches on nodes, efforts of actuators in the arm, and actuators of one's own that are linear; leave out others",
             ));
         };
         let scales: Vec<f64> = (components.iter())
@@ -186,6 +252,21 @@ impl Horizon {
         knots.place(grid.start, grid.time(grid.n_steps));
         let start = problem.initial.clone();
         let n_nodes = problem.rod.n_nodes();
+        let order = ControlOrder::on_all(&problem.rod);
+        let n_carriers = order.n_wrenches() - n_nodes;
+        let efforts = order.efforts.as_ref().map(|own| ControlSignal {
+            wrenches: vec![Wrench::default(); n_carriers * (grid.n_steps + 1)],
+            efforts: Some(Efforts {
+                first: 0,
+                ..own.clone()
+            }),
+            ..ControlSignal::default()
+        });
+        let of_efforts = (driven(&problem).iter().enumerate())
+            .filter_map(|(index, _)| {
+                (components.iter()).position(|own| problem.effort(own) == Some(index))
+            })
+            .collect::<Vec<usize>>();
         let mut trajectory = Trajectory::with_capacity(n_nodes, grid.n_steps + 1);
         for _ in 0..=grid.n_steps {
             trajectory.push(&start.configuration);
@@ -194,27 +275,37 @@ impl Horizon {
             let whole = evaluated(&problem, &trajectory, grid, &start);
             Rows::new(&problem, &whole.states, weight, price, n_states)
         };
-        let sweep = {
+        let (sweep, pulls) = {
             let motion = Motion {
                 rod: &problem.rod,
                 grid,
                 initial: &start,
                 stop: None,
-                control: None,
+                control: efforts.as_ref(),
             };
+            let driven = driven(&problem);
+            let pulls = (!driven.is_empty()).then(|| EffortPulls::new(&motion, driven, false));
             let columns = Columns {
                 knots: &knots,
                 grid,
                 effects: &effects,
+                pulls: pulls.as_ref(),
+                of_efforts: &of_efforts,
+                n_nodes,
                 scales: &scales,
                 n,
             };
-            RepeatedReverse::new(&motion, &trajectory, &columns, rows.forms())
+            let sweep = RepeatedReverse::new(&motion, &trajectory, &columns, rows.forms());
+            (sweep, pulls)
         };
         Ok(Self {
             motions: Motions::new(&problem.rod, grid.step, Disturbance::NONE.parameters()),
-            wrenches: [(); 2].map(|()| vec![Wrench::default(); n_nodes]),
-            nodes: (0..n_nodes).collect(),
+            wrenches: [(); 2].map(|()| order.none()),
+            disturbing: order.none(),
+            order,
+            efforts,
+            pulls,
+            of_efforts,
             model,
             stop: StopSignal::default(),
             obstacles: (problem.path.iter().enumerate())
@@ -224,7 +315,6 @@ impl Horizon {
                 })
                 .collect(),
             parameters: Disturbance::NONE.parameters(),
-            disturbing: vec![Wrench::default(); n_nodes],
             delay: 0.0,
             trajectory,
             end: start.clone(),
@@ -259,7 +349,7 @@ impl Horizon {
     pub fn actuated_nodes(&self) -> Vec<usize> {
         let mut nodes = self.problem.actuated_nodes();
         for &(node, _, _) in self.effects.iter().flatten() {
-            if !nodes.contains(&node) {
+            if node < self.problem.rod.n_nodes() && !nodes.contains(&node) {
                 nodes.push(node);
             }
         }
@@ -399,8 +489,9 @@ impl Horizon {
             problem,
             knots,
             grid,
-            nodes,
+            order,
             wrenches: [now, next],
+            efforts,
             disturbing,
             trajectory,
             motions,
@@ -423,6 +514,14 @@ impl Horizon {
                 }
             }
         };
+        let n_nodes = problem.rod.n_nodes();
+        let n_carriers = order.n_wrenches() - n_nodes;
+        let mut note = |k: usize, wrenches: &[Wrench]| {
+            if let Some(efforts) = efforts {
+                let carriers = &mut efforts.wrenches[k * n_carriers..][..n_carriers];
+                carriers.copy_from_slice(&wrenches[n_nodes..]);
+            }
+        };
         trajectory.positions.clear();
         trajectory.rotations.clear();
         trajectory.push(&start.configuration);
@@ -431,11 +530,12 @@ impl Horizon {
         let model = (&*problem.rod, *parameters);
         let outcome = motions.run(model, grid.step, (grid.start, end), |stepper| {
             fill(0, now);
+            note(0, now);
             for k in 0..steps {
                 fill(k + 1, next);
-                let of = |wrenches| NodeWrenches::on(nodes, wrenches);
+                note(k + 1, next);
                 stop.check_at(k)?;
-                stepper.advance([of(now), of(next)])?;
+                stepper.advance([order.of(now), order.of(next)])?;
                 stepper.record(trajectory);
                 std::mem::swap(now, next);
             }
@@ -456,12 +556,18 @@ impl Horizon {
             grid: self.grid,
             initial: &self.start,
             stop: Some(&self.stop),
-            control: None,
+            control: self.efforts.as_ref(),
         };
+        if let Some(pulls) = &mut self.pulls {
+            pulls.evaluate(&motion, &self.trajectory, None);
+        }
         let columns = Columns {
             knots: &self.knots,
             grid: self.grid,
             effects: &self.effects,
+            pulls: self.pulls.as_ref(),
+            of_efforts: &self.of_efforts,
+            n_nodes: self.problem.rod.n_nodes(),
             scales: &self.scales,
             n: self.square.nrows(),
         };
@@ -578,12 +684,9 @@ fn evaluated<'a>(
     }
 }
 
-/// Adds the wrenches of `amount` units of a component to those of all nodes.
+/// Adds the wrenches, or the effort, of `amount` units of a component to those of all nodes.
 pub(super) fn add_effects(effects: &[Effect], amount: f64, wrenches: &mut [Wrench]) {
     for &(node, component, effect) in effects {
-        match component.checked_sub(3) {
-            None => wrenches[node].force[component] += amount * effect,
-            Some(axis) => wrenches[node].moment[axis] += amount * effect,
-        }
+        *component_mut(wrenches, 6 * node + component) += amount * effect;
     }
 }

@@ -60,7 +60,6 @@ mod holding;
 mod horizon;
 mod knots;
 mod limits;
-mod motions;
 mod plant;
 mod rows;
 mod sensor;
@@ -91,6 +90,6 @@ pub use serving::{
     LONGEST_LINE, SERVING_VERSION, ServeError, Served, Server, ServingEnd, read_line, serve,
 };
 pub use signal::{Measurement, Reading, Signal};
-pub use simulated_arm::{ActuatorDynamics, SimulatedArm};
+pub use simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
 pub use subproblem::SubproblemEnd;
 pub use transfer::Transfer;

@@ -1,8 +1,8 @@
 //! The plant: the system that a controller acts on.
 
-use super::command::Command;
+use super::command::{Command, ControlOrder};
 use super::transfer::Transfer;
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};
+use crate::mechanics::{Rod, State, StepError, Stepper, TimeGrid, Wrench};
 
 /// A system that executes commands and reports its state: a simulated arm, another simulator, or hardware.
 pub trait Plant {
@@ -29,7 +29,7 @@ pub struct RodPlant<'a> {
     transfer: Transfer,
     /// Nearest own node of every node of the model.
     nearest: Vec<usize>,
-    nodes: Vec<usize>,
+    order: ControlOrder,
     wrenches: [Vec<Wrench>; 2],
 }
 
@@ -44,7 +44,7 @@ impl<'a> RodPlant<'a> {
             stepper: Stepper::new(rod, step, initial),
             nearest: transfer.nearest(),
             transfer,
-            nodes: Vec::new(),
+            order: ControlOrder::on(Vec::new(), rod),
             wrenches: [Vec::new(), Vec::new()],
             rod,
             step,
@@ -75,22 +75,23 @@ impl Plant for RodPlant<'_> {
 
     fn apply(&mut self, command: &Command) -> Result<(), StepError> {
         let Self {
-            nodes,
+            order,
             nearest,
             wrenches: [now, next],
             ..
         } = self;
-        nodes.clear();
-        nodes.extend(command.nodes.iter().map(|node| nearest[*node]));
-        now.resize(nodes.len(), Wrench::default());
-        next.resize(nodes.len(), Wrench::default());
+        order.place(command.nodes.iter().map(|node| nearest[*node]));
+        now.resize(order.n_wrenches(), Wrench::default());
+        next.resize(order.n_wrenches(), Wrench::default());
         let steps = ((command.end - command.start) / self.step).round() as usize;
         for k in 0..steps {
             let at = |k: usize| command.start + k as f64 * self.step;
-            command.at(at(k), now);
-            command.at(at(k + 1), next);
-            let of = |wrenches| NodeWrenches::on(nodes, wrenches);
-            self.stepper.advance([of(now), of(next)])?;
+            for (t, out) in [(at(k), &mut *now), (at(k + 1), &mut *next)] {
+                let (wrenches, efforts) = out.split_at_mut(command.nodes.len());
+                command.at(t, wrenches);
+                command.write_efforts_at(t, efforts);
+            }
+            self.stepper.advance([order.of(now), order.of(next)])?;
         }
         Ok(())
     }

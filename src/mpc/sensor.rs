@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::error::{MpcError, state_fits};
 use super::estimator::{Disturbance, Kind, Reader};
-use super::signal::{Measurement, Reading, Signal};
+use super::signal::{EARLY, Measurement, Reading, Signal};
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{Rod, State};
 
@@ -226,9 +226,6 @@ impl SensorSettings {
     }
 }
 
-/// Fraction of a period, or of a step, by which a time may be early: more than the rounding of times up to 1e9 periods.
-pub(super) const EARLY: f64 = 1e-6;
-
 /// A simulated sensor on a plant.
 #[derive(Clone, Debug)]
 pub struct Sensor {
@@ -248,6 +245,12 @@ impl Sensor {
     /// nothing is measured.
     pub fn new(settings: &SensorSettings, plant: &Rod) -> Result<Self, MpcError> {
         settings.check()?;
+        let [_, at_clamp] = settings.kinds();
+        if !plant.actuators.is_empty() && at_clamp.iter().any(Option::is_some) {
+            return Err(MpcError::Unsupported(
+                "the force on the clamp of an arm with actuators in it does not follow from its shape alone; measure poses or curvatures",
+            ));
+        }
         Ok(Self {
             settings: settings.clone(),
             rod: plant.clone(),

@@ -2,6 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+/// Fraction of a period, or of a step, by which a time may be early: more than the rounding of times up to 1e9 periods.
+pub(super) const EARLY: f64 = 1e-6;
+
 /// A quantity of the arm and its value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Reading {

@@ -4,12 +4,12 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::command::Command;
+use super::command::{Command, ControlOrder, component_mut};
 use super::error::MpcError;
-use super::sensor::EARLY;
+use super::signal::EARLY;
 use super::transfer::Transfer;
 use crate::mechanics::stability::automatic_step;
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};
+use crate::mechanics::{Rod, State, StepError, Stepper, TimeGrid, Wrench};
 use crate::task::{Arm, Discretization};
 
 /// The dynamics between a command and the wrench that acts. The default is an actuator without delay, lag and limits.
@@ -104,6 +104,41 @@ impl ActuatorDynamics {
     }
 }
 
+/// The dynamics between the command and the effort of an actuator in the arm. The default is an actuator without lag and limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EffortDynamics {
+    /// Time constant of a first-order lag, s.
+    pub lag: f64,
+    /// Least and largest effort, in its unit.
+    pub range: [f64; 2],
+}
+
+impl Default for EffortDynamics {
+    fn default() -> Self {
+        Self {
+            lag: 0.0,
+            range: [f64::NEG_INFINITY, f64::INFINITY],
+        }
+    }
+}
+
+impl EffortDynamics {
+    /// Returns the effort one step of length `h` after `from`, toward `to`; all are counted from `given`.
+    fn follow(&self, given: f64, from: f64, to: f64, h: f64) -> f64 {
+        let next = if self.lag > 0.0 {
+            from + (to - from) * (1.0 - (-h / self.lag).exp())
+        } else {
+            to
+        };
+        let [least, most] = self.range.map(|effort| effort - given);
+        if next.is_finite() {
+            next.max(least).min(most)
+        } else {
+            from
+        }
+    }
+}
+
 /// A simulated arm with its own elements and step, which receives commands on the nodes of a controller's model.
 ///
 /// Loads of its [`Arm`] that the model does not have are disturbances: pushes with a profile, a payload, a weight along the arm.
@@ -117,10 +152,12 @@ pub struct SimulatedArm<'a> {
     /// Nearest own node of every node of the model.
     nearest: Vec<usize>,
     actuators: ActuatorDynamics,
+    /// Dynamics of the actuators in the arm, and their given efforts at time 0.
+    efforts: Vec<(EffortDynamics, f64)>,
     /// Commands that act or will act, the earliest first.
     sent: VecDeque<Command>,
-    /// Own nodes on which commands act, and the present wrenches there.
-    nodes: Vec<usize>,
+    /// Own nodes on which commands act, and the present controls.
+    order: ControlOrder,
     acting: Vec<Wrench>,
     next: Vec<Wrench>,
     wanted: Vec<Wrench>,
@@ -143,9 +180,9 @@ impl<'a> SimulatedArm<'a> {
         actuators.check()?;
         let transfer = Transfer::new(rod, model);
         let nearest = transfer.nearest();
-        let nodes: Vec<usize> = nodes.iter().map(|node| nearest[*node]).collect();
+        let order = ControlOrder::on(nodes.iter().map(|node| nearest[*node]).collect(), rod);
         let step = TimeGrid::covering(period, automatic_step(rod), 1).step;
-        let still = vec![Wrench::default(); nodes.len()];
+        let still = order.none();
         Ok(Self {
             stepper: Stepper::new(rod, step, initial),
             n_steps: 0,
@@ -154,12 +191,41 @@ impl<'a> SimulatedArm<'a> {
             transfer,
             nearest,
             actuators,
+            efforts: (rod.actuators.iter())
+                .map(|actuator| (EffortDynamics::default(), actuator.effort(0.0)))
+                .collect(),
             sent: VecDeque::new(),
-            nodes,
+            order,
             acting: still.clone(),
             next: still.clone(),
             wanted: still,
         })
+    }
+
+    /// Gives the actuators in the arm their dynamics, in the order of the arm; those that are left have none.
+    ///
+    /// # Errors
+    /// Returns [`MpcError::Setting`] for a lag or a range out of range.
+    pub fn with_efforts(mut self, dynamics: &[EffortDynamics]) -> Result<Self, MpcError> {
+        for ((own, given), dynamics) in self.efforts.iter_mut().zip(dynamics) {
+            let [least, most] = dynamics.range;
+            let refuse = |name, value, expected| {
+                Err(MpcError::Setting {
+                    name,
+                    value,
+                    expected,
+                })
+            };
+            if !(dynamics.lag.is_finite() && dynamics.lag >= 0.0) {
+                return refuse("lag", dynamics.lag, "a finite number of at least 0");
+            }
+            if !(least <= *given && *given <= most) {
+                let expected = "within the efforts that the plant's actuator has";
+                return refuse("given effort", *given, expected);
+            }
+            *own = *dynamics;
+        }
+        Ok(self)
     }
 
     /// Returns the rod of an arm for [`new`](Self::new).
@@ -219,6 +285,14 @@ impl<'a> SimulatedArm<'a> {
         &self.acting
     }
 
+    /// Returns the present effort of every actuator in the arm, in its unit.
+    #[must_use]
+    pub fn acting_efforts(&self) -> Vec<f64> {
+        let mut out = self.rod.actuators.efforts(self.time());
+        self.order.of(&self.acting).add_efforts(&mut out);
+        out
+    }
+
     /// Returns the error of the present shape on the model's nodes, m.
     #[must_use]
     pub fn transfer_error(&self) -> f64 {
@@ -241,12 +315,19 @@ impl<'a> SimulatedArm<'a> {
         let last = (until / self.step - EARLY).ceil().max(0.0) as usize;
         while self.n_steps < last {
             self.want(self.time() + self.step);
+            let n = self.order.nodes.len();
             for (next, (acting, wanted)) in
-                (self.next.iter_mut()).zip(self.acting.iter().zip(&self.wanted))
+                (self.next[..n].iter_mut()).zip(self.acting.iter().zip(&self.wanted))
             {
                 *next = self.actuators.follow(acting, wanted, self.step);
             }
-            let on = |wrenches| NodeWrenches::on(&self.nodes, wrenches);
+            for (place, (dynamics, given)) in self.efforts.iter().enumerate() {
+                let [from, to] = [&mut self.acting, &mut self.wanted]
+                    .map(|all| *component_mut(&mut all[n..], place));
+                *component_mut(&mut self.next[n..], place) =
+                    dynamics.follow(*given, from, to, self.step);
+            }
+            let on = |wrenches| self.order.of(wrenches);
             self.stepper.advance([on(&self.acting), on(&self.next)])?;
             std::mem::swap(&mut self.acting, &mut self.next);
             self.n_steps += 1;
@@ -276,10 +357,11 @@ impl<'a> SimulatedArm<'a> {
             .zip(command.from.iter().zip(&command.to))
         {
             let own = self.nearest[*node];
-            if let Some(at) = self.nodes.iter().position(|other| *other == own) {
+            if let Some(at) = self.order.nodes.iter().position(|other| *other == own) {
                 self.wanted[at].force += from.force * (1.0 - s) + to.force * s;
                 self.wanted[at].moment += from.moment * (1.0 - s) + to.moment * s;
             }
         }
+        command.write_efforts_at(told, &mut self.wanted[self.order.nodes.len()..]);
     }
 }

@@ -13,7 +13,8 @@
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 
-use super::subproblem::INSIDE;
+/// Fraction of the way to zero that a multiplier may go: Boyd and Vandenberghe 2004, page 613.
+pub(super) const INSIDE: f64 = 0.99;
 
 /// Rows with penalties, and the memory of their steps.
 #[derive(Debug)]

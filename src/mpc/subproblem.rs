@@ -1,5 +1,5 @@
-//! The quadratic program of one sample, with memory of its own: `min ½ xᵀHx + gᵀx` with `a_i + A_i x` in balls and intervals about zero,
-//! with fixed variables, and with [rows](super::soft_rows) that may be violated with a penalty.
+//! The quadratic program of one sample, with memory of its own: `min ½ xᵀHx + gᵀx` with `a_i + A_i x` in balls and intervals about zero
+//! and in half spaces, with fixed variables, and with [rows](super::soft_rows) that may be violated with a penalty.
 //!
 //! If the minimum without sets is feasible, it is the solution. Otherwise a primal-dual interior-point method finds the minimum (Boyd and
 //! Vandenberghe 2004, section 11.7), with one factorization of an `n × n` matrix per iteration. The caller knows a point strictly within
@@ -15,11 +15,9 @@ use faer::linalg::triangular_solve::{
 use faer::{Mat, Par, Spec};
 
 use super::error::MpcError;
-use super::soft_rows::SoftRows;
+use super::soft_rows::{INSIDE, SoftRows};
 
-/// Fraction of the way to zero that a multiplier may go, and factor on the product of multiplier and slack from one iteration to the next:
-/// Boyd and Vandenberghe 2004, pages 612 and 613.
-pub(super) const INSIDE: f64 = 0.99;
+/// Factor on the product of multiplier and slack from one iteration to the next: Boyd and Vandenberghe 2004, pages 612 and 613.
 const CENTERING: f64 = 0.1;
 /// Largest fraction of a set's room at the caller's inner point that the first iterate uses: any fraction below 1 gives a first iterate
 /// within all sets. With 0.8 and 0.95, the error of the tip changes in the fifth digit in a loop with bounded rates.
@@ -38,18 +36,23 @@ pub(super) enum Set {
     Interval { limit: f64 },
     /// `n` rows together, `|z| ≤ radius`.
     Ball { n: usize, radius: f64 },
+    /// One row, `z ≤ limit`.
+    Below { limit: f64 },
 }
 
 impl Set {
     fn len(self) -> usize {
         match self {
-            Self::Interval { .. } => 1,
+            Self::Interval { .. } | Self::Below { .. } => 1,
             Self::Ball { n, .. } => n,
         }
     }
 
-    /// Returns `½ (|z|² - radius²)/radius`, which is at most zero within the set.
+    /// Returns `½ (|z|² - radius²)/radius`, or `z - limit`, which is at most zero within the set.
     fn excess(self, z: &[f64]) -> f64 {
+        if let Self::Below { limit } = self {
+            return z[0] - limit;
+        }
         let square = z.iter().map(|z| z * z).sum::<f64>();
         let limit = self.limit();
         0.5 * (square / limit - limit)
@@ -57,7 +60,35 @@ impl Set {
 
     fn limit(self) -> f64 {
         match self {
+            Self::Interval { limit } | Self::Ball { radius: limit, .. } | Self::Below { limit } => {
+                limit
+            }
+        }
+    }
+
+    /// Returns the derivative of the excess along a row with the value `z`, as numerator and denominator.
+    fn slope(self, z: f64) -> (f64, f64) {
+        match self {
+            Self::Below { .. } => (1.0, 1.0),
+            Self::Interval { limit } | Self::Ball { radius: limit, .. } => (z, limit),
+        }
+    }
+
+    /// Returns the radius of curvature of the excess, which is infinite for a half space.
+    fn radius(self) -> f64 {
+        match self {
+            Self::Below { .. } => f64::INFINITY,
             Self::Interval { limit } | Self::Ball { radius: limit, .. } => limit,
+        }
+    }
+
+    /// Returns a number that is convex in `z` and below the limit strictly within the set.
+    fn size(self, z: &[f64]) -> f64 {
+        match self {
+            Self::Below { .. } => z[0],
+            Self::Interval { .. } | Self::Ball { .. } => {
+                z.iter().map(|z| z * z).sum::<f64>().sqrt()
+            }
         }
     }
 
@@ -80,6 +111,8 @@ pub struct SubproblemEnd {
 pub(super) struct Subproblem {
     pub hessian: Mat<f64>,
     pub rows: Vec<Row>,
+    /// Value of every row, without its offset, in the middle of its set.
+    pub middles: Vec<f64>,
     pub sets: Vec<Set>,
     pub soft: SoftRows,
     /// Variables that are fixed to the values of the inner point.
@@ -121,6 +154,7 @@ impl Subproblem {
         Self {
             hessian: Mat::zeros(n, n),
             rows: Vec::with_capacity(most_rows),
+            middles: Vec::with_capacity(most_rows),
             sets: Vec::with_capacity(most_rows),
             soft: SoftRows::new(n, most_soft),
             fixed: vec![false; n],
@@ -233,7 +267,6 @@ impl Subproblem {
     /// and multipliers whose products with the slacks are `product`. Returns `false` if the inner point is not strictly inside up to
     /// rounding; it is then the iterate.
     fn start(&mut self, a: &[f64], inside: &[f64], product: f64, x: &mut [f64]) -> bool {
-        let norm = |z: &[f64]| z.iter().map(|z| z * z).sum::<f64>().sqrt();
         self.begin(inside, x);
         values(&self.rows, a, x, &mut self.trial);
         values(&self.rows, a, inside, &mut self.z);
@@ -245,12 +278,13 @@ impl Subproblem {
             if !set.bounds() {
                 continue;
             }
-            let (size, least) = (norm(&self.trial[range.clone()]), norm(&self.z[range]));
+            let size = set.size(&self.trial[range.clone()]);
+            let least = set.size(&self.z[range]);
             let room = set.limit() - least;
             if !(room > 0.0) {
                 part = f64::NEG_INFINITY;
             } else if size > least + BEGIN * room {
-                // The norm is convex along the way.
+                // The size is convex along the way.
                 part = part.min(BEGIN * room / (size - least));
             }
         }
@@ -301,18 +335,19 @@ impl Subproblem {
             if !set.bounds() {
                 continue;
             }
-            let limit = set.limit();
             let slack = -set.excess(&self.z[range.clone()]);
             let (y, pull) = (self.y[index], target / slack);
             for r in range.clone() {
+                let (slope, over) = set.slope(self.z[r]);
                 for (i, a) in self.rows[r] {
-                    self.direction[(i, 0)] -= pull * a * self.z[r] / limit;
+                    self.direction[(i, 0)] -= pull * a * slope / over;
                     for (j, b) in self.rows[r] {
-                        self.matrix[(i, j)] += y * a * b / limit;
+                        self.matrix[(i, j)] += y * a * b / set.radius();
                     }
                     for s in range.clone() {
+                        let (other, _) = set.slope(self.z[s]);
                         for (j, b) in self.rows[s] {
-                            let slopes = a * self.z[r] * b * self.z[s] / (limit * limit);
+                            let slopes = a * slope * b * other / (over * over);
                             self.matrix[(i, j)] += y / slack * slopes;
                         }
                     }
@@ -343,7 +378,8 @@ impl Subproblem {
                     let moved: f64 = (self.rows[r].iter())
                         .map(|&(j, c)| c * self.direction[(j, 0)])
                         .sum();
-                    moved * self.z[r] / set.limit()
+                    let (slope, over) = set.slope(self.z[r]);
+                    moved * slope / over
                 })
                 .sum();
             let y = self.y[index];
@@ -375,8 +411,11 @@ impl Subproblem {
                             .map(|&(j, c)| c * self.moved[j])
                             .sum::<f64>();
                     square += value * value;
+                    if let Set::Below { limit } = *set {
+                        inside &= value < limit;
+                    }
                 }
-                inside &= square < set.limit() * set.limit();
+                inside &= matches!(set, Set::Below { .. }) || square < set.limit() * set.limit();
             }
             if inside || step < SHORTEST {
                 break;
@@ -447,6 +486,45 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
+
+    /// A half space is an interval whose other end is far away: both have the same minimum, up to the gap of the method, and it lies within.
+    #[test]
+    fn half_spaces_are_long_intervals() {
+        let n = 6;
+        let mut dice = fastrand::Rng::with_seed(11);
+        for case in 0..40 {
+            let g: Vec<f64> = (0..n).map(|_| 4.0 * (dice.f64() - 0.5)).collect();
+            let a: Vec<f64> = (0..n).map(|_| 0.4 * (dice.f64() - 0.5)).collect();
+            let sign = if case % 2 == 0 { 1.0 } else { -1.0 };
+            let mut found = [(); 2].map(|()| vec![0.0; n]);
+            for (x, is_open) in found.iter_mut().zip([true, false]) {
+                let mut program = Subproblem::new(n, n, 0);
+                let mut offsets = a.clone();
+                for i in 0..n {
+                    for j in 0..n {
+                        program.hessian[(i, j)] = if i == j { 1.5 } else { 0.2 };
+                    }
+                    program.rows.push([(i, sign), (i, 0.0)]);
+                    if is_open {
+                        program.sets.push(Set::Below { limit: 0.3 });
+                    } else {
+                        offsets[i] += 49.85;
+                        program.sets.push(Set::Interval { limit: 50.15 });
+                    }
+                }
+                program.factor().unwrap();
+                let end = program.solve(&g, &offsets, &vec![0.0; n], 1e-12, 100, x);
+                assert!(end.converged, "{case} {is_open}");
+                for (a, x) in a.iter().zip(&*x) {
+                    assert!(a + sign * x <= 0.3, "{case} {is_open}");
+                }
+            }
+            let [open, closed] = found;
+            for (a, b) in open.iter().zip(&closed) {
+                assert!((a - b).abs() < 1e-5, "{case}: {a} {b}");
+            }
+        }
+    }
 
     /// Minima with balls and intervals, active or not, from values within and on the boundary: no higher than those of many steps of the
     /// projected-gradient method, up to the requested gap, and exactly within their sets.

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::mechanics::place::{locate, pose};
+use crate::mechanics::place::{carry, carry_into, locate};
 use crate::mechanics::{Configuration, Rod, State};
 
 /// Carries states from the nodes of one rod to those of another, finer or coarser, of the same arm.
@@ -49,7 +49,7 @@ impl Transfer {
     /// Writes the state on the other rod's nodes into existing memory.
     pub fn state_into(&self, state: &State, out: &mut State) {
         let [from, to] = &self.inertia;
-        carry(&self.places, &state.configuration, &mut out.configuration);
+        carry_into(&self.places, &state.configuration, &mut out.configuration);
         let velocity = |q: usize| state.linear_momentum[q] / from[q].0;
         let spin = |q: usize| state.angular_momentum[q].component_div(&from[q].1);
         let between = |(q, s): (usize, f64), of: &dyn Fn(usize) -> Vector3<f64>| {
@@ -84,29 +84,10 @@ impl Transfer {
     /// nodes.
     #[must_use]
     pub fn error(&self, configuration: &Configuration) -> f64 {
-        let there = carried(&self.places, configuration);
-        let back = carried(&self.back, &there);
+        let there = carry(&self.places, configuration);
+        let back = carry(&self.back, &there);
         (back.positions.iter().zip(&configuration.positions))
             .fold(0.0, |worst, (a, b)| worst.max((a - b).norm()))
-    }
-}
-
-fn carried(places: &[(usize, f64)], from: &Configuration) -> Configuration {
-    let mut out = Configuration {
-        positions: Vec::new(),
-        rotations: Vec::new(),
-    };
-    carry(places, from, &mut out);
-    out
-}
-
-fn carry(places: &[(usize, f64)], from: &Configuration, out: &mut Configuration) {
-    out.positions.clear();
-    out.rotations.clear();
-    for &(q, s) in places {
-        let (position, rotation) = pose(from, q, s);
-        out.positions.push(position);
-        out.rotations.push(rotation);
     }
 }
 

@@ -6,6 +6,8 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{Extremes, OutputError, RowPrefix};
+use crate::mechanics::nodal_state::ORTHONORMAL;
+use crate::mechanics::rotation::stray;
 use crate::mechanics::{Configuration, State};
 
 /// Name of the checkpoint in a result directory, and in the directory of a run.
@@ -20,8 +22,6 @@ const FRAME_BYTES: u64 = 1 << 16;
 const NUMBERS_OF_A_NODE: u64 = 18;
 /// Upper limit of the bytes of a number in text, which takes at most 24 characters, with separators.
 const BYTES_OF_A_NUMBER: u64 = 32;
-/// Largest entry of `RᵀR - 1` of a rotation. The integrator's rotations deviate by rounding, which adds up to 1e-8 in 10⁸ steps at worst.
-const ORTHONORMAL: f64 = 1e-6;
 
 /// The data from which a simulation continues as if it had never stopped. Its numbers are exact: they are written with enough digits to
 /// read back the same bits. Checksums tell whether the checkpoint and its rows are unchanged.
@@ -235,8 +235,8 @@ impl Checkpoint {
                 return Err(format!("a number of node {node} is not finite"));
             }
             let rotation = Matrix3::from(self.rotation[node]);
-            let stray = (rotation * rotation.transpose() - Matrix3::identity()).amax();
-            if !(stray <= ORTHONORMAL) || !(rotation.determinant() > 0.0) {
+            let stray = stray(&rotation);
+            if !(stray <= ORTHONORMAL) {
                 return Err(format!(
                     "R of node {node} is not a rotation: off by {stray:.1e}, with determinant {:.3}",
                     rotation.determinant()

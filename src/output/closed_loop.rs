@@ -141,6 +141,9 @@ pub struct MpcSummary {
     pub bounded: usize,
     /// Nearest approaches to obstacles and limits, at the ends of samples.
     pub limits: Vec<LimitPeak>,
+    /// Ranges of the efforts that acted in the actuators in the arm, at the ends of samples; absent without them.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub efforts: Vec<EffortRange>,
     /// Changes that may help if the estimate is doubtful, commands are late, or the tip ends far from its reference.
     pub advice: Vec<String>,
     /// Error of the arm's shape at the end on the model's nodes, m.
@@ -151,6 +154,19 @@ pub struct MpcSummary {
     pub wall_s: f64,
     /// Path of the result directory.
     pub directory: String,
+}
+
+/// The range of the efforts of an actuator in the arm.
+#[derive(Clone, Debug, Serialize)]
+pub struct EffortRange {
+    /// Name of the actuator.
+    pub name: String,
+    /// Unit of the effort.
+    pub unit: &'static str,
+    /// Least effort.
+    pub least: f64,
+    /// Largest effort.
+    pub largest: f64,
 }
 
 /// The place and time at which an arm was nearest to violating a limit, or farthest beyond it.
@@ -171,9 +187,9 @@ pub struct LimitPeak {
 /// Result of another law on the same arm.
 #[derive(Clone, Debug, Serialize)]
 pub struct BaselineSummary {
-    /// Status, as in the summary.
+    /// Status, as in the summary; `missing` for a law that the arm cannot have.
     pub status: &'static str,
-    /// The reason of a failure.
+    /// The reason of a failure, or why the law does not exist.
     pub error: Option<String>,
     /// Number of samples that ran.
     pub samples: usize,
@@ -184,6 +200,27 @@ pub struct BaselineSummary {
     /// Angle of the tip from its reference orientation, rad; absent without one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tip_turn_rad: Option<TipError>,
+}
+
+impl BaselineSummary {
+    /// Returns the entry of a law that the arm cannot have, for the given reason.
+    #[must_use]
+    pub fn missing(why: &str) -> Self {
+        let unknown = TipError {
+            last: f64::NAN,
+            rms: f64::NAN,
+            p95: f64::NAN,
+            max: f64::NAN,
+        };
+        Self {
+            status: "missing",
+            error: Some(why.into()),
+            samples: 0,
+            tip_error_m: unknown,
+            tip_error_over_length: unknown,
+            tip_turn_rad: None,
+        }
+    }
 }
 
 /// Columns of `samples.csv`, each with its name and its text; the last ones, from [`FIRST_TIMED_COLUMN`] on, are times of this machine.

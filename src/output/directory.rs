@@ -7,6 +7,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::OutputError;
+use super::end_state::END_FILE;
 use super::reading::read_text;
 use super::summary::TOOL;
 
@@ -61,6 +62,7 @@ impl ResultKind {
             Self::Simulate => &[
                 "scene.toml",
                 "trajectory.npz",
+                END_FILE,
                 "efforts.csv",
                 "diagnostics.npz",
                 "checkpoint.json",
@@ -70,6 +72,7 @@ impl ResultKind {
             Self::Solve => &[
                 "scene.toml",
                 "trajectory.npz",
+                END_FILE,
                 "diagnostics.npz",
                 "controls.csv",
                 "efforts.csv",
@@ -83,8 +86,10 @@ impl ResultKind {
             Self::Mpc => &[
                 "scene.toml",
                 "trajectory.npz",
+                END_FILE,
                 "samples.csv",
                 "controls.csv",
+                "efforts.csv",
                 "report.html",
                 SUMMARY,
             ],

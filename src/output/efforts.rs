@@ -20,11 +20,24 @@ pub struct EffortRow {
     /// Coordinate `y` minus that of the stress-free shape, along which a positive effort does positive work: the length by which a tendon is
     /// shorter, the volume by which a chamber is larger.
     pub coordinate: f64,
+    /// Command that the effort follows, in its unit: the effort plus its rate times the lag, at a jump the value after it. `None` where no
+    /// actuator has a lag.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub command: Option<f64>,
+    /// Displacement of a tendon's winch, m, negative where it has pulled in; of a tendon whose tension is the input, the displacement of an
+    /// end without stretch, minus the coordinate. `None` without a tendon; the outer one if no tendon of the arm is on a winch.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub displacement: Option<Option<f64>>,
 }
 
-/// Writes the rows with a header; every number in the shortest form that reads back as the same `f64`.
+/// Writes the rows, all of which have the same columns, with a header; every number in the shortest form that reads back as the same `f64`.
 pub fn write_efforts(path: &Path, rows: &[EffortRow]) -> Result<(), OutputError> {
-    write_rows(path, &["t", "name", "effort", "coordinate"], rows)
+    let mut columns = vec!["t", "name", "effort", "coordinate"];
+    if let Some(row) = rows.first() {
+        columns.extend(row.command.map(|_| "command"));
+        columns.extend(row.displacement.map(|_| "displacement"));
+    }
+    write_rows(path, &columns, rows)
 }
 
 /// Upper limit of the bytes of a row without its name.

@@ -6,7 +6,7 @@ use std::path::Path;
 use nalgebra::Matrix3;
 
 use super::replace::{EXPORT_MARK, Own, TABLE_HEAD, Writer};
-use super::{MotionRecord, OutputError};
+use super::{EffortRow, MotionRecord, OutputError};
 use crate::mechanics::rotation::quaternion;
 
 /// Destination of an export.
@@ -45,7 +45,8 @@ impl Destination<'_> {
 /// times.
 ///
 /// Every file has the nodes as points (m) joined by a line, and for every node the radius (m, if the arm has one) and the three directors,
-/// the columns of its rotation. The format is that of the VTK file formats, XML, serial, ASCII.
+/// the columns of its rotation. `efforts` are the rows of `efforts.csv`, all actuators for every row of the motion, or none: the effort and
+/// the coordinate of each are field data of its file. The format is that of the VTK file formats, XML, serial, ASCII.
 ///
 /// # Errors
 /// Returns [`OutputError`] if a file cannot be written.
@@ -53,6 +54,7 @@ pub fn write_vtk(
     to: &Destination,
     motion: &MotionRecord,
     radii: &[f64],
+    efforts: &[EffortRow],
     rows: &[usize],
 ) -> Result<(), OutputError> {
     let mut index = format!(
@@ -69,12 +71,31 @@ pub fn write_vtk(
     index.push_str("</Collection>\n</VTKFile>\n");
     files.push(format!("{}.pvd", to.name));
     to.write(&files, |number| match rows.get(number) {
-        Some(&row) => poly_data(motion, radii, row),
+        Some(&row) => poly_data(motion, radii, efforts_at(motion, efforts, row), row),
         None => index.clone(),
     })
 }
 
-fn poly_data(motion: &MotionRecord, radii: &[f64], row: usize) -> String {
+/// Returns the efforts in a row of a motion.
+fn efforts_at<'a>(motion: &MotionRecord, efforts: &'a [EffortRow], row: usize) -> &'a [EffortRow] {
+    let n = efforts.len() / motion.n_rows().max(1);
+    &efforts[n * row..][..n]
+}
+
+/// Returns a name as the value of an attribute.
+fn attribute(name: &str) -> String {
+    let escape = |c: char| match c {
+        '&' => "&amp;".into(),
+        '<' => "&lt;".into(),
+        '>' => "&gt;".into(),
+        '"' => "&quot;".into(),
+        control if control.is_control() => " ".into(),
+        plain => plain.to_string(),
+    };
+    name.chars().map(escape).collect()
+}
+
+fn poly_data(motion: &MotionRecord, radii: &[f64], efforts: &[EffortRow], row: usize) -> String {
     let n = motion.n_nodes;
     let positions = &motion.x[3 * n * row..][..3 * n];
     let rotations = &motion.rotation[9 * n * row..][..9 * n];
@@ -109,8 +130,21 @@ fn poly_data(motion: &MotionRecord, radii: &[f64], row: usize) -> String {
         ""
     };
     let nodes: Vec<String> = (0..n).map(|q| q.to_string()).collect();
+    let mut fields = String::new();
+    for own in efforts {
+        let name = attribute(&own.name);
+        for (word, value) in [("effort", own.effort), ("coordinate", own.coordinate)] {
+            let _ = writeln!(
+                fields,
+                "<DataArray type=\"Float64\" Name=\"{word} {name}\" NumberOfTuples=\"1\" format=\"ascii\">\n{value:e}\n</DataArray>"
+            );
+        }
+    }
+    if !fields.is_empty() {
+        fields = format!("<FieldData>\n{fields}</FieldData>\n");
+    }
     format!(
-        "<?xml version=\"1.0\"?>\n{EXPORT_MARK}\n<VTKFile type=\"PolyData\" version=\"0.1\" byte_order=\"LittleEndian\">\n<PolyData>\n\
+        "<?xml version=\"1.0\"?>\n{EXPORT_MARK}\n<VTKFile type=\"PolyData\" version=\"0.1\" byte_order=\"LittleEndian\">\n<PolyData>\n{fields}\
          <Piece NumberOfPoints=\"{n}\" NumberOfVerts=\"0\" NumberOfLines=\"1\" NumberOfStrips=\"0\" NumberOfPolys=\"0\">\n\
          <Points>\n{}</Points>\n<PointData{scalars}>\n{data}</PointData>\n\
          <Lines>\n<DataArray type=\"Int64\" Name=\"connectivity\" format=\"ascii\">\n{}\n</DataArray>\n\
@@ -121,7 +155,8 @@ fn poly_data(motion: &MotionRecord, radii: &[f64], row: usize) -> String {
 }
 
 /// Writes a motion as one table: a row for every node at every time of `rows`, with time (s), place along the arm (0 to 1, that of every
-/// node is given), position (m) and quaternion, scalar first.
+/// node is given), position (m) and quaternion, scalar first. `efforts` are the rows of `efforts.csv`, or none: a column each, after the
+/// others, with the effort at that time.
 ///
 /// # Errors
 /// Returns [`OutputError`] if the file cannot be written.
@@ -129,24 +164,32 @@ pub fn write_csv(
     to: &Destination,
     motion: &MotionRecord,
     places: &[f64],
+    efforts: &[EffortRow],
     rows: &[usize],
 ) -> Result<(), OutputError> {
     to.write(&[format!("{}.csv", to.name)], |_| {
-        table(motion, places, rows)
+        table(motion, places, efforts, rows)
     })
 }
 
-fn table(motion: &MotionRecord, places: &[f64], rows: &[usize]) -> String {
+fn table(motion: &MotionRecord, places: &[f64], efforts: &[EffortRow], rows: &[usize]) -> String {
     let n = motion.n_nodes;
     let mut text = String::from(TABLE_HEAD);
+    for own in efforts_at(motion, efforts, 0) {
+        // A name may hold the signs that mean something in a table.
+        let _ = write!(text, ",\"effort {}\"", own.name.replace('"', "\"\""));
+    }
+    text.push('\n');
     for &row in rows {
+        let own = efforts_at(motion, efforts, row).iter();
+        let own: String = own.map(|own| format!(",{}", own.effort)).collect();
         for q in 0..n {
             let x = &motion.x[3 * (n * row + q)..][..3];
             let rotation = Matrix3::from_row_slice(&motion.rotation[9 * (n * row + q)..][..9]);
             let turn = quaternion(&rotation);
             let _ = writeln!(
                 text,
-                "{},{q},{},{},{},{},{},{},{},{}",
+                "{},{q},{},{},{},{},{},{},{},{}{own}",
                 motion.t[row], places[q], x[0], x[1], x[2], turn.w, turn.i, turn.j, turn.k
             );
         }

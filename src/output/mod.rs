@@ -7,6 +7,7 @@ mod controls;
 mod diagnostics;
 mod directory;
 mod efforts;
+mod end_state;
 mod error;
 #[cfg(feature = "cli")]
 #[doc(hidden)]
@@ -34,6 +35,7 @@ pub use controls::{ControlRow, read_controls, write_controls};
 pub use diagnostics::{BaseReaction, DiagnosticsRecord};
 pub use directory::{ResultDirectory, ResultKind};
 pub use efforts::{EffortRow, read_efforts, write_efforts};
+pub use end_state::{END_FILE, read_end, write_end};
 pub use error::OutputError;
 #[doc(hidden)]
 pub use extremes::Extremes;
@@ -50,8 +52,8 @@ pub use report::{
     ArrowKind, Bound, Facts, Hold, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportChart,
     ReportCheck, ReportClock, ReportCommand, ReportControls, ReportCurve, ReportData, ReportEnergy,
     ReportField, ReportFields, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles,
-    ReportPath, ReportSensitivity, ReportShape, ReportTable, ReportTarget, ReportVerdict,
-    ReportVia, Words, figure, render_report,
+    ReportPath, ReportRoute, ReportSensitivity, ReportShape, ReportTable, ReportTarget,
+    ReportVerdict, ReportVia, Words, figure, render_report,
 };
 #[cfg(feature = "cli")]
 #[doc(hidden)]

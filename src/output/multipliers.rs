@@ -19,6 +19,9 @@ pub struct MultiplierRecord {
     pub path: Vec<PathMultiplier>,
     /// Normals of the bounds on rates.
     pub rates: Vec<[f64; 6]>,
+    /// Normals of the bounds on commands.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub commands: Vec<[f64; 6]>,
 }
 
 impl MultiplierRecord {
@@ -30,6 +33,7 @@ impl MultiplierRecord {
             goals: multipliers.constraints.clone(),
             path: program.path_multipliers(&multipliers.inequalities),
             rates: program.rate_normals(&multipliers.normals),
+            commands: program.command_normals(&multipliers.normals),
         }
     }
 
@@ -40,6 +44,7 @@ impl MultiplierRecord {
             goals: &self.goals,
             path: &self.path,
             rates: &self.rates,
+            commands: &self.commands,
         }
     }
 }
@@ -62,8 +67,10 @@ pub fn read_multipliers(
         sum.saturating_add(rows.saturating_mul(constraint.time_nodes.len() as u64))
     });
     let rates = (problem.control.n_coefficients() * problem.actuators.len()) as u64;
-    // A row of a path takes six lines, a row of rates eight.
-    let entries = (path_rows.saturating_add(rates))
+    // At most four rows of commands begin at a coefficient.
+    let commands = rates.saturating_mul(4);
+    // A row of a path takes six lines, a row of rates or commands eight.
+    let entries = (path_rows.saturating_add(rates).saturating_add(commands))
         .saturating_mul(8)
         .saturating_add(goals + 64);
     let text = read_text(path, entries.saturating_mul(LARGEST_ENTRY))?;

@@ -16,8 +16,8 @@ const HEAD: u64 = 1 << 16;
 const LARGEST_PAGE: u64 = 1 << 30;
 /// Cap on successive links, as in Linux.
 const MOST_LINKS: usize = 40;
-/// First line of an exported table.
-pub(super) const TABLE_HEAD: &str = "t_s,node,s,x_m,y_m,z_m,qw,qx,qy,qz\n";
+/// Beginning of the first line of an exported table.
+pub(super) const TABLE_HEAD: &str = "t_s,node,s,x_m,y_m,z_m,qw,qx,qy,qz";
 /// A comment in the head of exported XML.
 pub(super) const EXPORT_MARK: &str = "<!-- made by softarm export -->";
 

@@ -56,6 +56,9 @@ pub struct ReportData {
     pub paths: Vec<ReportPath>,
     /// Forces and moments at the frames of the motion.
     pub arrows: Vec<ReportArrow>,
+    /// Tendons, chambers and muscles in the arm.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub routes: Vec<ReportRoute>,
     /// Strains, stresses and speed over arc length and time.
     pub fields: Option<ReportFields>,
     /// The obstacles.
@@ -96,6 +99,7 @@ impl ReportData {
             via: Vec::new(),
             paths: Vec::new(),
             arrows: Vec::new(),
+            routes: Vec::new(),
             fields: None,
             obstacles: None,
             controls: None,
@@ -291,6 +295,27 @@ pub struct ReportArrow {
     pub vectors: Vec<[f32; 3]>,
     /// Largest magnitude, at the frames or between them.
     pub peak: f64,
+}
+
+/// An actuator in the arm: its line, and its effort over the frames of the motion.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportRoute {
+    /// Its name.
+    pub name: String,
+    /// Its kind: "tendon", "chamber" or "muscle".
+    pub kind: &'static str,
+    /// The first node that it passes.
+    pub first: usize,
+    /// Offsets in the section, in meters, at this node and the following ones.
+    pub offsets: Vec<[f32; 2]>,
+    /// Radius of a chamber, in meters; zero of a line.
+    pub radius: f64,
+    /// `[n]` efforts.
+    pub efforts: Vec<f32>,
+    /// `[n]` Tells whether the effort is too small to count.
+    pub slack: Vec<bool>,
+    /// Largest effort that it can have.
+    pub most: f64,
 }
 
 /// A path that a node should follow.

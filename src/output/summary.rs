@@ -302,11 +302,23 @@ pub struct SimulateSummary {
     /// Least distances from the obstacles of the scene, which the motion does not know; absent where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub clearance: Vec<ClearanceSummary>,
+    /// Slack of the tendons on winches; absent where there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub slack: Vec<SlackSummary>,
     /// The choice of the grid; absent if the scene gives it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<AccuracySummary>,
     /// The result directory.
     pub directory: String,
+}
+
+/// Slack of a tendon on a winch.
+#[derive(Clone, Debug, Serialize)]
+pub struct SlackSummary {
+    /// Name of the tendon.
+    pub name: String,
+    /// Fraction of the rows of `efforts.csv`, or of the time nodes of a solve, at which it has no tension.
+    pub fraction: f64,
 }
 
 /// Distance of a node from a soft goal at its time.
@@ -581,6 +593,9 @@ pub struct Reached {
     /// Residuals of soft goals; absent if there is none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub soft_goals: Vec<SoftGoalSummary>,
+    /// Slack of the tendons on winches; absent where there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub slack: Vec<SlackSummary>,
     /// The forward check; absent when it could not be made.
     pub check: Option<CheckRecord>,
 }

@@ -2,10 +2,10 @@
 
 use toml::{Table, Value};
 
-use super::model::{EstimatorKind, LoadNode, Scene, TimeStep};
+use super::model::{COARSEST, Control, EstimatorKind, FINEST, LoadNode, Scene, TimeStep};
 use super::model::{integrator, rotary_inertia};
 use super::overrides::Override;
-use super::values::{Number, digits, known};
+use super::values::{Number, known};
 use super::{SceneError, SceneSource};
 use crate::sqp::HessianChoice;
 use crate::task::Discretization;
@@ -13,11 +13,6 @@ use crate::task::prediction::first_elements;
 
 /// Default accuracy of a scene that gives neither elements nor an accuracy, as a fraction of the length of the arm.
 const DEFAULT: f64 = 1e-3;
-
-/// Smallest accuracy that a grid can be chosen for; with a smaller one, rounding of long motions and the number of elements decide.
-const FINEST: f64 = 1e-8;
-/// Largest accuracy that a grid can be chosen for; with a larger one, no shape is resolved.
-const COARSEST: f64 = 0.1;
 
 /// A key of a table, with its value.
 struct Given {
@@ -108,24 +103,6 @@ pub(super) fn complete(
     Ok(())
 }
 
-/// Checks that an accuracy is in its range.
-///
-/// # Errors
-/// [`SceneError`] with the range.
-pub(super) fn check_range(accuracy: Option<f64>, source: &SceneSource) -> Result<(), SceneError> {
-    match accuracy {
-        Some(accuracy) if !(FINEST..=COARSEST).contains(&accuracy) => {
-            let message = format!("{} is out of range", digits(accuracy));
-            Err(
-                (source.error_at("rod.accuracy", message, None)).expecting(format!(
-                    "expected {FINEST:e} to {COARSEST}, in lengths of the arm"
-                )),
-            )
-        }
-        _ => Ok(()),
-    }
-}
-
 /// The dotted path of a `node` that is an index.
 fn index_of_a_node(table: &Table) -> Option<String> {
     fn within(value: &Value, path: &str) -> Option<String> {
@@ -167,6 +144,12 @@ impl Scene {
         }
         if let Some(inertia) = discretization.rotary_inertia {
             out.rod.rotary_inertia = rotary_inertia(inertia);
+        }
+        let own = self.discretization();
+        let is_other = (own.hold, own.blocks) != (discretization.hold, discretization.blocks);
+        if self.control.is_none() && self.has_controls() && is_other {
+            // Efforts alone are controls without this section.
+            out.control = Some(Control::default());
         }
         if let Some(control) = &mut out.control {
             control.hold = discretization.hold;

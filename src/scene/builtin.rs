@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 22] = [
+const SCENES: [(&str, &str); 28] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -18,6 +18,26 @@ const SCENES: [(&str, &str); 22] = [
     (
         "reach-tendons",
         include_str!("../../examples/scenes/reach-tendons.toml"),
+    ),
+    (
+        "till-tendons",
+        include_str!("../../examples/scenes/till-tendons.toml"),
+    ),
+    (
+        "knode-tendons",
+        include_str!("../../examples/scenes/knode-tendons.toml"),
+    ),
+    (
+        "soromox-tendons",
+        include_str!("../../examples/scenes/soromox-tendons.toml"),
+    ),
+    (
+        "stiff-flop",
+        include_str!("../../examples/scenes/stiff-flop.toml"),
+    ),
+    (
+        "elastica-muscles",
+        include_str!("../../examples/scenes/elastica-muscles.toml"),
     ),
     (
         "paper-arm",
@@ -52,6 +72,10 @@ const SCENES: [(&str, &str); 22] = [
     (
         "mpc-track-circle",
         include_str!("../../examples/scenes/mpc-track-circle.toml"),
+    ),
+    (
+        "mpc-tendons",
+        include_str!("../../examples/scenes/mpc-tendons.toml"),
     ),
     (
         "mpc-reach",

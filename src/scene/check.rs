@@ -5,9 +5,6 @@ use super::model::Scene;
 use super::{SceneError, SceneSource};
 pub(crate) use crate::mechanics::MOST_ELEMENTS;
 
-/// Largest number of blocks or iterations; a larger one is taken for a typing error.
-pub(super) const LARGEST_COUNT: usize = 1_000_000;
-
 impl Scene {
     /// Checks that every number is finite and within range, and that no key contradicts another; `source` says where they are written.
     /// Every scene from [`Scene::load`] or [`Scene::from_toml`] has passed this check.

@@ -14,8 +14,8 @@ use super::values::{Instant, Number, Positive, known};
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
-    ActuatorDynamics, Computing, Experiment, MpcError, MpcSettings, Sensing, Sensor, SensorChoice,
-    SensorSettings, with_long_steps,
+    ActuatorDynamics, Computing, EffortDynamics, Experiment, MpcError, MpcSettings, Sensing,
+    Sensor, SensorChoice, SensorSettings, with_long_steps,
 };
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
@@ -64,6 +64,12 @@ impl ClosedLoopSetup {
     #[must_use]
     pub fn unbent_paths(&self, stop: &StopSignal) -> Vec<String> {
         let model = &*self.model;
+        // Actuators in the arm reach other places than forces on the tip.
+        let task = &self.experiment.task;
+        let pushes = task.actuators.iter().any(|own| own.force.acts());
+        if !task.efforts.is_empty() && !pushes {
+            return Vec::new();
+        }
         let tracks = self
             .resolved
             .objective
@@ -169,9 +175,10 @@ impl Scene {
             step: asked.step,
             ..posed.discretization
         };
-        let model = posed.discrete.rod;
+        let model = Arc::clone(&posed.discrete.rod);
 
         let (plant, plant_discretization) = self.plant(&arm, &discretization);
+        let efforts = self.plant_efforts(arm.actuators.len());
         let found = passing
             .discretize_until(&plant, &plant_discretization, stop)
             .map_err(|error| {
@@ -202,7 +209,7 @@ impl Scene {
         {
             track.take_weights(discrete);
         }
-        let tip = posed.discrete.actuators.first();
+        let tip = posed.discrete.wrench_actuators().first();
         objective.force_scale_n = tip.map(|tip| known(tip.force.scale));
         objective.moment_scale_n_m = tip.map(|tip| known(tip.moment.scale));
         resolved.objective = Some(objective);
@@ -257,6 +264,7 @@ impl Scene {
                 plant,
                 plant_discretization,
                 actuators,
+                efforts,
                 sensing,
                 settings: loop_settings,
                 duration,
@@ -298,12 +306,19 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: waypoints, a free duration and cubic blocks.
+    /// Refuses features that the controller does not support: winches and lags, waypoints, a free duration and cubic blocks.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
+        let winch_or_lag = self.winch_or_lag();
         let refusals = [
+            (
+                winch_or_lag.as_deref().unwrap_or_default(),
+                winch_or_lag.is_some(),
+                "a closed loop does not know winches, nor lags of its own actuators, yet",
+                "give bounds on the effort alone, and lags of the plant as plant.tendon.N.lag_s",
+            ),
             (
                 "task.via",
                 task.is_some_and(|task| !task.via.is_empty()),
@@ -376,6 +391,11 @@ impl Scene {
         if let Some(curvature) = keys.curvature_1_m {
             plant.rest_curvature = curvature.into();
         }
+        for (section, _, own) in keys.hardware() {
+            if let Some((index, ..)) = self.hardware_named(section, &own.name) {
+                own.change(&mut plant.actuators[index]);
+            }
+        }
         if let Some(payload) = &keys.payload {
             plant.payload = Some(payload.of_arm());
         }
@@ -391,6 +411,23 @@ impl Scene {
             ..*discretization
         };
         (plant, own)
+    }
+
+    /// Returns the dynamics of the plant's actuators in the arm, of which there are `n`.
+    fn plant_efforts(&self, n: usize) -> Vec<EffortDynamics> {
+        let keys = self.plant.clone().unwrap_or_default();
+        let lag = keys.actuator.as_ref().map_or(0.0, |own| own.lag_s.get());
+        let like_all = EffortDynamics {
+            lag,
+            ..EffortDynamics::default()
+        };
+        let mut out = vec![like_all; n];
+        for (section, _, own) in keys.hardware() {
+            if let Some((index, ..)) = self.hardware_named(section, &own.name) {
+                out[index] = own.dynamics(lag);
+            }
+        }
+        out
     }
 
     /// Returns the settings of the sensors on this model, after a check that this plant can have them.

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use super::error::DescribeError;
 use super::model::geometry::wxyz;
 use super::model::{
     Base, Body, Damping, DistributedLoad, EndKind, Gravity, Initial, Limit, Load, Objective,
@@ -13,11 +14,6 @@ use super::values::known;
 use crate::mechanics;
 use crate::sqp::SqpSettings;
 use crate::task::{self, PathLimit, Problem};
-
-/// The feature of a problem that no scene can express.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("no scene can describe this problem: {0}")]
-pub struct DescribeError(pub(super) &'static str);
 
 impl Scene {
     /// Returns the scene that describes a problem: read again, it gives the same problem, up to rounding of orientations and directions.
@@ -117,11 +113,7 @@ impl Scene {
             tendon,
             chamber,
             muscle,
-            initial: Some(Initial {
-                shape: task.start.shape,
-                velocity_m_s: task.start.velocity.into(),
-                angular_velocity_rad_s: task.start.angular_velocity.into(),
-            }),
+            initial: Some(Initial::describing(&task.start)),
             time: Time {
                 end_s: known(task.horizon),
                 step_s: chosen.step.map_or(TimeStep::Auto, TimeStep::Seconds),

@@ -16,6 +16,11 @@ use std::ops::Range;
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneError(Box<Diagnosis>);
 
+/// The feature of a problem that no scene can express.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no scene can describe this problem: {0}")]
+pub struct DescribeError(pub(super) &'static str);
+
 #[derive(Clone, Debug, PartialEq)]
 struct Diagnosis {
     key: Option<String>,

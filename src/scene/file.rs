@@ -5,18 +5,19 @@ use super::error::{SceneError, excerpt, nearest};
 use crate::output::{Unreadable, read_regular};
 use std::path::Path;
 
-/// Size of the largest scene file in bytes; a scene has some kilobytes.
-const LARGEST_FILE: u64 = 1 << 20;
+/// Size of the largest scene file in bytes: a scene has some kilobytes, and the [state](super::InitialState) of the arm with the most
+/// elements takes 24 numbers of at most 25 characters a node, 3 MB.
+pub(crate) const LARGEST_SCENE: u64 = 1 << 22;
 
 pub(super) const EXAMPLE_HELP: &str =
     "`softarm example reach` prints a commented scene to start from";
 
 /// Returns the text of the regular file at `path`, of at most the allowed length. Pipes and devices are refused, since they may never end.
 pub(super) fn read(path: &str) -> Result<String, SceneError> {
-    let bytes = read_regular(Path::new(path), LARGEST_FILE).map_err(|error| match error {
+    let bytes = read_regular(Path::new(path), LARGEST_SCENE).map_err(|error| match error {
         Unreadable::Io(_) => SceneError::of_source(path, error.to_string()),
         Unreadable::Large(..) => {
-            SceneError::of_source(path, "larger than 1 MiB, which is no scene file")
+            SceneError::of_source(path, "larger than 4 MiB, which is no scene file")
                 .with_help(EXAMPLE_HELP)
         }
         Unreadable::Kind(kind) => SceneError::of_source(path, format!("{kind}, not a scene file"))

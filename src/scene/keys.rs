@@ -1,8 +1,10 @@
 //! Checks of single keys, with errors that name them.
 
-use super::model::LoadNode;
 use super::values::digits;
 use super::{SceneError, SceneSource};
+
+/// Largest number of blocks or iterations; a larger one is taken for a typing error.
+pub(super) const LARGEST_COUNT: usize = 1_000_000;
 
 /// Checks of the keys of a scene, by dotted path. Each method returns an error at the first key that violates its condition.
 pub(super) struct Keys<'a> {
@@ -55,16 +57,6 @@ impl Keys<'_> {
                     .error_at(section, "nothing is given", None)
                     .expecting(format!("expected one of {}", names.join(", "))))
             }
-        }
-    }
-
-    pub fn node(&self, key: &str, node: LoadNode, elements: usize) -> Checked {
-        match node {
-            LoadNode::Index(node) if node > elements => Err(self
-                .source
-                .error_at(key, format!("there is no node {node}"), None)
-                .expecting(format!("expected 0 (base) to {elements} (tip)"))),
-            _ => Ok(()),
         }
     }
 

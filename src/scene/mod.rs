@@ -27,6 +27,7 @@ mod check;
 mod closed_loop;
 mod csv_path;
 mod describe;
+mod earlier_end;
 #[cfg(feature = "cli")]
 mod edit;
 mod error;
@@ -36,7 +37,6 @@ mod keys;
 mod materials;
 mod model;
 mod overrides;
-mod path;
 mod reader;
 #[cfg(feature = "schema")]
 mod reference;
@@ -50,8 +50,8 @@ mod values;
 
 pub(crate) use check::MOST_ELEMENTS;
 pub use closed_loop::ClosedLoopSetup;
-pub use describe::DescribeError;
-pub use error::SceneError;
+pub use error::{DescribeError, SceneError};
+pub(crate) use file::LARGEST_SCENE;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::*;
 pub use source::SceneSource;
@@ -119,6 +119,7 @@ impl Scene {
             }
         })?;
         scene.read_paths(&source)?;
+        scene.read_start(&source)?;
         scene.check(&source)?;
         Ok((scene, source))
     }

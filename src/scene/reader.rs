@@ -89,9 +89,13 @@ impl de::Error for Misfit {
 
     fn unknown_field(field: &str, known: &'static [&'static str]) -> Misfit {
         let mut misfit = Misfit::new("unknown key".to_string());
-        misfit.help = Some(match nearest(field, known.iter().copied()) {
+        let help = match nearest(field, known.iter().copied()) {
             Some(near) => format!("did you mean `{near}`?"),
             None => format!("known keys here: {}", known.join(", ")),
+        };
+        misfit.help = Some(match topic(field) {
+            Some(page) => format!("{help}\n{page}"),
+            None => help,
         });
         misfit
     }
@@ -121,6 +125,34 @@ impl de::Error for Misfit {
     fn missing_field(field: &'static str) -> Misfit {
         Misfit::new("missing".to_string()).inside(field)
     }
+}
+
+/// Parts of words by which a person would look for an actuator, with a sentence that names its sections and the page about it.
+const TOPICS: [(&[&str], &str); 4] = [
+    (
+        &["tendon", "tension", "rope", "string", "winch"],
+        "tendons in the arm are [[tendon]] sections: see \"Tendons, chambers and muscles\" in docs/solves.md, and `softarm example reach-tendons`",
+    ),
+    (
+        &["pressur", "chamber", "pneum", "hydraul", "bellow", "inflat"],
+        "chambers under pressure are [[chamber]] sections: see \"Tendons, chambers and muscles\" in docs/solves.md",
+    ),
+    (
+        &["muscle", "actuat", "braid", "kibben"],
+        "actuators in the arm are [[tendon]], [[chamber]] and [[muscle]] sections: see \"Tendons, chambers and muscles\" in docs/solves.md",
+    ),
+    (
+        &["magnet"],
+        "magnets are actuators of a program: see \"An actuator of your own\" in docs/extending.md",
+    ),
+];
+
+/// Returns the sentence about what a word means; `None` for other words.
+fn topic(word: &str) -> Option<&'static str> {
+    let word = word.to_lowercase();
+    let mut pages = TOPICS.iter();
+    let (_, page) = pages.find(|(parts, _)| parts.iter().any(|part| word.contains(part)))?;
+    Some(page)
 }
 
 struct Reader<'a>(&'a Value);

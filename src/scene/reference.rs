@@ -19,7 +19,9 @@ const PREFACE: [&str; 3] = [
 ];
 
 /// Units by the end of a key, longer ends first.
-const UNITS: [(&str, &str); 22] = [
+const UNITS: [(&str, &str); 25] = [
+    ("_kg_m2_s", "kg m²/s"),
+    ("_kg_m_s", "kg m/s"),
     ("rotary_kg_m", "kg m"),
     ("_n_m_per_m", "N m/m"),
     ("_n_per_m", "N/m"),
@@ -31,6 +33,7 @@ const UNITS: [(&str, &str); 22] = [
     ("_rad_s", "rad/s"),
     ("_m_s2", "m/s²"),
     ("_1_m", "1/m"),
+    ("_1_n", "1/N"),
     ("_1_s", "1/s"),
     ("_n_m", "N m"),
     ("_n_s", "N/s"),
@@ -175,12 +178,17 @@ impl<'a> Page<'a> {
                     kind(behind(entry.at_key, self.definitions).0, self.definitions)
                 }
                 Some(heading) => link(heading),
-                None => link(&entry.heading()),
+                // Of several keys of this table with the same keys, the first has the section.
+                None => {
+                    let mut alike = entries.iter();
+                    let first = alike.find(|other| other.definition == entry.definition);
+                    link(&first.unwrap_or(entry).heading())
+                }
             };
             let cells = [
                 format!("`{key}`"),
                 kind.clone(),
-                unit(key, &kind),
+                unit(key, &kind, &meaning),
                 default,
                 meaning,
             ];
@@ -289,7 +297,10 @@ fn kind(schema: &Value, definitions: &Value) -> String {
             let item = behind(&schema["items"], definitions).0;
             match schema["maxItems"].as_u64() {
                 Some(count) => format!("{count} × {}", of(item)),
-                None if item["type"] == "array" => format!("rows of {}", of(item)),
+                None if item["type"] == "array" && item["maxItems"].is_u64() => {
+                    format!("rows of {}", of(item))
+                }
+                None if item["type"] == "array" => "rows of numbers".into(),
                 None => format!("list of {}", of(item)),
             }
         }
@@ -331,14 +342,14 @@ fn typed(choice: &Value) -> String {
     }
 }
 
-/// Returns the unit of a key by its end; rows begin with a time in seconds.
-fn unit(key: &str, kind: &str) -> String {
+/// Returns the unit of a key by its end; rows over time begin with a time in seconds.
+fn unit(key: &str, kind: &str, meaning: &str) -> String {
     let unit = UNITS
         .iter()
         .find(|(end, _)| key.ends_with(end))
         .map_or("", |(_, unit)| unit);
-    let is_rows = kind.starts_with("rows of");
-    match (unit, is_rows) {
+    let is_over_time = meaning.contains("[t in s") || meaning.contains("over time");
+    match (unit, kind.starts_with("rows of") && is_over_time) {
         ("", true) => "s".into(),
         (unit, true) => format!("s, {unit}"),
         (unit, false) => unit.into(),

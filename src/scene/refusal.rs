@@ -8,7 +8,7 @@ use super::{Scene, SceneError, SceneSource};
 use crate::control::DurationConflict;
 use crate::mechanics::RodError;
 use crate::mechanics::equilibrium::EquilibriumError;
-use crate::task::{DiscretizeError, Obstruction};
+use crate::task::{DiscretizeError, Obstruction, StartError};
 
 impl Scene {
     /// Returns the error of a discretization at the key of the scene that causes it, with a remedy that a scene can follow.
@@ -62,10 +62,18 @@ impl Scene {
                 "time.end_s",
                 "use a shorter time, fewer elements, or a softer or heavier arm",
             ),
-            DiscretizeError::Start(error) => at("initial.shape", start_remedy(&error)),
+            DiscretizeError::Start(error) => {
+                let has_state = (self.initial.as_ref()).is_some_and(|own| own.state.is_some());
+                let key = ["initial.shape", "initial.from"][usize::from(has_state)];
+                at(key, start_remedy(&error))
+            }
             DiscretizeError::NotHeld(_) => at(
                 "task.at_rest",
                 "move the target, raise the bounds, or let the tip stop for an instant: at_rest = \"tip\"",
+            ),
+            DiscretizeError::ImplicitWinch(_) => at(
+                "time.integrator",
+                "set it to \"explicit\", or give the tension of the tendon",
             ),
             DiscretizeError::TooManyBlocks { .. } => at(
                 "control.blocks",
@@ -218,7 +226,20 @@ impl Scene {
 }
 
 /// Returns the remedy for an initial state that was not found.
-fn start_remedy(error: &EquilibriumError) -> &'static str {
+fn start_remedy(error: &StartError) -> &'static str {
+    match error {
+        StartError::Equilibrium(error) => equilibrium_remedy(error),
+        StartError::Length { .. } => {
+            "the two arms must be equally long; nothing says where the nodes of one are on the other"
+        }
+        StartError::Base { .. } => {
+            "give the base this position and orientation: base.position_m, base.orientation_wxyz"
+        }
+        StartError::Turn { .. } => "use more elements or less curvature",
+    }
+}
+
+fn equilibrium_remedy(error: &EquilibriumError) -> &'static str {
     match error {
         EquilibriumError::FreeBase => {
             "set base.kind = \"clamped\" or hold the tip, or initial.shape = \"rest\""

@@ -399,12 +399,7 @@ impl Scene {
     /// The state in which the scene's motion starts.
     #[must_use]
     pub fn start(&self) -> Start {
-        let initial = self.initial.clone().unwrap_or_default();
-        Start {
-            shape: initial.shape,
-            velocity: initial.velocity_m_s.into(),
-            angular_velocity: initial.angular_velocity_rad_s.into(),
-        }
+        (self.initial.as_ref()).map_or_else(Start::default, model::Initial::of_task)
     }
 
     /// The discretization that the scene asks for.
@@ -510,6 +505,12 @@ impl Scene {
                 .collect(),
             cost: objective.of_task(&mesh, end),
         })
+    }
+
+    /// Tells whether there is something to choose: a force or a moment, or the effort of an actuator in the arm.
+    #[must_use]
+    pub fn has_controls(&self) -> bool {
+        self.control.is_some() || !self.effort_controls().is_empty()
     }
 
     /// Returns the obstacles, then the limits.

@@ -248,6 +248,7 @@ quantities! {
     Radius: "radius", "meters";
     Area: "area", "m²";
     ActiveStress: "stress", "Pa";
+    TendonCompliance: "compliance", "1/N";
     Diameter: "diameter", "meters";
     Edge: "edge", "meters";
     Width: "width", "meters";

@@ -1,36 +1,148 @@
-//! The efforts and coordinates of the actuators in an arm along a recorded motion.
+//! The efforts and coordinates of the actuators in an arm along a motion.
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::mechanics::Rod;
+use crate::control::{Component, OptimalControlProblem};
+use crate::mechanics::signal::EffortTable;
+use crate::mechanics::{Configuration, Density, Rod, StrainActuator, Trajectory, Wrench};
+use crate::output::summary::SlackSummary;
 use crate::output::{EffortRow, MotionRecord};
 
-/// Returns the rows of `efforts.csv` for a recorded motion; `efforts` gives those of all actuators in a row of the record.
+/// Returns the commands of all actuators just after a time node, from their efforts there and the coefficients of the control: the effort
+/// plus its rate times the lag. `None` if no actuator has a lag.
+pub(crate) fn commands(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+    k: usize,
+    efforts: &[f64],
+) -> Option<Vec<f64>> {
+    let driven = problem.efforts.as_ref()?;
+    let mut out = None;
+    for (&actuator, &place) in driven.actuators.iter().zip(&driven.places) {
+        let component = Component {
+            actuator: driven.first + place / 6,
+            axis: place % 6,
+        };
+        let lag = problem.channel(&component).lag;
+        if lag == 0.0 {
+            continue;
+        }
+        let n = problem.actuators.len();
+        let along = |lag: f64| -> f64 {
+            let weights = problem.control.command_weights(k, lag);
+            let term = |&(j, weight): &(usize, f64)| {
+                weight * coefficients[j * n + component.actuator].to_array()[component.axis]
+            };
+            weights.iter().map(term).sum()
+        };
+        out.get_or_insert_with(|| efforts.to_vec())[actuator] += along(lag) - along(0.0);
+    }
+    out
+}
+
+/// Returns the rows of `efforts.csv` for a recorded motion; `inputs` gives those of all actuators in a row of the record, and their commands
+/// where any of them has a lag.
 pub(crate) fn effort_rows(
     rod: &Rod,
     record: &MotionRecord,
-    efforts: impl Fn(usize) -> Vec<f64>,
+    inputs: impl Fn(usize) -> (Vec<f64>, Option<Vec<f64>>),
 ) -> Vec<EffortRow> {
-    let rest = rod.actuator_coordinates(&rod.rest.positions, &rod.rest.rotations);
-    let n = record.n_nodes;
-    let mut out = Vec::with_capacity(record.n_rows() * rest.len());
+    let mut out = Vec::with_capacity(record.n_rows() * rod.actuators.len());
     for k in 0..record.n_rows() {
-        let positions: Vec<Vector3<f64>> = (record.x[3 * n * k..][..3 * n].chunks_exact(3))
-            .map(Vector3::from_column_slice)
-            .collect();
-        let rotations: Vec<Matrix3<f64>> = (record.rotation[9 * n * k..][..9 * n].chunks_exact(9))
-            .map(Matrix3::from_row_slice)
-            .collect();
-        let coordinates = rod.actuator_coordinates(&positions, &rotations);
-        let parts = rod.actuators.iter().zip(efforts(k));
-        for ((actuator, effort), (y, at_rest)) in parts.zip(coordinates.iter().zip(&rest)) {
-            out.push(EffortRow {
-                t: record.t[k],
-                name: actuator.name.clone(),
-                effort,
-                coordinate: y - at_rest,
-            });
-        }
+        let (inputs, commands) = inputs(k);
+        let shape = shape_of(record, k);
+        let rows = efforts_at(rod, record.t[k], &shape, &inputs, commands.as_deref());
+        out.extend(rows);
     }
     out
+}
+
+/// Returns the shape in a row of a recorded motion.
+pub(crate) fn shape_of(record: &MotionRecord, row: usize) -> Configuration {
+    let n = record.n_nodes;
+    Configuration {
+        positions: (record.x[3 * n * row..][..3 * n].chunks_exact(3))
+            .map(Vector3::from_column_slice)
+            .collect(),
+        rotations: (record.rotation[9 * n * row..][..9 * n].chunks_exact(9))
+            .map(Matrix3::from_row_slice)
+            .collect(),
+    }
+}
+
+/// Returns the rows of `efforts.csv` for one shape at time `t` (s), under the inputs of all actuators, and their commands where any of them
+/// has a lag.
+pub(crate) fn efforts_at(
+    rod: &Rod,
+    t: f64,
+    shape: &Configuration,
+    inputs: &[f64],
+    commands: Option<&[f64]>,
+) -> Vec<EffortRow> {
+    let of = |shape: &Configuration| rod.actuator_coordinates(&shape.positions, &shape.rotations);
+    let coordinates = of(shape).into_iter().zip(of(&rod.rest));
+    (rod.actuators.iter().zip(coordinates).enumerate())
+        .map(|(i, (actuator, (y, at_rest)))| EffortRow {
+            t,
+            name: actuator.name.clone(),
+            effort: rod.actuators.law(i, inputs[i], y).effort,
+            coordinate: y - at_rest,
+            command: commands.map(|commands| commands[i]),
+            displacement: (rod.actuators.has_winches())
+                .then(|| displacement(actuator, inputs[i], y - at_rest)),
+        })
+        .collect()
+}
+
+/// Returns the displacement of a tendon, m, for an input and a coordinate relative to the stress-free shape; `None` for another actuator.
+fn displacement(actuator: &StrainActuator, input: f64, coordinate: f64) -> Option<f64> {
+    match actuator.density {
+        _ if actuator.winch.is_some() => Some(input),
+        Density::Shortening => Some(-coordinate),
+        Density::Lengthening | Density::Volume | Density::Muscle | Density::Braid { .. } => None,
+    }
+}
+
+/// Returns the fraction of the rows of `efforts.csv` in which the tendon of each winch has no tension.
+pub(crate) fn slack(rod: &Rod, rows: &[EffortRow]) -> Vec<SlackSummary> {
+    let efforts: Vec<f64> = rows.iter().map(|row| row.effort).collect();
+    slack_of(rod, &efforts)
+}
+
+/// Returns the fraction of the time nodes of a motion at which the tendon of each winch has no tension.
+pub(crate) fn slack_of_motion(
+    problem: &OptimalControlProblem,
+    coefficients: &[Wrench],
+    motion: &Trajectory,
+) -> Vec<SlackSummary> {
+    let rod = &problem.rod;
+    if !rod.actuators.has_winches() {
+        return Vec::new();
+    }
+    let control = problem.signal(&problem.control, coefficients);
+    let table = EffortTable::of(&rod.actuators, &problem.grid, Some(&control));
+    let inputs = table.nodes.chunks_exact(table.n_actuators).enumerate();
+    let efforts: Vec<f64> = inputs
+        .flat_map(|(k, inputs)| {
+            let (x, r) = (motion.positions_at(k), motion.rotations_at(k));
+            rod.efforts_at(inputs.to_vec(), x, r)
+        })
+        .collect();
+    slack_of(rod, &efforts)
+}
+
+/// Returns the slack of every winch from the efforts of all actuators at one time after the other.
+fn slack_of(rod: &Rod, efforts: &[f64]) -> Vec<SlackSummary> {
+    let n = rod.actuators.len();
+    (rod.actuators.iter().enumerate())
+        .filter(|(_, actuator)| actuator.winch.is_some())
+        .map(|(i, actuator)| {
+            let own: Vec<f64> = efforts.iter().skip(i).step_by(n).copied().collect();
+            let slack = own.iter().filter(|effort| **effort == 0.0).count();
+            SlackSummary {
+                name: actuator.name.clone(),
+                fraction: slack as f64 / own.len().max(1) as f64,
+            }
+        })
+        .collect()
 }

@@ -54,6 +54,9 @@ pub(crate) struct EquilibriumSummary {
     pub curvature_max_1_m: f64,
     /// Largest twist of any element, 1/m, including rest twist.
     pub twist_max_1_m: f64,
+    /// Tension and coordinate of the actuators; absent if none is on a winch.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub actuators: Vec<ActuatorAtRest>,
     /// Stability under the present loads.
     pub stability: StabilitySummary,
     /// Tip position to which the arm moves after a small push, if its equilibrium is not stable and another one was found, m.
@@ -78,6 +81,17 @@ pub(crate) struct StaticEnergy {
     pub elastic: f64,
     /// Potential energy of gravity.
     pub potential: f64,
+}
+
+/// An actuator of an arm at rest.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct ActuatorAtRest {
+    /// Its name.
+    pub name: String,
+    /// Effort, in its unit; zero for a slack tendon.
+    pub effort: f64,
+    /// Coordinate less that of the stress-free shape.
+    pub coordinate: f64,
 }
 
 /// Wrench of the base on the arm.
@@ -243,6 +257,7 @@ impl EquilibriumSummary {
             },
             curvature_max_1_m: curvature,
             twist_max_1_m: twist,
+            actuators: actuators_at_rest(rod, &own.shape, options.time),
             stability: StabilitySummary::of(own.stability.as_ref(), stiffness),
             goes_to_m: (found.goes_to.as_ref()).map(|at| at.shape.positions[tip].into()),
             buckling: BucklingSummary::of(&found.critical),
@@ -259,6 +274,25 @@ impl EquilibriumSummary {
             directory,
         }
     }
+}
+
+/// Returns efforts and coordinates of the actuators of an arm with a winch.
+fn actuators_at_rest(rod: &Rod, shape: &Configuration, time: f64) -> Vec<ActuatorAtRest> {
+    if !rod.actuators.has_winches() {
+        return Vec::new();
+    }
+    let coordinates = rod.actuator_coordinates(&shape.positions, &shape.rotations);
+    let inputs = rod.actuators.efforts(time);
+    (rod.actuators
+        .iter()
+        .zip(rod.actuators.at_rest())
+        .enumerate())
+    .map(|(i, (actuator, at_rest))| ActuatorAtRest {
+        name: actuator.name.clone(),
+        effort: rod.actuators.law(i, inputs[i], coordinates[i]).effort,
+        coordinate: coordinates[i] - at_rest,
+    })
+    .collect()
 }
 
 /// Returns the sweep as a motion, with the load factor in the place of the time.

@@ -4,20 +4,20 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::efforts::effort_rows;
+use super::efforts::{commands, effort_rows};
 use super::examined::{Examined, Spent, beside, examine};
 use super::page::{SolvePage, iteration, sensitivity, solve_page};
 use super::solution::{Solution, stopped_steps_per_row};
 use super::summary::summarize;
 use crate::control::{Hold, OptimalControlProblem};
 use crate::mechanics::signal::EffortTable;
-use crate::mechanics::{Energy, State, Wrench};
+use crate::mechanics::{Energy, NodalState, State, Wrench};
 #[cfg(feature = "cli")]
 use crate::output::DiagnosticsRecord;
 use crate::output::summary::SolveSummary;
 use crate::output::{
-    ControlRow, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory, json_value,
-    render_report, write_controls, write_efforts, write_feedback,
+    ControlRow, END_FILE, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory,
+    json_value, render_report, write_controls, write_efforts, write_end, write_feedback,
 };
 #[cfg(feature = "cli")]
 use crate::scene::OptimalControl;
@@ -132,9 +132,15 @@ fn write(
             let table = EffortTable::of(&problem.rod.actuators, &problem.grid, Some(&control));
             let rows = effort_rows(&problem.rod, &record, |row| {
                 let k = (row * stride).min(problem.grid.n_steps);
-                table.nodes[k * table.n_actuators..][..table.n_actuators].to_vec()
+                let own = table.nodes[k * table.n_actuators..][..table.n_actuators].to_vec();
+                let commands = commands(problem, &solution.coefficients, k, &own);
+                (own, commands)
             });
             write_efforts(&directory.path().join("efforts.csv"), &rows)?;
+        }
+        if let Some(check) = &examined.check {
+            let end = NodalState::of(&problem.rod, &check.replay.end);
+            write_end(&directory.path().join(END_FILE), &end)?;
         }
         write_iterations(&directory.path().join("iterations.csv"), solution)?;
         directory.write_text("scene.toml", scene)?;

@@ -6,6 +6,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::causes::causes;
+use super::efforts::slack_of_motion;
 use super::examined::{Examined, Spent};
 use super::soft_goals::soft_goals;
 use super::solution::Solution;
@@ -78,7 +79,7 @@ pub(crate) fn summarize(
         convergence: outcome.convergence,
         reached: reached(
             problem,
-            &outcome.point.trajectory,
+            (&solution.coefficients, &outcome.point.trajectory),
             check,
             examined.unchecked,
         ),
@@ -105,7 +106,7 @@ pub(crate) fn summarize(
 /// The results of a motion, with its check or the reason why there is none.
 pub(super) fn reached(
     problem: &OptimalControlProblem,
-    motion: &Trajectory,
+    (coefficients, motion): (&[Wrench], &Trajectory),
     check: Option<&ForwardCheck>,
     unchecked: Option<Stop>,
 ) -> Reached {
@@ -114,6 +115,7 @@ pub(super) fn reached(
         stays: stays(problem, check),
         tracking: tracking_errors(problem, motion),
         soft_goals: soft_goals(problem, motion),
+        slack: slack_of_motion(problem, coefficients, motion),
         check: (check.map(|check| CheckRecord::Made(check_outcome(check))))
             .or_else(|| unchecked.map(CheckRecord::not_checked)),
     }

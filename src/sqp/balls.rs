@@ -3,7 +3,7 @@
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 
-use super::kkt::{difference, norm};
+use super::norms::{difference, norm};
 use super::program::{ConvexSet, along};
 
 /// Cap on the passes over all balls; more than one is needed only where balls share variables.

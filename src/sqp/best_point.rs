@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use super::kkt::{KktResidual, Multipliers};
+use super::kkt::KktResidual;
+use super::program::Multipliers;
 
 /// The best point so far: the one of least infeasibility, and among feasible ones the one with the smallest KKT residual.
 #[derive(Clone)]

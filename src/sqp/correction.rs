@@ -3,9 +3,9 @@
 
 use super::balls::change_into_balls;
 use super::filter::{Filter, Slope};
-use super::kkt::{difference, norm};
-use super::polish::INSIDE;
+use super::norms::{difference, norm};
 use super::program::LiftedProgram;
+use super::quadratic_program::INSIDE;
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
 use super::trial::{Accepted, Departure, Refused};
 

@@ -2,7 +2,7 @@
 //!
 //! After Wächter and Biegler (2006), the filter line search of Ipopt. Constants that name an option of Ipopt have its default.
 
-use super::kkt::Multipliers;
+use super::program::Multipliers;
 use super::program::{Evaluation, LiftedProgram};
 use super::settings::{MERIT_ROUNDING, NEGLIGIBLE, SCALED_UNIT};
 

@@ -3,38 +3,12 @@
 use faer::linalg::solvers::Solve as _;
 use faer::{Mat, Side};
 
-use super::kkt::{Multipliers, norm};
+use super::norms::norm;
 use super::program::{
-    ConvexSet, Failure, LiftedProgram, Linearization, LinearizationRequest, Softness, along,
+    ConvexSet, Failure, LiftedProgram, Linearization, LinearizationRequest, Multipliers, Softness,
+    along,
 };
 use super::settings::NEGLIGIBLE;
-
-/// Second derivatives in the quadratic model.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(rename = "Hessian"))]
-#[serde(rename_all = "kebab-case")]
-pub enum HessianChoice {
-    /// Gauss-Newton while the linearized constraints cannot be met, exact afterwards, with the multipliers of the last subproblem.
-    #[default]
-    Auto,
-    /// Second derivatives of the objective alone, without those of its residuals.
-    GaussNewton,
-    /// Second derivatives of the Lagrangian.
-    Exact,
-}
-
-impl HessianChoice {
-    /// Name in scene and result files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::GaussNewton => "gauss-newton",
-            Self::Exact => "exact",
-        }
-    }
-}
 
 /// Hessian of a subproblem.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]

@@ -1,94 +1,11 @@
 //! The optimality conditions, and the residual of a point in them.
 
-use std::collections::BTreeMap;
-
+use super::norms::{infinity_norm, norm};
 use super::program::{
-    ConvexSet, Evaluation, LagrangianTerms, LiftedProgram, Linearization, Softness, along,
+    ConvexSet, Evaluation, LagrangianTerms, LiftedProgram, Linearization, Multipliers, Softness,
+    along,
 };
-use super::settings::{EXACT, ROW_TOLERANCE};
-
-/// Multipliers of the constraints, the inequalities and the convex sets.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Multipliers {
-    /// `y`, one per constraint; Lagrangian `J + yᵀ c + …`.
-    pub constraints: Vec<f64>,
-    /// `z ≥ 0`, one per inequality; Lagrangian `… + zᵀ h + …`.
-    pub inequalities: Vec<f64>,
-    /// Per set: an interval has one entry (positive: upper limit), a half-space the factor of its direction, a ball the
-    /// vector `w` that pulls on the variables with `Mᵀ w`.
-    pub normals: Vec<Vec<f64>>,
-}
-
-impl Multipliers {
-    /// Returns zero multipliers for the given numbers of constraints and inequalities and for `sets`.
-    #[must_use]
-    pub fn zeros(n_constraints: usize, n_inequalities: usize, sets: &[ConvexSet]) -> Self {
-        Self {
-            constraints: vec![0.0; n_constraints],
-            inequalities: vec![0.0; n_inequalities],
-            normals: sets
-                .iter()
-                .map(|set| match set {
-                    ConvexSet::Interval { .. } | ConvexSet::HalfSpace { .. } => vec![0.0],
-                    ConvexSet::Ball { rows, .. } => vec![0.0; rows.len()],
-                })
-                .collect(),
-        }
-    }
-}
-
-impl Multipliers {
-    /// Returns the multipliers with the inequalities of the given rows only, in the order of `rows`.
-    pub(super) fn at_rows(&self, rows: &[usize]) -> Self {
-        Self {
-            inequalities: rows.iter().map(|&row| self.inequalities[row]).collect(),
-            ..self.clone()
-        }
-    }
-
-    /// Returns the largest sum of multipliers that share a slack, which the elastic weight must exceed. A constraint has a slack of its
-    /// own, the inequalities of a group share one. `group_of` returns `None` for rows without such a slack.
-    pub(super) fn largest_on_slack(&self, group_of: impl Fn(usize) -> Option<usize>) -> f64 {
-        let mut groups: BTreeMap<usize, f64> = BTreeMap::new();
-        let pushing = self
-            .inequalities
-            .iter()
-            .enumerate()
-            .filter(|(_, z)| **z > 0.0);
-        for (row, z) in pushing {
-            if let Some(group) = group_of(row) {
-                *groups.entry(group).or_insert(0.0) += z;
-            }
-        }
-        (self.constraints.iter())
-            .chain(groups.values())
-            .fold(0.0, |m: f64, y| m.max(y.abs()))
-    }
-
-    /// Returns `yᵀc + Σ z h` over the hard rows among the given ones.
-    pub(super) fn work<P: LiftedProgram>(
-        &self,
-        program: &P,
-        constraints: &[f64],
-        rows: impl Iterator<Item = (usize, f64)>,
-    ) -> f64 {
-        let held = (constraints.iter().zip(&self.constraints)).map(|(c, y)| c * y);
-        let pushed = rows
-            .filter(|&(row, _)| {
-                self.inequalities[row] != 0.0 && program.softness(row) == Softness::Hard
-            })
-            .map(|(row, h)| self.inequalities[row] * h);
-        held.chain(pushed).sum()
-    }
-}
-
-impl Multipliers {
-    /// Returns the change of the objective that rows account for if a subproblem meets them to its accuracy only, [`EXACT`].
-    pub(super) fn row_noise(&self) -> f64 {
-        let pulls = self.constraints.iter().map(|y| y.abs());
-        EXACT * (pulls.sum::<f64>() + self.inequalities.iter().sum::<f64>())
-    }
-}
+use super::settings::ROW_TOLERANCE;
 
 /// Scaled residuals of the Karush-Kuhn-Tucker conditions.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -276,25 +193,4 @@ fn set_complementarity(set: &ConvexSet, normal: &[f64], variables: &[f64], sum: 
             }
         }
     }
-}
-
-/// `a - b`
-pub(super) fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
-    a.iter().zip(b).map(|(a, b)| a - b).collect()
-}
-
-/// Euclidean norm.
-pub(crate) fn norm(v: &[f64]) -> f64 {
-    v.iter().map(|x| x * x).sum::<f64>().sqrt()
-}
-
-/// Returns the largest absolute value; NaN if any entry is NaN.
-pub(crate) fn infinity_norm(v: &[f64]) -> f64 {
-    v.iter().fold(0.0, |m: f64, x| {
-        if x.is_nan() || m.is_nan() {
-            f64::NAN
-        } else {
-            m.max(x.abs())
-        }
-    })
 }

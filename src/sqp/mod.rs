@@ -11,9 +11,9 @@ pub mod hessian;
 pub mod kept_states;
 #[doc(hidden)]
 pub mod kkt;
+mod norms;
 #[doc(hidden)]
 pub mod outcome;
-mod polish;
 #[doc(hidden)]
 pub mod program;
 #[doc(hidden)]
@@ -29,24 +29,24 @@ mod trial;
 mod trust_region;
 mod working_set;
 
+pub use hessian::HessianKind;
 #[doc(hidden)]
 pub use hessian::is_strict_minimum;
-pub use hessian::{HessianChoice, HessianKind};
 pub use kept_states::QpRoute;
 #[doc(hidden)]
 pub use kept_states::{StateLinearization, StateRow};
-pub(crate) use kkt::norm;
-pub use kkt::{KktResidual, Multipliers};
+pub use kkt::KktResidual;
+pub(crate) use norms::norm;
 pub use outcome::{
     Convergence, IterationRecord, Leave, PhaseTimes, SqpOutcome, SqpStatus, StepKind,
 };
 pub use program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
-    LinearizationRequest, Softness,
+    LinearizationRequest, Multipliers, Softness,
 };
 pub use progress::{Progress, Trend};
 pub use run::WarmStart;
-pub use settings::{SADDLE_GAIN, SqpSettings};
+pub use settings::{HessianChoice, SADDLE_GAIN, SqpSettings};
 pub use solver::{Iteration, Solver, solve, solve_warm};
 
 pub use crate::stop::{Stop, StopSignal};

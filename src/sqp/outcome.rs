@@ -4,7 +4,8 @@ use serde::{Serialize, Serializer};
 
 use super::hessian::HessianKind;
 use super::kept_states::QpRoute;
-use super::kkt::{KktResidual, Multipliers};
+use super::kkt::KktResidual;
+use super::program::Multipliers;
 use crate::stop::Stop;
 
 /// The status with which a solve ended. Only the residual test returns `Converged`.

@@ -13,15 +13,16 @@
 //! set; the local maxima among the rows that its solution violates join, until none is violated. Rows never leave, so this ends.
 
 mod clarabel;
+mod polish;
 
 use std::collections::BTreeMap;
 
 use faer::Mat;
 
+pub(super) use self::polish::INSIDE;
+use self::polish::{as_expected, can_be_polished, polish};
 use super::kept_states::StateLinearization;
-use super::kkt::Multipliers;
-use super::polish::{as_expected, can_be_polished, polish};
-use super::program::{ConvexSet, Linearization, Softness, affine};
+use super::program::{ConvexSet, Linearization, Multipliers, Softness, affine};
 use super::settings::ROW_TOLERANCE;
 use crate::stop::{Stop, StopSignal};
 

@@ -14,16 +14,20 @@ use self::restoration::Restoration;
 pub use self::warm_start::WarmStart;
 use super::best_point::Best;
 use super::filter::Filter;
-use super::hessian::{ActiveSet, HessianChoice, HessianKind, ModelHessian, Tangents};
+use super::hessian::{ActiveSet, HessianKind, ModelHessian, Tangents};
 use super::kept_states::{QpRoute, StateLinearization};
-use super::kkt::{KktResidual, Multipliers, norm};
+use super::kkt::KktResidual;
+use super::norms::norm;
 use super::outcome::{Convergence, IterationRecord, SqpOutcome, SqpStatus};
+use super::program::Multipliers;
 use super::program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Softness, sum_of_largest,
 };
 use super::quadratic_program::{LinearInequalities, QpError, QpSolution, QuadraticProgram};
-use super::settings::{MERIT_ROUNDING, NEGLIGIBLE, ROW_TOLERANCE, SCALED_UNIT, SqpSettings};
+use super::settings::{
+    HessianChoice, MERIT_ROUNDING, NEGLIGIBLE, ROW_TOLERANCE, SCALED_UNIT, SqpSettings,
+};
 use super::trace::Trace;
 use super::trial::{Accepted, Departure};
 use super::trust_region::TrustRegion;

@@ -1,7 +1,33 @@
 //! Settings of a solve, and the tolerances of its stopping test.
 
-use super::hessian::HessianChoice;
 use super::kept_states::QpRoute;
+
+/// Second derivatives in the quadratic model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "Hessian"))]
+#[serde(rename_all = "kebab-case")]
+pub enum HessianChoice {
+    /// Gauss-Newton while the linearized constraints cannot be met, exact afterwards, with the multipliers of the last subproblem.
+    #[default]
+    Auto,
+    /// Second derivatives of the objective alone, without those of its residuals.
+    GaussNewton,
+    /// Second derivatives of the Lagrangian.
+    Exact,
+}
+
+impl HessianChoice {
+    /// Name in scene and result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::GaussNewton => "gauss-newton",
+            Self::Exact => "exact",
+        }
+    }
+}
 
 /// Settings of a solve. In a scene, the keys of `[solver]` set all of them but the accuracy of rows.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,7 +2,8 @@
 //! rejected, the trust region shrinks.
 
 use super::filter::{Filter, Measure, Slope};
-use super::kkt::{Multipliers, norm};
+use super::norms::norm;
+use super::program::Multipliers;
 use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
 use super::quadratic_program::QuadraticProgram;
 use super::settings::SCALED_UNIT;

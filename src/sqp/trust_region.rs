@@ -5,7 +5,7 @@
 //! the ratios 0.05 and 0.9, and the factors 1/16 (after a step that is refused), 1/4 and 2.5. Numbers that are neither are choices, and
 //! decision 68 has the results of others.
 
-use super::kkt::norm;
+use super::norms::norm;
 use super::settings::ROW_TOLERANCE;
 
 /// First radius, relative to the norm of the variables (at least to one): the least that lets a step reverse the variables, `v` to `-v`.

@@ -5,12 +5,14 @@ use nalgebra::{Matrix3, Vector3};
 use super::discretization::Discretization;
 pub use crate::mechanics::Place;
 use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
-use crate::mechanics::rotation::from_direction;
+use crate::mechanics::place::{carry, locate};
+use crate::mechanics::rod::append_element;
+use crate::mechanics::rotation::{from_direction, log, log_tangent, quaternion, wxyz};
 use crate::mechanics::rows;
 use crate::mechanics::{
-    BaseCondition, DistributedLoad, EndCondition, Load, LoadFrame, Material, Mesh, NodeInertia,
-    Rod, RodError, RodModel, RodParameters, RotaryInertia, Section, SectionProfile, State,
-    StrainActuator, TimeScheme,
+    BaseCondition, Configuration, DistributedLoad, EndCondition, Load, LoadFrame, Material, Mesh,
+    NodalState, NodeInertia, Rod, RodError, RodModel, RodParameters, RotaryInertia, Section,
+    SectionProfile, State, StrainActuator, TimeScheme,
 };
 use crate::stop::StopSignal;
 
@@ -227,21 +229,25 @@ impl Arm {
 }
 
 /// Shape that a motion starts from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(rename = "InitialShape"))]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub enum StartShape {
     /// The stress-free shape: gravity and loads act suddenly.
     #[default]
     Rest,
     /// Static equilibrium under gravity and the loads at t = 0; needs an end that is held.
     Equilibrium,
+    /// A curvature, 1/m, as rows over the fraction of the length, linear between two rows and constant beyond the first and the last one. The
+    /// elements are as long as at rest and not sheared.
+    Curvature(Vec<(f64, Vector3<f64>)>),
+    /// Poses at fractions of the length that increase from 0 to 1; between two of them the arm is a helix.
+    Poses(Vec<f64>, Configuration),
+    /// Poses and velocities of another motion of the same or a similar arm.
+    State(Box<NodalState>),
 }
 
 /// State of an arm at t = 0: a shape, and how it moves. An arm on a clamped base is at rest, one on a driven base moves with it as a rigid
-/// body.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// body, unless its shape is a [state](StartShape::State), which has velocities of its own.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Start {
     /// The shape.
     pub shape: StartShape,
@@ -251,26 +257,91 @@ pub struct Start {
     pub angular_velocity: Vector3<f64>,
 }
 
-/// Distance of a held tip from the end of the arm at rest, in lengths of the arm, or angle in rad, up to which it counts as there: rounding
+/// Returns a shape whose tip is where it is held, or is free.
+fn at_its_ends(rod: &Rod, shape: Configuration) -> Result<Configuration, EquilibriumError> {
+    let (distance, angle) = rod.largest_gap(&shape, 0.0);
+    if distance > AT_ITS_END * rod.scales.length || angle > AT_ITS_END {
+        return Err(EquilibriumError::NotThere { distance, angle });
+    }
+    Ok(shape)
+}
+
+/// Distance of a held tip from the end of a shape, in lengths of the arm, or angle in rad, up to which it counts as there: rounding
 /// of a pose that is written in decimals.
 const AT_ITS_END: f64 = 1e-9;
+
+/// The reason why an arm has no state to start from.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum StartError {
+    /// There is no equilibrium, or the search for it was stopped.
+    #[error(transparent)]
+    Equilibrium(#[from] EquilibriumError),
+    /// The state is that of a longer or shorter arm.
+    #[error("the state is that of an arm of {found} m, and this one has {length} m")]
+    Length {
+        /// Length of the arm whose state it is, m.
+        found: f64,
+        /// Length of this arm, m.
+        length: f64,
+    },
+    /// The shape begins elsewhere than at the base.
+    #[error(
+        "it begins {distance:.3e} m and {turn:.3e} rad from the base at t = 0: at [{}, {}, {}] m, with the orientation [{}, {}, {}, {}]",
+        position[0], position[1], position[2], orientation[0], orientation[1], orientation[2], orientation[3]
+    )]
+    Base {
+        /// Distance from the base, m.
+        distance: f64,
+        /// Angle to the base, rad.
+        turn: f64,
+        /// Position of its first node, m.
+        position: [f64; 3],
+        /// Orientation of its first node as a quaternion, scalar first.
+        orientation: [f64; 4],
+    },
+    /// An element would be bent by half a turn or more.
+    #[error("element {element} would turn by {turn:.3} rad, half a turn or more")]
+    Turn {
+        /// Index of the element, between nodes `element` and `element + 1`.
+        element: usize,
+        /// Its angle, rad.
+        turn: f64,
+    },
+}
 
 impl Start {
     /// The state of a rod at t = 0.
     ///
     /// # Errors
-    /// [`EquilibriumError`] where there is no equilibrium to start from, or `stop` is raised before it is found.
-    pub fn state(&self, rod: &Rod, stop: &StopSignal) -> Result<State, EquilibriumError> {
-        let shape = match self.shape {
-            StartShape::Rest => {
-                let (distance, angle) = rod.largest_gap(&rod.rest, 0.0);
-                if distance > AT_ITS_END * rod.scales.length || angle > AT_ITS_END {
-                    return Err(EquilibriumError::NotThere { distance, angle });
-                }
-                rod.rest.clone()
-            }
+    /// [`StartError`] where there is no equilibrium to start from, where the shape is that of another arm or begins elsewhere than at the
+    /// base, or `stop` is raised before a state is found.
+    pub fn state(&self, rod: &Rod, stop: &StopSignal) -> Result<State, StartError> {
+        let shape = match &self.shape {
+            StartShape::Rest => at_its_ends(rod, rod.rest.clone())?,
             StartShape::Equilibrium => {
                 static_equilibrium_until(rod, &rod.rest, 0.0, &TipSpring::default(), stop)?
+            }
+            StartShape::Curvature(rows) => at_its_ends(rod, bent(rod, rows)?)?,
+            StartShape::Poses(places, poses) => {
+                let nodes: Vec<_> = (rod.places().into_iter())
+                    .map(|part| locate(places, part))
+                    .collect();
+                at_its_ends(rod, on_base(rod, carry(&nodes, poses))?)?
+            }
+            StartShape::State(found) => {
+                let length: f64 = rod.elements.iter().map(|element| element.length).sum();
+                if !((found.length - length).abs() <= SAME_PLACE * length) {
+                    let found = found.length;
+                    return Err(StartError::Length { found, length });
+                }
+                let mut state = found.on(rod);
+                state.configuration = at_its_ends(rod, on_base(rod, state.configuration)?)?;
+                if rod.base == BaseCondition::Clamped {
+                    state.linear_momentum[0] = Vector3::zeros();
+                    state.angular_momentum[0] = Vector3::zeros();
+                }
+                rod.start_base(0.0, &mut state);
+                return Ok(state);
             }
         };
         Ok(match rod.base {
@@ -281,4 +352,53 @@ impl Start {
             _ => rod.at_rest_on_base(shape),
         })
     }
+}
+
+/// Part of the length, and angle in rad, by which the first node of a given shape may be off the base: the rounding of numbers that are
+/// written with nine digits.
+const SAME_PLACE: f64 = 1e-8;
+
+/// Returns the shape with its first node exactly on a base that is held.
+fn on_base(rod: &Rod, mut shape: Configuration) -> Result<Configuration, StartError> {
+    if rod.base == BaseCondition::Free {
+        return Ok(shape);
+    }
+    let (position, rotation) = (rod.rest.positions[0], rod.rest.rotations[0]);
+    let distance = (shape.positions[0] - position).norm();
+    let turn = log(&rotation.tr_mul(&shape.rotations[0])).norm();
+    if !(distance <= SAME_PLACE * rod.scales.length && turn <= SAME_PLACE) {
+        return Err(StartError::Base {
+            distance,
+            turn,
+            position: shape.positions[0].into(),
+            orientation: wxyz(&quaternion(&shape.rotations[0])),
+        });
+    }
+    shape.positions[0] = position;
+    shape.rotations[0] = rotation;
+    Ok(shape)
+}
+
+/// Returns the shape with this curvature whose elements have the strains along the arm of the stress-free shape.
+fn bent(rod: &Rod, curvature: &[(f64, Vector3<f64>)]) -> Result<Configuration, StartError> {
+    let rest = &rod.rest;
+    let mut shape = Configuration {
+        positions: vec![rest.positions[0]],
+        rotations: vec![rest.rotations[0]],
+    };
+    let places = rod.places();
+    for (q, element) in rod.elements.iter().enumerate() {
+        let r = &rest.rotations[q];
+        let at_rest = log(&r.tr_mul(&rest.rotations[q + 1]));
+        let chord = r.tr_mul(&(rest.positions[q + 1] - rest.positions[q]));
+        let along = log_tangent(&at_rest) * chord;
+        let mean = rows::mean(curvature, places[q], places[q + 1]);
+        let psi = mean.unwrap_or_else(Vector3::zeros) * element.length;
+        let turn = psi.norm();
+        if !(turn < std::f64::consts::PI) {
+            return Err(StartError::Turn { element: q, turn });
+        }
+        append_element(&mut shape, &psi, &along);
+    }
+    Ok(shape)
 }

@@ -104,7 +104,12 @@ impl Arm {
             };
             let mut rod = self.rod(&chosen)?;
             if chosen.scheme.is_none() {
-                rod.scheme = automatic_scheme(&rod, given, duration, work);
+                let is_solve = matches!(work, Work::Solve { .. });
+                rod.scheme = if is_solve && rod.actuators.has_winches() {
+                    TimeScheme::Explicit
+                } else {
+                    automatic_scheme(&rod, given, duration, work)
+                };
                 chosen.scheme = Some(rod.scheme);
             }
             Ok((chosen, rod))
@@ -162,6 +167,10 @@ impl Task {
         };
         let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
         let (chosen, rod) = arm.choose(discretization, longest, work)?;
+        let winch = rod.actuators.iter().find(|own| own.winch.is_some());
+        if let Some(winch) = winch.filter(|_| rod.scheme == TimeScheme::Implicit) {
+            return Err(DiscretizeError::ImplicitWinch(winch.name.clone()));
+        }
         let grid = self.grid(&rod, chosen.step, blocks)?;
         let n_steps = grid.n_steps as f64;
         if !(n_steps * rod.n_nodes() as f64 <= MOST_STORED_STATES) {
@@ -179,10 +188,12 @@ impl Task {
             },
         )?;
         let actuators = self.actuators(&rod);
-        let default_weights = default_weights(self.cost.effort, &rod, &actuators);
+        let default_weights =
+            default_weights(self.cost.effort, &rod, &actuators, !self.efforts.is_empty());
         let (carriers, acting) = own::acting(&self.own_actuators, actuators.len(), &rod, &initial)?;
         let mut actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
-        let (carriers, efforts) = effort::efforts(&self.efforts, actuators.len(), &rod)?;
+        let (carriers, efforts) =
+            effort::efforts(&self.efforts, actuators.len(), chosen.hold, &rod)?;
         actuators.extend(carriers);
         // A rate of samples is counted on the longest duration, so that it does not depend on where the search begins.
         let samples_on = match self.free_duration {
@@ -320,7 +331,7 @@ impl Task {
             .cost
             .tracks
             .iter()
-            .filter(|_| self.actuators.is_empty())
+            .filter(|_| self.actuators.is_empty() && self.efforts.is_empty())
         {
             for (what, is_followed, weight) in [
                 ("track.weight", !track.path.is_empty(), track.weight),

@@ -3,7 +3,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::error::DiscretizeError;
-use crate::control::{ActuatedNode, Bound, Channel};
+use crate::control::{ActuatedNode, Bound, Channel, Hold};
 use crate::mechanics::{Efforts, Rod};
 
 /// An actuator of the [arm](super::Arm) whose effort the optimizer chooses.
@@ -14,13 +14,17 @@ use crate::mechanics::{Efforts, Rod};
 pub struct EffortControl {
     /// Index among [`Arm::actuators`](super::Arm::actuators); no two controls have the same.
     pub actuator: usize,
-    /// Least and largest effort, with the pretension between; infinite where there is no bound.
+    /// Least and largest effort, with the pretension between; infinite where there is no bound. Of a winch they are displacements, m, as is
+    /// every effort here, the least one finite.
     pub bounds: [f64; 2],
     /// Least (negative) and largest rate of the effort, per second. With it the effort begins at the pretension; `None`: it may jump.
     pub rate: Option<[f64; 2]>,
     /// Effort that counts as 1 in the cost. `None`: the one that bends or twists the arm by a radian in all, or where nothing bends the
     /// largest distance of a bound from the pretension.
     pub scale: Option<f64>,
+    /// Time constant, s, of the first-order lag with which the effort follows its command: the bounds hold for the command
+    /// `u + lag du/dt`, and the effort begins at the pretension. `None`: the command acts at once.
+    pub lag: Option<f64>,
 }
 
 /// Returns the carriers of the controls after `first` wrenches, and the place of each control in them: every control has a force or a
@@ -28,10 +32,11 @@ pub struct EffortControl {
 ///
 /// # Errors
 /// Returns [`DiscretizeError`] for an actuator that the rod does not have or that is named twice, bounds without the pretension between
-/// them, or a pretension that changes.
+/// them, a pretension that changes, or a lag under a constant hold.
 pub(super) fn efforts(
     controls: &[EffortControl],
     first: usize,
+    hold: Hold,
     rod: &Rod,
 ) -> Result<(Vec<ActuatedNode>, Option<Efforts>), DiscretizeError> {
     if controls.is_empty() {
@@ -71,8 +76,29 @@ pub(super) fn efforts(
             let expected = "rates that let the effort fall and rise";
             return refuse("effort.rate", if down < 0.0 { up } else { down }, expected);
         }
+        if let Some(lag) = control.lag {
+            if !(lag > 0.0 && lag.is_finite()) {
+                return refuse("effort.lag", lag, "a positive time");
+            }
+            if hold == Hold::Constant {
+                let expected =
+                    "a linear or cubic hold: after a lag the effort of a command does not jump";
+                return refuse("effort.lag", lag, expected);
+            }
+        }
+        if let Some(winch) = &actuator.winch {
+            let shortest = winch.outside - rod.actuators.at_rest()[index] + least;
+            if !(shortest > 0.0) {
+                let expected = "a displacement by less than all of the tendon, with a least one";
+                return refuse("effort.bounds", least, expected);
+            }
+            if hold == Hold::Constant {
+                let expected = "a linear or cubic hold: a winch does not jump";
+                return refuse("effort.displacement", given, expected);
+            }
+        }
         let reach = (most - given).max(given - least);
-        let scale = control.scale.or_else(|| bending_scale(rod, index));
+        let scale = (control.scale).or_else(|| bending_scale(rod, index, least));
         let scale = scale.unwrap_or(if reach.is_finite() { reach } else { 1.0 });
         if !(scale > 0.0 && scale.is_finite()) {
             return refuse("effort.scale", scale, "a positive effort");
@@ -86,7 +112,8 @@ pub(super) fn efforts(
         channels.push(Channel {
             rate_bound: control.rate.map(between),
             axes: [true, false, false],
-            from_rest: control.rate.is_some(),
+            from_rest: control.rate.is_some() || control.lag.is_some() || actuator.winch.is_some(),
+            lag: control.lag.unwrap_or(0.0),
             ..Channel::new(
                 scale,
                 bounded.then(|| between([least - given, most - given])),
@@ -103,8 +130,8 @@ pub(super) fn efforts(
 }
 
 /// Returns the effort of an actuator that bends and twists the arm at rest by a radian in all, as the sum over the elements of moment over
-/// stiffness; `None` if it has no moment.
-fn bending_scale(rod: &Rod, actuator: usize) -> Option<f64> {
+/// stiffness, or the displacement of its winch from `least` on that makes this effort; `None` if it has no moment.
+fn bending_scale(rod: &Rod, actuator: usize, least: f64) -> Option<f64> {
     let mut unit = vec![0.0; rod.actuators.len()];
     unit[actuator] = 1.0;
     let angle: f64 = (rod.elements.iter().enumerate())
@@ -114,6 +141,7 @@ fn bending_scale(rod: &Rod, actuator: usize) -> Option<f64> {
             Some(element.length * (Vector2::new(turn.x, turn.y).norm() + turn.z.abs()))
         })
         .sum();
+    let flexibility = rod.winch_flexibility(actuator, least).unwrap_or(1.0);
     // Below rounding of an offset there is no moment.
-    (angle > f64::MIN_POSITIVE).then(|| angle.recip())
+    (angle > f64::MIN_POSITIVE).then(|| flexibility / angle)
 }

@@ -1,8 +1,8 @@
 //! Errors of a discretization, by the continuous problem or by the requested numbers.
 
+use super::arm::StartError;
 use crate::control::{DurationConflict, GoalPart};
 use crate::mechanics::RodError;
-use crate::mechanics::equilibrium::EquilibriumError;
 
 /// Reason why there is no discrete problem.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -69,10 +69,15 @@ pub enum DiscretizeError {
     },
     /// The rod has no state to start from.
     #[error(transparent)]
-    Start(#[from] EquilibriumError),
+    Start(#[from] StartError),
     /// Nothing holds the arm at its target.
     #[error("{0}")]
     NotHeld(String),
+    /// A winch under the implicit integrator in a task.
+    #[error(
+        "a task with the tendon \"{0}\" on a winch takes explicit steps: its spring joins all elements in the linearization of an implicit one"
+    )]
+    ImplicitWinch(String),
     /// More blocks than steps.
     #[error("{blocks} blocks do not fit into {n_steps} time steps")]
     TooManyBlocks {

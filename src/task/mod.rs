@@ -33,7 +33,7 @@ pub(crate) mod staying;
 mod tracking;
 
 pub use crate::control::PathLimit;
-pub use arm::{Arm, Place, PointLoad, Start, StartShape};
+pub use arm::{Arm, Place, PointLoad, Start, StartError, StartShape};
 pub use definition::{
     ChannelLimits, ControlGroup, Cost, Hardness, Limit, OwnActuator, Rest, Staying, Target, Task,
     Tolerances, Track, WrenchActuator,

@@ -1,11 +1,11 @@
 //! The stay of an arm after its task: the equilibrium at its target, with the wrenches that hold it.
 
+use super::arm::StartError;
 use super::definition::Staying;
 use super::error::DiscretizeError;
 use crate::control::{
     CannotHold, Held, Holding, HoldingError, OptimalControlProblem, Stay, holding,
 };
-use crate::mechanics::equilibrium::EquilibriumError;
 
 /// Returns the stay from the end of the horizon of `problem` on, for an arm of `length` in m.
 ///
@@ -34,7 +34,7 @@ pub(super) fn stay(
             refuse(format!("the arm cannot stay there: {why}{nearest}"))
         }
         Err(HoldingError::Stopped(stop)) => {
-            Err(DiscretizeError::Start(EquilibriumError::Stopped(stop)))
+            Err(DiscretizeError::Start(StartError::Equilibrium(stop.into())))
         }
         Err(error) => refuse(error.to_string()),
     }

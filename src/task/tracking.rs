@@ -12,10 +12,18 @@ const MISSED: f64 = 1e-4;
 ///
 /// `c` are the displacements of a straight clamped arm divided by its length under one unit of each part of the wrench: `f L²/(3EI)` of a
 /// force `f` across the tip and `m L/(2EI)` of a moment `m`. For an orientation, `ξ` is a turn, and `c` are `f L²/(2EI)` and `m L/(EI)`.
-/// Actuators on other nodes count as if they were on the tip; if there are only actuators of one's own, a force of the size of the rod's
-/// scale counts in their place.
-pub(super) fn default_weights(effort: f64, rod: &Rod, actuators: &[ActuatedNode]) -> [f64; 2] {
-    [[3.0, 2.0], [2.0, 1.0]].map(|stiffness| default_weight(effort, rod, actuators, stiffness))
+/// Actuators on other nodes count as if they were on the tip. If there are none, the effort of an actuator in the arm that bends it by a
+/// radian, to an arc, counts in their place (`ξ = ½` across, and 1), or with actuators of one's own alone a force of the size of the rod's
+/// scale.
+pub(super) fn default_weights(
+    effort: f64,
+    rod: &Rod,
+    actuators: &[ActuatedNode],
+    has_efforts: bool,
+) -> [f64; 2] {
+    let bent = |across: f64| if has_efforts { across } else { 0.0 };
+    [([3.0, 2.0], bent(0.5)), ([2.0, 1.0], bent(1.0))]
+        .map(|(stiffness, bent)| default_weight(effort, rod, actuators, stiffness, bent))
 }
 
 /// Returns one of the two weights; `stiffness` is that of the arm against a force and a moment, in `EI/L²` and `EI/L`.
@@ -24,6 +32,7 @@ fn default_weight(
     rod: &Rod,
     actuators: &[ActuatedNode],
     [across, about]: [f64; 2],
+    bent: f64,
 ) -> f64 {
     let held = |part: &dyn Fn(&ActuatedNode) -> Channel, unit: f64| {
         (actuators.iter().map(part))
@@ -37,6 +46,8 @@ fn default_weight(
     let squares = by_force * by_force + by_moment * by_moment;
     let squares = if squares > 0.0 {
         squares
+    } else if bent > 0.0 {
+        bent * bent
     } else {
         1.0 / (across * across)
     };

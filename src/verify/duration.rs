@@ -50,8 +50,8 @@ pub(super) fn examine(
     Ok(Some(unexplained / largest.max(f64::MIN_POSITIVE)))
 }
 
-/// Effort and rate, price of the duration, costs on states, goals, path, and bounds on rates.
-const N_TERMS: usize = 6;
+/// Effort and rate, price of the duration, costs on states, goals, path, and bounds on rates and on commands.
+const N_TERMS: usize = 7;
 
 /// Returns the terms of the Lagrangian with the solution's controls and multipliers over `time_scale` times the duration.
 fn terms(
@@ -81,7 +81,34 @@ fn terms(
         goals.sum(),
         on_path.sum(),
         -rate_room(problem, multipliers.rates),
+        commanded(problem, solution),
     ])
+}
+
+/// Returns `Σ z·command`: the term of the bounds on commands whose value changes with the duration.
+fn commanded(problem: &OptimalControlProblem, solution: &Solution) -> f64 {
+    let n = problem.actuators.len();
+    let spline = Spline::of(problem);
+    let mut sum = 0.0;
+    for a in 0..n {
+        let own = [&problem.actuators[a].force, &problem.actuators[a].moment];
+        for (c, (scale, ..)) in channels(problem, a).into_iter().enumerate() {
+            if own[c].lag == 0.0 {
+                continue;
+            }
+            for (row, weights) in spline.command_rows(own[c].lag).iter().enumerate() {
+                let Some(z) = solution.multipliers.commands.get(row * n + a) else {
+                    continue;
+                };
+                for &(j, weight) in weights {
+                    let u = solution.coefficients[j * n + a].to_array();
+                    sum +=
+                        (0..3).map(|i| z[3 * c + i] * u[3 * c + i]).sum::<f64>() * weight / scale;
+                }
+            }
+        }
+    }
+    sum
 }
 
 /// Returns `|z| limit`; 0 for a zero multiplier, even without a limit.

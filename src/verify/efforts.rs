@@ -5,10 +5,10 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::dual;
 use super::interval::{self, Nine, Strained, add_to_nodes, pose};
-use crate::mechanics::{NodeWrenches, Rod, TimeGrid, TimeNode, TimeScheme, Wrench};
+use crate::mechanics::{NodeWrenches, Rod, TimeNode, TimeScheme, Wrench};
 
-/// Returns the given efforts at a side of a time node with those of a control.
-pub(crate) fn at_node(rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Vec<f64> {
+/// Returns the given inputs at a side of a time node with those of a control: efforts, or the displacements of winches.
+pub(crate) fn inputs(rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Vec<f64> {
     let mut out: Vec<f64> = (rod.actuators.iter())
         .map(|actuator| actuator.effort_at_node(node))
         .collect();
@@ -22,21 +22,74 @@ pub(crate) fn at_node(rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Vec
     out
 }
 
-/// Returns the efforts of the interval from time node `k` to the next: the mean of both ends.
-pub(super) fn of_interval(
-    rod: &Rod,
-    grid: TimeGrid,
-    k: usize,
-    control: [NodeWrenches; 2],
-) -> Vec<f64> {
-    let [start, end] = grid.clock().ends_of_step(k);
-    mean(rod, [start, end], control)
+/// Returns the efforts for the inputs of all actuators at their coordinates. The tension of a winch follows from the length of its tendon
+/// in the arm: `(ℓ + b)/(ℓ₀ + b + z) = 1 + C T`, or zero where this is less than one.
+pub(crate) fn of_inputs(rod: &Rod, inputs: Vec<f64>, coordinates: &[f64]) -> Vec<f64> {
+    let mut out = inputs;
+    let own = rod.actuators.iter().zip(rod.actuators.at_rest());
+    for (effort, ((actuator, at_rest), y)) in out.iter_mut().zip(own.zip(coordinates)) {
+        if let Some(winch) = &actuator.winch {
+            let without_tension = winch.outside - at_rest + *effort;
+            let strain = (at_rest - y - *effort) / without_tension;
+            *effort = f64::max(strain, 0.0) / winch.compliance;
+        }
+    }
+    out
 }
 
-/// Returns the mean of the efforts at the two ends of an interval.
-pub(super) fn mean(rod: &Rod, ends: [TimeNode; 2], control: [NodeWrenches; 2]) -> Vec<f64> {
-    let [from, to] = [0, 1].map(|end| at_node(rod, &ends[end], &control[end]));
+/// Returns the derivatives of the efforts along the coordinates, and along the inputs.
+pub(super) fn slopes(rod: &Rod, inputs: &[f64], coordinates: &[f64]) -> Vec<[f64; 2]> {
+    let own = rod.actuators.iter().zip(rod.actuators.at_rest());
+    (own.zip(inputs.iter().zip(coordinates)))
+        .map(|((actuator, at_rest), (z, y))| {
+            let Some(winch) = &actuator.winch else {
+                return [0.0, 1.0];
+            };
+            let without_tension = winch.outside - at_rest + z;
+            let ratio = (winch.outside - y) / without_tension;
+            if ratio > 1.0 {
+                [-1.0, -ratio].map(|slope| slope / (winch.compliance * without_tension))
+            } else {
+                [0.0; 2]
+            }
+        })
+        .collect()
+}
+
+/// Returns the efforts at a side of a time node in a configuration, with those of a control.
+pub(crate) fn at_node(
+    rod: &Rod,
+    node: &TimeNode,
+    control: &NodeWrenches,
+    x: &[Vector3<f64>],
+    r: &[Matrix3<f64>],
+) -> Vec<f64> {
+    let own = inputs(rod, node, control);
+    if !rod.actuators.has_winches() {
+        return own;
+    }
+    of_inputs(rod, own, &coordinates(rod, x, r))
+}
+
+/// Returns the mean of the inputs at the two ends of an interval.
+pub(super) fn mean_inputs(rod: &Rod, ends: [TimeNode; 2], control: [NodeWrenches; 2]) -> Vec<f64> {
+    let [from, to] = [0, 1].map(|end| inputs(rod, &ends[end], &control[end]));
     from.iter().zip(&to).map(|(a, b)| 0.5 * (a + b)).collect()
+}
+
+/// Returns the efforts of an interval with the given mean inputs, from the strains at its two ends.
+pub(super) fn of_interval(
+    rod: &Rod,
+    inputs: Vec<f64>,
+    start: &[Strained],
+    end: &[Strained],
+) -> Vec<f64> {
+    if !rod.actuators.has_winches() {
+        return inputs;
+    }
+    let mean = |q: usize| (start[q].0 + end[q].0) * 0.5;
+    let coordinates = coordinates_of(rod, mean);
+    of_inputs(rod, inputs, &coordinates)
 }
 
 /// Returns `-Σ u ∂y/∂(v_a, v_b, κ)` of element `q`.
@@ -145,14 +198,98 @@ pub(super) fn gradient_of(
 
 /// Returns the coordinates of all actuators in a configuration.
 pub(crate) fn coordinates(rod: &Rod, x: &[Vector3<f64>], r: &[Matrix3<f64>]) -> Vec<f64> {
-    let mut out = vec![0.0; rod.actuators.len()];
-    if out.is_empty() {
-        return out;
+    if rod.actuators.is_empty() {
+        return Vec::new();
     }
-    for (q, (strain, _)) in interval::strains(rod, x, r).iter().enumerate() {
+    let strains = interval::strains(rod, x, r);
+    coordinates_of(rod, |q| strains[q].0)
+}
+
+/// Returns the coordinates of all actuators for the strains of the elements.
+fn coordinates_of(rod: &Rod, strain: impl Fn(usize) -> Nine) -> Vec<f64> {
+    let mut out = vec![0.0; rod.actuators.len()];
+    for q in 0..rod.n_elements() {
         for point in rod.actuators.on(q) {
-            out[point.actuator] += dual::coordinate(point, strain).0;
+            out[point.actuator] += dual::coordinate(point, &strain(q)).0;
         }
     }
     out
+}
+
+/// Returns the derivatives of the efforts along the inputs for the strains of the elements.
+pub(super) fn slopes_in(rod: &Rod, inputs: &[f64], strain: impl Fn(usize) -> Nine) -> Vec<f64> {
+    if !rod.actuators.has_winches() {
+        return vec![1.0; rod.actuators.len()];
+    }
+    let all = slopes(rod, inputs, &coordinates_of(rod, strain));
+    all.into_iter()
+        .map(|[_, along_input]| along_input)
+        .collect()
+}
+
+/// The change of the efforts of winches with the strains of an interval, or with those at a time node.
+///
+/// A change of the effort changes the stresses of all elements of its tendon, so that their derivative has, beside that of [`stress`], a
+/// matrix of rank one for every tendon with tension.
+pub(super) struct Springs {
+    /// Index of the actuator, and minus the derivative of its effort along its coordinate.
+    pub(super) taut: Vec<(usize, f64)>,
+    /// Derivative of the coordinate along the strain of every element, for each of them.
+    gradients: Vec<Vec<Nine>>,
+}
+
+impl Springs {
+    /// Returns those of winches with tension, for the inputs of all actuators and the strains of the elements.
+    pub(super) fn of(rod: &Rod, inputs: &[f64], strain: impl Fn(usize) -> Nine) -> Self {
+        let mut out = Self {
+            taut: Vec::new(),
+            gradients: Vec::new(),
+        };
+        if !rod.actuators.has_winches() {
+            return out;
+        }
+        let coordinates = coordinates_of(rod, &strain);
+        for (i, [slope, _]) in slopes(rod, inputs, &coordinates).into_iter().enumerate() {
+            if slope == 0.0 {
+                continue;
+            }
+            let mut gradient = vec![Nine::zeros(); rod.n_elements()];
+            for (q, gradient) in gradient.iter_mut().enumerate() {
+                for point in rod
+                    .actuators
+                    .on(q)
+                    .iter()
+                    .filter(|point| point.actuator == i)
+                {
+                    *gradient += dual::coordinate(point, &strain(q)).1;
+                }
+            }
+            out.taut.push((i, -slope));
+            out.gradients.push(gradient);
+        }
+        out
+    }
+
+    /// Returns the derivative of each of their coordinates along the configuration in which the strains have the derivatives of `strained`:
+    /// along `x` and `η` of every node.
+    pub(super) fn pulled(&self, strained: &[Strained]) -> Vec<[Vec<Vector3<f64>>; 2]> {
+        (self.gradients.iter())
+            .map(|gradient| {
+                let n = strained.len() + 1;
+                let [mut x, mut eta] = [vec![Vector3::zeros(); n], vec![Vector3::zeros(); n]];
+                for (q, (_, b)) in strained.iter().enumerate() {
+                    interval::add_to_nodes(q, 1.0, &b.tr_mul(&gradient[q]), &mut x, &mut eta);
+                }
+                [x, eta]
+            })
+            .collect()
+    }
+}
+
+/// Returns `Σ a·b` over nodes, of both kinds of components.
+pub(super) fn paired(a: [&[Vector3<f64>]; 2], b: [&[Vector3<f64>]; 2]) -> f64 {
+    let of = |a: &[Vector3<f64>], b: &[Vector3<f64>]| -> f64 {
+        a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
+    };
+    of(a[0], b[0]) + of(a[1], b[1])
 }

@@ -12,7 +12,7 @@
 //! evaluated by this recursion; at a time node, the mean of the pieces that meet there. Integrals of squares are those of Gauss and Lobatto
 //! with five points per piece, exact up to degree seven.
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, Vector3};
 
 use crate::control::{Hold, OptimalControlProblem};
 use crate::mechanics::{ControlSignal, Wrench};
@@ -152,6 +152,55 @@ impl Spline {
     /// blocks, or a coefficient of the derivative, which bounds it.
     pub(super) fn gaps(&self) -> Vec<f64> {
         self.times().windows(2).map(|t| t[1] - t[0]).collect()
+    }
+
+    /// Returns the weights of the coefficients in the Bernstein coefficients of the command `u + lag u̇` on every piece; for a cubic spline,
+    /// whose command is continuous, the last one of a piece is the first one of the next and is left out there. Empty for a constant hold.
+    ///
+    /// A polynomial of degree `p` has the Bernstein coefficients `V⁻¹ f` with its values `f` at `p + 1` points and the values `V` of the
+    /// Bernstein polynomials there.
+    pub(super) fn command_rows(&self, lag: f64) -> Vec<Vec<(usize, f64)>> {
+        let p = self.degree;
+        if p == 0 {
+            return Vec::new();
+        }
+        let place = |i: usize| i as f64 / p as f64;
+        let choose = |i: usize| (1..=i).fold(1.0, |c, j| c * (p + 1 - j) as f64 / j as f64);
+        let polynomials = DMatrix::from_fn(p + 1, p + 1, |i, j| {
+            let s = place(i);
+            choose(j) * s.powi(j as i32) * (1.0 - s).powi((p - j) as i32)
+        });
+        let Some(inverse) = polynomials.try_inverse() else {
+            return Vec::new();
+        };
+        let mut out = Vec::new();
+        for piece in 0..self.n_pieces() {
+            let [from, to] = [piece, piece + 1].map(|edge| self.edges[edge] as f64 * self.step);
+            let values = DMatrix::from_fn(p + 1, p + 1, |i, j| {
+                let t = from + place(i) * (to - from);
+                self.basis(piece + j, p, piece, t) + lag * self.slope(piece + j, piece, t)
+            });
+            let rows = &inverse * values;
+            let shared = usize::from(p > 1 && piece + 1 < self.n_pieces());
+            for i in 0..=p - shared {
+                out.push((0..=p).map(|j| (piece + j, rows[(i, j)])).collect());
+            }
+        }
+        out
+    }
+
+    /// Returns the weights of the coefficients in the command `u + lag u̇` on the piece that begins at time node `k`, or at the end on the
+    /// last one.
+    #[cfg(feature = "cli")]
+    pub(crate) fn command_weights(&self, k: usize, lag: f64) -> Vec<(usize, f64)> {
+        let (_, piece) = self.pieces_at(k, 1);
+        let t = k as f64 * self.step;
+        (piece..=piece + self.degree)
+            .map(|j| {
+                let value = self.basis(j, self.degree, piece, t);
+                (j, value + lag * self.slope(j, piece, t))
+            })
+            .collect()
     }
 
     /// Returns `½ ∫ effort |u|² + rate |u̇|² dt` and its gradient along the coefficients. Jumps of a constant hold count as ramps between

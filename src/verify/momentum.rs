@@ -147,11 +147,12 @@ impl Conditions<'_> {
                 self.trajectory.rotations_at(k),
             );
             let gradient = dual::gradient(element, rod.strain_rule, &pose);
-            let own = efforts::at_node(rod, &self.problem.grid.node(k), &self.control.at(k));
             let (x, r) = (
                 self.trajectory.positions_at(k),
                 self.trajectory.rotations_at(k),
             );
+            let node = self.problem.grid.node(k);
+            let own = efforts::at_node(rod, &node, &self.control.at(k), x, r);
             let active = efforts::gradient_of(rod, beside, x, r, &own);
             push += sign * weight * (gradient[0] + active.fixed_rows::<3>(0));
             twist -= weight * (gradient[end] + active.fixed_rows::<3>(3 * end));

@@ -94,7 +94,7 @@ impl<'a> Probe<'a> {
             problem,
             solution.coefficients,
             &pulled,
-            solution.multipliers.rates,
+            &solution.multipliers,
         );
         let defects = conditions.defects();
         let residuals = conditions.residuals(&defects.p_end, &defects.pi_end);
@@ -213,6 +213,7 @@ impl<'a> Probe<'a> {
             goals: &goals,
             path: &path,
             rates: &[],
+            commands: &[],
         });
         let pulled = conditions.control_gradient(&functional, &goals);
         problem.stop.check()?;

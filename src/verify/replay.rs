@@ -153,7 +153,7 @@ impl<'a> Simulation<'a> {
         let at = &stepper.state().configuration;
         let rotation = &at.rotations[0];
         if rod.scheme == TimeScheme::Explicit {
-            let own = efforts::at_node(rod, node, control);
+            let own = efforts::at_node(rod, node, control, &at.positions, &at.rotations);
             let pull = efforts::gradient_of(rod, 0, &at.positions, &at.rotations, &own);
             acting.force += pull.fixed_rows::<3>(0);
             acting.moment -= pull.fixed_rows::<3>(3);
@@ -199,8 +199,8 @@ pub(super) fn account(
         balance.dissipation += step_dissipation(rod, grid.step, &before, &after);
         let mut passive = [base_before, simulation.base_wrench(rod, &ends[1], &pair[1])];
         if let Some(internal) = &mut internal {
-            let own = efforts::of_interval(rod, grid, k, pair);
-            balance.dissipation += internal.advance(&after, &own, &mut passive);
+            let own = efforts::mean_inputs(rod, ends, pair);
+            balance.dissipation += internal.advance(&after, own, &mut passive);
         }
         if rod.driven_base(0.0).is_some() {
             balance.work += drive_work(rod, &before, &after, &passive);
@@ -253,7 +253,7 @@ impl<'a> InternalAccount<'a> {
 
     /// Advances to the end of a step: returns the dissipation of Kelvin-Voigt damping, J, and adds the effects of the stresses on node 0 at
     /// both ends.
-    fn advance(&mut self, after: &State, own: &[f64], passive: &mut [Wrench; 2]) -> f64 {
+    fn advance(&mut self, after: &State, inputs: Vec<f64>, passive: &mut [Wrench; 2]) -> f64 {
         let (rod, h) = (self.rod, self.time_step);
         let Configuration {
             positions,
@@ -267,7 +267,8 @@ impl<'a> InternalAccount<'a> {
             &end[0].0,
         );
         if rod.scheme == TimeScheme::Implicit {
-            stress += efforts::stress(rod, 0, &((self.strains[0].0 + end[0].0) * 0.5), own);
+            let own = efforts::of_interval(rod, inputs, &self.strains, &end);
+            stress += efforts::stress(rod, 0, &((self.strains[0].0 + end[0].0) * 0.5), &own);
         }
         for (wrench, (_, b)) in passive.iter_mut().zip([&self.strains[0], &end[0]]) {
             let pull = b.tr_mul(&stress);
@@ -339,13 +340,15 @@ fn step_work(
         }
     }
     if !rod.actuators.is_empty() {
-        let efforts = efforts::of_interval(rod, grid, k, *control);
-        let [from, to] = [before, after].map(|state| {
-            let at = &state.configuration;
-            efforts::coordinates(rod, &at.positions, &at.rotations)
+        let nodes = grid.clock().ends_of_step(k);
+        let [from, to] = [0, 1].map(|end| {
+            let at = &[before, after][end].configuration;
+            let coordinates = efforts::coordinates(rod, &at.positions, &at.rotations);
+            let inputs = efforts::inputs(rod, &nodes[end], &control[end]);
+            (efforts::of_inputs(rod, inputs, &coordinates), coordinates)
         });
-        for (effort, (from, to)) in efforts.iter().zip(from.iter().zip(&to)) {
-            work += effort * (to - from);
+        for i in 0..from.0.len() {
+            work += 0.5 * (from.0[i] + to.0[i]) * (to.1[i] - from.1[i]);
         }
     }
     for load in &rod.loads {

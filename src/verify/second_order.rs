@@ -256,7 +256,7 @@ fn held_normals(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
     for bound in &probe.bounds {
         for normal in &bound.normals {
             let mut column = DVector::zeros(n);
-            for (at, sign) in ends(bound.at, bound.earlier) {
+            for &(at, sign) in &bound.ends {
                 for axis in 0..3 {
                     if let Some(i) = probe.variable(at, bound.channel, axis) {
                         column[i] += sign * normal[axis];
@@ -282,11 +282,6 @@ fn held_normals(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
         .map_or_else(|| DMatrix::zeros(n, 0), |u| u.select_columns(&kept))
 }
 
-/// Returns the coefficients of a bound with their signs.
-fn ends(at: usize, earlier: Option<usize>) -> impl Iterator<Item = (usize, f64)> {
-    std::iter::once((at, 1.0)).chain(earlier.map(|earlier| (earlier, -1.0)))
-}
-
 /// Returns the sum of the curvatures of the balls of goals within a tolerance.
 fn ball_curvature(probe: &Probe, responses: &DMatrix<f64>) -> DMatrix<f64> {
     let n = probe.variables.len();
@@ -307,8 +302,8 @@ fn own_curvature(probe: &Probe) -> DMatrix<f64> {
     let n = probe.variables.len();
     let mut out = DMatrix::zeros(n, n);
     for bound in &probe.bounds {
-        let entries: Vec<_> = ends(bound.at, bound.earlier)
-            .flat_map(|(at, sign)| (0..3).map(move |axis| (at, sign, axis)))
+        let entries: Vec<_> = (bound.ends.iter())
+            .flat_map(|&(at, sign)| (0..3).map(move |axis| (at, sign, axis)))
             .filter_map(|(at, sign, axis)| {
                 Some((probe.variable(at, bound.channel, axis)?, sign, axis))
             })

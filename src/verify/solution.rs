@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use super::hold::Spline;
 use crate::control::{OptimalControlProblem, PathMultiplier};
 use crate::mechanics::{Trajectory, Wrench};
 
@@ -26,6 +27,9 @@ pub struct SolutionMultipliers<'a> {
     /// Normals of the bounds on the rate of the scaled control from one coefficient to the next, for each step between coefficients and
     /// each actuator (force, moment); empty without such bounds.
     pub rates: &'a [[f64; 6]],
+    /// Normals of the bounds on the scaled command of channels with a lag, for each end of a block of a linear hold or each Bernstein
+    /// coefficient of a spline, and each actuator; empty without such bounds.
+    pub commands: &'a [[f64; 6]],
 }
 
 impl<'a> SolutionMultipliers<'a> {
@@ -36,6 +40,7 @@ impl<'a> SolutionMultipliers<'a> {
             goals,
             path: &[],
             rates: &[],
+            commands: &[],
         }
     }
 }
@@ -89,6 +94,11 @@ impl SolutionMultipliers<'_> {
             let count = steps * problem.actuators.len();
             require_count("rates", self.rates.len(), count)?;
             require_finite("rates", self.rates.iter().flatten())?;
+        }
+        if !self.commands.is_empty() {
+            let count = Spline::of(problem).command_rows(1.0).len() * problem.actuators.len();
+            require_count("commands", self.commands.len(), count)?;
+            require_finite("commands", self.commands.iter().flatten())?;
         }
         let constraints = &problem.path;
         let mut seen = HashMap::new();

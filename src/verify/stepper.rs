@@ -13,7 +13,7 @@
 //! simulations share no code with these equations, so that a replay is a second opinion on a motion; the guards that end a motion are
 //! shared.
 
-use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3, Vector6};
 
 use super::efforts;
 use super::interval::{self, Nine, Strained};
@@ -67,8 +67,8 @@ struct Stressed {
     weights: [f64; 2],
     /// Strains at the present time node.
     strains: Vec<Strained>,
-    /// Efforts of the interval under way.
-    efforts: Vec<f64>,
+    /// Mean inputs of the actuators over the interval under way.
+    inputs: Vec<f64>,
 }
 
 /// Momenta of an interval in the frames of its start, `P` and `G`, and the rotations of the nodes.
@@ -101,7 +101,7 @@ impl<'a> ReferenceStepper<'a> {
             stressed: interval::weights(rod, clock.step).map(|weights| Stressed {
                 weights,
                 strains: interval::strains(rod, x, r),
-                efforts: Vec::new(),
+                inputs: Vec::new(),
             }),
             rod,
             clock,
@@ -178,7 +178,7 @@ impl<'a> ReferenceStepper<'a> {
         self.driven = ends;
         let stresses = match self.stressed.take() {
             Some(mut stressed) => {
-                stressed.efforts = efforts::mean(rod, [start, end], control);
+                stressed.inputs = efforts::mean_inputs(rod, [start, end], control);
                 let stresses = self.solve(&mut stressed, &mut interval, base.as_ref())?;
                 self.stressed = Some(stressed);
                 stresses
@@ -225,7 +225,7 @@ impl<'a> ReferenceStepper<'a> {
             rotations: &at.rotations,
         };
         let mut out = applied(node, &view, control, &self.gradient);
-        let own = efforts::at_node(self.rod, node, &control);
+        let own = efforts::at_node(self.rod, node, &control, &at.positions, &at.rotations);
         efforts::add_at_node(self.rod, &at.positions, &at.rotations, &own, &mut out);
         out
     }
@@ -444,8 +444,8 @@ impl<'a> ReferenceStepper<'a> {
         let weight = self.impulse_weight();
         let end = interval::strains(rod, &to.positions, &to.rotations);
         let mut stresses = interval::stresses(rod, stressed.weights, &stressed.strains, &end);
-        let own = &stressed.efforts;
-        efforts::add_to_stresses(rod, &stressed.strains, &end, own, &mut stresses);
+        let own = efforts::of_interval(rod, stressed.inputs.clone(), &stressed.strains, &end);
+        efforts::add_to_stresses(rod, &stressed.strains, &end, &own, &mut stresses);
         let pull = pull(rod, &stressed.strains, &stresses, weight);
         let mut momentum = [0.0f64; 2];
         let residual = (rod.first_free_node()..rod.n_nodes())
@@ -467,6 +467,7 @@ impl<'a> ReferenceStepper<'a> {
             .collect();
         Equations {
             end,
+            efforts: own,
             stresses,
             pull,
             residual,
@@ -504,15 +505,63 @@ impl<'a> ReferenceStepper<'a> {
             let mut stiff = SMatrix::from_diagonal(&(interval::stiffness(element) * weight)) * end;
             if rod.scheme == TimeScheme::Implicit && !rod.actuators.on(q).is_empty() {
                 let mean = (stressed.strains[q].0 + equations.end[q].0) * 0.5;
-                let tangent = efforts::stress_tangent(rod, q, &mean, &stressed.efforts);
+                let tangent = efforts::stress_tangent(rod, q, &mean, &equations.efforts);
                 stiff += tangent * end * (0.5 * self.impulse_weight());
             }
             matrix.add_element(first, q, &(start.transpose() * stiff));
         }
         hold(rod, &mut matrix);
+        let mean = |q: usize| (stressed.strains[q].0 + equations.end[q].0) * 0.5;
+        let springs = efforts::Springs::of(rod, &stressed.inputs, mean);
+        if rod.scheme == TimeScheme::Implicit && !springs.taut.is_empty() {
+            return self.correction_with(&springs, matrix, stressed, equations);
+        }
         let mut correction = equations.residual.clone();
         matrix.factor()?.solve(&mut correction);
         Some(correction)
+    }
+
+    /// Returns the Newton step where winches couple all elements of their tendons: the residual changes by `h/2 k/2 B_kᵀ g (B_{k+1}ᵀ g)ᵀ/(1 +
+    /// a)` more, with the derivative `g` of the coordinate along the strains. The matrix is solved as a full one.
+    fn correction_with(
+        &self,
+        springs: &efforts::Springs,
+        matrix: BlockTridiagonal,
+        stressed: &Stressed,
+        equations: &Equations,
+    ) -> Option<Vec<Vector6<f64>>> {
+        let first = self.rod.first_free_node();
+        let n = 6 * equations.residual.len();
+        let mut full = DMatrix::zeros(n, n);
+        let mut put = |row: usize, column: usize, block: &Matrix6<f64>| {
+            (full.fixed_view_mut::<6, 6>(6 * row, 6 * column)).copy_from(block);
+        };
+        for (i, block) in matrix.diagonal.iter().enumerate() {
+            put(i, i, block);
+        }
+        for (i, (below, above)) in matrix.below.iter().zip(&matrix.above).enumerate() {
+            put(i + 1, i, below);
+            put(i, i + 1, above);
+        }
+        let flat = |[x, eta]: &[Vec<Vector3<f64>>; 2]| {
+            let nodes = x.iter().zip(eta).skip(first);
+            DVector::from_iterator(
+                n,
+                nodes.flat_map(|(x, eta)| [*x, *eta]).flat_map(|v| {
+                    let [a, b, c]: [f64; 3] = v.into();
+                    [a, b, c]
+                }),
+            )
+        };
+        let [start, end] = [&stressed.strains, &equations.end].map(|at| springs.pulled(at));
+        for ((_, stiffness), (start, end)) in springs.taut.iter().zip(start.iter().zip(&end)) {
+            let weight = 0.5 * stiffness * self.impulse_weight();
+            full.ger(weight, &flat(start), &flat(end), 1.0);
+        }
+        let right = equations.residual.iter().flat_map(|r| r.iter().copied());
+        let solution = full.lu().solve(&DVector::from_iterator(n, right))?;
+        let nodes = solution.as_slice().chunks_exact(6);
+        Some(nodes.map(Vector6::from_column_slice).collect())
     }
 
     /// Returns the tolerances of the residuals of (77) and (81), momentum units: [`RELATIVE_TOLERANCE`] of the largest momentum, plus the
@@ -578,6 +627,8 @@ fn hold(rod: &Rod, matrix: &mut BlockTridiagonal) {
 struct Equations {
     /// Strains at that configuration.
     end: Vec<Strained>,
+    /// Efforts of the actuators.
+    efforts: Vec<f64>,
     stresses: Vec<Nine>,
     /// Effects of the stresses at the start of the interval, momentum units.
     pull: Gradient,

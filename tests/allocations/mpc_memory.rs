@@ -3,7 +3,10 @@
 use crate::{count, tracking};
 
 use nalgebra::Vector3;
-use softarm::mpc::MpcSettings;
+use softarm::control::Hold;
+use softarm::mechanics::TimeScheme;
+use softarm::mpc::{Controller, MpcSettings};
+use softarm::task::Discretization;
 
 /// One iteration of Gauss-Newton from a measured state (roll-out, linearization, condensing, subproblem with and without active bounds,
 /// step) and the move of the horizon allocate nothing after the first.
@@ -26,5 +29,36 @@ fn samples_allocate_nothing() {
         }
         let bounded = controller.record().subproblem.iterations > 0;
         assert_eq!(bounded, largest_force < 1.0);
+    }
+}
+
+/// The same of an arm with tendons, whose columns are evaluated anew in every sample, in explicit and in implicit steps, with bounds on
+/// rates and with none.
+#[test]
+fn samples_of_tendons_allocate_nothing() {
+    for (is_slow, scheme, hold) in [
+        (false, TimeScheme::Explicit, Hold::Constant),
+        (true, TimeScheme::Implicit, Hold::Linear),
+    ] {
+        let settings = MpcSettings::receding(0.3);
+        let discretization = Discretization {
+            hold,
+            scheme: Some(scheme),
+            ..tracking::discretization()
+        };
+        let (arm, task) = (tracking::tendon_arm(3e5), tracking::tendon_task(is_slow));
+        let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+        let mut state = controller.expected().clone();
+        controller.step(&state).unwrap();
+        for sample in 0..50 {
+            state.clone_from(controller.expected());
+            state.linear_momentum[3] += Vector3::new(1e-5, 0.0, -1e-5);
+            let before = count();
+            let issued = controller.feedback(&state).unwrap();
+            let feedback = count() - before;
+            issued.prepare().unwrap();
+            let both = count() - before;
+            assert_eq!((feedback, both), (0, 0), "{scheme:?} sample {sample}");
+        }
     }
 }

@@ -77,6 +77,7 @@ impl Solved {
             goals: &self.outcome.multipliers.constraints,
             path: &self.path,
             rates: &self.rates,
+            commands: &[],
         }
     }
 

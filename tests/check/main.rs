@@ -8,4 +8,5 @@ mod tool;
 
 mod certificate;
 mod second_opinion;
+mod tampered_efforts;
 mod tampered_results;

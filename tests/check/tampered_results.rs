@@ -171,6 +171,7 @@ fn certificates_list_what_they_cover() {
     assert_eq!(verified.code, DONE, "{}", verified.stderr);
     let covers = json!([
         "controls.csv",
+        "end.npz",
         "feedback.npz",
         "multipliers.json",
         "scene.toml",
@@ -190,12 +191,13 @@ fn certificates_list_what_they_cover() {
     assert!(
         verified
             .stderr
-            .contains("covers controls.csv, feedback.npz")
+            .contains("covers controls.csv, end.npz, feedback.npz")
     );
 
     for name in [
         "summary.json",
         "feedback.npz",
+        "end.npz",
         "iterations.csv",
         "report.html",
     ] {
@@ -560,6 +562,7 @@ fn what_is_no_file_of_a_result_is_refused() {
         "trajectory.npz",
         "summary.json",
         "feedback.npz",
+        "end.npz",
     ];
     for name in files {
         let copy = Copy::new();
@@ -658,6 +661,7 @@ proptest! {
             goals: &goals,
             path: &path,
             rates: &rates,
+            commands: &[],
         };
         let constraints = &problem.path;
         let exists = |row: &PathMultiplier| {

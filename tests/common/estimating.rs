@@ -50,6 +50,7 @@ pub fn command(model: &Rod, start: f64, period: f64) -> Command {
         nodes: vec![model.tip()],
         from: vec![at(start)],
         to: vec![at(end)],
+        ..Command::default()
     }
 }
 

@@ -35,6 +35,7 @@ impl Watch {
                 nodes: vec![0],
                 from: none.clone(),
                 to: none,
+                ..Command::default()
             },
             worst: 0.0,
             n: 0,

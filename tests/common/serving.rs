@@ -170,6 +170,7 @@ pub fn command_of(line: &Value) -> Command {
             .collect(),
         from: all("force_from_n", "moment_from_n_m"),
         to: all("force_to_n", "moment_to_n_m"),
+        ..Command::default()
     }
 }
 

@@ -1,10 +1,13 @@
 //! An arm whose tip follows a path, as controllers see it.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use softarm::control::{Bound, Hold};
-use softarm::mechanics::Material;
+use softarm::mechanics::{Density, Material, Route, StrainActuator};
 use softarm::mpc::{Controller, MpcSettings};
-use softarm::task::{Arm, ChannelLimits, Cost, Discretization, Place, Task, Track, WrenchActuator};
+use softarm::task::{
+    Arm, ChannelLimits, Cost, Discretization, EffortControl, Place, Start, StartShape, Task, Track,
+    WrenchActuator,
+};
 
 /// Weightless, upright, 1 m long, of a soft silicone.
 pub fn arm(youngs: f64) -> Arm {
@@ -54,6 +57,73 @@ pub fn discretization() -> Discretization {
         hold: Hold::Linear,
         samples: 20,
         ..Discretization::with_elements(6)
+    }
+}
+
+/// Largest tension of [`tendon_task`], N, and its fastest fall and rise, N/s.
+#[allow(dead_code)]
+pub const TENSION: f64 = 4.0;
+#[allow(dead_code)]
+pub const TENSION_RATE: [f64; 2] = [-25.0, 20.0];
+
+/// Hanging, 30 cm long, of a soft silicone, with four tendons at 8 mm from the axis, in which a pretension of 0.4 N acts.
+#[allow(dead_code)]
+pub fn tendon_arm(youngs: f64) -> Arm {
+    let tendon = |name: &str, offset: [f64; 2]| StrainActuator {
+        name: name.into(),
+        density: Density::Shortening,
+        scale: 1.0,
+        route: Route::straight(offset),
+        effort: vec![(0.0, 0.4)],
+        largest: TENSION,
+    };
+    Arm {
+        gravity: Vector3::new(0.0, 0.0, -9.81),
+        base_rotation: Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)),
+        viscous_damping: 1.0,
+        internal_damping: 5e-3,
+        actuators: vec![
+            tendon("east", [8e-3, 0.0]),
+            tendon("north", [0.0, 8e-3]),
+            tendon("west", [-8e-3, 0.0]),
+            tendon("south", [0.0, -8e-3]),
+        ],
+        ..Arm::cylinder(&Material::isotropic(youngs, 0.4, 1070.0), 0.3, 0.01)
+    }
+}
+
+/// The tip of [`tendon_arm`] goes aside and back by tensions between 0 and [`TENSION`], whose rates are bounded if `is_slow`.
+#[allow(dead_code)]
+pub fn tendon_task(is_slow: bool) -> Task {
+    let place = |t: f64| {
+        let x = 0.015 * (1.0 - (2.0 * std::f64::consts::PI * t).cos());
+        Vector3::new(x, -0.4 * x, -0.298 + 1.9 * x * x)
+    };
+    let corners = (0..=300).map(|i| (0.01 * f64::from(i), place(0.01 * f64::from(i))));
+    Task {
+        targets: Vec::new(),
+        start: Start {
+            shape: StartShape::Equilibrium,
+            ..Start::default()
+        },
+        actuators: Vec::new(),
+        efforts: (0..4)
+            .map(|actuator| EffortControl {
+                actuator,
+                bounds: [0.0, TENSION],
+                rate: is_slow.then_some(TENSION_RATE),
+                scale: None,
+            })
+            .collect(),
+        cost: Cost {
+            effort: 0.1,
+            tracks: vec![Track {
+                path: corners.collect(),
+                ..Track::default()
+            }],
+            ..Cost::default()
+        },
+        ..Task::reach(Vector3::zeros(), 1.0, 1.0)
     }
 }
 

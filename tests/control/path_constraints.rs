@@ -190,6 +190,7 @@ fn gradient_and_hessian_by_independent_routes() {
                 goals: &multipliers.constraints,
                 path: &path,
                 rates: &[],
+                commands: &[],
             },
         );
         let controls = problem.n_controls();
@@ -257,6 +258,7 @@ fn checked(
                 goals: &outcome.multipliers.constraints,
                 path: &path,
                 rates: &program.rate_normals(&outcome.multipliers.normals),
+                commands: &[],
             },
         },
         &common::on_its_own_grid(),

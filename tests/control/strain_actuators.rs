@@ -25,6 +25,7 @@ fn actuators() -> Vec<StrainActuator> {
         scale,
         route,
         effort: vec![(0.0, effort)],
+        winch: None,
         largest: 0.0,
     };
     let helix = Route {
@@ -142,6 +143,7 @@ fn four_tendons() -> Arm {
         scale: 1.0,
         route: Route::straight([x, y]),
         effort: vec![(0.0, 0.05)],
+        winch: None,
         largest: 0.0,
     };
     let d = 8e-3;
@@ -197,6 +199,7 @@ fn tendons_reach_and_stay() {
                 bounds: [0.0, 1.0],
                 rate: None,
                 scale: None,
+                lag: None,
             })
             .collect();
         for target in &mut task.targets {
@@ -305,6 +308,7 @@ fn a_tendon_written_anew_is_the_built_in_one() {
         scale: 1.0,
         route: Route::straight(offset),
         effort: Vec::new(),
+        winch: None,
         largest: 0.0,
     };
     let of = |actuators: Vec<StrainActuator>, own: bool| {

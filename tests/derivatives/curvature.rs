@@ -442,6 +442,7 @@ impl Case {
         let mut own = |time_node: usize, rows: Vec<(usize, usize)>| {
             let half = Mat::from_fn(rows.len(), rows.len(), |_, _| dice.vector(1.0).x);
             OwnCurvature {
+                forms: Vec::new(),
                 time_node,
                 rows,
                 matrix: &half + half.transpose(),

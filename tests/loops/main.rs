@@ -10,6 +10,7 @@ mod serving;
 mod tracking;
 
 mod mpc;
+mod mpc_actuators;
 mod mpc_estimators;
 mod mpc_hold;
 mod mpc_kalman;

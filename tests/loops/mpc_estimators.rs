@@ -19,9 +19,7 @@ fn no_command(start: f64, end: f64) -> Command {
     Command {
         start,
         end,
-        nodes: Vec::new(),
-        from: Vec::new(),
-        to: Vec::new(),
+        ..Command::default()
     }
 }
 

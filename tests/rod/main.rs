@@ -15,3 +15,4 @@ mod load_jumps;
 mod paper;
 mod published_dynamics;
 mod strain_actuators;
+mod winches;

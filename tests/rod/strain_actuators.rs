@@ -22,6 +22,7 @@ fn actuators() -> Vec<StrainActuator> {
         scale,
         route,
         effort: vec![(0.0, effort)],
+        winch: None,
         largest: 0.0,
     };
     vec![
@@ -143,6 +144,7 @@ fn a_step_of_tension_swings_the_modes() {
             scale: 1.0,
             route: Route::straight([offset, 0.0]),
             effort: vec![(0.0, tension)],
+            winch: None,
             largest: 0.0,
         }],
         ..RodParameters::straight(length, 40, SectionProfile::Uniform(section))
@@ -197,6 +199,7 @@ fn an_element_that_is_pressed_together_is_an_error() {
                 scale: 1.0,
                 route: Route::straight([0.0; 2]),
                 effort: vec![(0.0, 0.0), (0.05, pull)],
+                winch: None,
                 largest: 0.0,
             }],
         );

@@ -354,6 +354,47 @@ fn from_asks_for_a_result_directory() {
     }
 }
 
+/// An actuator of the plant that no actuator of the arm goes with, or that cannot be: the error is at the key that is wrong.
+#[test]
+fn actuators_of_the_plant_name_their_keys() {
+    for (plant, key, words) in [
+        (
+            "plant.tendon=[{name = 'firs'}]",
+            "plant.tendon.0.name",
+            "no [[tendon]] of the scene is named \"firs\"",
+        ),
+        (
+            "plant.chamber=[{name = 'first'}]",
+            "plant.chamber.0.name",
+            "no [[chamber]]",
+        ),
+        (
+            "plant.tendon=[{name = 'first'}, {name = 'first'}]",
+            "plant.tendon.1.name",
+            "is that of plant.tendon.0",
+        ),
+        (
+            "plant.tendon=[{name = 'first', effort_factor = 0.0}]",
+            "plant.tendon.0.effort_factor",
+            "not a positive",
+        ),
+        (
+            "plant.tendon=[{name = 'first', saturation = [1.0, 2.0]}]",
+            "plant.tendon.0.saturation",
+            "does not contain the effort at rest, 0.5",
+        ),
+        (
+            "plant.tendon=[{name = 'first', offset_m = [0.0, inf]}]",
+            "plant.tendon.0.offset_m.1",
+            "",
+        ),
+    ] {
+        let error = error_of("mpc-tendons", &[plant]);
+        assert_eq!(error.key(), Some(key), "{error}");
+        assert!(error.message().contains(words), "{error}");
+    }
+}
+
 /// An actuator in the arm that cannot be: the error is at the key that is wrong.
 #[test]
 fn actuators_in_the_arm_name_their_keys() {
@@ -404,6 +445,56 @@ fn actuators_in_the_arm_name_their_keys() {
             "is that of tendon.0",
         ),
         (
+            "tendon=[{offset_m = [0.01, 0.0], profile = [[0.0, 1.0]], lag_s = 0.1}]",
+            "tendon.0.tension_n",
+            "makes it a control",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], lag_s = 0.0}]",
+            "tendon.0.lag_s",
+            "not a positive time",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], displacement_m = [-0.01, 0.0], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m",
+            "contradicts tendon.0.tension_n",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], pretension_n = 1.0, displacement_profile = [[0.0, 0.0]], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_profile",
+            "contradicts tendon.0.pretension_n",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], profile = [[0.0, 1.0]], displacement_profile = [[0.0, 0.0]], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_profile",
+            "contradicts tendon.0.profile",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_m = [-0.01, 0.0], displacement_profile = [[0.0, 0.0]], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_profile",
+            "contradicts tendon.0.displacement_m",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_m = [-0.01, 0.0]}]",
+            "tendon.0.compliance_1_n",
+            "follows from the stretch",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_m = [-inf, 0.0], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m.0",
+            "without end",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m",
+            "describes the tendon of a winch",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_profile = [[0.0, 0.0]], rate_m_s = 0.1, compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m",
+            "makes it a control",
+        ),
+        (
             "chamber=[{offset_m = [0.01, 0.0], area_m2 = 0.0}]",
             "chamber.0.area_m2",
             "not a positive area",
@@ -417,5 +508,20 @@ fn actuators_in_the_arm_name_their_keys() {
         let error = error_of("reach", &[actuator]);
         assert_eq!(error.key(), Some(key), "{error}");
         assert!(error.message().contains(words), "{error}");
+    }
+    // An effort with a lag, and a winch, do not jump.
+    for (actuator, key) in [
+        (
+            "tendon=[{offset_m = [0.01, 0.0], tension_n = [0.0, 1.0], lag_s = 0.1}]",
+            "tendon.0.lag_s",
+        ),
+        (
+            "tendon=[{offset_m = [0.01, 0.0], displacement_m = [-0.01, 0.0], compliance_1_n = 1e-3}]",
+            "tendon.0.displacement_m",
+        ),
+    ] {
+        let error = error_of("reach", &[actuator, "control.hold='constant'"]);
+        assert_eq!(error.key(), Some(key), "{error}");
+        assert!(error.message().contains("does not jump"), "{error}");
     }
 }

@@ -8,6 +8,7 @@ mod accuracy;
 mod documents;
 mod errors_name_keys;
 mod first_arms;
+mod robots;
 mod rows;
 mod scene_errors;
 mod scene_keys;

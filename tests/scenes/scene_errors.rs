@@ -598,6 +598,41 @@ fn unknown_keys() {
     );
 }
 
+/// A word by which a person looks for an actuator leads to a heading that exists in a document, wherever it is written.
+#[test]
+fn words_for_actuators_lead_to_their_page() {
+    let words = [
+        "pressure",
+        "pressure_kpa",
+        "Pneumatics",
+        "chambers",
+        "tendons",
+        "tension",
+        "magnet_t",
+        "muscles",
+        "actuators",
+    ];
+    for (word, section) in words
+        .iter()
+        .flat_map(|word| [(word, ""), (word, "[control]\n")])
+    {
+        let text = match section {
+            "" => format!("{word} = 1\n{ROD}"),
+            _ => format!("{ROD}{section}{word} = 1\n"),
+        };
+        let error = error_of(&text);
+        let help = error.help().unwrap();
+        let (_, rest) = help.split_once("see \"").expect(help);
+        let (heading, rest) = rest.split_once("\" in ").unwrap();
+        let page = rest.split([',', '\n']).next().unwrap();
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+        let document = std::fs::read_to_string(root.join(page)).expect(page);
+        let is_heading =
+            |line: &str| line.trim_start_matches('#').trim() == heading && line.starts_with('#');
+        assert!(document.lines().any(is_heading), "{word}: {help}");
+    }
+}
+
 /// A wrong choice lists the choices and offers the nearest.
 #[test]
 fn unknown_choices() {
@@ -763,9 +798,10 @@ fn unknown_scene_names() {
     let expected = "\
 error: no file and no built-in scene of this name
   --> raech.toml
-help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, reach-obstacle, reach-tendons, paper-arm, \
-swing, shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence, \
-mpc-track-circle, mpc-reach, mpc-push, mpc-payload, mpc-delay, mpc-catch, mpc-obstacle, mpc-elastica-case1";
+help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, reach-obstacle, reach-tendons, \
+till-tendons, knode-tendons, soromox-tendons, stiff-flop, elastica-muscles, paper-arm, swing, shaken-base, wire, \
+wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence, mpc-track-circle, \
+mpc-tendons, mpc-reach, mpc-push, mpc-payload, mpc-delay, mpc-catch, mpc-obstacle, mpc-elastica-case1";
     assert_eq!(error.to_string(), expected);
     for name in ["", "no/such/file.toml", "nul\0byte", &"x".repeat(100_000)] {
         let error = error_of_overrides(name, &[]);
@@ -809,9 +845,9 @@ fn files_that_are_no_scenes() -> std::io::Result<()> {
         (b" \n\t\r\n".to_vec(), "empty"),
         (
             (0..10_000_000).map(&mut noise).collect(),
-            "larger than 1 MiB",
+            "larger than 4 MiB",
         ),
-        (vec![b'a'; 2 << 20], "larger than 1 MiB"),
+        (vec![b'a'; 5 << 20], "larger than 4 MiB"),
         ((0..10_000).map(&mut noise).collect(), "not UTF-8"),
         (vec![b'['; 1 << 20], "not valid TOML"),
     ];

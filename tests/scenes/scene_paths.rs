@@ -155,7 +155,7 @@ fn what_is_no_file_is_refused_unread() {
         );
         let error = Scene::load(&name, &[]).unwrap_err().to_string();
         let word = if word == "bytes or more" {
-            "larger than 1 MiB"
+            "larger than 4 MiB"
         } else {
             word
         };

@@ -31,6 +31,7 @@ fn certified(name: &str, text: &str) -> usize {
                 goals: &outcome.multipliers.constraints,
                 path: &program.path_multipliers(&outcome.multipliers.inequalities),
                 rates: &program.rate_normals(&outcome.multipliers.normals),
+                commands: &[],
             },
         })
         .unwrap();

@@ -10,3 +10,4 @@ mod sections;
 mod statics;
 mod strain_actuators;
 mod vibration;
+mod winches;

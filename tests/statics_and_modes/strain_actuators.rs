@@ -21,6 +21,7 @@ fn tendon(route: Route, tension: f64) -> StrainActuator {
         scale: 1.0,
         route,
         effort: vec![(0.0, tension)],
+        winch: None,
         largest: 0.0,
     }
 }
@@ -123,6 +124,7 @@ fn a_chamber_bends_and_lengthens_exactly() {
         scale: area,
         route: Route::straight([offset, 0.0]),
         effort: vec![(0.0, pressure)],
+        winch: None,
         largest: 0.0,
     };
     let kappa = -pressure * area * offset / section.angular_stiffness.y;
@@ -207,6 +209,7 @@ fn a_braid_pulls_and_twists() {
         scale: 1.0,
         route: Route::straight([0.0; 2]),
         effort: vec![(0.0, pressure)],
+        winch: None,
         largest: 0.0,
     };
     let rod = Rod::new(&wire(4, 0.0, vec![braid])).expect("a rod");

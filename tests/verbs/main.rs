@@ -6,8 +6,10 @@ mod tool;
 
 mod causes;
 mod cli;
+mod continued;
 mod export;
 mod files;
+mod hardware;
 mod mpc_verb;
 mod outcomes;
 mod report_verb;

@@ -29,7 +29,7 @@ const SPRING: f64 = SPRINGS[SPRINGS.len() - 1];
 /// Weight `ε` of the effort in the program of the least distance, which makes its controls unique: controls of order 1 then keep the tip
 /// off by about `3 ε` of the length, with the stiffness 3 of a cantilever's tip. Half and twice the value move the nearest place of the
 /// target of `reach-3d` by 1e-7 and 2e-7 of the length.
-const LITTLE: f64 = 1e-6;
+pub(super) const LITTLE: f64 = 1e-6;
 /// Factor on the weight of the distance in a second program from the solution of the first: the effort then moves the tip by `u ε/NEARER`
 /// over its slope along a control, 1e-8 of the length where a control of size 1 moves it by as little as 1e-4, such as the common tension
 /// of tendons on all sides. The first program alone would leave it a hundredth of the length away.

@@ -1,5 +1,7 @@
 //! The arm at rest under constant controls: the balance of forces, its derivatives, and its stability.
 
+use std::borrow::Cow;
+
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use crate::control::problem::{Component, OptimalControlProblem};
@@ -103,16 +105,43 @@ impl Statics<'_> {
         out
     }
 
-    /// Returns the part of the controls in the efforts of the rod's actuators, which adds to the given efforts.
+    /// Returns the rod with all inputs of its actuators, those of the controls among them, where the effort of a winch depends on the whole
+    /// of its input; otherwise the rod as it is, to which [`Self::efforts`] add.
+    fn rod_under(&self, wrenches: &[Wrench]) -> Cow<'_, Rod> {
+        let rod = self.rod();
+        if !rod.actuators.has_winches() {
+            return Cow::Borrowed(rod);
+        }
+        let inputs = self.inputs(wrenches);
+        Cow::Owned(Rod {
+            actuators: rod.actuators.with_efforts(&inputs),
+            ..rod.clone()
+        })
+    }
+
+    /// Returns all inputs of the rod's actuators.
+    fn inputs(&self, wrenches: &[Wrench]) -> Vec<f64> {
+        let mut out = self.rod().actuators.efforts(self.time);
+        self.add_controls(wrenches, &mut out);
+        out
+    }
+
+    /// Returns the part of the controls in the efforts of the rod's actuators, which adds to that of [`Self::rod_under`].
     fn efforts(&self, wrenches: &[Wrench]) -> Vec<f64> {
         let mut out = vec![0.0; self.rod().actuators.len()];
+        if !self.rod().actuators.has_winches() {
+            self.add_controls(wrenches, &mut out);
+        }
+        out
+    }
+
+    fn add_controls(&self, wrenches: &[Wrench], out: &mut [f64]) {
         let control = NodeWrenches {
             wrenches,
             efforts: self.problem.efforts.as_ref(),
             ..NodeWrenches::NONE
         };
-        control.add_efforts(&mut out);
-        out
+        control.add_efforts(out);
     }
 
     fn view<'b>(&'b self, shape: &'b Configuration) -> StateView<'b> {
@@ -144,10 +173,11 @@ impl Statics<'_> {
         controls: &[f64],
         springs: &TipSpring,
     ) -> Vec<Vector6<f64>> {
-        let rod = self.rod();
+        let wrenches = self.wrenches(controls);
+        let rod = &*self.rod_under(&wrenches);
         let mut forces = NodalForces::zeros(rod.n_nodes());
         forces.evaluate(rod, &shape.positions, &shape.rotations, self.time);
-        let efforts = self.efforts(&self.wrenches(controls));
+        let efforts = self.efforts(&wrenches);
         forces.add_active(rod, &shape.positions, &shape.rotations, &efforts);
         let tip = rod.tip();
         let pull = springs.wrench(&shape.positions[tip], &shape.rotations[tip]);
@@ -175,12 +205,12 @@ impl Statics<'_> {
 
     /// Returns minus the derivative of the residual along the free nodes.
     pub fn tangent(&self, shape: &Configuration, controls: &[f64], springs: &TipSpring) -> Tangent {
-        let rod = self.rod();
+        let wrenches = self.wrenches(controls);
+        let rod = &*self.rod_under(&wrenches);
         let first = rod.first_free_node();
         let mut out = Tangent::stiffness(rod, shape, self.time);
         let tip = rod.tip() - first;
         out.add(tip, tip, &springs.stiffness(&shape.rotations[rod.tip()]));
-        let wrenches = self.wrenches(controls);
         let efforts = self.efforts(&wrenches);
         if !efforts.is_empty() {
             let mut active = BlockTridiagonal::zeros(self.n_free());
@@ -241,7 +271,7 @@ impl Statics<'_> {
                         column[node - first] +=
                             Vector6::from_fn(|k, _| scale * slope[(6 * i + k, control)]);
                     }
-                } else if let Some(unit) = self.unit_effort(component, scale) {
+                } else if let Some(unit) = self.unit_effort(component, scale, shape, &wrenches) {
                     let mut forces = NodalForces::zeros(rod.n_nodes());
                     forces.add_active(rod, &shape.positions, &shape.rotations, &unit);
                     for (node, column) in (first..).zip(&mut column) {
@@ -259,11 +289,25 @@ impl Statics<'_> {
             .collect()
     }
 
-    /// Returns the efforts of all actuators of the rod where a component, if it is one of them, has the given value and all others zero.
-    fn unit_effort(&self, component: &Component, value: f64) -> Option<Vec<f64>> {
+    /// Returns the changes of the efforts of all actuators of the rod with a change of a component, if it is the input of one of them.
+    fn unit_effort(
+        &self,
+        component: &Component,
+        change: f64,
+        shape: &Configuration,
+        wrenches: &[Wrench],
+    ) -> Option<Vec<f64>> {
         let index = self.problem.effort(component)?;
-        let mut out = vec![0.0; self.rod().actuators.len()];
-        out[self.problem.efforts.as_ref()?.actuators[index]] = value;
+        let actuators = &self.rod().actuators;
+        let mut out = vec![0.0; actuators.len()];
+        let actuator = self.problem.efforts.as_ref()?.actuators[index];
+        out[actuator] = change;
+        if actuators.has_winches() {
+            let (x, r) = (&shape.positions, &shape.rotations);
+            let y = self.rod().actuator_coordinates(x, r)[actuator];
+            let input = self.inputs(wrenches)[actuator];
+            out[actuator] *= actuators.law(actuator, input, y).along_input;
+        }
         Some(out)
     }
 
@@ -283,7 +327,8 @@ impl Statics<'_> {
     }
 
     /// Returns the derivative of a mode's `ω²` along the free nodes and along the controls, by central differences of the stiffness in its
-    /// quadratic form.
+    /// quadratic form. The springs of winches count as tensions here, whose own stiffness is left out: a direction of the search, not a
+    /// result.
     pub fn mode_gradient(
         &self,
         shape: &Configuration,
@@ -294,10 +339,8 @@ impl Statics<'_> {
         let first = rod.first_free_node();
         let length = rod.scales.length;
         let mut moved = shape.clone();
-        let mut efforts = self.efforts(&self.wrenches(controls));
-        for (effort, given) in efforts.iter_mut().zip(rod.actuators.efforts(self.time)) {
-            *effort += given;
-        }
+        let wrenches = self.wrenches(controls);
+        let efforts = rod.efforts_at(self.inputs(&wrenches), &shape.positions, &shape.rotations);
         let along_states = (first..rod.n_nodes())
             .map(|node| {
                 Vector6::from_fn(|component, _| {
@@ -328,7 +371,7 @@ impl Statics<'_> {
                 let component = &self.components[i];
                 let scale = self.problem.channel(component).scale;
                 // The stiffness is linear in efforts.
-                if let Some(unit) = self.unit_effort(component, scale) {
+                if let Some(unit) = self.unit_effort(component, scale, shape, &wrenches) {
                     return self.active_form(shape, &unit, 0..rod.n_elements(), &mode.shape);
                 }
                 if self.looking().next().is_none() {

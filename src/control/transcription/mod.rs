@@ -32,7 +32,7 @@ mod slacks;
 
 pub(super) use self::rows::describe;
 use self::rows::{Columns, CostRow, WrenchColumn};
-use self::sets::convex_sets;
+use self::sets::{CommandSet, convex_sets};
 pub use self::simulation::simulate;
 
 /// Largest rotation of a node in one step of the solver, rad: half of the quarter turn up to which the rotation of a time step is unique,
@@ -104,6 +104,8 @@ pub struct Transcription<'a> {
     /// Variable of every goal row whose residual has one.
     slack_variables: Vec<Option<usize>>,
     sets: Vec<ConvexSet>,
+    /// Places of the bounds on commands among the sets.
+    commands: Vec<CommandSet>,
     path: Vec<PathConstraint>,
     /// First row of every path constraint, and their number at the end. The rows of an item are successive in time: neighbors are similar,
     /// on which the solver's choice of rows relies.
@@ -162,8 +164,10 @@ impl<'a> Transcription<'a> {
             .map(|constraint| constraint.node_durations(problem.grid.step))
             .map(|nodes| nodes.into_iter().map(|(_, duration)| duration).collect())
             .collect();
+        let (sets, commands) = convex_sets(problem, &components, &goal_rows, &slack_variables);
         Self {
-            sets: convex_sets(problem, &components, &goal_rows, &slack_variables),
+            sets,
+            commands,
             control_cost: ControlCost::of(
                 problem,
                 &components,
@@ -265,8 +269,11 @@ impl<'a> Transcription<'a> {
             out[step * n + component.actuator][component.axis] += sign * normal;
             any = true;
         };
-        for (set, normal) in self.sets.iter().zip(normals) {
+        let is_command =
+            |index: usize| (self.commands.binary_search_by_key(&index, |own| own.set)).is_ok();
+        for (index, (set, normal)) in self.sets.iter().zip(normals).enumerate() {
             match set {
+                _ if is_command(index) => {}
                 ConvexSet::Ball { rows, .. } if rows.iter().any(|row| row.len() > 1) => {
                     for (row, z) in rows.iter().zip(normal) {
                         add(row, *z);
@@ -277,6 +284,32 @@ impl<'a> Transcription<'a> {
             }
         }
         if any { out } else { Vec::new() }
+    }
+
+    /// Returns the normals of the bounds on commands, for every [row](ControlGrid::command_rows) and every actuator, from those of all sets;
+    /// empty without such bounds.
+    #[must_use]
+    pub fn command_normals(&self, normals: &[Vec<f64>]) -> Vec<[f64; 6]> {
+        let n = self.problem.actuators.len();
+        let n_rows = self.commands.iter().map(|own| own.row + 1).max();
+        let mut out = vec![[0.0; 6]; n_rows.unwrap_or(0) * n];
+        for own in &self.commands {
+            let Component { actuator, axis } = own.component;
+            out[own.row * n + actuator][axis] += own.sign * normals[own.set][0];
+        }
+        out
+    }
+
+    /// Returns the sum over the bounds on commands of normal times command, in scaled variables.
+    pub(super) fn commanded(&self, variables: &[f64], normals: &[Vec<f64>]) -> f64 {
+        let term = |own: &CommandSet| match &self.sets[own.set] {
+            ConvexSet::HalfSpace { direction, .. } => {
+                let command: f64 = direction.iter().map(|&(i, w)| w * variables[i]).sum();
+                normals[own.set][0] * command
+            }
+            ConvexSet::Ball { .. } | ConvexSet::Interval { .. } => 0.0,
+        };
+        self.commands.iter().map(term).sum()
     }
 
     pub(crate) fn rod_view<'b>(&'b self, point: &'b LiftedPoint) -> RodView<'b> {

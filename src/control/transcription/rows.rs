@@ -98,10 +98,16 @@ impl ControlColumns for Columns<'_> {
 
     fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
         let n = self.components.len();
+        let here = self.problem.control.weights(k);
         for (at, component) in self.components.iter().enumerate() {
             let unit = self.problem.channel(component).unit();
             let mut visit_at = |time: usize, node: usize, axis: usize, slope: f64| {
-                for (coefficient, weight) in self.problem.control.weights(time) {
+                let weights = if time == k {
+                    here
+                } else {
+                    self.problem.control.weights(time)
+                };
+                for (coefficient, weight) in weights {
                     if weight != 0.0 {
                         visit(coefficient * n + at, node, axis, weight * unit * slope);
                     }

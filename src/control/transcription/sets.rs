@@ -79,13 +79,14 @@ impl<'a> ChannelVariables<'a> {
     }
 }
 
-/// Returns the bounds on coefficients, on their differences, and on the residuals of goals within a tolerance, in scaled variables.
+/// Returns the bounds on coefficients, on their differences, on commands, and on the residuals of goals within a tolerance, in scaled
+/// variables, and the places of those on commands.
 pub(super) fn convex_sets(
     problem: &OptimalControlProblem,
     components: &[Component],
     goal_rows: &[GoalRow],
     slack_variables: &[Option<usize>],
-) -> Vec<ConvexSet> {
+) -> (Vec<ConvexSet>, Vec<CommandSet>) {
     let mut sets = Vec::new();
     let gaps = problem.control.rate_gaps();
     let last = problem.control.n_coefficients() - 1;
@@ -116,7 +117,12 @@ pub(super) fn convex_sets(
                     upper: 0.0,
                 }));
             } else if held.is_none() || coefficient < last {
-                variables.push_sets(channel.bound, 1.0 / channel.unit(), own, &mut sets);
+                variables.push_sets(
+                    channel.coefficient_bound(),
+                    1.0 / channel.unit(),
+                    own,
+                    &mut sets,
+                );
             }
             if let Some(gap) = gaps.get(coefficient) {
                 let stride = components.len();
@@ -128,6 +134,7 @@ pub(super) fn convex_sets(
             }
         }
     }
+    let commands = push_command_sets(problem, components, &mut sets);
     let mut slacks = slack_variables.iter();
     for rows in goal_rows.chunk_by(GoalRow::shares_vector_with) {
         let slacks: Vec<usize> = (slacks.by_ref().take(rows.len()).flatten().copied()).collect();
@@ -135,5 +142,56 @@ pub(super) fn convex_sets(
             sets.push(ConvexSet::ball(slacks, radius));
         }
     }
-    sets
+    (sets, commands)
+}
+
+/// The place of a bound on a command.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CommandSet {
+    /// Index of the set.
+    pub set: usize,
+    /// Index among [`ControlGrid::command_rows`](crate::control::hold::ControlGrid::command_rows).
+    pub row: usize,
+    /// The component.
+    pub component: Component,
+    /// 1 for the upper limit, -1 for the lower one.
+    pub sign: f64,
+}
+
+/// Adds the bounds on commands of channels with a lag, as half-spaces, and returns their places.
+fn push_command_sets(
+    problem: &OptimalControlProblem,
+    components: &[Component],
+    sets: &mut Vec<ConvexSet>,
+) -> Vec<CommandSet> {
+    let mut out = Vec::new();
+    for (at, component) in components.iter().enumerate() {
+        let channel = problem.channel(component);
+        let bound = channel.bound.filter(|_| channel.lag > 0.0);
+        let Some([lower, upper]) = bound.and_then(|bound| bound.interval(component.axis % 3))
+        else {
+            continue;
+        };
+        let rows = problem.control.command_rows(channel.lag);
+        for (row, weights) in rows.iter().enumerate() {
+            for (sign, limit) in [(1.0, upper), (-1.0, -lower)] {
+                if !limit.is_finite() {
+                    continue;
+                }
+                out.push(CommandSet {
+                    set: sets.len(),
+                    row,
+                    component: *component,
+                    sign,
+                });
+                sets.push(ConvexSet::HalfSpace {
+                    direction: (weights.iter())
+                        .map(|&(j, weight)| (j * components.len() + at, sign * weight))
+                        .collect(),
+                    limit: limit / channel.unit(),
+                });
+            }
+        }
+    }
+    out
 }

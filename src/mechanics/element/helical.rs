@@ -11,8 +11,8 @@
 use pulp::Simd;
 
 use super::rule::{Blocks, Elasticity, Helical, Stress, TangentRule};
-use crate::mechanics::lanes::logarithm::{Logarithm, logarithm};
-use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
+use crate::mechanics::logarithm::{Logarithm, logarithm};
+use crate::mechanics::vector::{Lanes, Mat3, Quaternion, Vec3};
 
 /// Returns `S(ψ) = I - ψ̂/2 + c ψ̂²`.
 #[inline(always)]

@@ -17,7 +17,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
 use super::{Element, ElementStrain};
-use crate::mechanics::lanes::vector::Lanes;
+use crate::mechanics::vector::Lanes;
 
 /// The law by which axial stretch enters stiffness and inertia.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

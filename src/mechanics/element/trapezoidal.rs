@@ -10,7 +10,7 @@
 use pulp::Simd;
 
 use super::rule::{Blocks, Elasticity, Stress, TangentRule, Trapezoidal};
-use crate::mechanics::lanes::vector::{Lanes, Mat3, Quaternion, Vec3};
+use crate::mechanics::vector::{Lanes, Mat3, Quaternion, Vec3};
 
 /// The data of a pose that the trapezoidal rule uses.
 #[derive(Clone, Copy)]

@@ -1,16 +1,15 @@
 //! The stress of [actuators](crate::mechanics::strain_actuator) in the elements of a block, one element per lane.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use pulp::Simd;
 
 use super::LaneIntegrator;
-use super::place::{Place, Slots};
+use super::place::{FORCE, MOMENT, Place, Slots};
 use super::rule::Stress;
-use super::sweep::{FORCE, MOMENT};
 use super::vector::{Lanes, Row, Vec3, row};
 use crate::mechanics::buffer::Buffer;
+use crate::mechanics::configuration::Configuration;
 use crate::mechanics::element::{ActivePoint, ActiveTangent, Density};
-use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::NodeWrenches;
 use crate::mechanics::time::TimeScheme;
@@ -26,8 +25,14 @@ pub struct ActiveLanes {
     rows: Buffer,
     /// Efforts that the forces at the time node contain: those just before it, or none after the motion was [seated](super::LaneIntegrator).
     pub present: Vec<f64>,
-    /// Efforts of the interval under way: its mean under the implicit scheme, otherwise those at its end.
+    /// Efforts of the interval under way: its mean under the implicit scheme, otherwise those at its end. The efforts of winches are zero
+    /// here: their forces are added where the configuration is known, or in the iteration of a step that is solved for.
     pub coming: Vec<f64>,
+    /// Memory for a jump of the efforts, and for the shape at which it occurs.
+    jump: Vec<f64>,
+    shape: Configuration,
+    /// Inputs of winches: those whose efforts are among the present ones, and those of the interval under way.
+    inputs: Option<[Vec<f64>; 2]>,
 }
 
 impl ActiveLanes {
@@ -86,23 +91,40 @@ impl ActiveLanes {
         Some(Box::new(Self {
             kinds,
             rows,
+            inputs: (rod.actuators.has_winches()).then(|| [none.clone(), none.clone()]),
             present: none.clone(),
+            jump: none.clone(),
             coming: none,
+            shape: rod.rest.clone(),
         }))
     }
 
     /// Returns the points of all blocks under the coming efforts.
     pub fn blocks<S: Simd>(&self) -> ActiveBlocks<'_, S> {
+        self.under(&self.coming)
+    }
+
+    /// Returns the points of all blocks under given efforts.
+    pub fn under<'a, S: Simd>(&'a self, efforts: &'a [f64]) -> ActiveBlocks<'a, S> {
         ActiveBlocks {
             kinds: &self.kinds,
             rows: super::vector::rows::<S>(&self.rows),
-            efforts: &self.coming,
+            efforts,
         }
     }
 
     /// Forgets the efforts that act.
     pub fn rest(&mut self) {
         self.present.fill(0.0);
+        if let Some([present, _]) = &mut self.inputs {
+            // No input has these efforts.
+            present.fill(f64::NAN);
+        }
+    }
+
+    /// Returns the inputs of the interval under way, if any of them is that of a winch.
+    pub fn winch_inputs(&self) -> Option<&[f64]> {
+        self.inputs.as_ref().map(|[_, coming]| &coming[..])
     }
 }
 
@@ -137,10 +159,10 @@ impl<S: Simd> ActiveBlocks<'_, S> {
     ) {
         let simd = psi.x.simd;
         for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
-            let effort = Lanes::splat(simd, -self.efforts[actuator]);
-            let point = self.point(simd, block * self.kinds.len() + i);
-            let slopes = point.slopes::<ENDS>(density, linear, psi);
-            *stress = stress.plus(slopes.times(effort));
+            let mut point = self.point(simd, block * self.kinds.len() + i);
+            // The slopes are proportional to the weight.
+            point.weight = point.weight * -self.efforts[actuator];
+            *stress = stress.plus(point.slopes::<ENDS>(density, linear, psi));
         }
     }
 
@@ -183,30 +205,87 @@ impl LaneIntegrator<'_> {
                 *mean = 0.5 * (*mean + start);
             }
         } else {
+            self.find_efforts(&mut active);
             if active.present != active.coming {
                 let halves = active.present.iter().zip(&active.coming);
-                let jump: Vec<f64> = halves
-                    .map(|(before, after)| 0.5 * (after - before))
-                    .collect();
-                self.add_jump(&jump);
+                for (jump, (before, after)) in active.jump.iter_mut().zip(halves) {
+                    *jump = 0.5 * (after - before);
+                }
+                let ActiveLanes { jump, shape, .. } = &mut *active;
+                self.add_jump(jump, shape);
             }
             write(1, &mut active.coming);
             active.present.copy_from_slice(&active.coming);
         }
+        if let Some([_, inputs]) = &mut active.inputs {
+            inputs.copy_from_slice(&active.coming);
+            for (effort, own) in active.coming.iter_mut().zip(self.rod.actuators.iter()) {
+                if own.winch.is_some() {
+                    *effort = 0.0;
+                }
+            }
+        }
         self.active = Some(active);
     }
 
-    /// Adds the forces of the actuators with these efforts at the present configuration.
-    fn add_jump(&mut self, efforts: &[f64]) {
+    /// Turns the coming inputs of winches, if they are other ones than those whose efforts act, into efforts at the present configuration.
+    fn find_efforts(&self, active: &mut ActiveLanes) {
+        let Some([inputs, _]) = &active.inputs else {
+            return;
+        };
+        let is_same = inputs.iter().zip(&active.coming).all(|(a, b)| a == b);
+        let coming = std::mem::take(&mut active.coming);
+        active.coming = if is_same {
+            active.present.clone()
+        } else {
+            let (positions, rotations) = self.poses();
+            self.rod.efforts_at(coming, &positions, &rotations)
+        };
+    }
+
+    /// Adds the forces of winches at the time node at which an explicit step has arrived.
+    pub(super) fn arrive_winches(&mut self) {
+        let Some(mut active) = self.active.take() else {
+            return;
+        };
+        if let (Some([present, coming]), TimeScheme::Explicit) =
+            (&mut active.inputs, self.rod.scheme)
+        {
+            let (positions, rotations) = self.poses();
+            let efforts = self.rod.efforts_at(coming.clone(), &positions, &rotations);
+            present.copy_from_slice(coming);
+            let winches: Vec<f64> = (efforts.iter().zip(self.rod.actuators.iter()))
+                .map(|(effort, own)| own.winch.map_or(0.0, |_| *effort))
+                .collect();
+            active.present = efforts;
+            self.add_jump(&winches, &mut active.shape);
+        }
+        self.active = Some(active);
+    }
+
+    /// Returns the present positions and rotations of all nodes.
+    pub(super) fn poses(&self) -> (Vec<Vector3<f64>>, Vec<Matrix3<f64>>) {
+        let nodes = 0..self.rod.n_nodes();
+        let positions = nodes.clone().map(|node| self.position(node)).collect();
+        (positions, nodes.map(|node| self.rotation(node)).collect())
+    }
+
+    /// Adds the forces of the actuators with these efforts at the present configuration, for which `shape` is memory.
+    fn add_jump(&mut self, efforts: &[f64], shape: &mut Configuration) {
         let n = self.rod.n_nodes();
-        let positions: Vec<Vector3<f64>> = (0..n).map(|node| self.position(node)).collect();
-        let rotations: Vec<_> = (0..n).map(|node| self.rotation(node)).collect();
-        let mut forces = NodalForces::zeros(n);
-        forces.add_active(self.rod, &positions, &rotations, efforts);
+        for node in 0..n {
+            shape.positions[node] = self.position(node);
+            shape.rotations[node] = self.rotation(node);
+        }
+        let forces = &mut self.seating;
+        forces.forces.fill(Vector3::zeros());
+        forces.moments.fill(Vector3::zeros());
+        forces.add_active(self.rod, &shape.positions, &shape.rotations, efforts);
         for node in self.rod.first_free_node()..n {
             let place = self.slots.place(node);
-            self.add(place, FORCE, &forces.forces[node]);
-            self.add(place, MOMENT, &forces.moments[node]);
+            let (force, moment) = (self.seating.forces[node], self.seating.moments[node]);
+            self.add(place, FORCE, &force);
+            self.add(place, MOMENT, &moment);
         }
     }
 }

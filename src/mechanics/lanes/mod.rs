@@ -8,7 +8,6 @@ pub(super) mod curved;
 mod element;
 mod failure;
 mod impulses;
-pub(super) mod logarithm;
 mod place;
 mod rule;
 mod singly;
@@ -16,7 +15,6 @@ mod solved;
 mod sweep;
 pub(super) mod tangent;
 mod turn;
-pub(super) mod vector;
 
 use std::marker::PhantomData;
 
@@ -50,6 +48,7 @@ use super::rotation::{from_quaternion, quaternion, wxyz};
 use super::signal::NodeWrenches;
 use super::step_error::StepError;
 use super::time::Clock;
+pub(super) use super::{logarithm, vector};
 
 /// Number of steps between normalizations of the quaternions, whose length each product changes by rounding only.
 const NORMALIZE_EVERY: usize = 16;
@@ -564,6 +563,7 @@ impl<'a> LaneIntegrator<'a> {
             self.put_base();
         }
         self.step += 1;
+        self.arrive_winches();
         let first = self.rod.first_free_node();
         let acting = self.acting(control);
         let given = control.iter().map(|(node, wrench)| (node, *wrench));

@@ -1,4 +1,19 @@
-//! The place of a node's numbers: its block and its lane; see [`sweep`](super::sweep) for the order of the nodes.
+//! The place of a node's numbers: its block, row and lane; see [`sweep`](super::sweep) for the order of the nodes.
+
+/// Number of rows of a block of nodes.
+pub const STATE_ROWS: usize = 19;
+/// Position, spatial frame, m.
+pub const POSITION: usize = 0;
+/// Rotation, unit quaternion w, x, y, z.
+pub const ROTATION: usize = 3;
+/// Linear momentum of the last half step, damped: `(p - h/2 f)/(1 + a)` with momentum `p` and force `f` at the time node.
+pub const LINEAR_MOMENTUM: usize = 7;
+/// Angular momentum, defined in the same way, body frame.
+pub const ANGULAR_MOMENTUM: usize = 10;
+/// Force, spatial frame, without the control.
+pub const FORCE: usize = 13;
+/// Moment, body frame, without the control.
+pub const MOMENT: usize = 16;
 
 /// The blocks of a rod.
 #[derive(Clone, Copy, Debug)]

@@ -11,24 +11,12 @@ use pulp::{Simd, WithSimd};
 
 use super::active::{ActiveBlocks, ActiveLanes};
 use super::element::{Chord, Pose, SectionLaw};
+pub use super::place::{
+    ANGULAR_MOMENTUM, FORCE, LINEAR_MOMENTUM, MOMENT, POSITION, ROTATION, STATE_ROWS,
+};
 use super::rule::Rule;
 use super::turn::{Gyration, TURN_LIMIT, Turn};
 use super::vector::{Lanes, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows};
-
-/// Number of rows of a block of nodes.
-pub const STATE_ROWS: usize = 19;
-/// Position, spatial frame, m.
-pub const POSITION: usize = 0;
-/// Rotation, unit quaternion w, x, y, z.
-pub const ROTATION: usize = 3;
-/// Linear momentum of the last half step, damped: `(p - h/2 f)/(1 + a)` with momentum `p` and force `f` at the time node.
-pub const LINEAR_MOMENTUM: usize = 7;
-/// Angular momentum, defined in the same way, body frame.
-pub const ANGULAR_MOMENTUM: usize = 10;
-/// Force, spatial frame, without the control.
-pub const FORCE: usize = 13;
-/// Moment, body frame, without the control.
-pub const MOMENT: usize = 16;
 
 /// Number of rows of the constants of a block of nodes.
 pub const NODE_ROWS: usize = 8;

@@ -28,13 +28,12 @@ use crate::stop::StopSignal;
 mod adjoint;
 mod defects;
 mod loads;
-mod tangent;
 
 pub use self::adjoint::AdjointSweep;
 pub use self::defects::{Defects, RightHandSide};
 pub use self::loads::LoadDerivative;
 pub(in crate::mechanics) use self::loads::{acting_derivatives, load_derivatives};
-pub use self::tangent::StateTangent;
+pub use super::state_tangent::StateTangent;
 
 /// A rod on a time grid, from a given state on.
 ///

@@ -21,6 +21,10 @@ pub fn value(rows: &[(f64, f64)], t: f64) -> f64 {
 
 /// Returns the value at the instant `t`: before the first row the first value, after the last row the last one.
 pub fn kept(rows: &[(f64, f64)], t: f64) -> f64 {
+    // A constant, at every step of a motion under one.
+    if let [(_, only)] = rows {
+        return *only;
+    }
     match (rows.first(), rows.last()) {
         (Some(first), _) if t < first.0 => first.1,
         (_, Some(last)) if t > last.0 => last.1,
@@ -47,7 +51,7 @@ pub fn at_node(rows: &[(f64, f64)], node: &TimeNode) -> f64 {
 /// Returns [`kept`] at a time node, with jumps shared like those of [`at_node`].
 pub fn kept_at_node(rows: &[(f64, f64)], node: &TimeNode) -> f64 {
     let at = kept(rows, node.time);
-    if rows.is_empty() || !(node.before + node.after > 0.0) {
+    if rows.len() < 2 || !(node.before + node.after > 0.0) {
         return at;
     }
     with_inner_jumps(at, rows, node)

@@ -8,7 +8,7 @@ use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Blocks, Displacement, Elasticity, Element, Helical, StrainRule,
-    Stress, TangentRule, Trapezoidal,
+    Stress, TangentRule, Trapezoidal, Turns, stiffness_under,
 };
 use crate::mechanics::lanes::curved::{CurvedEnd, StressBlocks};
 use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS, put_pose};
@@ -16,6 +16,7 @@ use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::load::Wrench;
+use crate::mechanics::part::{Part, apart};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::{ControlSignal, EffortTable};
 use crate::mechanics::strain_actuator::StrainActuators;
@@ -24,6 +25,7 @@ use crate::mechanics::time::TimeScheme;
 /// Efforts along a motion, and those of a group of time nodes, one in each lane.
 #[derive(Debug)]
 pub(super) struct ActiveTimes {
+    /// The inputs: efforts, or the displacements of winches.
     table: EffortTable,
     /// Efforts of the time nodes, or of the intervals after them and then of those before them.
     lanes: Buffer,
@@ -46,9 +48,36 @@ impl ActiveTimes {
         })
     }
 
-    /// Writes the efforts of time node `k` to one lane. Before the first and after the last interval of the grid there is none.
-    pub fn put(&mut self, k: usize, lane: usize, n_lanes: usize) {
+    /// Replaces the efforts by those along another motion of the same rod.
+    pub fn renew(&mut self, motion: &Motion) {
+        self.table
+            .write(&motion.rod.actuators, &motion.grid, motion.control);
+    }
+
+    /// Returns the inputs at time node `k`.
+    pub fn inputs(&self, k: usize) -> &[f64] {
         let n = self.table.n_actuators;
+        &self.table.nodes[k * n..][..n]
+    }
+
+    /// Writes the efforts of time node `k` of a trajectory to one lane. Before the first and after the last interval of the grid there is
+    /// none. Winches have steps that are explicit.
+    pub fn put(
+        &mut self,
+        (rod, trajectory): (&Rod, &Trajectory),
+        k: usize,
+        lane: usize,
+        n_lanes: usize,
+    ) {
+        let n = self.table.n_actuators;
+        if rod.actuators.has_winches() && !self.intervals {
+            let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+            let efforts = rod.efforts_at(self.inputs(k).to_vec(), x, r);
+            for (actuator, effort) in efforts.into_iter().enumerate() {
+                self.lanes[actuator * n_lanes + lane] = effort;
+            }
+            return;
+        }
         for actuator in 0..n {
             if self.intervals {
                 let of =
@@ -94,22 +123,10 @@ impl<S: Simd> ActiveEfforts<'_, S> {
     /// Returns the stress `-Σ u ∂y/∂(l v, ψ)` in element `q` at a strain times its length.
     #[inline(always)]
     pub fn stress<R: TangentRule>(&self, q: usize, length: f64, strain: &Stress<S>) -> Stress<S> {
-        let simd = strain.angular.x.simd;
-        let zero = Vec3::zero(simd);
-        let mut sum = Stress {
-            linear: [zero; 2],
-            angular: zero,
-        };
-        for point in self.actuators.on(q) {
-            let at = point.in_element(simd, length);
-            let slopes = if R::END_WEIGHT == 1.0 {
-                at.slopes::<1>(point.density, strain.linear, strain.angular)
-            } else {
-                at.slopes::<2>(point.density, strain.linear, strain.angular)
-            };
-            sum = sum.minus(slopes.times(self.effort(simd, point.actuator)));
-        }
-        sum
+        apart(
+            strain.angular.x.simd,
+            Stressed(self.at::<R>(q, length, *strain)),
+        )
     }
 
     /// Returns the derivative of [`Self::stress`] along the strain.
@@ -120,18 +137,10 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         length: f64,
         strain: &Stress<S>,
     ) -> ActiveTangent<S> {
-        let simd = strain.angular.x.simd;
-        let mut sum = ActiveTangent::zero(simd);
-        for point in self.actuators.on(q) {
-            let at: ActivePoint<S> = point.in_element(simd, length);
-            let bends = if R::END_WEIGHT == 1.0 {
-                at.bends::<1>(point.density, strain.linear, strain.angular)
-            } else {
-                at.bends::<2>(point.density, strain.linear, strain.angular)
-            };
-            sum = sum.plus(bends, -self.effort(simd, point.actuator));
-        }
-        sum
+        apart(
+            strain.angular.x.simd,
+            Tangent(self.at::<R>(q, length, *strain)),
+        )
     }
 
     #[inline(always)]
@@ -139,6 +148,17 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         Lanes {
             simd,
             value: self.efforts[actuator],
+        }
+    }
+
+    #[inline(always)]
+    fn at<R>(&self, q: usize, length: f64, strain: Stress<S>) -> At<'_, S, R> {
+        At {
+            efforts: *self,
+            q,
+            length,
+            strain,
+            rule: PhantomData,
         }
     }
 
@@ -171,7 +191,7 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         let derivative = R::derivative(&pose);
         let tangent = self.tangent::<R>(q, element.length, &strain);
         sum(
-            R::stiffness_under(&law, &pose, &stress),
+            stiffness_under::<S, R>(&law, &pose, &stress),
             tangent.between::<R>(&derivative, &derivative),
         )
     }
@@ -183,47 +203,146 @@ impl<S: Simd> ActiveEfforts<'_, S> {
     /// the covectors: the difference of its second derivatives at poses that are moved along them, in the chart of
     /// [`Displacement::curvature`].
     #[inline(always)]
-    pub fn curvature<R: TangentRule>(
+    pub fn curvature<R: TangentRule, P: Turns<S>>(
         &self,
         element: &Element,
         q: usize,
         ends: &[CurvedEnd<S>; 2],
-        pose: impl Fn(Vec3<S>, Mat3<S>, Mat3<S>) -> R::Pose<S> + Copy,
     ) -> StressBlocks<S> {
+        let part = Curvature::<S, R, P> {
+            efforts: *self,
+            element,
+            q,
+            ends,
+            kind: PhantomData,
+        };
+        apart(ends[0].dx.x.simd, part)
+    }
+}
+
+/// The arguments of [`ActiveEfforts::stress`] and [`ActiveEfforts::tangent`].
+struct At<'a, S: Simd, R> {
+    efforts: ActiveEfforts<'a, S>,
+    q: usize,
+    length: f64,
+    strain: Stress<S>,
+    rule: PhantomData<R>,
+}
+
+struct Stressed<'a, S: Simd, R>(At<'a, S, R>);
+
+impl<S: Simd, R: TangentRule> Part for Stressed<'_, S, R> {
+    type Output = Stress<S>;
+
+    #[inline(always)]
+    fn run(self) -> Stress<S> {
+        let At {
+            efforts,
+            q,
+            length,
+            strain,
+            ..
+        } = self.0;
+        let simd = strain.angular.x.simd;
+        let zero = Vec3::zero(simd);
+        let mut sum = Stress {
+            linear: [zero; 2],
+            angular: zero,
+        };
+        for point in efforts.actuators.on(q) {
+            let at = point.in_element(simd, length);
+            let slopes = if R::END_WEIGHT == 1.0 {
+                at.slopes::<1>(point.density, strain.linear, strain.angular)
+            } else {
+                at.slopes::<2>(point.density, strain.linear, strain.angular)
+            };
+            sum = sum.minus(slopes.times(efforts.effort(simd, point.actuator)));
+        }
+        sum
+    }
+}
+
+struct Tangent<'a, S: Simd, R>(At<'a, S, R>);
+
+impl<S: Simd, R: TangentRule> Part for Tangent<'_, S, R> {
+    type Output = ActiveTangent<S>;
+
+    #[inline(always)]
+    fn run(self) -> ActiveTangent<S> {
+        let At {
+            efforts,
+            q,
+            length,
+            strain,
+            ..
+        } = self.0;
+        let simd = strain.angular.x.simd;
+        let mut sum = ActiveTangent::zero(simd);
+        for point in efforts.actuators.on(q) {
+            let at: ActivePoint<S> = point.in_element(simd, length);
+            let bends = if R::END_WEIGHT == 1.0 {
+                at.bends::<1>(point.density, strain.linear, strain.angular)
+            } else {
+                at.bends::<2>(point.density, strain.linear, strain.angular)
+            };
+            sum = sum.plus(bends, -efforts.effort(simd, point.actuator));
+        }
+        sum
+    }
+}
+
+/// The arguments of [`ActiveEfforts::curvature`].
+struct Curvature<'a, S: Simd, R, P> {
+    efforts: ActiveEfforts<'a, S>,
+    element: &'a Element,
+    q: usize,
+    ends: &'a [CurvedEnd<S>; 2],
+    kind: PhantomData<(R, P)>,
+}
+
+impl<S: Simd, R: TangentRule, P: Turns<S>> Part for Curvature<'_, S, R, P> {
+    type Output = StressBlocks<S>;
+
+    #[inline(always)]
+    fn run(self) -> StressBlocks<S> {
+        let Self {
+            efforts,
+            element,
+            q,
+            ends,
+            ..
+        } = self;
         let length = element.length;
         let simd = ends[0].dx.x.simd;
         let none = Elasticity::of::<R>(simd, element).times(Lanes::splat(simd, 0.0));
         let both = Displacement::along_both(ends[0].covector, ends[1].covector, length);
-        let found = [0.0, 1.0, -1.0].map(|sign| {
-            let [start, end] = [0, 1].map(|i| {
-                let end = &ends[i];
-                let (dx, [a, b]) = both[i].moved(end.dx, end.rotations, sign);
-                pose(dx, a, b)
-            });
+        // Own at the start, mixed, own at the end; each here, ahead and behind.
+        let mut found = [[[[Mat3::zero(simd); 3]; 3]; 3]; 3];
+        for (at, sign) in [0.0, 1.0, -1.0].into_iter().enumerate() {
+            let (dx, [a, b]) = both[0].moved(ends[0].dx, ends[0].rotations, sign);
+            let start = P::pose::<R>(dx, a, b);
+            let (dx, [a, b]) = both[1].moved(ends[1].dx, ends[1].rotations, sign);
+            let end = P::pose::<R>(dx, a, b);
             let mean = R::strain(&start)
                 .plus(R::strain(&end))
                 .times(Lanes::splat(simd, 0.5));
-            let stress = self.stress::<R>(q, length, &mean);
-            let tangent = self.tangent::<R>(q, length, &mean);
+            let stress = efforts.stress::<R>(q, length, &mean);
+            let tangent = efforts.tangent::<R>(q, length, &mean);
             let [left, right] = [R::derivative(&start), R::derivative(&end)];
-            let own = |pose: &R::Pose<S>, b: &Blocks<S>| {
-                let half = times(tangent.between::<R>(b, b), 0.25);
-                // The weight of a strain in the mean is one half.
-                let bent = times(R::stiffness_under(&none, pose, &stress), 0.5);
-                sum(bent, half)
-            };
-            [
-                own(&start, &left),
-                times(tangent.between::<R>(&left, &right), 0.25),
-                own(&end, &right),
-            ]
-        });
-        let of = |part: usize| [0, 1, 2].map(|i: usize| found[i][part]);
+            // The weight of a strain in the mean is one half.
+            let bent = times(stiffness_under::<S, R>(&none, &start, &stress), 0.5);
+            let half = times(tangent.between::<R>(&left, &left), 0.25);
+            found[0][at] = sum(bent, half);
+            found[1][at] = times(tangent.between::<R>(&left, &right), 0.25);
+            let bent = times(stiffness_under::<S, R>(&none, &end, &stress), 0.5);
+            let half = times(tangent.between::<R>(&right, &right), 0.25);
+            found[2][at] = sum(bent, half);
+        }
         // The covectors have the weights of the impulses, which are twice the derivative along one of both strains.
         StressBlocks {
-            start: times(both[0].curvature(&of(0)), 2.0),
-            cross: times(both[0].mixed_curvature(&both[1], &of(1)), 2.0),
-            end: times(both[1].curvature(&of(2)), 2.0),
+            start: times(both[0].curvature(&found[0]), 2.0),
+            cross: times(both[0].mixed_curvature(&both[1], &found[1]), 2.0),
+            end: times(both[1].curvature(&found[2]), 2.0),
         }
     }
 }
@@ -249,6 +368,9 @@ pub(super) fn times<S: Simd>(mut blocks: Blocks<S>, factor: f64) -> Blocks<S> {
     blocks
 }
 
+/// Number of lanes of the widest vectors.
+const MOST_LANES: usize = 8;
+
 /// Wrenches on the nodes under a unit effort of each of some actuators, and their derivatives along the configuration.
 ///
 /// Under the explicit scheme there is one set for every time node. Under the implicit scheme there is one for each interval, with the
@@ -257,8 +379,15 @@ pub(super) fn times<S: Simd>(mut blocks: Blocks<S>, factor: f64) -> Blocks<S> {
 pub struct EffortPulls {
     n_nodes: usize,
     n_actuators: usize,
+    /// Number of sets of the present motion.
+    n_sets: usize,
     /// Number of ends: 1 explicit, 2 implicit.
     ends: usize,
+    /// Place of every actuator of the rod among those that are evaluated.
+    index: Vec<Option<usize>>,
+    /// Poses of all nodes at both ends of a set, and covectors there, with a set in each lane.
+    poses: [Buffer; 2],
+    covectors: Buffer,
     /// Six numbers of every node, for every set, end and actuator: force, spatial, and moment, body frame, per effort.
     wrenches: Vec<f64>,
     /// The derivative of the covectors' product with the wrenches, `(δx, ζ)` of every node, in the same order; empty without covectors.
@@ -278,29 +407,69 @@ impl EffortPulls {
         actuators: &[usize],
         covectors: Option<&Covectors>,
     ) -> Self {
+        let mut out = Self::new(motion, actuators, covectors.is_some());
+        out.evaluate(motion, trajectory, covectors);
+        out
+    }
+
+    /// Creates memory for motions of this rod of at most this duration.
+    #[must_use]
+    pub fn new(motion: &Motion, actuators: &[usize], with_slopes: bool) -> Self {
         let rod = motion.rod;
-        let implicit = rod.scheme == TimeScheme::Implicit;
-        let (n_sets, ends) = if implicit {
-            (motion.grid.n_steps, 2)
-        } else {
-            (motion.grid.n_steps + 1, 1)
-        };
-        let n = n_sets * ends * actuators.len() * rod.n_nodes() * 6;
-        let mut out = Self {
-            n_nodes: rod.n_nodes(),
-            n_actuators: actuators.len(),
-            ends,
-            wrenches: vec![0.0; n],
-            slopes: vec![0.0; if covectors.is_some() { n } else { 0 }],
+        let ends = match rod.scheme {
+            TimeScheme::Explicit => 1,
+            TimeScheme::Implicit => 2,
         };
         let mut index = vec![None; rod.actuators.len()];
         for (own, &actuator) in actuators.iter().enumerate() {
             index[actuator] = Some(own);
         }
+        let n_lanes = dispatch(Arch::new(), CountLanes);
+        let n_covectors = if with_slopes {
+            ends * rod.n_nodes() * 6
+        } else {
+            0
+        };
+        let mut out = Self {
+            n_nodes: rod.n_nodes(),
+            n_actuators: actuators.len(),
+            n_sets: motion.grid.n_steps + 2 - ends,
+            ends,
+            index,
+            poses: [0, 1].map(|_| Buffer::zeros(rod.n_nodes() * POSE_ROWS * n_lanes)),
+            covectors: Buffer::zeros(n_covectors * n_lanes),
+            wrenches: Vec::new(),
+            slopes: Vec::new(),
+        };
+        let n = out.at(out.n_sets, 0, 0);
+        out.wrenches = vec![0.0; n];
+        out.slopes = vec![0.0; if with_slopes { n } else { 0 }];
+        out
+    }
+
+    /// Evaluates the unit efforts along another motion of the same rod. `covectors` are given if the memory is to have slopes.
+    pub fn evaluate(
+        &mut self,
+        motion: &Motion,
+        trajectory: &Trajectory,
+        covectors: Option<&Covectors>,
+    ) {
+        let rod = motion.rod;
+        self.n_sets = motion.grid.n_steps + 2 - self.ends;
+        self.wrenches.fill(0.0);
+        self.slopes.fill(0.0);
+        let (n_sets, ends) = (self.n_sets, self.ends);
         let arch = Arch::new();
         let n_lanes = dispatch(arch, CountLanes);
-        let mut poses = [0, 1].map(|_| Buffer::zeros(rod.n_nodes() * POSE_ROWS * n_lanes));
-        let mut covector_rows = Buffer::zeros(ends * rod.n_nodes() * 6 * n_lanes);
+        let Self {
+            index,
+            poses,
+            covectors: covector_rows,
+            wrenches,
+            slopes,
+            ..
+        } = self;
+        let n_actuators = self.n_actuators;
         for first in (0..n_sets).step_by(n_lanes) {
             for lane in 0..n_lanes {
                 let set = (first + lane).min(n_sets - 1);
@@ -325,12 +494,15 @@ impl EffortPulls {
             }
             let work = PullGroup {
                 rod,
-                index: &index,
+                index,
                 first,
                 n_sets: n_sets.min(first + n_lanes) - first,
-                poses: &poses,
+                ends,
+                n_actuators,
+                poses,
                 covectors: covectors.map(|_| &covector_rows[..]),
-                out: &mut out,
+                wrenches,
+                slopes,
             };
             match rod.strain_rule {
                 StrainRule::Helical => dispatch(arch, RuledPulls::<Helical>(work, PhantomData)),
@@ -339,7 +511,6 @@ impl EffortPulls {
                 }
             }
         }
-        out
     }
 
     fn at(&self, set: usize, end: usize, actuator: usize) -> usize {
@@ -367,7 +538,7 @@ impl EffortPulls {
         actuator: usize,
         visit: &mut dyn FnMut(usize, usize, usize, f64),
     ) {
-        let mut all = |times: &[usize], weight: f64, wrenches: &[f64]| {
+        self.visit_sets(k, actuator, &mut |times, weight, wrenches| {
             for (at, wrench) in wrenches.iter().enumerate() {
                 if *wrench != 0.0 {
                     for &time in times {
@@ -375,18 +546,28 @@ impl EffortPulls {
                     }
                 }
             }
-        };
+        });
+    }
+
+    /// Calls `visit(times, weight, wrenches)` for the wrenches on all nodes at time node `k`, six numbers for each, that follow from a unit
+    /// effort at each of some time nodes, up to a weight.
+    pub fn visit_sets(
+        &self,
+        k: usize,
+        actuator: usize,
+        visit: &mut dyn FnMut(&[usize], f64, &[f64]),
+    ) {
         if self.ends == 1 {
-            all(&[k], 1.0, self.wrenches(k, 0, actuator));
+            visit(&[k], 1.0, self.wrenches(k, 0, actuator));
             return;
         }
-        let n_sets = self.wrenches.len() / (2 * self.n_actuators * self.n_nodes * 6);
+        let n_sets = self.n_sets;
         let weight = 0.5 * interval_share(k, n_sets);
         if k < n_sets {
-            all(&[k, k + 1], weight, self.wrenches(k, 0, actuator));
+            visit(&[k, k + 1], weight, self.wrenches(k, 0, actuator));
         }
         if k > 0 {
-            all(&[k - 1, k], weight, self.wrenches(k - 1, 1, actuator));
+            visit(&[k - 1, k], weight, self.wrenches(k - 1, 1, actuator));
         }
     }
 }
@@ -404,9 +585,12 @@ struct PullGroup<'a> {
     index: &'a [Option<usize>],
     first: usize,
     n_sets: usize,
+    ends: usize,
+    n_actuators: usize,
     poses: &'a [Buffer; 2],
     covectors: Option<&'a [f64]>,
-    out: &'a mut EffortPulls,
+    wrenches: &'a mut [f64],
+    slopes: &'a mut [f64],
 }
 
 struct RuledPulls<'a, R>(PullGroup<'a>, PhantomData<R>);
@@ -423,9 +607,19 @@ impl<R: TangentRule> WithSimd for RuledPulls<'_, R> {
 impl PullGroup<'_> {
     #[inline(always)]
     fn run<S: Simd, R: TangentRule>(self, simd: S) {
-        let Self { rod, out, .. } = self;
-        let ends = out.ends;
-        let mut numbers = Buffer::zeros(12 * S::F64_LANES);
+        let Self {
+            rod,
+            ends,
+            n_actuators,
+            wrenches,
+            slopes,
+            ..
+        } = self;
+        let at = |set: usize, end: usize, actuator: usize| {
+            ((set * ends + end) * n_actuators + actuator) * rod.n_nodes() * 6
+        };
+        let mut numbers = [0.0; 12 * MOST_LANES];
+        let numbers = &mut numbers[..12 * S::F64_LANES];
         for (q, element) in rod.elements.iter().enumerate() {
             let points = rod.actuators.on(q);
             if points.is_empty() {
@@ -457,45 +651,44 @@ impl PullGroup<'_> {
             } else {
                 [Displacement::along(near.covector, element.length); 2]
             };
-            let posed = |sign: f64| {
-                [0, 1].map(|i| {
-                    let end = if i == 0 { &near } else { &far };
-                    let (dx, [a, b]) = if sign == 0.0 {
-                        (end.dx, end.rotations)
-                    } else {
-                        both[i].moved(end.dx, end.rotations, sign)
-                    };
-                    R::pose(dx, a, b)
-                })
-            };
             let signs: &[f64] = if self.covectors.is_some() {
                 &[0.0, 1.0, -1.0]
             } else {
                 &[0.0]
             };
-            let poses = [0.0, 1.0, -1.0].map(|sign| {
-                let poses = posed(sign);
-                let [start, end] = [R::strain(&poses[0]), R::strain(&poses[1])];
-                let half = Lanes::splat(simd, 0.5);
-                let strain = if ends == 2 {
-                    start.plus(end).times(half)
-                } else {
-                    start
-                };
-                (poses, strain)
-            });
+            let zero = Vec3::zero(simd);
+            let none = Stress {
+                linear: [zero; 2],
+                angular: zero,
+            };
+            let [a, b] = near.rotations;
+            let mut poses = [([R::pose(near.dx, a, b); 2], none); 3];
+            for ((poses, strain), sign) in poses.iter_mut().zip(signs) {
+                for (i, end) in [near, far].iter().enumerate() {
+                    let (dx, [a, b]) = if *sign == 0.0 {
+                        (end.dx, end.rotations)
+                    } else {
+                        both[i].moved(end.dx, end.rotations, *sign)
+                    };
+                    poses[i] = R::pose(dx, a, b);
+                }
+                *strain = R::strain(&poses[0]);
+                if ends == 2 {
+                    let half = Lanes::splat(simd, 0.5);
+                    *strain = strain.plus(R::strain(&poses[1])).times(half);
+                }
+            }
             for point in points {
                 let Some(actuator) = self.index[point.actuator] else {
                     continue;
                 };
-                let at = point.in_element(simd, element.length);
-                let zero = Vec3::zero(simd);
+                let here = point.in_element(simd, element.length);
                 let mut pulls = [[[zero; 3]; 2]; 3];
                 for (pulls, (poses, strain)) in pulls.iter_mut().zip(&poses).take(signs.len()) {
                     let slopes = if R::END_WEIGHT == 1.0 {
-                        at.slopes::<1>(point.density, strain.linear, strain.angular)
+                        here.slopes::<1>(point.density, strain.linear, strain.angular)
                     } else {
-                        at.slopes::<2>(point.density, strain.linear, strain.angular)
+                        here.slopes::<2>(point.density, strain.linear, strain.angular)
                     };
                     // The potential is minus the coordinate.
                     let stress = slopes.times(Lanes::splat(simd, -1.0));
@@ -504,20 +697,15 @@ impl PullGroup<'_> {
                     }
                 }
                 for end in 0..ends {
-                    let base = out.at(self.first, end, actuator);
-                    let set = out.at(1, 0, 0);
+                    let base = at(self.first, end, actuator);
+                    let set = at(1, 0, 0);
                     let place = (base + q * 6, set, self.n_sets);
                     let [force, a, b] = pulls[0][end];
-                    add(
-                        &mut out.wrenches,
-                        place,
-                        [force, -a, -force, -b],
-                        &mut numbers,
-                    );
+                    add(wrenches, place, [force, -a, -force, -b], numbers);
                     if self.covectors.is_some() {
                         let found = [0, 1, 2].map(|i: usize| pulls[i][end]);
                         let [dx, a, b] = both[end].slope(&found);
-                        add(&mut out.slopes, place, [-dx, a, dx, b], &mut numbers);
+                        add(slopes, place, [-dx, a, dx, b], numbers);
                     }
                 }
             }

@@ -10,7 +10,7 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::rod::Rod;
-use crate::mechanics::signal::write_interval_efforts;
+use crate::mechanics::signal::interval_effort;
 use crate::mechanics::time::TimeScheme;
 
 /// Components of the configuration with their coefficients: twelve of either element beside a node.
@@ -77,9 +77,9 @@ fn arriving_stiffness(
     let arriving = 0.5 * grid.step * motion.arriving_impulse();
     let mut stiffness = element.stiffness_under(rod.strain_rule, &poses[1], &stress, weights.end);
     if rod.scheme == TimeScheme::Implicit && !rod.actuators.is_empty() {
-        let mut efforts = vec![0.0; rod.actuators.len()];
-        write_interval_efforts(&rod.actuators, &grid, motion.control, k, &mut efforts);
-        let active = rod.arriving_active_stiffness(q, &poses, &efforts);
+        let effort =
+            |actuator: usize| interval_effort(&rod.actuators, &grid, motion.control, k, actuator);
+        let active = rod.arriving_active_stiffness(q, &poses, &effort);
         stiffness += active.unwrap_or_else(ElementStiffness::zeros);
     }
     stiffness * arriving

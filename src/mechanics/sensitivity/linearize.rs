@@ -1,16 +1,22 @@
 //! The linearization of consecutive time nodes: the standard model in vector instructions, one time node in each lane, and a time node by
 //! itself where the section thins or an element is bent by more than vectors take.
 
+mod solved;
+
 use std::marker::PhantomData;
 use std::ops::RangeInclusive;
 
 use nalgebra::{SVector, Vector3};
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
+use self::solved::SolveRows;
+pub(super) use self::solved::{Weights, element_at};
 use super::active::ActiveTimes;
 use super::dilated::element_drifts;
-use super::solved::SolveRows;
-use super::step::{LinearizedStep, NodeDrift, add_reordered, pack_acting, pack_loads, square};
+use super::step::{
+    LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_acting, pack_loads,
+    square,
+};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::curvature::{
@@ -18,8 +24,8 @@ use crate::mechanics::curvature::{
     element_curvature, load_curvatures,
 };
 use crate::mechanics::element::{
-    Blocks, Displacement, Element, ElementPose, ElementStiffness, Helical, RodModel, StrainRule,
-    TangentRule, Trapezoidal, pose_of_any_turn,
+    AnyTurn, Blocks, Displacement, Element, ElementPose, ElementStiffness, Helical, MildTurn,
+    RodModel, StrainRule, TangentRule, Trapezoidal, Turns,
 };
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::inertia::InertiaRule;
@@ -65,6 +71,15 @@ impl Memory {
         }
     }
 
+    /// Prepares for another motion of the same rod.
+    pub fn renew(&mut self, motion: &Motion) {
+        for workspace in [&mut self.many, &mut self.single].into_iter().flatten() {
+            if let Some(active) = &mut workspace.active {
+                active.renew(motion);
+            }
+        }
+    }
+
     /// Linearizes the time nodes from `first` on into `steps`; with multipliers, their curvature as well. The result depends neither
     /// on the instruction set nor on what is linearized in one call.
     ///
@@ -100,6 +115,9 @@ impl Memory {
                 if let (Some(multipliers), Some(curvature)) =
                     (along.multipliers, &mut step.curvature)
                 {
+                    for winch in &step.winches {
+                        winch.add_curvature(along, multipliers, k, curvature);
+                    }
                     let loads = load_curvatures(along.motion, along.trajectory, multipliers, k);
                     curvature.add_neighbors(along.motion.rod, &before, &loads, next);
                     std::mem::swap(&mut before, next);
@@ -218,6 +236,57 @@ pub(super) fn turn_error(motion: &Motion, trajectory: &Trajectory, k: usize) -> 
         })
 }
 
+/// Returns the kicks of winches with tension at time node `k`.
+fn winch_kicks(
+    along: &Along,
+    active: Option<&ActiveTimes>,
+    k: usize,
+    weight: f64,
+) -> Vec<WinchKick> {
+    let (Some(active), rod) = (active, along.motion.rod) else {
+        return Vec::new();
+    };
+    let (x, r) = (
+        along.trajectory.positions_at(k),
+        along.trajectory.rotations_at(k),
+    );
+    (rod.effort_slopes(active.inputs(k), x, r).iter())
+        .map(|slope| WinchKick::new(rod, slope, weight))
+        .collect()
+}
+
+impl WinchKick {
+    /// Adds `k' (λ·g) ∂²y` to the second derivatives of the elements, with the derivative `k'` of the tension along the coordinate `y`, its
+    /// pull `g` and the multipliers `λ`. The rest, `k' (g bᵀ + b gᵀ)` with the derivative `b` of `λ·g`, couples all elements.
+    fn add_curvature(
+        &self,
+        along: &Along,
+        multipliers: &Multipliers,
+        k: usize,
+        curvature: &mut StepCurvature,
+    ) {
+        let (motion, trajectory) = (along.motion, along.trajectory);
+        let rod = motion.rod;
+        let pulled: f64 = (self.pull())
+            .map(|(node, component, pull)| {
+                let (linear, angular) = multipliers.at(motion, k, node);
+                let covector = [linear, angular][component / 3][component % 3];
+                covector * pull
+            })
+            .sum();
+        let mut unit = vec![0.0; rod.actuators.len()];
+        // The potential of an effort is minus the coordinate.
+        unit[self.actuator] = -self.factor * pulled;
+        for (q, target) in curvature.elements.iter_mut().enumerate() {
+            let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+            let pose = Rod::element_pose(q, x, r);
+            if let Some(stiffness) = rod.active_stiffness(q, &pose, &unit) {
+                add_reordered(target, &(0.5 * (stiffness + stiffness.transpose())));
+            }
+        }
+    }
+}
+
 /// The kick of a time node: half of it at either end of the stretch.
 fn kick(motion: &Motion, stretch: &RangeInclusive<usize>, k: usize) -> Kick {
     if k == *stretch.start() {
@@ -235,14 +304,11 @@ pub(super) fn is_possible(motion: &Motion) -> bool {
 }
 
 /// Elements that a linearization takes apart.
-pub(super) trait Reach<S: Simd> {
+pub(super) trait Reach<S: Simd>: Turns<S> {
     /// Tells whether the linearization takes all elements: bent by any angle, of sections that thin.
     const ALL: bool;
     /// Margin to the quarter turn of a node; within it a time node is linearized by itself.
     const MARGIN: f64;
-
-    /// Returns the data of a rule for a pose.
-    fn pose<R: TangentRule>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> R::Pose<S>;
 
     /// The gradient `(F, M_a, M_b)` of an element's energy.
     fn gradient<R: TangentRule>(
@@ -254,19 +320,9 @@ pub(super) trait Reach<S: Simd> {
 }
 
 /// Elements of the standard model whose ends are turned against each other by less than [`LEAST_MARGIN`] says.
-pub(super) struct MildTurn;
-
-/// All elements, one time node at a time.
-pub(super) struct AnyTurn;
-
 impl<S: Simd> Reach<S> for MildTurn {
     const ALL: bool = false;
     const MARGIN: f64 = ROUNDING;
-
-    #[inline(always)]
-    fn pose<R: TangentRule>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> R::Pose<S> {
-        R::pose(dx, a, b)
-    }
 
     #[inline(always)]
     fn gradient<R: TangentRule>(
@@ -282,10 +338,6 @@ impl<S: Simd> Reach<S> for MildTurn {
 impl Reach<Scalar> for AnyTurn {
     const ALL: bool = true;
     const MARGIN: f64 = 0.0;
-
-    fn pose<R: TangentRule>(dx: Vec3<Scalar>, a: Mat3<Scalar>, b: Mat3<Scalar>) -> R::Pose<Scalar> {
-        pose_of_any_turn::<R>(dx, a, b)
-    }
 
     fn gradient<R: TangentRule>(
         element: &Element,
@@ -535,7 +587,8 @@ impl Group<'_> {
             self.workspace.weights[lane] = self.kick(k).weight;
             let workspace = &mut *self.workspace;
             if let Some(active) = &mut workspace.active {
-                active.put(k, lane, n_lanes);
+                let along = (self.along.motion.rod, self.along.trajectory);
+                active.put(along, k, lane, n_lanes);
             }
             let Some(multipliers) = self.along.multipliers else {
                 continue;
@@ -579,6 +632,7 @@ impl Group<'_> {
                 &acting_derivatives(self.along.motion, self.along.trajectory, k),
                 kick.weight,
             );
+            step.winches = winch_kicks(self.along, self.workspace.active.as_ref(), k, kick.weight);
             step.first_free_node = rod.first_free_node();
             step.joints.clone_from(&rod.joints);
             step.element_drifts.clear();

@@ -23,7 +23,6 @@ mod reduction;
 mod repeated;
 mod residual;
 mod reverse;
-mod solved;
 mod step;
 mod team;
 mod tile;
@@ -546,7 +545,9 @@ impl Task<'_> {
                 } else {
                     let right = read(&tiles[task]);
                     for (block, left) in lock(&blocks[task]).iter_mut().zip(&tiles) {
-                        block.add(arch, &read(left), &right, steps.len());
+                        if let (Some(left), Some(right)) = (&read(left).record, &right.record) {
+                            block.add(arch, left, right, steps.len());
+                        }
                     }
                 }
             },

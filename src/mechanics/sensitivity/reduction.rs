@@ -6,7 +6,6 @@ use faer::Mat;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::step::StepCurvature;
-use super::tile::Tile;
 use super::{BATCH, TILE};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::curvature::{OwnCurvature, own_within};
@@ -58,12 +57,24 @@ impl<'a> Record<'a> {
     pub fn keep_own(&mut self, data: &[f64], k: usize) {
         for own in own_within(self.own, k..k + 1) {
             let start = self.own_rows.len();
-            for (node, component) in &own.rows {
+            let of = |(node, component): &(usize, usize)| {
                 let row = (node * NODE_COMPONENTS + component) * TILE;
-                self.own_rows.extend_from_slice(&data[row..row + TILE]);
+                &data[row..row + TILE]
+            };
+            if own.forms.is_empty() {
+                (own.rows.iter()).for_each(|row| self.own_rows.extend_from_slice(of(row)));
+            }
+            for form in &own.forms {
+                let mut sums = [0.0; TILE];
+                for (row, coefficient) in own.rows.iter().zip(form) {
+                    for (sum, value) in sums.iter_mut().zip(of(row)) {
+                        *sum += coefficient * value;
+                    }
+                }
+                self.own_rows.extend_from_slice(&sums);
             }
             let rows = &self.own_rows[start..];
-            for i in 0..own.rows.len() {
+            for i in 0..own.matrix.nrows() {
                 let at = self.own_product.len();
                 self.own_product.resize(at + TILE, 0.0);
                 for (j, row) in rows.chunks(TILE).enumerate() {
@@ -272,10 +283,7 @@ impl Block {
     }
 
     /// Adds `Zᵀ Q Z` of one round of `n_steps` time nodes that its tiles have recorded.
-    pub fn add(&mut self, arch: Arch, left: &Tile, right: &Tile, n_steps: usize) {
-        let (Some(left), Some(right)) = (&left.record, &right.record) else {
-            return;
-        };
+    pub fn add(&mut self, arch: Arch, left: &Record, right: &Record, n_steps: usize) {
         if !(left.active && right.active) {
             return;
         }

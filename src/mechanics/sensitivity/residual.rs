@@ -5,12 +5,11 @@ use std::marker::PhantomData;
 use nalgebra::Vector3;
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
-use super::linearize::{AnyTurn, MildTurn, Reach, Workspace, is_possible, turn_error};
-use super::solved::{Weights, element_at};
+use super::linearize::{Reach, Weights, Workspace, element_at, is_possible, turn_error};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::StrainRule;
-use crate::mechanics::element::{Elasticity, Helical, TangentRule, Trapezoidal};
+use crate::mechanics::element::{AnyTurn, Elasticity, Helical, MildTurn, TangentRule, Trapezoidal};
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to};
@@ -198,7 +197,12 @@ impl Memory {
         self.workspace.put_poses(trajectory, start, end, n_lanes);
         if let Some(active) = &mut self.workspace.active {
             for lane in 0..n_lanes {
-                active.put((start + lane).min(n_steps), lane, n_lanes);
+                active.put(
+                    (motion.rod, trajectory),
+                    (start + lane).min(n_steps),
+                    lane,
+                    n_lanes,
+                );
             }
         }
         if let Some(solve) = &mut self.workspace.solve {

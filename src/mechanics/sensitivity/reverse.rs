@@ -102,6 +102,9 @@ impl ReverseTile {
             for acting in &step.acting {
                 acting.kick_transposed(&mut self.data);
             }
+            for winch in &step.winches {
+                winch.kick_transposed(&mut self.data);
+            }
             arch.dispatch(KickTransposed {
                 step,
                 data: &mut self.data,

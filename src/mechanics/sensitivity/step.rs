@@ -6,6 +6,7 @@ use super::TILE;
 use crate::mechanics::actuator::ActingDerivative;
 use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature};
 use crate::mechanics::ends::Joint;
+use crate::mechanics::forces::EffortSlope;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::LoadDerivative;
 use crate::mechanics::rod::Rod;
@@ -25,6 +26,8 @@ pub struct LinearizedStep {
     pub loads: Vec<(usize, [[f64; 3]; 6])>,
     /// Nodes and matrices of actuators of one's own.
     pub(super) acting: Vec<ActingKick>,
+    /// Tensions of winches.
+    pub(super) winches: Vec<WinchKick>,
     /// Drift of every node; absent at the last time node, and if a step is solved for.
     pub drifts: Vec<NodeDrift>,
     /// Derivative of the drift along the dilatation of every element; absent if the drift does not depend on it.
@@ -218,6 +221,69 @@ pub(super) fn hold(data: &mut [f64], joint: &Joint, part: usize) {
         let own = joint.turning * Vector3::from_fn(|i, _| angular[i * TILE + column]);
         for (i, value) in own.iter().enumerate() {
             angular[i * TILE + column] = *value;
+        }
+    }
+}
+
+/// The change of the tension of a winch with the configuration, `factor g gᵀ` with the pull `g` of a unit tension on the nodes; the kick's
+/// weight is multiplied in.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct WinchKick {
+    /// Index of the actuator.
+    pub actuator: usize,
+    /// `∂u/∂y`, negative, times the weight.
+    pub factor: f64,
+    /// `6 node + component` and the pull, where it is not zero.
+    pull: Vec<(usize, f64)>,
+}
+
+impl WinchKick {
+    pub fn new(rod: &Rod, slope: &EffortSlope, weight: f64) -> Self {
+        let mut pull = Vec::new();
+        for node in rod.first_free_node()..rod.n_nodes() {
+            let parts = [slope.pull.forces[node], slope.pull.moments[node]];
+            for (component, value) in parts.iter().flat_map(|part| part.iter()).enumerate() {
+                if *value != 0.0 {
+                    pull.push((6 * node + component, *value));
+                }
+            }
+        }
+        Self {
+            actuator: slope.actuator,
+            factor: weight * slope.slope,
+            pull,
+        }
+    }
+
+    /// Returns node, component and pull.
+    pub fn pull(&self) -> impl Iterator<Item = (usize, usize, f64)> {
+        (self.pull.iter()).map(|&(at, pull)| (at / 6, at % 6, pull))
+    }
+
+    /// Adds the change of the momenta that the configurations of a tile make.
+    pub fn kick(&self, data: &mut [f64]) {
+        self.add(data, 0, 6);
+    }
+
+    /// Transpose of [`Self::kick`].
+    pub fn kick_transposed(&self, data: &mut [f64]) {
+        self.add(data, 6, 0);
+    }
+
+    /// Adds `factor g (gᵀ z)` of the components from `from` on to those from `to` on.
+    fn add(&self, data: &mut [f64], from: usize, to: usize) {
+        let mut sums = [0.0; TILE];
+        for (node, component, pull) in self.pull() {
+            let row = &data[(node * NODE_COMPONENTS + from + component) * TILE..][..TILE];
+            for (sum, value) in sums.iter_mut().zip(row) {
+                *sum += pull * value;
+            }
+        }
+        for (node, component, pull) in self.pull() {
+            let row = &mut data[(node * NODE_COMPONENTS + to + component) * TILE..][..TILE];
+            for (value, sum) in row.iter_mut().zip(&sums) {
+                *value += self.factor * pull * sum;
+            }
         }
     }
 }

@@ -167,6 +167,10 @@ impl<'a> Tile<'a> {
                     .iter()
                     .fold(self.reach.clone(), |reach, node| joined(&reach, *node));
             }
+            for winch in &step.winches {
+                winch.kick(&mut self.data);
+                self.reach = 0..n_nodes;
+            }
         }
         self.add_sources(step, k, task);
         // Held motions are not moved by any force.

@@ -13,7 +13,7 @@ use super::fallback::Fallback;
 use super::law::TipLaw;
 use super::{Action, Cause, Computing, Law, LoopSettings, Sample};
 use crate::control::rounding_of;
-use crate::mechanics::{State, Wrench};
+use crate::mechanics::State;
 use crate::mpc::command::Command;
 use crate::mpc::controller::Controller;
 use crate::mpc::error::MpcError;
@@ -110,14 +110,11 @@ impl Driver {
                 expected: "when the first command acts: LoopSettings::lead()",
             });
         }
-        let nodes = controller.command().nodes.clone();
-        let still = vec![Wrench::default(); nodes.len()];
+        // The controller's command has no wrench yet, and no effort beside the given ones.
         let before = Command {
             start: start - controller.settings().period,
             end: start,
-            nodes,
-            from: still.clone(),
-            to: still,
+            ..controller.command().clone()
         };
         let tip_law = match settings.law {
             Law::Tip(gains) => Some(TipLaw::new(&controller, gains)?),
@@ -513,10 +510,8 @@ fn late_at(
     late: &mut Command,
 ) -> f64 {
     let (command, end) = acting_at(sent, from - delay, until - delay);
+    late.clone_from(command);
     (late.start, late.end) = (command.start + delay, command.end + delay);
-    late.nodes.clone_from(&command.nodes);
-    late.from.clone_from(&command.from);
-    late.to.clone_from(&command.to);
     (end + delay).min(until)
 }
 

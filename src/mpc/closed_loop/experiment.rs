@@ -15,7 +15,7 @@ use crate::mpc::estimator::{
     Regridded,
 };
 use crate::mpc::sensor::{Sensor, SensorPreset, SensorSettings};
-use crate::mpc::simulated_arm::{ActuatorDynamics, SimulatedArm};
+use crate::mpc::simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
 use crate::mpc::transfer::Transfer;
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, Task};
@@ -39,6 +39,8 @@ pub struct Experiment {
     pub adjust: Option<fn(&mut Rod)>,
     /// Dynamics of the actuators between commands and wrenches.
     pub actuators: ActuatorDynamics,
+    /// Dynamics of the plant's actuators in the arm, in their order; those that are left have none.
+    pub efforts: Vec<EffortDynamics>,
     /// Sensing of the state.
     pub sensing: Sensing,
     /// Settings of the loop.
@@ -347,6 +349,7 @@ impl Experiment {
             mpc,
             adjust: None,
             actuators: ActuatorDynamics::default(),
+            efforts: Vec::new(),
             sensing: Sensing::Everything,
             settings: LoopSettings::default(),
             counted_from: 0.0,
@@ -384,6 +387,7 @@ impl Experiment {
 
     fn without_delay(&mut self) {
         self.actuators = ActuatorDynamics::default();
+        self.efforts.clear();
         self.sensing = Sensing::Everything;
         self.settings = LoopSettings {
             computing: Computing::Instant,
@@ -428,7 +432,8 @@ impl Experiment {
             controller.rod(),
             &controller.command().nodes,
             self.actuators,
-        )?;
+        )?
+        .with_efforts(&self.efforts)?;
         let mut closed = ClosedLoop::new(controller, arm, knowledge, self.settings)?;
         self.stop.check()?;
         let n = (self.duration / period).round().max(1.0) as usize;

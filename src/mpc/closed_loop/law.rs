@@ -68,6 +68,13 @@ impl TipLaw {
                 "a law at the tip needs a reference: give the task a track or a target of the tip",
             ));
         }
+        let acts = (controller.actuators().iter())
+            .any(|actuator| actuator.node == rod.tip() && actuator.force.acts());
+        if !acts {
+            return Err(MpcError::Unsupported(
+                "a law at the tip needs a force there: no actuator has one",
+            ));
+        }
         let own = tip_stiffness(rod);
         let Some(holding) = controller.holding(Along::All) else {
             return Err(MpcError::Unsupported(

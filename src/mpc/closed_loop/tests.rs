@@ -6,9 +6,10 @@ use std::ops::ControlFlow;
 use nalgebra::Vector3;
 
 use super::{Cause, Contender, Experiment};
-use crate::control::Bound;
-use crate::mechanics::Material;
+use crate::control::{Bound, Hold};
+use crate::mechanics::{Material, TimeScheme};
 use crate::mpc::MpcSettings;
+use crate::mpc::controller::tests::tendon_arm;
 use crate::mpc::subproblem::FAILS;
 use crate::task::{
     Arm, ChannelLimits, Cost, Discretization, Place, PointLoad, Task, Track, WrenchActuator,
@@ -133,4 +134,79 @@ fn forced_failures_are_survived() {
         assert!(of(Cause::Subproblem, action) > 0, "{action}: {causes:?}");
     }
     assert!(worst < 0.01, "{worst}");
+}
+
+/// The same of an arm with tendons, in a thousand samples: every tension is within its bounds and every change within its rates, from the
+/// pretension on.
+#[test]
+fn tensions_keep_their_bounds_while_factorizations_fail() {
+    let (arm, efforts) = tendon_arm();
+    let path = (0..=40).map(|i| {
+        let t = 0.25 * f64::from(i);
+        let place = Vector3::new(0.03 * t.sin(), 0.02 * (1.7 * t).sin(), -0.285);
+        (t, place)
+    });
+    let task = Task {
+        horizon: 10.0,
+        targets: Vec::new(),
+        actuators: Vec::new(),
+        efforts,
+        cost: Cost {
+            tracks: vec![Track {
+                path: path.collect(),
+                ..Track::default()
+            }],
+            ..Cost::default()
+        },
+        ..Task::reach(Vector3::zeros(), 1.0, 1.0)
+    };
+    for hold in [Hold::Linear, Hold::Constant] {
+        let discretization = Discretization {
+            samples: 10,
+            hold,
+            scheme: Some(TimeScheme::Implicit),
+            ..Discretization::with_elements(4)
+        };
+        let settings = MpcSettings::receding(0.2);
+        let mut scene = Experiment::new(arm.clone(), task.clone(), discretization, settings);
+        scene.duration = 10.0;
+        let mut dice = fastrand::Rng::with_seed(9);
+        let mut burst = 0;
+        let forced: Box<dyn FnMut() -> bool> = Box::new(move || {
+            let chance = dice.f64();
+            burst = match chance {
+                _ if burst > 0 => burst - 1,
+                0.0..0.004 => 100,
+                0.004..0.05 => 1,
+                _ => 0,
+            };
+            burst > 0
+        });
+        let mut forced = Some(forced);
+        let mut before = [0.4; 4];
+        let mut fell_back = 0;
+        let outcome = scene.run(Contender::Mpc, &mut |sample, closed| {
+            let sent = closed.sent();
+            let time = sent.end - sent.start;
+            for (i, (name, [from, to])) in closed.controller().efforts(sent).enumerate() {
+                for tension in [from, to] {
+                    let within = -1e-12..=4.0 + 1e-12;
+                    assert!(within.contains(&tension), "{} {name} {tension}", sample.t);
+                }
+                let change = if hold == Hold::Linear { to } else { from } - before[i];
+                let fastest = -25.0 * time * (1.0 + 1e-9)..=20.0 * time * (1.0 + 1e-9);
+                assert!(fastest.contains(&change), "{} {name} {change}", sample.t);
+                before[i] = to;
+            }
+            if let Some(forced) = forced.take() {
+                FAILS.set(forced);
+            }
+            fell_back += usize::from(sample.fallback.is_some());
+            ControlFlow::Continue(())
+        });
+        FAILS.set(Box::new(|| false));
+        let outcome = outcome.unwrap();
+        assert!(outcome.broke_down.is_none() && outcome.samples.len() == 1000);
+        assert!(fell_back > 100, "{fell_back}");
+    }
 }

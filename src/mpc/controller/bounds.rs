@@ -18,6 +18,10 @@ use crate::control::{Bound, Channel, Hold};
 /// rates, and the half is equally far from either end. A quarter and three quarters change a loop with bounded rates in the fifth digit.
 const SLOWER: f64 = 0.5;
 
+/// Distance of the inner plan from the bounds of an effort, as a fraction of their distance, or of the scale where one of them is infinite:
+/// any fraction between 0 and ½ gives a plan strictly within the bounds.
+const INNER: f64 = 0.1;
+
 /// Returns the components of every bounded vector, with its channel.
 pub(super) fn channels(horizon: &Horizon) -> impl Iterator<Item = (Range<usize>, Channel)> {
     let components = &horizon.components;
@@ -95,6 +99,7 @@ impl Controller {
             ..
         } = self;
         subproblem.rows.clear();
+        subproblem.middles.clear();
         subproblem.sets.clear();
         subproblem.fixed.fill(false);
         from_acting.clear();
@@ -140,15 +145,19 @@ impl Controller {
     pub(super) fn write_offsets(&mut self) {
         for (i, row) in self.subproblem.rows.iter().enumerate() {
             self.offsets[i] = row.iter().map(|&(j, w)| w * self.plan[j]).sum();
+            if self.subproblem.middles[i] != 0.0 {
+                self.offsets[i] -= self.subproblem.middles[i];
+            }
         }
         for &row in &self.from_acting {
-            let [(c, _), _] = self.subproblem.rows[row];
-            self.offsets[row] -= self.acting[c];
+            let [(c, weight), _] = self.subproblem.rows[row];
+            self.offsets[row] -= weight * self.acting[c];
         }
     }
 
     /// Writes the step from the present plan to one that is strictly within all bounds: a ramp from the control that acts to zero at half
-    /// of the rates; zero if only magnitudes are bounded, and the present plan if nothing is.
+    /// of the rates; zero if only magnitudes are bounded, and the present plan if nothing is. For an effort whose bounds are near zero, the
+    /// nearest value that is some way within them takes the place of zero.
     pub(super) fn write_inside(&mut self) {
         let Self {
             horizon,
@@ -166,10 +175,11 @@ impl Controller {
             if channel.bound.is_none() && !is_slow {
                 continue;
             }
+            let inner = inner(&channel);
             let mut at = if is_slow {
                 vector(horizon, &range, &channel, acting)
             } else {
-                Vector3::zeros()
+                inner
             };
             for coefficient in 0..horizon.knots.len() {
                 let time = match coefficient.checked_sub(1) {
@@ -190,9 +200,8 @@ impl Controller {
                         at - at.clamp(-most, most)
                     }),
                     Some(Bound::Between { lower, upper }) => {
-                        at - at
-                            .sup(&(lower * (SLOWER * time)))
-                            .inf(&(upper * (SLOWER * time)))
+                        let way = (inner - at).sup(&(lower * (SLOWER * time)));
+                        at + way.inf(&(upper * (SLOWER * time)))
                     }
                 };
                 for c in range.clone() {
@@ -202,6 +211,24 @@ impl Controller {
             }
         }
     }
+}
+
+/// Returns the control nearest to zero that is some way within the bounds of a channel.
+fn inner(channel: &Channel) -> Vector3<f64> {
+    let Some(Bound::Between { lower, upper }) = channel.bound else {
+        return Vector3::zeros();
+    };
+    Vector3::from_fn(|axis, _| {
+        let (lower, upper) = (lower[axis], upper[axis]);
+        let room = upper - lower;
+        let away = INNER
+            * if room.is_finite() {
+                room
+            } else {
+                channel.scale
+            };
+        0.0_f64.max(lower + away).min(upper - away)
+    })
 }
 
 /// Adds one set, or one for each axis, of the rows of components in `range`.
@@ -233,7 +260,25 @@ fn bounded(
                 }
             }
         }
-        // Efforts alone have such bounds, and the horizon refuses them.
-        Some(Bound::Between { .. }) => {}
+        Some(Bound::Between { lower, upper }) => {
+            for c in range.clone() {
+                let axis = horizon.components[c].axis % 3;
+                let (lower, upper) = (lower[axis] * unit, upper[axis] * unit);
+                if lower.is_finite() && upper.is_finite() {
+                    subproblem.rows.push(row(c));
+                    subproblem.middles.push(0.5 * (lower + upper));
+                    let limit = 0.5 * (upper - lower);
+                    subproblem.sets.push(Set::Interval { limit });
+                } else if upper.is_finite() {
+                    subproblem.rows.push(row(c));
+                    subproblem.sets.push(Set::Below { limit: upper });
+                } else if lower.is_finite() {
+                    subproblem.rows.push(row(c).map(|(j, weight)| (j, -weight)));
+                    subproblem.sets.push(Set::Below { limit: -lower });
+                }
+                subproblem.middles.resize(subproblem.rows.len(), 0.0);
+            }
+        }
     }
+    subproblem.middles.resize(subproblem.rows.len(), 0.0);
 }

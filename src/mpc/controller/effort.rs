@@ -6,7 +6,7 @@ use super::{Controller, EffortFrom};
 use crate::control::{Channel, OptimalControlProblem, Tracking};
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::log;
-use crate::mpc::holding::{Along, Holding, TipPose};
+use crate::mpc::holding::{Along, Held, HeldByControls, Holding, TipPose};
 
 /// The wrench that holds the model's tip at its reference and accelerates the arm's mass along it, at the time at which it is largest.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,17 +85,39 @@ impl Controller {
         let tip = self.horizon.problem.rod.tip();
         let mut effects = self.horizon.effects.iter().flatten();
         let turns = effects.any(|&(node, axis, _)| node == tip && axis >= 3);
-        let reference = |t: f64| TipPose {
-            position: self.reference(t).map(Vector3::from),
-            rotation: self.reference_rotation(t).filter(|_| turns),
-        };
+        let reference = |t: f64| self.tip_pose(t, turns);
         if reference(0.0) == TipPose::default() {
             return None;
         }
-        let spacing = SAMPLES_A_HOLD * self.settings.period;
         let start = &self.horizon.problem.initial.configuration;
-        let (times, stop) = ([spacing, self.reference_end()], &self.horizon.stop);
+        let (times, stop) = (self.holding_times(), &self.horizon.stop);
         Holding::along(self.rod(), start, reference, times, along, stop)
+    }
+
+    fn tip_pose(&self, t: f64, turns: bool) -> TipPose {
+        TipPose {
+            position: self.reference(t).map(Vector3::from),
+            rotation: self.reference_rotation(t).filter(|_| turns),
+        }
+    }
+
+    /// Returns the spacing of the statics along the reference, and its end, s.
+    fn holding_times(&self) -> [f64; 2] {
+        [SAMPLES_A_HOLD * self.settings.period, self.reference_end()]
+    }
+
+    /// Returns the controls that hold the tip along its reference, or the wrenches on the tip if no actuator in the arm is driven.
+    fn held(&self, along: Along) -> Option<Held> {
+        let problem = &self.horizon.problem;
+        if problem.efforts.is_none() {
+            return self.holding(along).map(Held::ByWrench);
+        }
+        let reference = |t: f64| self.tip_pose(t, true);
+        if reference(0.0) == TipPose::default() {
+            return None;
+        }
+        let (times, stop) = (self.holding_times(), &self.horizon.stop);
+        HeldByControls::along(problem, reference, times, along, stop).map(Held::ByControls)
     }
 
     /// Returns the [need](ReferenceNeed) with the largest excess over the bounds, or within the bounds the largest need; `None` without a
@@ -105,7 +127,8 @@ impl Controller {
         let problem = &self.horizon.problem;
         let tip = problem.rod.tip();
         let acts = (problem.wrench_actuators().iter())
-            .find(|actuator| actuator.node == tip && actuator.force.axes != [false; 3])?;
+            .find(|actuator| actuator.node == tip && actuator.force.axes != [false; 3])
+            .filter(|actuator| problem.efforts.is_none() || actuator.force.acts())?;
         let holding = self.holding(Along::All)?;
         let spacing = SAMPLES_A_HOLD * self.settings.period;
         let units = [problem.rod.scales.force, problem.rod.scales.moment];
@@ -156,7 +179,7 @@ impl Controller {
             EffortFrom::Holding => Some(Along::All),
             EffortFrom::Auto => Some(Along::Rests),
         };
-        self.holding = along.and_then(|along| self.holding(along));
+        self.holding = along.and_then(|along| self.held(along));
     }
 
     /// Writes the control that costs no effort at the coefficients of the present plan.
@@ -166,10 +189,18 @@ impl Controller {
         let tracks = [tip_track(&horizon.problem), tip_turns(&horizon.problem)];
         for coefficient in 0..horizon.knots.len() {
             let t = horizon.knots.time(coefficient) + horizon.delay();
-            // Before the track begins to count, no wrench holds the tip.
-            let wrench = (self.holding.as_ref())
-                .filter(|_| (tracks.iter().flatten()).all(|track| track.counts(t)))
-                .map(|holding| holding.wrench(t, self.stiffness).to_array());
+            // Before the track begins to count, no control holds the tip.
+            let holding = (self.holding.as_ref())
+                .filter(|_| (tracks.iter().flatten()).all(|track| track.counts(t)));
+            let wrench = match holding {
+                Some(Held::ByControls(held)) => {
+                    let out = &mut self.free[coefficient * n_components..][..n_components];
+                    held.write(t, self.stiffness, &self.disturbing, out);
+                    continue;
+                }
+                Some(Held::ByWrench(holding)) => Some(holding.wrench(t, self.stiffness).to_array()),
+                None => None,
+            };
             for (c, effects) in horizon.effects.iter().enumerate() {
                 let held = match (&wrench, &effects[..]) {
                     (Some(wrench), &[(node, axis, effect)]) if node == tip => wrench[axis] / effect,

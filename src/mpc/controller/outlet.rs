@@ -136,11 +136,19 @@ impl Outlet {
             to,
         } = &self.sent;
         (command.start, command.end) = (*start, *end);
-        for (own, out) in [(from, &mut command.from), (to, &mut command.to)] {
+        let n_nodes = horizon.problem.rod.n_nodes();
+        for (own, out, efforts) in [
+            (from, &mut command.from, &mut command.efforts_from),
+            (to, &mut command.to, &mut command.efforts_to),
+        ] {
             out.fill(Wrench::default());
+            efforts.fill(0.0);
             for ((effects, v), scale) in horizon.effects.iter().zip(own).zip(&horizon.scales) {
                 for effect in effects {
-                    if let Some(at) = command.nodes.iter().position(|node| *node == effect.0) {
+                    if let Some(carrier) = effect.0.checked_sub(n_nodes) {
+                        efforts[6 * carrier + effect.1] += v * scale * effect.2;
+                    } else if let Some(at) = command.nodes.iter().position(|node| *node == effect.0)
+                    {
                         add_effects(&[(at, effect.1, effect.2)], v * scale, out);
                     }
                 }

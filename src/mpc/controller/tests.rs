@@ -6,9 +6,14 @@ use super::*;
 use crate::control::{
     NodeForm, PathEnforcement, Shape, SharedTerm, StateCost, StateTerm, StateView,
 };
-use crate::mechanics::{Material, Rod};
+use crate::mechanics::{
+    Density, Material, Rod, Route, StrainActuator, StrainRule, TimeScheme, TipSpring,
+    static_equilibrium,
+};
 use crate::mpc::soft_rows::SoftRows;
-use crate::task::{ChannelLimits, Cost, Limit, PathLimit, Place, Target, Track, WrenchActuator};
+use crate::task::{
+    ChannelLimits, Cost, EffortControl, Limit, PathLimit, Place, Target, Track, WrenchActuator,
+};
 
 /// A bent arm at rest whose tip is to stay where it is: residuals and plan are zero, so that the Gauss-Newton model is exact to first
 /// order.
@@ -224,9 +229,14 @@ fn slopes_of_all_rows_agree_with_differences() {
         due: Some(0.2),
         ..MpcSettings::receding(0.2)
     };
-    let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+    let controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+    compare_slopes(controller, 0.3);
+}
+
+/// Compares the slopes of all rows along a plan whose coefficients have this size with central differences.
+fn compare_slopes(mut controller: Controller, size: f64) {
     let n = controller.horizon.n_present();
-    let plan: Vec<f64> = (0..n).map(|i| 0.3 * (1.7 * i as f64).sin()).collect();
+    let plan: Vec<f64> = (0..n).map(|i| size * (1.7 * i as f64).sin()).collect();
     controller.horizon.roll_out(&plan).unwrap();
     controller.horizon.linearize().unwrap();
     let still = StateTangent::zeros(controller.horizon.problem.rod.n_nodes());
@@ -270,4 +280,177 @@ fn slopes_of_all_rows_agree_with_differences() {
             );
         }
     }
+}
+
+/// Hanging, 30 cm long, with four tendons, of which the last one winds around it and ends at three quarters, and a chamber with a given
+/// pressure; the efforts of the tendons are controls, with rates.
+pub(in crate::mpc) fn tendon_arm() -> (Arm, Vec<EffortControl>) {
+    let tendon = |offset: [f64; 2], turns: f64, to: f64| StrainActuator {
+        name: format!("{offset:?}"),
+        density: Density::Shortening,
+        scale: 1.0,
+        route: Route {
+            turns,
+            to,
+            ..Route::straight(offset)
+        },
+        effort: vec![(0.0, 0.4)],
+        largest: 4.0,
+    };
+    let arm = Arm {
+        gravity: Vector3::new(0.0, 0.0, -9.81),
+        base_rotation: crate::mechanics::rotation::exp(&(Vector3::x() * std::f64::consts::PI)),
+        viscous_damping: 1.0,
+        internal_damping: 5e-3,
+        actuators: vec![
+            tendon([8e-3, 0.0], 0.0, 1.0),
+            tendon([-4e-3, 7e-3], 0.0, 1.0),
+            tendon([-4e-3, -7e-3], 0.0, 1.0),
+            StrainActuator {
+                density: Density::Volume,
+                scale: 2e-5,
+                effort: vec![(0.0, 0.0), (0.1, 5e3)],
+                largest: 5e3,
+                ..tendon([0.0, 5e-3], 0.0, 1.0)
+            },
+            tendon([0.0, -8e-3], 1.0, 0.75),
+        ],
+        ..Arm::cylinder(&Material::isotropic(3e5, 0.4, 1070.0), 0.3, 0.01)
+    };
+    let controls = [0, 1, 2, 4].map(|actuator| EffortControl {
+        actuator,
+        bounds: [0.0, 4.0],
+        rate: Some([-25.0, 20.0]),
+        scale: None,
+    });
+    (arm, controls.into())
+}
+
+/// The same along efforts of actuators in the arm, whose columns follow from the configuration: with both integrators, both strain rules, a
+/// given pressure beside the controls, a force on the tip, a velocity with a price (whose forms are momenta under explicit steps), and
+/// blocks of either kind.
+#[test]
+fn slopes_along_efforts_agree_with_differences() {
+    for (scheme, strain_rule, hold) in [
+        (TimeScheme::Explicit, StrainRule::Helical, Hold::Linear),
+        (TimeScheme::Implicit, StrainRule::Helical, Hold::Constant),
+        (TimeScheme::Implicit, StrainRule::Trapezoidal, Hold::Linear),
+    ] {
+        let (arm, efforts) = tendon_arm();
+        let discretization = Discretization {
+            samples: 4,
+            scheme: Some(scheme),
+            strain_rule,
+            hold,
+            ..Discretization::with_elements(4)
+        };
+        let task = Task {
+            targets: vec![Target {
+                position: Some(Vector3::new(0.02, 0.01, -0.29)),
+                rest: Rest::Instant,
+                ..Target::default()
+            }],
+            actuators: vec![WrenchActuator {
+                at: Place::Tip,
+                force: ChannelLimits::at_most(0.1),
+                moment: ChannelLimits::NONE,
+            }],
+            efforts,
+            cost: Cost {
+                tracks: vec![Track {
+                    path: vec![(0.0, Vector3::new(0.02, 0.0, -0.29))],
+                    weight: Some(1e2),
+                    speed_weight: 3.0,
+                    ..Track::default()
+                }],
+                ..Cost::default()
+            },
+            ..Task::reach(Vector3::zeros(), 0.2, 1.0)
+        };
+        let settings = MpcSettings {
+            block: 0.05,
+            due: Some(0.2),
+            ..MpcSettings::receding(0.2)
+        };
+        let controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+        compare_slopes(controller, 0.05);
+    }
+}
+
+/// Where effort is counted from along a reference at rest: controls within their bounds that put the tip there, on the model, on a softer
+/// one, and under a weight on the tip, to second order in the differences.
+#[test]
+fn holding_efforts_hold() {
+    let (mut arm, efforts) = tendon_arm();
+    arm.actuators
+        .retain(|actuator| actuator.density == Density::Shortening);
+    let efforts: Vec<EffortControl> = (efforts.into_iter().enumerate())
+        .map(|(actuator, own)| EffortControl { actuator, ..own })
+        .collect();
+    let discretization = Discretization::with_elements(6);
+    let rod = arm.rod(&discretization).unwrap();
+    let settle = |arm: &Arm, efforts: &[f64]| {
+        let rod = arm.rod(&discretization).unwrap();
+        let mut pulled = rod.clone();
+        pulled.actuators = rod.actuators.with_efforts(efforts);
+        let none = TipSpring::default();
+        let shape = static_equilibrium(&pulled, &pulled.rest, 0.0, &none).unwrap();
+        shape.positions[rod.tip()]
+    };
+    let target = settle(&arm, &[1.2, 0.5, 0.1, 0.4]);
+    let task = Task {
+        start: crate::task::Start {
+            shape: crate::task::StartShape::Equilibrium,
+            ..Default::default()
+        },
+        targets: vec![Target {
+            position: Some(target),
+            ..Target::default()
+        }],
+        efforts,
+        actuators: Vec::new(),
+        ..Task::reach(target, 0.2, 1.0)
+    };
+    let settings = MpcSettings::receding(0.2);
+    let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+    let mut free = |disturbance: &Disturbance| -> Vec<f64> {
+        controller.disturb(disturbance).unwrap();
+        controller.note_free();
+        (controller.free.iter().zip(&controller.horizon.scales))
+            .map(|(value, scale)| 0.4 + value * scale)
+            .collect()
+    };
+    let length = rod.scales.length;
+    let off = |arm: &Arm, efforts: &[f64]| (settle(arm, efforts) - target).norm() / length;
+    let found = free(&Disturbance::NONE);
+    assert!(
+        found.iter().all(|tension| (0.0..=4.0).contains(tension)),
+        "{found:?}"
+    );
+    // The weight of the effort leaves 3e-6.
+    assert!(off(&arm, &found) < 1e-5, "{found:?}");
+    let softer = Arm {
+        section: arm.section.clone().scaled(0.9, 1.0),
+        ..arm.clone()
+    };
+    let uncorrected = off(&softer, &found);
+    let found = free(&Disturbance {
+        stiffness: 0.9,
+        ..Disturbance::NONE
+    });
+    assert!(off(&softer, &found) < 0.1 * uncorrected, "{uncorrected}");
+    let loaded = Arm {
+        payload: Some(crate::mechanics::NodeInertia {
+            mass: 2e-3,
+            rotary: Vector3::zeros(),
+        }),
+        ..arm.clone()
+    };
+    let uncorrected = off(&loaded, &free(&Disturbance::NONE));
+    let found = free(&Disturbance {
+        payload: 2e-3,
+        ..Disturbance::NONE
+    });
+    // A weight along the arm also stretches it, which no tension undoes.
+    assert!(off(&loaded, &found) < 0.3 * uncorrected, "{uncorrected}");
 }

@@ -9,7 +9,9 @@ use crate::mechanics::rotation::orthonormalized;
 use crate::mechanics::sensitivity::RepeatedForward;
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::strain_coordinates::{ShapeTransport, retract_shape, shape_difference};
-use crate::mechanics::{Configuration, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench};
+use crate::mechanics::{
+    Configuration, ControlSignal, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench,
+};
 use crate::mpc::cantilever::TIP_STIFFNESS;
 use crate::mpc::command::Command;
 use crate::mpc::error::MpcError;
@@ -181,6 +183,8 @@ pub struct KalmanFilter {
     predictor: Predictor,
     sweep: RepeatedForward,
     trajectory: Trajectory,
+    /// Efforts along the motion; `None` for a model without actuators.
+    efforts: Option<ControlSignal>,
     /// Derivatives of the end of a motion along its start and along the disturbances.
     transition: [Mat<f64>; 2],
     comparison: Comparison,
@@ -249,13 +253,15 @@ impl KalmanFilter {
             disturbance: Disturbance::NONE,
             deviation: Disturbance::NONE,
         };
+        let predictor = Predictor::new(model, settings.longest_step);
         let mut filter = Self {
+            efforts: predictor.signal_of_efforts(),
             settings: *settings,
             covariance: Covariance::new(layout.n, layout.n_state),
             slow: SlowPart::new(model, &frames),
             unknown_forces: UnknownForces::new(model, &frames),
             at_rest,
-            predictor: Predictor::new(model, settings.longest_step),
+            predictor,
             sweep: RepeatedForward::new(&motion, &trajectory, layout.n_disturbances()),
             trajectory,
             transition: [layout.n_state, layout.n_disturbances()]
@@ -322,6 +328,7 @@ impl KalmanFilter {
             estimate,
             predictor,
             trajectory,
+            efforts,
             transition: [along_state, along_disturbance],
             ..
         } = self;
@@ -342,8 +349,14 @@ impl KalmanFilter {
             n_steps: steps.n,
         };
         let layout = self.layout;
+        if let Some(efforts) = efforts {
+            predictor.write_efforts(steps, command, efforts);
+        }
         let rod = predictor.changed(&estimate.disturbance);
-        let motion = motion(rod, grid, &estimate.state);
+        let motion = Motion {
+            control: efforts.as_ref(),
+            ..motion(rod, grid, &estimate.state)
+        };
         self.sweep.sweep(&motion, trajectory, &|_, visit| {
             visit_disturbances(&layout, rod, visit);
         })?;
@@ -711,56 +724,55 @@ impl Estimator for KalmanFilter {
 /// The present command, the end of the one before, and the present command shifted by a delay.
 #[derive(Debug, Default)]
 struct Acting {
-    /// Start and end of the command, its nodes, and its wrenches at both ends.
-    span: [f64; 2],
-    nodes: Vec<usize>,
-    from: Vec<Wrench>,
-    to: Vec<Wrench>,
-    /// Wrenches at the end of the command before, on the nodes of this one.
+    command: Command,
+    /// Wrenches at the end of the command before, on the nodes of this one, and its efforts there.
     before: Vec<Wrench>,
-    later: Option<Command>,
+    efforts_before: Vec<f64>,
+    later: Command,
 }
 
 impl Acting {
     /// Stores a command that acts; it may be the present one again.
     fn take(&mut self, command: &Command) {
-        self.span = [command.start, command.end];
-        if (&self.nodes, &self.from, &self.to) == (&command.nodes, &command.from, &command.to) {
+        let own = &mut self.command;
+        (own.start, own.end) = (command.start, command.end);
+        if own == command {
             return;
         }
         self.before.clear();
         for (node, from) in command.nodes.iter().zip(&command.from) {
-            let at = self.nodes.iter().position(|other| other == node);
-            self.before.push(at.map_or(*from, |at| self.to[at]));
+            let at = own.nodes.iter().position(|other| other == node);
+            self.before.push(at.map_or(*from, |at| own.to[at]));
         }
-        self.nodes.clone_from(&command.nodes);
-        self.from.clone_from(&command.from);
-        self.to.clone_from(&command.to);
+        let is_first = own.efforts_to.len() != command.efforts_from.len();
+        let before = if is_first {
+            &command.efforts_from
+        } else {
+            &own.efforts_to
+        };
+        self.efforts_before.clone_from(before);
+        own.clone_from(command);
     }
 
     /// Returns the command shifted by `delay` (s), from `start` (s) on until its end: reduced by its change meanwhile. A jump from the end
     /// of the command before counts as if it were spread over the command, with the same impulse.
     fn later(&mut self, start: f64, delay: f64) -> &Command {
-        let [begin, end] = self.span;
+        let (begin, end) = (self.command.start, self.command.end);
         let part = if start < end {
             delay / (end - begin)
         } else {
             0.0
         };
-        let out = self.later.get_or_insert_with(|| Command {
-            start: begin,
-            end,
-            nodes: Vec::new(),
-            from: Vec::new(),
-            to: Vec::new(),
-        });
-        (out.start, out.end) = (begin, end);
-        out.nodes.clone_from(&self.nodes);
-        out.from.clone_from(&self.from);
-        out.to.clone_from(&self.to);
+        let (own, out) = (&self.command, &mut self.later);
+        out.clone_from(own);
+        for (i, before) in self.efforts_before.iter().enumerate() {
+            let change = (own.efforts_to[i] - before) * part;
+            out.efforts_from[i] -= change;
+            out.efforts_to[i] -= change;
+        }
         for (i, before) in self.before.iter().enumerate() {
-            let force = (self.to[i].force - before.force) * part;
-            let moment = (self.to[i].moment - before.moment) * part;
+            let force = (own.to[i].force - before.force) * part;
+            let moment = (own.to[i].moment - before.moment) * part;
             for wrench in [&mut out.from[i], &mut out.to[i]] {
                 wrench.force -= force;
                 wrench.moment -= moment;

@@ -28,6 +28,7 @@ mod covariance;
 mod gate;
 mod inbox;
 mod kalman;
+mod motions;
 mod node_frames;
 mod observer;
 mod parameter;
@@ -39,6 +40,7 @@ mod unknown_forces;
 
 pub use self::inbox::Inbox;
 pub use self::kalman::{KalmanFilter, KalmanSettings, RandomWalk};
+pub(in crate::mpc) use self::motions::Motions;
 pub use self::observer::{BoundaryObserver, ObserverSettings};
 pub(in crate::mpc) use self::parameter::ModelParameters;
 use self::parameter::Parameter;
@@ -192,6 +194,16 @@ pub enum EstimateError {
         start: f64,
         /// End of the command, s.
         end: f64,
+    },
+    /// A command has efforts for another number of actuators.
+    #[error(
+        "the command has {given} efforts, and the model has {n_actuators} actuators: give one for each, or none"
+    )]
+    Efforts {
+        /// Number of efforts.
+        given: usize,
+        /// Number of actuators of the model.
+        n_actuators: usize,
     },
     /// A command acts on a node that the model does not have.
     #[error("the command acts on node {node}, and the model has nodes 0 to {}", n_nodes - 1)]

@@ -260,11 +260,7 @@ impl BoundaryObserver {
         } else {
             let piece = &mut self.pieces[self.n_pieces];
             piece.until = until;
-            let own = &mut piece.command;
-            (own.start, own.end) = (command.start, command.end);
-            own.nodes.clone_from(&command.nodes);
-            own.from.clone_from(&command.from);
-            own.to.clone_from(&command.to);
+            piece.command.clone_from(command);
         }
         self.n_pieces += 1;
     }

@@ -2,12 +2,11 @@
 
 use std::ops::Range;
 
-use crate::mechanics::{NodeWrenches, Rod, State, StepError, Stepper, TimeGrid, Wrench};
-use crate::mpc::command::Command;
-use crate::mpc::motions::Motions;
-use crate::mpc::sensor::EARLY;
+use crate::mechanics::{ControlSignal, Efforts, Rod, State, StepError, Stepper, TimeGrid, Wrench};
+use crate::mpc::command::{Command, ControlOrder};
+use crate::mpc::signal::EARLY;
 
-use super::{Disturbance, EstimateError, ModelParameters};
+use super::{Disturbance, EstimateError, ModelParameters, Motions};
 
 /// Moves a state of the model under commands and a disturbance. After its creation it allocates no memory if steps are explicit.
 #[derive(Clone, Debug)]
@@ -18,8 +17,8 @@ pub struct Predictor {
     parameters: ModelParameters,
     longest_step: f64,
     motions: Motions,
-    nodes: Vec<usize>,
-    /// Wrenches at both ends of a step, one for each node.
+    order: ControlOrder,
+    /// Controls at both ends of a step.
     wrenches: [Vec<Wrench>; 2],
     /// State at the end of the last motion.
     end: State,
@@ -53,15 +52,15 @@ impl Predictor {
     /// Creates a predictor of motions of `model` with steps of at most `longest_step` (s).
     #[must_use]
     pub fn new(model: &Rod, longest_step: f64) -> Self {
-        let n = model.n_nodes();
+        let order = ControlOrder::on_all(model);
         Self {
             motions: Motions::new(model, longest_step, Disturbance::NONE.parameters()),
             rod: model.clone(),
             parameters: Disturbance::NONE.parameters(),
             model: model.clone(),
             longest_step,
-            nodes: (0..n).collect(),
-            wrenches: [(); 2].map(|()| vec![Wrench::default(); n]),
+            wrenches: [(); 2].map(|()| order.none()),
+            order,
             end: State::at_rest(model.rest.clone()),
         }
     }
@@ -143,6 +142,23 @@ impl Predictor {
             let what = "a wrench of the command".into();
             return Err(EstimateError::NotFinite { what });
         }
+        let efforts = [&command.efforts_from, &command.efforts_to];
+        if efforts
+            .into_iter()
+            .flatten()
+            .any(|effort| !effort.is_finite())
+        {
+            let what = "an effort of the command".into();
+            return Err(EstimateError::NotFinite { what });
+        }
+        let n_actuators = self.model.actuators.len();
+        if let Some(own) = (efforts.into_iter()).find(|own| ![0, n_actuators].contains(&own.len()))
+        {
+            return Err(EstimateError::Efforts {
+                given: own.len(),
+                n_actuators,
+            });
+        }
         if command.start < command.end {
             return Ok(());
         }
@@ -183,6 +199,30 @@ impl Predictor {
         Ok(())
     }
 
+    /// Writes the efforts of a command at the time nodes of some steps, for the linearization of their motion.
+    pub(super) fn write_efforts(&self, steps: Steps, command: &Command, out: &mut ControlSignal) {
+        let Some(efforts) = &self.order.efforts else {
+            return;
+        };
+        let n_carriers = efforts.places.len().div_ceil(6);
+        out.wrenches.clear();
+        (out.wrenches).resize(n_carriers * (steps.n + 1), Wrench::default());
+        for (k, carriers) in out.wrenches.chunks_exact_mut(n_carriers).enumerate() {
+            command.write_efforts_at(steps.time(k), carriers);
+        }
+    }
+
+    /// Returns a signal without wrenches that carries efforts; `None` for a rod without actuators.
+    pub(super) fn signal_of_efforts(&self) -> Option<ControlSignal> {
+        self.order.efforts.as_ref().map(|own| ControlSignal {
+            efforts: Some(Efforts {
+                first: 0,
+                ..own.clone()
+            }),
+            ..ControlSignal::default()
+        })
+    }
+
     /// Moves the state at the [`end`](Self::end) through those of the steps whose numbers are given, and calls `visit` after each of them.
     fn walk(
         &mut self,
@@ -196,7 +236,7 @@ impl Predictor {
             rod,
             parameters,
             motions,
-            nodes,
+            order,
             wrenches: [now, next],
             end,
             ..
@@ -207,8 +247,7 @@ impl Predictor {
             write_wrenches(rod, command, start, disturbance, now);
             for k in numbers {
                 write_wrenches(rod, command, steps.time(k + 1), disturbance, next);
-                let on = |wrenches| NodeWrenches::on(nodes, wrenches);
-                stepper.advance([on(now), on(next)])?;
+                stepper.advance([order.of(now), order.of(next)])?;
                 visit(stepper);
                 std::mem::swap(now, next);
             }
@@ -217,7 +256,7 @@ impl Predictor {
     }
 }
 
-/// Writes the wrenches of a command and a disturbance at time `t`, one for each node.
+/// Writes the controls of a command and a disturbance at time `t`.
 fn write_wrenches(
     rod: &Rod,
     command: &Command,
@@ -227,10 +266,5 @@ fn write_wrenches(
 ) {
     out.fill(Wrench::default());
     disturbance.add_to(rod, out);
-    let s = ((t - command.start) / (command.end - command.start)).clamp(0.0, 1.0);
-    let both = command.from.iter().zip(&command.to);
-    for (node, (from, to)) in command.nodes.iter().zip(both) {
-        out[*node].force += from.force * (1.0 - s) + to.force * s;
-        out[*node].moment += from.moment * (1.0 - s) + to.moment * s;
-    }
+    command.add_at(t, out);
 }

@@ -51,13 +51,7 @@ impl Regridded {
             own: estimator,
             there,
             back,
-            command: Command {
-                start: 0.0,
-                end: 0.0,
-                nodes: Vec::new(),
-                from: Vec::new(),
-                to: Vec::new(),
-            },
+            command: Command::default(),
             estimate,
             model: model.clone(),
         }
@@ -80,6 +74,8 @@ impl Regridded {
         own.nodes.clear();
         own.from.clear();
         own.to.clear();
+        own.efforts_from.clone_from(&command.efforts_from);
+        own.efforts_to.clone_from(&command.efforts_to);
         for (&node, (from, to)) in (command.nodes.iter()).zip(command.from.iter().zip(&command.to))
         {
             let n_nodes = self.model.n_nodes();

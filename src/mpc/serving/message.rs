@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::SERVING_VERSION;
 use crate::control::{ActuatedNode, Bound, Channel};
+use crate::mechanics::StrainActuator;
 use crate::mpc::closed_loop::{Percentiles, TipError};
 use crate::mpc::estimator::Disturbance;
 use crate::mpc::sensor::SensorSettings;
@@ -90,6 +91,8 @@ pub(super) struct Hello<'a> {
     pub length_m: f64,
     pub nodes: Vec<NodeLine>,
     pub actuators: Vec<ActuatorLine>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub efforts: Vec<EffortLimits<'a>>,
     pub accepts: Vec<&'static str>,
     pub most_readings: usize,
     pub sensors: Vec<SensorLine>,
@@ -106,6 +109,41 @@ pub(super) struct NodeLine {
     pub initial_rotation: Rows,
     pub mass_kg: f64,
     pub rotary_inertia_kg_m2: Vector,
+}
+
+/// An actuator in the arm whose effort is commanded: unit, effort before the first command, limits; `null` means unbounded.
+#[derive(Debug, Serialize)]
+pub(super) struct EffortLimits<'a> {
+    pub name: &'a str,
+    pub unit: &'static str,
+    pub rest: f64,
+    pub least: Option<f64>,
+    pub most: Option<f64>,
+    pub fastest_fall: Option<f64>,
+    pub fastest_rise: Option<f64>,
+}
+
+impl<'a> EffortLimits<'a> {
+    pub fn of((actuator, channel): (&'a StrainActuator, &Channel)) -> Self {
+        let rest = actuator.effort(0.0);
+        let ends = |bound: Option<Bound>| {
+            let interval = bound.and_then(|bound| bound.interval(0));
+            let [least, most] = interval.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+            let finite = |end: f64| end.is_finite().then_some(end);
+            [finite(least), finite(most)]
+        };
+        let [least, most] = ends(channel.bound).map(|end| end.map(|end| rest + end));
+        let [fastest_fall, fastest_rise] = ends(channel.rate_bound);
+        Self {
+            name: &actuator.name,
+            unit: actuator.density.effort_unit(),
+            rest,
+            least,
+            most,
+            fastest_fall,
+            fastest_rise,
+        }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -224,6 +262,8 @@ pub(super) struct CommandLine {
     pub from_s: f64,
     pub to_s: f64,
     pub wrenches: Vec<WrenchLine>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub efforts: Vec<EffortLine>,
     pub fallback: Option<FallbackLine>,
     pub tip: Option<TipLine>,
     pub predicted_tip_m: Option<Vector>,
@@ -240,6 +280,14 @@ pub(super) struct WrenchLine {
     pub force_to_n: Vector,
     pub moment_from_n_m: Vector,
     pub moment_to_n_m: Vector,
+}
+
+/// The effort of an actuator in the arm, in its unit.
+#[derive(Debug, Serialize)]
+pub(super) struct EffortLine {
+    pub name: String,
+    pub from: f64,
+    pub to: f64,
 }
 
 #[derive(Debug, Serialize)]

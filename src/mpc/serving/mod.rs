@@ -24,8 +24,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use self::intake::{Intake, MOST_READINGS, Refusal};
 use self::message::{
-    ActuatorLine, CommandLine, DisturbanceLine, ErrorLine, FallbackLine, Hello, Kind, Line,
-    NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows, version_message,
+    ActuatorLine, CommandLine, DisturbanceLine, EffortLimits, EffortLine, ErrorLine, FallbackLine,
+    Hello, Kind, Line, NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows, version_message,
 };
 use super::closed_loop::{Cause, Driver, Experiment, Known, Percentiles, Sample, TipError};
 use super::error::MpcError;
@@ -219,6 +219,7 @@ impl<W: Write> Server<W> {
             length_m: rod.scales.length,
             nodes,
             actuators,
+            efforts: controller.driven().map(EffortLimits::of).collect(),
             accepts,
             most_readings: MOST_READINGS,
             obstacles: controller.obstacles().collect(),
@@ -600,6 +601,7 @@ fn command(driver: &Driver, time_s: f64, rotation_change: Option<f64>) -> Comman
             moment_to_n_m: to.moment.into(),
         })
         .collect();
+    let efforts = driver.controller().efforts(told);
     CommandLine {
         kind: "command",
         sample: driver.next_sample(),
@@ -607,6 +609,13 @@ fn command(driver: &Driver, time_s: f64, rotation_change: Option<f64>) -> Comman
         from_s: told.start,
         to_s: told.end,
         wrenches,
+        efforts: efforts
+            .map(|(name, [from, to])| EffortLine {
+                name: name.into(),
+                from,
+                to,
+            })
+            .collect(),
         fallback: None,
         tip: None,
         predicted_tip_m: None,

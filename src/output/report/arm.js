@@ -105,6 +105,52 @@ function armPieces(stage, run) {
     }
   }
 
+  /**
+   * Tendons, chambers and muscles where they are in the arm, seen through its surface: bold on the side of the viewer, faint behind the
+   * axis. They are the wider the larger their effort is; without any they are dashed.
+   */
+  function routes(t, pieces) {
+    const shape = configuration(t);
+    const [i, j, s] = between(times, t);
+    for (const route of run.routes || []) {
+      const points = route.offsets.map(([a, b], k) => {
+        const node = route.first + k;
+        const out = add(mul(shape.a[node], a * thickening), mul(shape.b[node], b * thickening));
+        return { at: add(shape.x[node], out), faces: dot(out, toViewer(shape.x[node])) >= 0 };
+      });
+      const effort = route.efforts[i] + (route.efforts[j] - route.efforts[i]) * s;
+      const slack = route.slack[s < 0.5 ? i : j];
+      const part = route.most > 0 ? clamp(Math.abs(effort) / route.most, 0, 1) : 0;
+      const color = rgba(colors[route.kind], 1), rim = rgba(colors.rim, 0.55);
+      for (let k = 0; k + 1 < points.length; k++) {
+        const [p, q] = [project(points[k].at), project(points[k + 1].at)];
+        const faces = points[k].faces || points[k + 1].faces;
+        const wide = 2 * route.radius * thickening * p.scale;
+        pieces.push({
+          // On top of the surface that they are seen through.
+          depth: (p.depth + q.depth) / 2 - (faces ? 2.2 : 1.1) * largest * thickening,
+          draw() {
+            context.globalAlpha = faces ? 1 : 0.4;
+            context.lineCap = wide > 0 ? 'butt' : 'round';
+            if (wide > 0) {
+              context.globalAlpha *= 0.35 + 0.5 * part;
+              line(p, q, color, Math.max(wide, 2));
+              context.globalAlpha = faces ? 1 : 0.4;
+            }
+            if (slack) context.setLineDash([3, 5]);
+            if (!wide) {
+              if (!slack) line(p, q, rim, 3.4 + 2.4 * part);
+              line(p, q, color, slack ? 1.6 : 1.8 + 2.4 * part);
+            } else if (slack) line(p, q, color, 1.6);
+            context.setLineDash([]);
+            context.lineCap = 'butt';
+            context.globalAlpha = 1;
+          },
+        });
+      }
+    }
+  }
+
   function plate(pieces, amongBodies) {
     if (!isPoint(arm.base)) return;
     const start = configuration(clock.first);
@@ -213,7 +259,7 @@ function armPieces(stage, run) {
     });
   }
 
-  return { run, frames, nodes, times, thickening, hasRadius: largest > 0, configuration, ghost, tube, plate, tipPath, references, goal };
+  return { run, frames, nodes, times, thickening, hasRadius: largest > 0, configuration, ghost, tube, routes, plate, tipPath, references, goal };
 }
 
 // ---------------------------------------------------------------- forces and moments as arrows

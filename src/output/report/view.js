@@ -63,7 +63,7 @@ function armView() {
     context.fillText(text, x + 8, y + 13.5);
   }
 
-  let showBodies = true, showArrows = true, drawn = [], pointer = null;
+  let showBodies = true, showArrows = true, showRoutes = true, drawn = [], pointer = null;
   let stroboscope = !COMPARING && arms[0].frames > 2;
   function draw() {
     const width = canvas.clientWidth, height = canvas.clientHeight, ratio = window.devicePixelRatio || 1;
@@ -87,6 +87,7 @@ function armView() {
       const [first, last] = [arm.times[0], arm.times[arm.frames - 1]];
       if (stroboscope) for (let i = 0; i <= 6; i++) arm.ghost(first + (last - first) * i / 6, 0.13, pieces);
       arm.tube(clock.now, pieces);
+      if (showRoutes) arm.routes(clock.now, pieces);
       arm.tipPath(pieces);
       arm.references(pieces);
       arm.goal(pieces);
@@ -222,6 +223,7 @@ function armView() {
   if (moves) bar.append(play, slider, readout, el('label', { htmlFor: 'speed', class: 'hidden' }, 'Speed'), speed,
     pressed('Stroboscope', stroboscope, (on) => { stroboscope = on; }));
   if (arrows.any) bar.append(pressed('Forces', true, (on) => { showArrows = on; }));
+  if (shown.some((run) => run.routes)) bar.append(pressed('Actuators', true, (on) => { showRoutes = on; }));
   if (bodies.length) bar.append(pressed('Obstacles', true, (on) => { showBodies = on; }));
   bar.append(pressed('Perspective', true, (on) => { view.perspective = on; }), (() => {
     const button = el('button', { type: 'button' }, 'Reset view');
@@ -248,6 +250,10 @@ function pictureKey(stage, arms, arrows, moves) {
   if (has((run) => run.via.length)) key.append(entry('var(--target)', 'points on the way'));
   const payload = arms[0].run.arm.payload;
   if (payload > 0) key.append(block('payload', `payload ${format(payload)} kg`));
+  const kinds = ['tendon', 'chamber', 'muscle'].map((kind) => [kind, arms.flatMap(({ run }) => (run.routes || []).filter((route) => route.kind === kind))]);
+  for (const [kind, all] of kinds) if (all.length) key.append(block(kind, `${kind}s, wider with their effort`));
+  if (has((run) => (run.routes || []).some((route) => route.slack.some(Boolean))))
+    key.append(el('span', {}, el('span', { class: 'swatch dashed', style: 'border-color: var(--soft)' }), 'slack'));
   for (const [color, text] of arrows.legend()) key.append(entry(color, text));
   for (const body of bodies.slice(0, MOST_NAMES)) key.append(block(body.color,
     body.patch || body.facets.length ? body.name : `${body.name} (too far away to be drawn)`));

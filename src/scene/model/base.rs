@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::describe::DescribeError;
+use super::super::error::DescribeError;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, Positive, known};
 use crate::mechanics::rotation::unit;

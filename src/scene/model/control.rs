@@ -4,9 +4,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::check::LARGEST_COUNT;
-use super::super::describe::DescribeError;
-use super::super::keys::{Checked, Keys};
+use super::super::error::DescribeError;
+use super::super::keys::{Checked, Keys, LARGEST_COUNT};
 use super::super::values::{self, NonNegative, Number, Positive, known};
 use super::{EndKind, Scene};
 use crate::control::{self, Hold};

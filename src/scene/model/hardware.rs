@@ -5,14 +5,16 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
-use super::super::values::{self, Fraction, Positive, digits, known};
+use super::super::values::{self, Fraction, NonNegative, Positive, digits, known};
 use super::Scene;
-use crate::mechanics::{Density, Route, StrainActuator};
+use crate::control::Hold;
+use crate::mechanics::{Density, Route, StrainActuator, Winch};
 use crate::task::EffortControl;
 
 /// A tendon in the arm, or a rod in it that pushes: its line lies in the section and moves with it, without friction. A tendon pulls the
 /// section toward itself with the work of its tension as it gets shorter. With `tension_n` its tension is a control, with `profile` it is
-/// given, in simulations too.
+/// given, in simulations too. On a winch its length is the input instead, and the tension follows from its stretch: with `displacement_m` as a control, with
+/// `displacement_profile` given.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -42,6 +44,11 @@ pub struct Tendon {
     /// `pretension_n`. Absent: it may jump.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_n_s: Option<RateBound>,
+    /// Time constant in s of the first-order lag with which the tension follows the command of its motor. With it the bounds hold for the
+    /// command, the tension plus its rate times the lag, and the tension begins at `pretension_n`; not with `control.hold` = "constant".
+    /// Absent: the tension is the command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lag_s: Option<Positive<values::Time>>,
     /// Tension in N before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub pretension_n: f64,
@@ -49,6 +56,43 @@ pub struct Tendon {
     /// `tension_n`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
+    /// Least and largest displacement of a winch in m, which makes it a control; where it is negative, the winch has pulled in. The least one
+    /// is finite. With the length l of the tendon in the arm, l0 that in the arm at rest, the length b outside of it, and the displacement
+    /// z, `l + b = (l0 + b + z)(1 + C T)`; where that would be a negative tension T, the tendon is slack. Not with keys of the tension, nor
+    /// with `control.hold` = "constant"; the winch begins at `rest_displacement_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub displacement_m: Option<[f64; 2]>,
+    /// Largest speed of a winch in m/s, or the fastest way in, negative, and the fastest way out. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_m_s: Option<RateBound>,
+    /// Displacement of a winch in m before the task begins, within the bounds, from which effort is counted. Default: 0.
+    #[serde(default, skip_serializing_if = "is_none_at_all")]
+    pub rest_displacement_m: f64,
+    /// Given displacement of a winch over time, as [t in s, displacement in m] with increasing t; linear in between and constant outside. It
+    /// does not go with `displacement_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub displacement_profile: Option<Vec<[f64; 2]>>,
+    /// Compliance C of the tendon on a winch in 1/N: its strain per tension.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub compliance_1_n: Option<Positive<values::TendonCompliance>>,
+    /// Length b of the tendon on a winch outside of the arm in m, which stretches too. Default: 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub free_length_m: NonNegative<values::Length>,
+}
+
+fn is_zero(length: &NonNegative<values::Length>) -> bool {
+    length.get() == 0.0
+}
+
+fn is_none_at_all(displacement: &f64) -> bool {
+    *displacement == 0.0
+}
+
+impl Tendon {
+    /// Tells whether its input is the displacement of a winch.
+    fn is_on_winch(&self) -> bool {
+        self.displacement_m.is_some() || self.displacement_profile.is_some()
+    }
 }
 
 /// A pneumatic or hydraulic chamber in the arm whose section stays plane and keeps its area. Its pressure lengthens the arm and bends it
@@ -84,6 +128,11 @@ pub struct Chamber {
     /// `rest_pressure_pa`. Absent: it may jump.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_pa_s: Option<RateBound>,
+    /// Time constant in s of the first-order lag with which the pressure follows the command of its valve. With it the bounds hold for the
+    /// command, the pressure plus its rate times the lag, and the pressure begins at `rest_pressure_pa`; not with `control.hold` = "constant".
+    /// Absent: the pressure is the command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lag_s: Option<Positive<values::Time>>,
     /// Pressure in Pa before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub rest_pressure_pa: f64,
@@ -128,6 +177,11 @@ pub struct Muscle {
     /// `rest_activation`. Absent: it may jump.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_1_s: Option<RateBound>,
+    /// Time constant in s of the first-order lag with which the activation follows the command of its nerve. With it the bounds hold for the
+    /// command, the activation plus its rate times the lag, and the activation begins at `rest_activation`; not with `control.hold` = "constant".
+    /// Absent: the activation is the command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lag_s: Option<Positive<values::Time>>,
     /// Activation before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub rest_activation: f64,
@@ -171,7 +225,9 @@ struct Common<'a> {
     bounds: (&'static str, Option<[f64; 2]>),
     rate: (&'static str, Option<RateBound>),
     rest: (&'static str, f64),
-    profile: &'a Option<Vec<[f64; 2]>>,
+    lag: Option<f64>,
+    profile: (&'static str, &'a Option<Vec<[f64; 2]>>),
+    winch: Option<Winch>,
 }
 
 /// Collects the keys of an actuator; the names are those of its bounds, of its rate and of its effort at rest.
@@ -193,7 +249,9 @@ macro_rules! common {
             bounds: (stringify!($bounds), $own.$bounds),
             rate: (stringify!($rate), $own.$rate),
             rest: (stringify!($rest), $own.$rest),
-            profile: &$own.profile,
+            lag: $own.lag_s.map(Positive::get),
+            profile: ("profile", &$own.profile),
+            winch: None,
         }
     };
 }
@@ -204,7 +262,7 @@ impl Common<'_> {
     }
 
     fn of_arm(&self) -> StrainActuator {
-        let rows = self.profile.iter().flatten();
+        let rows = self.profile.1.iter().flatten();
         let given: Vec<(f64, f64)> = rows.map(|&[t, effort]| (t, effort)).collect();
         StrainActuator {
             name: self.name(),
@@ -216,9 +274,11 @@ impl Common<'_> {
             } else {
                 given
             },
+            winch: self.winch,
             largest: (self.bounds.1.iter().flatten())
                 .filter(|bound| bound.is_finite())
-                .fold(0.0, |most: f64, bound| most.max(bound.abs())),
+                .map(|bound| self.winch.map_or(bound.abs(), |_| -bound))
+                .fold(0.0, f64::max),
         }
     }
 
@@ -228,6 +288,7 @@ impl Common<'_> {
             bounds: self.bounds.1?,
             rate: self.rate.1.map(RateBound::range),
             scale: None,
+            lag: self.lag,
         })
     }
 }
@@ -237,7 +298,7 @@ impl Scene {
     fn hardware(&self) -> Vec<Common<'_>> {
         let tendons = self.tendon.iter().enumerate().map(|(index, own)| {
             let density = Density::Shortening;
-            common!(
+            let by_tension = common!(
                 own,
                 "tendon",
                 index,
@@ -246,7 +307,21 @@ impl Scene {
                 tension_n,
                 rate_n_s,
                 pretension_n
-            )
+            );
+            if !own.is_on_winch() {
+                return by_tension;
+            }
+            Common {
+                bounds: ("displacement_m", own.displacement_m),
+                rate: ("rate_m_s", own.rate_m_s),
+                rest: ("rest_displacement_m", own.rest_displacement_m),
+                profile: ("displacement_profile", &own.displacement_profile),
+                winch: own.compliance_1_n.as_ref().map(|compliance| Winch {
+                    compliance: compliance.get(),
+                    outside: own.free_length_m.get(),
+                }),
+                ..by_tension
+            }
         });
         let chambers = self.chamber.iter().enumerate().map(|(index, own)| {
             let (density, scale) = (Density::Volume, own.area_m2.get());
@@ -277,13 +352,43 @@ impl Scene {
         tendons.chain(chambers).chain(muscles).collect()
     }
 
+    /// Returns the index among the actuators of the arm of the one of a section with a name; whether its effort is a control; and its effort
+    /// at rest.
+    pub(in crate::scene) fn hardware_named(
+        &self,
+        section: &str,
+        name: &str,
+    ) -> Option<(usize, bool, f64)> {
+        let all = self.hardware();
+        let index = (all.iter()).position(|own| own.section == section && own.name() == name)?;
+        Some((index, all[index].bounds.1.is_some(), all[index].rest.1))
+    }
+
+    /// Returns a key of the first actuator on a winch, or with a lag, which closed loops do not know.
+    pub(in crate::scene) fn winch_or_lag(&self) -> Option<String> {
+        self.hardware().iter().find_map(|own| {
+            let key = match own.winch {
+                Some(_) => "compliance_1_n",
+                None => own.lag.map(|_| "lag_s")?,
+            };
+            Some(format!("{}.{}.{key}", own.section, own.index))
+        })
+    }
+
+    /// Returns the names of the actuators of a section.
+    pub(in crate::scene) fn hardware_names(&self, section: &str) -> Vec<String> {
+        let all = self.hardware();
+        let own = all.iter().filter(|own| own.section == section);
+        own.map(Common::name).collect()
+    }
+
     /// The actuators of the arm.
     pub(in crate::scene) fn strain_actuators(&self) -> Vec<StrainActuator> {
         self.hardware().iter().map(Common::of_arm).collect()
     }
 
     /// The efforts that the optimizer chooses.
-    pub(in crate::scene) fn effort_controls(&self) -> Vec<EffortControl> {
+    pub(crate) fn effort_controls(&self) -> Vec<EffortControl> {
         (self.hardware().iter().enumerate())
             .filter_map(|(index, own)| own.of_task(index))
             .collect()
@@ -293,9 +398,12 @@ impl Scene {
 impl Keys<'_> {
     /// Checks all actuators in the arm.
     pub(in crate::scene) fn check_hardware(&self, scene: &Scene) -> Checked {
+        for (index, tendon) in scene.tendon.iter().enumerate() {
+            self.check_winch(&format!("tendon.{index}"), tendon)?;
+        }
         let all = scene.hardware();
         for (at, own) in all.iter().enumerate() {
-            self.check_common(own)?;
+            self.check_common(own, scene.control.as_ref().map(|control| control.hold))?;
             if let Some(other) = all[..at].iter().find(|other| other.name() == own.name()) {
                 let key = format!("{}.{}", own.section, own.index);
                 let message = format!(
@@ -311,7 +419,53 @@ impl Keys<'_> {
         Ok(())
     }
 
-    fn check_common(&self, own: &Common) -> Checked {
+    /// Checks that a tendon has either the keys of a tension or those of a winch.
+    fn check_winch(&self, section: &str, tendon: &Tendon) -> Checked {
+        let key = |name: &str| format!("{section}.{name}");
+        if !tendon.is_on_winch() {
+            let of_winch = [
+                ("compliance_1_n", tendon.compliance_1_n.is_some()),
+                ("free_length_m", tendon.free_length_m.get() != 0.0),
+                ("rate_m_s", tendon.rate_m_s.is_some()),
+                ("rest_displacement_m", tendon.rest_displacement_m != 0.0),
+            ];
+            if let Some((name, _)) = of_winch.into_iter().find(|(_, is_given)| *is_given) {
+                let relation = format!(
+                    "{name} describes the tendon of a winch, whose input is displacement_m or displacement_profile"
+                );
+                return Err(self.missing(&key("displacement_m"), &relation));
+            }
+            return Ok(());
+        }
+        let input = match tendon.displacement_m {
+            Some(_) => "displacement_m",
+            None => "displacement_profile",
+        };
+        let of_tension = [
+            ("tension_n", tendon.tension_n.is_some()),
+            ("rate_n_s", tendon.rate_n_s.is_some()),
+            ("pretension_n", tendon.pretension_n != 0.0),
+            ("profile", tendon.profile.is_some()),
+        ];
+        if let Some((name, _)) = of_tension.into_iter().find(|(_, is_given)| *is_given) {
+            return Err(self.contradiction(&key(input), &key(name)));
+        }
+        if let Some([least, _]) = tendon.displacement_m
+            && !least.is_finite()
+        {
+            let message = "a winch that pulls in without end";
+            return Err((self.source)
+                .error_at(&key("displacement_m.0"), message, None)
+                .expecting("expected a finite displacement, negative where it has pulled in"));
+        }
+        if tendon.compliance_1_n.is_none() {
+            let relation = "the tension on a winch follows from the stretch of the tendon";
+            return Err(self.missing(&key("compliance_1_n"), relation));
+        }
+        Ok(())
+    }
+
+    fn check_common(&self, own: &Common, hold: Option<Hold>) -> Checked {
         let key = |name: &str| format!("{}.{}.{name}", own.section, own.index);
         let Route {
             from,
@@ -331,8 +485,9 @@ impl Keys<'_> {
         }
         let (rest_key, rest) = own.rest;
         self.finite_number(&key(rest_key), rest)?;
-        if let Some(rows) = own.profile {
-            self.table(&key("profile"), rows, "a constant effort")?;
+        let (profile_key, profile) = own.profile;
+        if let Some(rows) = profile {
+            self.table(&key(profile_key), rows, "a constant effort")?;
         }
         let (bounds_key, bounds) = own.bounds;
         let (rate_key, rate) = own.rate;
@@ -341,10 +496,26 @@ impl Keys<'_> {
                 let relation = format!("goes with {bounds_key}, which makes it a control");
                 return Err(self.missing(&key(bounds_key), &relation));
             }
+            if own.lag.is_some() {
+                let relation = format!(
+                    "lag_s goes with {bounds_key}, which makes it a control; a given effort is the one that acts"
+                );
+                return Err(self.missing(&key(bounds_key), &relation));
+            }
             return Ok(());
         };
-        if own.profile.is_some() {
-            return Err(self.contradiction(&key("profile"), &key(bounds_key)));
+        if own.winch.is_some() && hold == Some(Hold::Constant) {
+            let message = "a winch does not jump, as a constant hold does";
+            let help = "set control.hold to \"linear\" or \"cubic\"";
+            return Err((self.source).error_at(&key(bounds_key), message, Some(help.into())));
+        }
+        if own.lag.is_some() && hold == Some(Hold::Constant) {
+            let message = "an effort with a lag does not jump, as a constant hold does";
+            let help = "set control.hold to \"linear\" or \"cubic\", or leave lag_s out";
+            return Err((self.source).error_at(&key("lag_s"), message, Some(help.into())));
+        }
+        if profile.is_some() {
+            return Err(self.contradiction(&key(profile_key), &key(bounds_key)));
         }
         if !(least < most) {
             let message = format!("[{}, {}] is no range", digits(least), digits(most));
@@ -395,12 +566,15 @@ pub(in crate::scene) fn describing_hardware(
             Some(control) => (Some(control.bounds), control.rate.map(RateBound::Each)),
             None => (None, None),
         };
+        let lag_s = control.and_then(|control| control.lag).map(known);
         let rest = match own.effort[..] {
             [(_, only)] => only,
             _ => 0.0,
         };
-        let profile = (own.effort.len() > 1)
-            .then(|| own.effort.iter().map(|&(t, effort)| [t, effort]).collect());
+        let rows = || own.effort.iter().map(|&(t, effort)| [t, effort]).collect();
+        let profile = (own.effort.len() > 1 && own.winch.is_none()).then(rows);
+        let is_winch = own.winch.is_some();
+        let of_winch = |is_own: bool| is_own == is_winch;
         let route = own.route;
         let (from, to) = (known(route.from), known(route.to));
         let offset_to_m = (route.offset_to != route.offset_from).then_some(route.offset_to);
@@ -415,10 +589,21 @@ pub(in crate::scene) fn describing_hardware(
                     turns: route.turns,
                     from,
                     to,
-                    tension_n: bounds,
-                    rate_n_s: rate,
-                    pretension_n: rest,
+                    tension_n: bounds.filter(|_| of_winch(false)),
+                    rate_n_s: rate.filter(|_| of_winch(false)),
+                    lag_s,
+                    pretension_n: if is_winch { 0.0 } else { rest },
                     profile,
+                    displacement_m: bounds.filter(|_| of_winch(true)),
+                    rate_m_s: rate.filter(|_| of_winch(true)),
+                    rest_displacement_m: if is_winch && control.is_some() {
+                        rest
+                    } else {
+                        0.0
+                    },
+                    displacement_profile: (is_winch && control.is_none()).then(rows),
+                    compliance_1_n: own.winch.map(|winch| known(winch.compliance)),
+                    free_length_m: own.winch.map_or(known(0.0), |winch| known(winch.outside)),
                 });
             }
             Density::Volume => {
@@ -433,6 +618,7 @@ pub(in crate::scene) fn describing_hardware(
                     to,
                     pressure_pa: bounds,
                     rate_pa_s: rate,
+                    lag_s,
                     rest_pressure_pa: rest,
                     profile,
                 });
@@ -450,6 +636,7 @@ pub(in crate::scene) fn describing_hardware(
                     to,
                     activation: bounds,
                     rate_1_s: rate,
+                    lag_s,
                     rest_activation: rest,
                     profile,
                 });

@@ -202,6 +202,16 @@ impl From<LoadNode> for LoadNodeKey {
 }
 
 impl Keys<'_> {
+    pub(in crate::scene) fn node(&self, key: &str, node: LoadNode, elements: usize) -> Checked {
+        match node {
+            LoadNode::Index(node) if node > elements => Err(self
+                .source
+                .error_at(key, format!("there is no node {node}"), None)
+                .expecting(format!("expected 0 (base) to {elements} (tip)"))),
+            _ => Ok(()),
+        }
+    }
+
     /// Checks a load; `list` is the name of the section.
     pub(in crate::scene) fn check_load(
         &self,

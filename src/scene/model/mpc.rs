@@ -4,8 +4,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::check::LARGEST_COUNT;
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Keys, LARGEST_COUNT};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::Scene;
 use crate::mpc::{self, EffortFrom, FallbackSettings, LoopSettings, MpcSettings};

@@ -1,12 +1,13 @@
 //! The objective: effort, rate, elastic energy and paths to follow.
 
+mod path;
+
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::check::LARGEST_COUNT;
-use super::super::keys::{Checked, Keys};
-use super::super::path::Turns;
+use self::path::Turns;
+use super::super::keys::{Checked, Keys, LARGEST_COUNT};
 use super::super::values::{self, NonNegative, Number, Positive, known};
 use super::geometry::wxyz;
 use super::{LoadNode, Scene};

@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::super::check::MOST_ELEMENTS;
 use super::super::keys::{Checked, Keys};
-use super::super::values::{self, NonNegative, Number, Positive, known};
+use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::{Payload, Scene, Section};
-use crate::mpc::ActuatorDynamics;
+use crate::mechanics::StrainActuator;
+use crate::mpc::{ActuatorDynamics, EffortDynamics};
 
 /// The arm that the controller acts on, where it differs from the controller's model. Its time step is its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,6 +43,84 @@ pub struct Plant {
     /// Dynamics and limits of the actuators. Absent: the wrench is the command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actuator: Option<PlantActuator>,
+    /// Tendons that differ from those of the model with the same names.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tendon: Vec<PlantHardware>,
+    /// Chambers that differ from those of the model with the same names.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub chamber: Vec<PlantHardware>,
+    /// Muscles that differ from those of the model with the same names.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub muscle: Vec<PlantHardware>,
+}
+
+/// An actuator in the arm, where it differs from the model's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct PlantHardware {
+    /// Name of the model's actuator: its `name`, or its kind with its place in the list, such as `tendon 0`.
+    pub name: String,
+    /// Place in the section at `from`, along its two axes, in m. Absent: the model's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset_m: Option<[f64; 2]>,
+    /// Place in the section at `to`, in m. Absent: `offset_m` of this table, or the model's if that is absent too.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset_to_m: Option<[f64; 2]>,
+    /// Factor on the effort, of the pretension too: what friction leaves of a tension, or another area of a chamber; positive, default 1.
+    #[serde(default = "one")]
+    pub effort_factor: Positive<values::Factor>,
+    /// Time constant in s of a first-order lag of the effort, not negative. Absent: `plant.actuator.lag_s`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lag_s: Option<NonNegative<values::Time>>,
+    /// Least and largest effort that the actuator reaches, in the unit of the command, before `effort_factor`; `inf` and `-inf` are no
+    /// bounds. Absent: unbounded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub saturation: Option<[f64; 2]>,
+}
+
+fn one() -> Positive<values::Factor> {
+    known(1.0)
+}
+
+impl PlantHardware {
+    /// Changes an actuator of the model to that of the plant.
+    pub(in crate::scene) fn change(&self, actuator: &mut StrainActuator) {
+        let route = &mut actuator.route;
+        if let Some(offset) = self.offset_m {
+            (route.offset_from, route.offset_to) = (offset, offset);
+        }
+        if let Some(offset) = self.offset_to_m {
+            route.offset_to = offset;
+        }
+        actuator.scale *= self.effort_factor.get();
+    }
+
+    /// Returns the dynamics between command and effort, with `lag` (s) where none is given.
+    pub(in crate::scene) fn dynamics(&self, lag: f64) -> EffortDynamics {
+        let free = EffortDynamics::default();
+        EffortDynamics {
+            lag: self.lag_s.map_or(lag, Number::get),
+            range: self.saturation.unwrap_or(free.range),
+        }
+    }
+}
+
+impl Plant {
+    /// Actuators in the arm that differ from the model's, with their sections and places in the lists.
+    pub(in crate::scene) fn hardware(
+        &self,
+    ) -> impl Iterator<Item = (&'static str, usize, &PlantHardware)> {
+        [
+            ("tendon", &self.tendon),
+            ("chamber", &self.chamber),
+            ("muscle", &self.muscle),
+        ]
+        .into_iter()
+        .flat_map(|(section, all)| {
+            (all.iter().enumerate()).map(move |(index, own)| (section, index, own))
+        })
+    }
 }
 
 /// Actuators that are late, slow and limited; the limits are norms of the wrench that acts.
@@ -79,6 +158,9 @@ impl Default for Plant {
             section: None,
             payload: None,
             actuator: None,
+            tendon: Vec::new(),
+            chamber: Vec::new(),
+            muscle: Vec::new(),
         }
     }
 }
@@ -103,6 +185,53 @@ impl Keys<'_> {
     pub(in crate::scene) fn check_plant(&self, plant: &Plant, scene: &Scene) -> Checked {
         if let Some(elements) = plant.elements {
             self.count("plant.elements", elements, MOST_ELEMENTS)?;
+        }
+        for (section, index, own) in plant.hardware() {
+            let key = |name: &str| format!("plant.{section}.{index}.{name}");
+            let Some((_, is_control, rest)) = scene.hardware_named(section, &own.name) else {
+                let message = format!("no [[{section}]] of the scene is named \"{}\"", own.name);
+                let names = scene.hardware_names(section);
+                let help = if names.is_empty() {
+                    format!("the scene has no [[{section}]]")
+                } else {
+                    format!("the names are {}", names.join(", "))
+                };
+                return Err((self.source).error_at(&key("name"), message, Some(help)));
+            };
+            let before = (plant.hardware()).find(|(other, at, twin)| {
+                (*other, *at) < (section, index) && *other == section && twin.name == own.name
+            });
+            if let Some((_, other, _)) = before {
+                let message = format!("is that of plant.{section}.{other}");
+                return Err((self.source).error_at(&key("name"), message, None));
+            }
+            self.finite(&key("offset_m"), &own.offset_m.unwrap_or_default())?;
+            self.finite(&key("offset_to_m"), &own.offset_to_m.unwrap_or_default())?;
+            for (name, is_given) in [
+                ("lag_s", own.lag_s.is_some()),
+                ("saturation", own.saturation.is_some()),
+            ] {
+                if is_given && !is_control {
+                    let message = "its effort is given and no command";
+                    let help = format!(
+                        "leave it out, or give the bounds that make [[{section}]] a control"
+                    );
+                    return Err((self.source).error_at(&key(name), message, Some(help)));
+                }
+            }
+            if let Some([least, most]) = own.saturation
+                && !(least <= rest && rest <= most)
+            {
+                let message = format!(
+                    "[{}, {}] does not contain the effort at rest, {}",
+                    digits(least),
+                    digits(most),
+                    digits(rest)
+                );
+                return Err((self.source)
+                    .error_at(&key("saturation"), message, None)
+                    .expecting("expected [least, largest] with the effort at rest between"));
+            }
         }
         if let Some(curvature) = &plant.curvature_1_m {
             self.finite("plant.curvature_1_m", curvature)?;

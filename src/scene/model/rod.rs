@@ -1,18 +1,20 @@
 //! The rod: its material, its section, and its stress-free shape.
 
+mod segment;
+
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::accuracy::check_range;
-use super::super::check::MOST_ELEMENTS;
-use super::super::describe::DescribeError;
+pub use self::segment::*;
+use super::super::error::DescribeError;
 use super::super::keys::{Checked, Keys};
 use super::super::materials::{MaterialFigures, MaterialPreset, Shear};
 use super::super::values::{self, Number, PoissonRatio, Positive, digits, known};
-use super::{Inertia, Section, Segment, Stiffness};
+use super::super::{SceneError, SceneSource};
+use super::{Inertia, Section, Stiffness};
 use crate::mechanics::rows;
-use crate::mechanics::{self, RodModel, SectionProfile, StrainRule};
+use crate::mechanics::{self, MOST_ELEMENTS, RodModel, SectionProfile, StrainRule};
 use crate::task;
 
 /// A straight or curved rod with a section of some material, or with stiffness and inertia given directly.
@@ -72,6 +74,11 @@ pub struct Rod {
 fn first_elements() -> usize {
     crate::task::prediction::first_elements(1e-3)
 }
+
+/// Smallest accuracy that a grid can be chosen for; with a smaller one, rounding of long motions and the number of elements decide.
+pub(in crate::scene) const FINEST: f64 = 1e-8;
+/// Largest accuracy that a grid can be chosen for; with a larger one, no shape is resolved.
+pub(in crate::scene) const COARSEST: f64 = 0.1;
 
 /// The rotary inertia of the nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -363,5 +370,23 @@ pub(in crate::scene) fn rotary_inertia(inertia: mechanics::RotaryInertia) -> Rot
     match inertia {
         mechanics::RotaryInertia::Section => RotaryInertia::Section,
         mechanics::RotaryInertia::Segment => RotaryInertia::Segment,
+    }
+}
+
+/// Checks that an accuracy is in its range.
+///
+/// # Errors
+/// [`SceneError`] with the range.
+fn check_range(accuracy: Option<f64>, source: &SceneSource) -> Result<(), SceneError> {
+    match accuracy {
+        Some(accuracy) if !(FINEST..=COARSEST).contains(&accuracy) => {
+            let message = format!("{} is out of range", digits(accuracy));
+            Err(
+                (source.error_at("rod.accuracy", message, None)).expecting(format!(
+                    "expected {FINEST:e} to {COARSEST}, in lengths of the arm"
+                )),
+            )
+        }
+        _ => Ok(()),
     }
 }

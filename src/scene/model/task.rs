@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::describe::DescribeError;
+use super::super::error::DescribeError;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::geometry::wxyz;

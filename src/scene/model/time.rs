@@ -1,4 +1,4 @@
-//! Time: duration, steps, initial state and the contents of the result files.
+//! Time: duration, steps and the contents of the result files.
 
 #[cfg(feature = "schema")]
 use schemars::JsonSchema;
@@ -6,9 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Positive, digits};
-use super::{EndKind, Scene};
 use crate::mechanics;
-use crate::task::{MOST_STEPS, StartShape};
+use crate::task::MOST_STEPS;
 
 /// Duration and time step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -93,22 +92,6 @@ impl From<TimeStep> for TimeStepKey {
     }
 }
 
-/// State at t = 0: a shape, and the velocity of a rigid body.
-///
-/// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with the velocity
-/// of its base.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields, default)]
-pub struct Initial {
-    /// Shape that the motion starts from.
-    pub shape: StartShape,
-    /// Velocity of the center of mass in m/s. Default: none.
-    pub velocity_m_s: [f64; 3],
-    /// Angular velocity about the center of mass in rad/s, spatial frame. Default: none.
-    pub angular_velocity_rad_s: [f64; 3],
-}
-
 /// Contents of the result files.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
@@ -125,39 +108,6 @@ pub struct Output {
 }
 
 impl Keys<'_> {
-    pub(in crate::scene) fn check_initial(&self, initial: &Initial, scene: &Scene) -> Checked {
-        let tip = scene.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind);
-        for (name, velocity) in [
-            ("initial.velocity_m_s", &initial.velocity_m_s),
-            (
-                "initial.angular_velocity_rad_s",
-                &initial.angular_velocity_rad_s,
-            ),
-        ] {
-            self.finite(name, velocity)?;
-            if *velocity == [0.0; 3] {
-                continue;
-            }
-            let (message, help) = match scene.base.kind {
-                EndKind::Free if tip == EndKind::Free => continue,
-                EndKind::Free | EndKind::Pinned => (
-                    "an arm that is held at an end cannot start as a moving rigid body",
-                    "leave the velocity out, or free both ends",
-                ),
-                EndKind::Clamped => (
-                    "a clamped arm cannot start as a moving rigid body",
-                    "set base.kind = \"free\", or \"driven\" with a base.motion",
-                ),
-                EndKind::Driven => (
-                    "an arm on a driven base starts with the velocity of its base",
-                    "give the velocity in base.motion",
-                ),
-            };
-            return Err(self.source.error_at(name, message, Some(help.to_string())));
-        }
-        Ok(())
-    }
-
     pub(in crate::scene) fn check_time(&self, time: &Time) -> Checked {
         let end = time.end_s.get();
         let is_long_enough = |key: &'static str, seconds: f64| {

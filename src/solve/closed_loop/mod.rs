@@ -86,10 +86,11 @@ impl LoopOrder<'_> {
             .map_err(LoopError::from)
             .and_then(|mut recording| {
                 let run = self.own(&mut recording, tell)?;
-                let others = self.others(&run, tell)?;
-                Ok((recording, run, others))
+                let mut missing = BTreeMap::new();
+                let others = self.others(&run, &mut missing, tell)?;
+                Ok((recording, run, others, missing))
             });
-        let (recording, run, others) = match computed {
+        let (recording, run, others, missing) = match computed {
             Ok(found) => found,
             Err(error) => {
                 directory.remove()?;
@@ -98,6 +99,8 @@ impl LoopOrder<'_> {
         };
         let ended = self.stop.raised();
         let mut summary = self.summarize(&run, &others, recording.limits.peaks.clone(), ended);
+        summary.baselines.extend(missing);
+        summary.efforts = recording.effort_ranges(&self.setup.plant);
         let recording = RefCell::new(recording);
         let written = directory.publish_or_rescue(|result| {
             let summary = MpcSummary {
@@ -141,10 +144,11 @@ impl LoopOrder<'_> {
         }
     }
 
-    /// The baselines, where they are asked for, up to where they are stopped.
+    /// The baselines, where they are asked for, up to where they are stopped; those that do not exist for this arm become `missing`.
     fn others(
         &self,
         run: &Outcome,
+        missing: &mut BTreeMap<&'static str, BaselineSummary>,
         tell: &mut dyn FnMut(LoopEvent),
     ) -> Result<Vec<Outcome>, LoopError> {
         let mut others = Vec::new();
@@ -163,10 +167,13 @@ impl LoopOrder<'_> {
                 Ok(())
             };
             let other = tuned.and_then(|()| own.run(contender, &mut |_, _| self.or_stop()));
-            if matches!(other, Err(MpcError::Stopped(_))) {
-                break;
+            match other {
+                Err(MpcError::Stopped(_)) => break,
+                Err(MpcError::Unsupported(why)) if contender == Contender::TipPd => {
+                    missing.insert(contender.name(), BaselineSummary::missing(why));
+                }
+                other => others.push(other?),
             }
-            others.push(other?);
         }
         Ok(others)
     }
@@ -234,6 +241,7 @@ impl LoopOrder<'_> {
             fallbacks: tally.fallbacks.clone(),
             innovations: tally.innovations,
             bounded: tally.bounded,
+            efforts: Vec::new(),
             limits,
             advice: advice(setup, run, others),
             transfer_error_m: run.transfer_error,

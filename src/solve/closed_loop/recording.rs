@@ -3,24 +3,31 @@
 use std::path::Path;
 
 use crate::control::{Hold, PathLimit, RodView};
-use crate::mechanics::{Configuration, Energy, Rod, State, TimeGrid, Trajectory, Wrench};
+use crate::mechanics::{
+    Configuration, Energy, NodalState, Rod, State, TimeGrid, Trajectory, Wrench,
+};
 use crate::mpc::{ClosedLoop, Sample};
-use crate::output::closed_loop::{LimitPeak, MpcSummary, SampleRow, write_samples};
+use crate::output::closed_loop::{EffortRange, LimitPeak, MpcSummary, SampleRow, write_samples};
 use crate::output::{
-    ControlRow, MotionRecord, OutputError, ResultDirectory, RowFiles, ThinnedMotion, json_value,
-    render_report, write_controls,
+    ControlRow, END_FILE, EffortRow, MotionRecord, OutputError, ResultDirectory, RowFiles,
+    ThinnedMotion, json_value, render_report, write_controls, write_efforts, write_end,
 };
 use crate::scene::ClosedLoopSetup;
+use crate::solve::efforts::efforts_at;
 use crate::solve::page::closed_loop_page;
 
 /// Recording of the arm's motion, a row at the beginning and after every sample, and of the commands that are sent to it.
 pub(super) struct Recording {
     trajectory: RowFiles,
     controls: Vec<ControlRow>,
+    /// Efforts of the actuators in the arm, as they act.
+    efforts: Vec<EffortRow>,
     hold: Hold,
     /// Rows for the picture, with the last one.
     thinned: ThinnedMotion,
     row: MotionRecord,
+    /// The state of that row.
+    end: State,
     pub(super) limits: LimitWatch,
 }
 
@@ -97,13 +104,27 @@ impl Recording {
         let mut recording = Self {
             trajectory: RowFiles::create(folder, &layout.arrays())?,
             controls: Vec::new(),
+            efforts: Vec::new(),
             hold: setup.experiment.discretization.hold,
             thinned: ThinnedMotion::new(layout.n_nodes),
             row: layout,
+            end: setup.initial.clone(),
             limits: LimitWatch::new(setup),
         };
+        recording.note_efforts(
+            &setup.plant,
+            0.0,
+            &setup.initial,
+            &setup.plant.actuators.efforts(0.0),
+        );
         recording.push(&setup.plant, 0.0, &setup.initial, &Wrench::default())?;
         Ok(recording)
+    }
+
+    fn note_efforts(&mut self, rod: &Rod, t: f64, state: &State, efforts: &[f64]) {
+        if !rod.actuators.is_empty() {
+            (self.efforts).extend(efforts_at(rod, t, &state.configuration, efforts, None));
+        }
     }
 
     fn push(
@@ -121,6 +142,7 @@ impl Recording {
         self.trajectory.push(&row.arrays())?;
         self.thinned.push(&row);
         self.row = row;
+        self.end.clone_from(state);
         Ok(())
     }
 
@@ -153,8 +175,46 @@ impl Recording {
                 self.controls.push(row(end, end, &command.to[at]));
             }
         }
+        let driven = closed.controller().driven_actuators();
+        for pair in driven.chunks(2) {
+            let [start, end] = [command.start, command.end];
+            let row = |t_start, t_end, efforts: &[f64]| ControlRow {
+                t_start,
+                t_end,
+                fx: efforts[pair[0]],
+                fy: 0.0,
+                fz: 0.0,
+                mx: pair.get(1).map_or(0.0, |second| efforts[*second]),
+                my: 0.0,
+                mz: 0.0,
+                node: 0,
+            };
+            if self.hold == Hold::Constant {
+                self.controls.push(row(start, end, &command.efforts_from));
+            } else {
+                self.controls.push(row(start, start, &command.efforts_from));
+                self.controls.push(row(end, end, &command.efforts_to));
+            }
+        }
         let state = arm.state();
+        self.note_efforts(arm.rod(), arm.time(), &state, &arm.acting_efforts());
         self.push(arm.rod(), arm.time(), &state, &acting.unwrap_or_default())
+    }
+
+    /// Returns the least and the largest effort that acted in each actuator in the arm.
+    pub(super) fn effort_ranges(&self, rod: &Rod) -> Vec<EffortRange> {
+        (rod.actuators.iter().enumerate())
+            .map(|(index, actuator)| {
+                let rows = self.efforts.iter().skip(index).step_by(rod.actuators.len());
+                let efforts = rows.map(|row| row.effort);
+                EffortRange {
+                    name: actuator.name.clone(),
+                    unit: actuator.density.effort_unit(),
+                    least: efforts.clone().fold(f64::INFINITY, f64::min),
+                    largest: efforts.fold(f64::NEG_INFINITY, f64::max),
+                }
+            })
+            .collect()
     }
 
     /// Writes the files of the result, the summary last.
@@ -167,8 +227,13 @@ impl Recording {
     ) -> Result<(), OutputError> {
         let path = |name: &str| result.path().join(name);
         self.trajectory.write_npz(&path("trajectory.npz"))?;
+        let end = NodalState::of(&setup.plant, &self.end);
+        write_end(&path(END_FILE), &end)?;
         write_samples(&path("samples.csv"), samples)?;
         write_controls(&path("controls.csv"), &self.controls)?;
+        if !self.efforts.is_empty() {
+            write_efforts(&path("efforts.csv"), &self.efforts)?;
+        }
         result.write_text("scene.toml", &setup.resolved.to_toml())?;
         let record = self.thinned.clone().finish(&self.row);
         let rows: Vec<SampleRow> = samples.iter().map(SampleRow::of).collect();

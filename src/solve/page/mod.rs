@@ -6,6 +6,7 @@ mod arm;
 mod arrows;
 #[cfg(feature = "cli")]
 mod closed_loop;
+mod efforts;
 #[cfg(feature = "cli")]
 mod equilibrium;
 mod fields;

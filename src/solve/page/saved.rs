@@ -12,7 +12,7 @@ use crate::output::{
     BaseReaction, MotionRecord, OutputError, ReportData, ReportIteration, ResultKind,
     ThinnedMotion, read_controls, read_sensitivity, read_text,
 };
-use crate::scene::{Scene, SceneError, SceneSource};
+use crate::scene::{LARGEST_SCENE, Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
 
 /// Why a page cannot be made of a result directory.
@@ -35,9 +35,6 @@ pub(crate) struct SavedPage {
     /// The page that the run wrote.
     pub data: ReportData,
 }
-
-/// Bytes of a scene, at most.
-const LARGEST_SCENE: u64 = 1 << 20;
 
 /// The page of a result directory, as the run wrote it.
 ///

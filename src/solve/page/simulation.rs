@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::obstacles::obstacles;
-use super::{FRAMES, ROWS, arm, arrows, drawn_arm, fields, reaction, words};
+use super::{FRAMES, ROWS, arm, arrows, drawn_arm, efforts, fields, reaction, words};
 use crate::mechanics::BaseCondition;
 use crate::output::{
     BaseReaction, MotionRecord, OutputError, ReportCommand, ReportData, ReportEnergy, ReportMotion,
@@ -21,12 +21,16 @@ pub(crate) fn simulation_page(
 ) -> Result<ReportData, OutputError> {
     let (own, rod) = (&setup.arm, &setup.rod);
     let limits = scene.limits();
-    let columns = match base {
+    let mut columns = match base {
         Some(base) if rod.base != BaseCondition::Free => reaction::saved(base),
         _ => reaction::nearest_to_base(rod, record),
     };
+    let efforts = |row: usize| rod.actuators.efforts(record.t[row]);
+    let shown = efforts::shown(rod, record, &scene.effort_controls(), &efforts);
+    columns.extend(shown.columns);
     let context = json!({
         "summary": summary,
+        "efforts": shown.groups,
         "arm": arm::arm(own, rod, [usize::MAX; 2]),
         "limits": arm::names(&limits),
         "way": way(record),
@@ -36,6 +40,7 @@ pub(crate) fn simulation_page(
     let motion = ReportMotion::thinned(record, FRAMES);
     Ok(ReportData {
         arrows: arrows::given(rod, record, |_| arrows::LOAD),
+        routes: shown.routes,
         fields: fields::fields(rod, record),
         obstacles: obstacles(&limits, rod, &own.radii_at_nodes(&rod.mesh), record),
         energy: Some(ReportEnergy::thinned(record, ROWS)),

@@ -3,9 +3,10 @@
 use serde_json::{Value, json};
 
 use super::obstacles::obstacles;
-use super::{FRAMES, ROWS, arm, arrows, drawn_arm, fields, reaction, words};
+use super::{FRAMES, ROWS, arm, arrows, drawn_arm, efforts, fields, reaction, words};
 use crate::control::{Bound, Enforcement, Hold, OptimalControlProblem, Tracking};
 use crate::mechanics::Wrench;
+use crate::mechanics::signal::EffortTable;
 use crate::output::{
     self, Columns, MotionRecord, OutputError, ReportCommand, ReportControls, ReportData,
     ReportEnergy, ReportIteration, ReportMotion, ReportObstacles, ReportPath, ReportSensitivity,
@@ -42,12 +43,22 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, Output
     let (record, summary) = (page.record, page.summary);
     let obstacles = obstacles(&task.limits, &discrete.rod, &discrete.radii, record);
     // Of a solve that was stopped nobody waits for another simulation.
-    let columns = match crate::output::summary::was_checked(summary) {
+    let mut columns = match crate::output::summary::was_checked(summary) {
         true => reaction::optimized(discrete, page.coefficients),
         false => Columns::new(),
     };
+    let control = discrete.signal(&discrete.control, page.coefficients);
+    let table = EffortTable::of(&discrete.rod.actuators, &discrete.grid, Some(&control));
+    let (rod, grid) = (&discrete.rod, &discrete.grid);
+    let shown = efforts::shown(rod, record, &task.efforts, &|row| {
+        // A motion that is thinned has rows at some time nodes.
+        let k = ((record.t[row] - grid.start) / grid.step).round() as usize;
+        table.nodes[k.min(grid.n_steps) * table.n_actuators..][..table.n_actuators].to_vec()
+    });
+    columns.extend(shown.columns);
     let context = json!({
         "summary": summary,
+        "efforts": shown.groups,
         "arm": arm::arm(own, &discrete.rod, [usize::MAX; 2]),
         "actuators": arm::actuators(&task.actuators),
         "limits": arm::names(&task.limits),
@@ -63,6 +74,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, Output
         arrows: (arrows::controls(discrete, page.coefficients, record).into_iter())
             .chain(arrows::given(&discrete.rod, record, |_| arrows::LOAD))
             .collect(),
+        routes: shown.routes,
         fields: fields::fields(&discrete.rod, record),
         obstacles,
         controls: Some(controls(discrete, page.coefficients)),
@@ -95,8 +107,10 @@ fn posed(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Value {
         })
     });
     let stay = problem.stay.as_ref().map(|stay| {
+        // The wrenches of efforts are none.
+        let wrenches = &stay.wrenches[..problem.wrench_actuators().len()];
         let largest = |part: fn(&Wrench) -> f64| {
-            let size = stay.wrenches.iter().map(part).fold(0.0, f64::max);
+            let size = wrenches.iter().map(part).fold(0.0, f64::max);
             (size > 0.0).then_some(size)
         };
         json!({

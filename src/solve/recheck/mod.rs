@@ -6,6 +6,7 @@
 mod controls;
 mod document;
 mod efforts;
+mod end;
 mod feedback;
 mod file_check;
 mod motion;
@@ -23,8 +24,8 @@ use crate::control::{Feedback, OptimalControlProblem, TrackingError, tracking_er
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{CheckRecord, SCHEMA_VERSION, TipEnd, was_checked};
 use crate::output::{
-    ControlRow, MotionRecord, MultiplierRecord, OutputError, read_controls, read_efforts,
-    read_feedback, read_multipliers, read_text,
+    ControlRow, END_FILE, MotionRecord, MultiplierRecord, OutputError, read_controls, read_efforts,
+    read_end, read_feedback, read_multipliers, read_text,
 };
 use crate::scene::OptimalControl;
 use crate::stop::Stop;
@@ -244,6 +245,10 @@ impl<'a> SavedSolution<'a> {
                 &rows,
             ));
         }
+        let path = self.directory.join(END_FILE);
+        if path.exists() {
+            files.push(end::check(problem, &check.replay, &read_end(&path)?));
+        }
         let mut gains = None;
         let path = self.directory.join("feedback.npz");
         if path.exists() {
@@ -259,6 +264,7 @@ impl<'a> SavedSolution<'a> {
                 limits: &self.setup.check_limits(),
                 hessian: self.setup.settings.hessian.name(),
                 tolerance: self.setup.settings.tolerance,
+                coefficients: &self.coefficients,
                 trajectory: &self.trajectory,
                 multipliers: &self.multipliers.goals,
                 feedback: gains.as_ref(),

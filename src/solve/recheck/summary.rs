@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::document::{Allowed, Comparison, Table};
 use super::file_check::{DERIVED, ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::{Feedback, OptimalControlProblem};
-use crate::mechanics::Trajectory;
+use crate::mechanics::{Trajectory, Wrench};
 use crate::output::json_value;
 use crate::output::summary::{ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities, was_checked};
 use crate::solve::summary::{problem_facts, reached, sensitivities};
@@ -37,6 +37,8 @@ pub(super) struct Expected<'a> {
     pub hessian: &'static str,
     /// Tolerance of the solver.
     pub tolerance: f64,
+    /// Coefficients of the control.
+    pub coefficients: &'a [Wrench],
     /// Configurations of the solution.
     pub trajectory: &'a Trajectory,
     /// Multipliers of the goals.
@@ -95,7 +97,7 @@ impl Expected<'_> {
             objective: converged.then_some(self.check.objective),
             reached: reached(
                 self.problem,
-                self.trajectory,
+                (self.coefficients, self.trajectory),
                 checked.then_some(self.check),
                 None,
             ),

@@ -8,8 +8,7 @@ use crate::mechanics::stability::{bent_step, stable_step};
 use crate::mechanics::tangent::{Tangent, own_squared_frequency};
 use crate::mechanics::vibration::{weight_in_words, weight_number};
 use crate::mechanics::{
-    Configuration, Density, EndCondition, Rod, RodModel, RotaryInertia, StrainActuator, StrainRule,
-    TimeScheme,
+    Configuration, Density, EndCondition, Rod, RodModel, RotaryInertia, StrainRule, TimeScheme,
 };
 use crate::output::summary::{OutputSize, RestSummary};
 use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
@@ -100,6 +99,7 @@ const PRESSED: f64 = 0.3;
 
 /// Tensions that together press an element far beyond the range of linear elasticity.
 fn pressed(rod: &Rod) -> Option<String> {
+    let largest = rod.largest_efforts();
     let worst = (0..rod.n_elements())
         .map(|q| {
             let mut seen = vec![false; rod.actuators.len()];
@@ -107,8 +107,7 @@ fn pressed(rod: &Rod) -> Option<String> {
             for point in rod.actuators.on(q) {
                 let is_tendon = point.density == Density::Shortening;
                 if is_tendon && !std::mem::replace(&mut seen[point.actuator], true) {
-                    let own = rod.actuators.iter().nth(point.actuator);
-                    sum += own.map_or(0.0, StrainActuator::largest_effort);
+                    sum += largest[point.actuator];
                 }
             }
             sum / rod.elements[q].linear_stiffness.z
@@ -117,7 +116,7 @@ fn pressed(rod: &Rod) -> Option<String> {
     (worst > PRESSED).then(|| {
         format!(
             "tendon: all tensions at their largest would shorten the arm by {:.0} % of its length, EA taken as constant; lower \
-             tension_n, or mean less than all of them at once",
+             tension_n, or pull in less by displacement_m, or mean less than all of them at once",
             100.0 * worst
         )
     })

@@ -19,10 +19,10 @@ pub(crate) use self::forecast::{expectation, output_size, time_in_words};
 pub(crate) use self::holding::{ABOVE, CANNOT, UNSTABLE, WITHIN};
 use self::holding::{NOT_FOUND, distance, need};
 use super::causes::{MOST_ELEMENTS, stands_by_symmetry};
-use crate::control::{Bound, Channel, Component, OptimalControlProblem, named_axes};
+use crate::control::{Bound, Channel, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::vibration::{SmallMotions, weight_number};
-use crate::mechanics::{Place, Rod, StrainActuator, TipSpring, static_equilibrium};
+use crate::mechanics::{Place, Rod, TipSpring, static_equilibrium};
 use crate::memory::{of_simulation, of_solve};
 use crate::output::quantity::{digits, quantity};
 use crate::output::summary::{
@@ -65,8 +65,7 @@ pub(crate) fn check_scene(
     let mut by_symmetry = None;
     let tracks = (scene.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
     // Controls without anything that is wanted play no part, as in a simulation.
-    let is_wanted =
-        scene.task.is_some() || scene.control.is_some() && (scene.mpc.is_some() || tracks);
+    let is_wanted = scene.task.is_some() || scene.has_controls() && (scene.mpc.is_some() || tracks);
     if scene.control.is_some() && !is_wanted {
         concerns.push(
             "control: without [task] and [[objective.track]] it plays no part; the scene is checked as a simulation"
@@ -79,23 +78,24 @@ pub(crate) fn check_scene(
         let size = problem_size(&setup.problem);
         let time = SolveTime::of_problem(&setup.problem);
         concerns.extend(shorter(&setup, &time));
-        plan = Some(Plan {
-            actuators: actuators(&setup.problem),
-            need: need(&setup.problem, scene.staying(), setup.arm.length),
-            cost: SolveCost {
-                iteration_s: time.iteration,
-                iterations: time.iterations(),
-                check_s: time.check,
-                total_s: time.range(),
-            },
-            distance: distance(&setup.problem),
-            own_units: (setup.problem.acting.iter())
-                .map(|acting| acting.actuator.named_controls().1.to_string())
-                .chain(driven(&setup.problem).map(|(actuator, _)| {
-                    format!("{} ({})", actuator.density.effort_unit(), actuator.name)
-                }))
-                .collect(),
-        });
+        plan =
+            Some(Plan {
+                actuators: actuators(&setup.problem),
+                need: need(&setup.problem, scene.staying(), setup.arm.length),
+                cost: SolveCost {
+                    iteration_s: time.iteration,
+                    iterations: time.iterations(),
+                    check_s: time.check,
+                    total_s: time.range(),
+                },
+                distance: distance(&setup.problem),
+                own_units: (setup.problem.acting.iter())
+                    .map(|acting| acting.actuator.named_controls().1.to_string())
+                    .chain(setup.problem.driven().map(|(actuator, _)| {
+                        format!("{} ({})", actuator.input_unit(), actuator.name)
+                    }))
+                    .collect(),
+            });
         let memory = of_solve(&setup, 1, n_threads);
         (
             setup.problem.rod,
@@ -289,8 +289,8 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             controls: Some(format!("{n} {name}, {bounds}")),
         }
     });
-    let efforts = driven(problem).map(|(actuator, channel)| {
-        let unit = actuator.density.effort_unit();
+    let efforts = problem.driven().map(|(actuator, channel)| {
+        let unit = actuator.input_unit();
         let given = actuator.effort(0.0);
         let range = match channel.bound.and_then(|bound| bound.interval(0)) {
             None => "UNBOUNDED".to_string(),
@@ -319,19 +319,4 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
         .chain(own)
         .chain(efforts)
         .collect()
-}
-
-/// Returns the actuators of the rod whose efforts are controls, with the channels of these.
-fn driven(problem: &OptimalControlProblem) -> impl Iterator<Item = (&StrainActuator, &Channel)> {
-    (problem.efforts.iter()).flat_map(move |efforts| {
-        let places = efforts.actuators.iter().zip(&efforts.places);
-        places.filter_map(move |(&actuator, &place)| {
-            let component = Component {
-                actuator: efforts.first + place / 6,
-                axis: place % 6,
-            };
-            let actuator = problem.rod.actuators.iter().nth(actuator)?;
-            Some((actuator, problem.channel(&component)))
-        })
-    })
 }

@@ -155,12 +155,12 @@ impl SimulationRun {
             }
         };
         let wall = started.elapsed().as_secs_f64();
-        let summary = SimulateSummary {
+        let mut summary = SimulateSummary {
             accuracy,
             ..run.summarize(name, &end, first_step, wall, &target)
         };
         let directory = directory
-            .publish(|result| run.write(result, scene, &end, &summary))
+            .publish(|result| run.write(result, scene, &end, &mut summary))
             .map_err(kept)?;
         Ok(Simulated {
             setup,

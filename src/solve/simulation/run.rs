@@ -10,17 +10,18 @@ use super::tally::Tally;
 use super::{End, SimulationError};
 use crate::mechanics::rotation::{quaternion, wxyz};
 use crate::mechanics::{
-    Diagnostics, Energy, NodeWrenches, PowerBalance, Rod, State, StepError, Stepper, Wrench,
+    Diagnostics, Energy, NodalState, NodeWrenches, PowerBalance, Rod, State, StepError, Stepper,
+    Wrench,
 };
 use crate::output::summary::{EnergySummary, SCHEMA_VERSION, SimulateSummary, TOOL, TipPose};
 use crate::output::{
-    ArrayView, BaseReaction, Checkpoint, DiagnosticsRecord, Extremes, MotionRecord, OutputError,
-    ResultDirectory, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, json_value, render_report,
-    write_efforts,
+    ArrayView, BaseReaction, Checkpoint, DiagnosticsRecord, END_FILE, Extremes, MotionRecord,
+    OutputError, ResultDirectory, RowFiles, RowPrefix, RunDirectory, ThinnedMotion, json_value,
+    render_report, write_efforts, write_end,
 };
 use crate::scene::{Scene, Simulation};
 use crate::solve::causes::causes;
-use crate::solve::efforts::effort_rows;
+use crate::solve::efforts::{effort_rows, slack};
 use crate::solve::page::simulation_page;
 use crate::stop::StopSignal;
 
@@ -307,13 +308,13 @@ impl<'a> Run<'a> {
         self.checkpoint().write(&self.folder)
     }
 
-    /// Writes the files of the result.
+    /// Writes the files of the result, and adds to the summary what follows from the recorded rows.
     pub(super) fn write(
         mut self,
         result: &ResultDirectory,
         scene: &Scene,
         end: &End,
-        summary: &SimulateSummary,
+        summary: &mut SimulateSummary,
     ) -> Result<(), OutputError> {
         self.trajectory
             .write_npz(&result.path().join("trajectory.npz"))?;
@@ -323,11 +324,15 @@ impl<'a> Run<'a> {
         let rod = &self.setup.rod;
         if !rod.actuators.is_empty() {
             let record = MotionRecord::read_npz(&result.path().join("trajectory.npz"))?;
-            let rows = effort_rows(rod, &record, |row| rod.actuators.efforts(record.t[row]));
+            let given = |row: usize| (rod.actuators.efforts(record.t[row]), None);
+            let rows = effort_rows(rod, &record, given);
             write_efforts(&result.path().join("efforts.csv"), &rows)?;
+            summary.slack = slack(rod, &rows);
         }
         if !matches!(end, End::Failed(_)) {
             self.checkpoint().write(result.path())?;
+            let end = NodalState::of(rod, &self.integrator.state());
+            write_end(&result.path().join(END_FILE), &end)?;
         }
         result.write_text("scene.toml", &self.setup.resolved.to_toml())?;
         result.write_json("summary.json", summary)?;
@@ -406,6 +411,7 @@ impl<'a> Run<'a> {
             dilatation: extremes.dilatation,
             length_m: extremes.length,
             clearance: self.tally.clearance.summary(),
+            slack: Vec::new(),
             accuracy: None,
             directory: target.display().to_string(),
         }

@@ -11,7 +11,8 @@ use clarabel::solver::{
 use faer::Mat;
 
 use super::super::kept_states::StateRow;
-use super::super::kkt::{Multipliers, infinity_norm};
+use super::super::norms::infinity_norm;
+use super::super::program::Multipliers;
 use super::super::program::{ConvexSet, Softness, along};
 use super::super::settings::NEGLIGIBLE;
 use super::{FIRST_ELASTIC_WEIGHT, QpError, QpSolution, QuadraticProgram};

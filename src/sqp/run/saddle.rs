@@ -2,7 +2,7 @@
 
 use super::super::balls::change_into_balls;
 use super::super::hessian::{ModelHessian, NegativeCurvature};
-use super::super::kkt::norm;
+use super::super::norms::norm;
 use super::super::program::LiftedProgram;
 use super::super::quadratic_program::QpSolution;
 use super::{Run, is_within};

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use super::super::balls::change_into_balls;
 use super::super::hessian::{HessianKind, ModelHessian};
-use super::super::kkt::difference;
+use super::super::norms::difference;
 use super::super::program::{
     ConvexSet, LiftedProgram, Linearization, LinearizationRequest, Softness,
 };

@@ -1,7 +1,8 @@
 //! The warm start of a solve from the end of another one.
 
-use super::super::kkt::{Multipliers, norm};
+use super::super::norms::norm;
 use super::super::program::LiftedProgram;
+use super::super::program::Multipliers;
 use super::Run;
 
 /// The data of a solve from which another one goes on: a changed program is solved in a few iterations if its solution is near.

@@ -14,6 +14,7 @@ use super::{
 use crate::output::{
     ComparisonRow, ComparisonTable, OutputError, PAGE_STYLE, read_text, scene_differences,
 };
+use crate::scene::LARGEST_SCENE;
 use crate::tradeoff::{Point, Setting, Tradeoff};
 
 /// A trade-off read from a result directory.
@@ -30,9 +31,6 @@ pub struct SavedTradeoff {
     #[serde(skip)]
     pub text: String,
 }
-
-/// Cap on the bytes of a scene.
-const LARGEST_SCENE: u64 = 1 << 20;
 
 impl SavedTradeoff {
     /// Reads the trade-off of a result directory with the given summary.

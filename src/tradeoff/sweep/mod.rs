@@ -54,7 +54,7 @@ impl Subject {
             (scene.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
         if scene.mpc.is_some() {
             Self::ClosedLoop
-        } else if scene.control.is_some() && (scene.task.is_some() || tracks) {
+        } else if scene.has_controls() && (scene.task.is_some() || tracks) {
             Self::OptimalControl
         } else {
             Self::Motion
@@ -490,7 +490,7 @@ impl Sweep<'_> {
             TimeStep::Auto => None,
         };
         let controlled = subject == Subject::OptimalControl;
-        let control = scene.control.as_ref().filter(|_| controlled);
+        let own = scene.discretization();
         let solver = scene.solver.clone().unwrap_or_default();
         Ok(Setting {
             strain: resolved.rod.strain,
@@ -499,8 +499,8 @@ impl Sweep<'_> {
             step_over_automatic: 1.0,
             rotary_inertia: resolved.rod.rotary_inertia,
             model: resolved.rod.model,
-            blocks: control.map(|control| control.blocks),
-            hold: control.map(|control| control.hold),
+            blocks: controlled.then_some(own.blocks),
+            hold: controlled.then_some(own.hold),
             tolerance: controlled.then(|| solver.tolerance.get()),
             hessian: controlled.then_some(solver.hessian),
             model_step_s: loops.as_ref().and(own_step),

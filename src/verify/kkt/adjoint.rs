@@ -276,13 +276,31 @@ impl Conditions<'_> {
             let view = self.view(k);
             acting::add_slopes(&*own.actuator, &view, &u, weight, [lx, lr], [cx, ceta]);
         }
-        let own = if rod.scheme == TimeScheme::Explicit {
-            efforts::at_node(rod, &self.problem.grid.node(k), &self.control.at(k))
+        let inputs = if rod.scheme == TimeScheme::Explicit {
+            efforts::inputs(rod, &self.problem.grid.node(k), &self.control.at(k))
         } else {
             Vec::new()
         };
+        let efforts_in = |x: &[Vector3<f64>], r: &[Matrix3<f64>]| {
+            if !rod.actuators.has_winches() || inputs.is_empty() {
+                return inputs.clone();
+            }
+            efforts::of_inputs(rod, inputs.clone(), &efforts::coordinates(rod, x, r))
+        };
         if !rod.model.has_potential() {
+            let own = efforts_in(x, r);
             self.add_stress_covectors(k, weight, [lx, lr], &own, [cx, ceta]);
+            let strains = interval::strains(rod, x, r);
+            let springs = efforts::Springs::of(rod, &inputs, |q| strains[q].0);
+            let pulled = springs.pulled(&strains);
+            for ((_, stiffness), pull) in springs.taut.iter().zip(&pulled) {
+                let pull = pull.each_ref().map(Vec::as_slice);
+                let size = -weight * stiffness * efforts::paired(pull, [lx, lr]);
+                for q in 0..rod.n_nodes() {
+                    cx[q] += pull[0][q] * size;
+                    ceta[q] += pull[1][q] * size;
+                }
+            }
             return;
         }
         let step = 5e-4 / largest;
@@ -298,6 +316,7 @@ impl Conditions<'_> {
                 .map(|(r, v)| r * exp(&(v * (sign * step))))
                 .collect();
             let mut gradient = energy_gradient(rod, &positions, &rotations);
+            let own = efforts_in(&positions, &rotations);
             for q in 0..if own.is_empty() { 0 } else { rod.n_elements() } {
                 let covector = efforts::gradient_of(rod, q, &positions, &rotations, &own);
                 let Gradient { x, eta } = &mut gradient;
@@ -353,14 +372,17 @@ impl Conditions<'_> {
         covectors: [&[Vector3<f64>]; 2],
         out: &mut [Wrench],
     ) {
-        if self.rod().scheme == TimeScheme::Explicit {
+        if self.rod().scheme == TimeScheme::Explicit && self.control.efforts.is_some() {
             let (x, r) = (
                 self.trajectory.positions_at(k),
                 self.trajectory.rotations_at(k),
             );
             let strains = interval::strains(self.rod(), x, r);
             let here: Vec<Nine> = strains.iter().map(|(strain, _)| *strain).collect();
-            self.add_effort_slopes(&strains, &here, &[(k, 1.0)], weight, covectors, out);
+            let inputs =
+                efforts::inputs(self.rod(), &self.problem.grid.node(k), &self.control.at(k));
+            let at = (&here[..], &inputs[..]);
+            self.add_effort_slopes(&strains, at, &[(k, 1.0)], weight, covectors, out);
         }
     }
 
@@ -380,16 +402,18 @@ impl Conditions<'_> {
                 .map(|((from, _), (to, _))| (from + to) * 0.5)
                 .collect();
             let shares = [(start, 0.5), (start + 1, 0.5)];
-            self.add_effort_slopes(&ends[k - start], &means, &shares, weight, covectors, out);
+            let inputs = self.interval_inputs(start);
+            let at = (&means[..], &inputs[..]);
+            self.add_effort_slopes(&ends[k - start], at, &shares, weight, covectors, out);
         }
     }
 
-    /// Adds `weight` times the work of the multipliers in the pull of a unit of every effort, for the stress at the strains `at` and the
-    /// derivative of strains at a time node, to the wrenches of the time nodes in `shares`.
+    /// Adds `weight` times the work of the multipliers in the pull of a unit of every input, for the stress at the strains `at` under the
+    /// inputs of all actuators and the derivative of strains at a time node, to the wrenches of the time nodes in `shares`.
     fn add_effort_slopes(
         &self,
         strained: &[Strained],
-        at: &[Nine],
+        (at, inputs): (&[Nine], &[f64]),
         shares: &[(usize, f64)],
         weight: f64,
         [lx, lr]: [&[Vector3<f64>]; 2],
@@ -400,6 +424,7 @@ impl Conditions<'_> {
         };
         let rod = self.rod();
         let width = self.control.width();
+        let slopes = efforts::slopes_in(rod, inputs, |q| at[q]);
         for (&actuator, &place) in driven.actuators.iter().zip(&driven.places) {
             let mut unit = vec![0.0; rod.actuators.len()];
             unit[actuator] = 1.0;
@@ -412,6 +437,7 @@ impl Conditions<'_> {
                 let along = b * interval::nine(&(lx[q + 1] - lx[q]), &lr[q], &lr[q + 1]);
                 slope -= efforts::stress(rod, q, &at[q], &unit).dot(&along);
             }
+            slope *= slopes[actuator];
             for (k, share) in shares {
                 let carrier = &mut out[k * width + driven.first + place / 6];
                 let vector = [&mut carrier.force, &mut carrier.moment];

@@ -6,6 +6,7 @@ use super::rows::{Place, Worst, largest_axis, per};
 use crate::control::{Bound, OptimalControlProblem};
 use crate::mechanics::Wrench;
 use crate::verify::hold::Spline;
+use crate::verify::solution::SolutionMultipliers;
 
 /// Force and moment of one coefficient of one actuator, scaled.
 pub(in crate::verify) type Pair = [Vector3<f64>; 2];
@@ -80,12 +81,11 @@ pub(in crate::verify) fn control_cost(
     (cost, gradient)
 }
 
-/// An active bound on the scaled vector of a channel of a coefficient of an actuator, or on its change. `normals` are the unit normals of
+/// An active bound on the scaled vector of a channel of a coefficient of an actuator, on its change, or on its command. `normals` are the unit normals of
 /// the bound, and `curvature` is the second derivative of `multiplier × bound` with respect to the vector.
 pub(in crate::verify) struct ActiveBound {
-    /// Index of the coefficient; for a rate that of the later one, from which the earlier one is subtracted.
-    pub(in crate::verify) at: usize,
-    pub(in crate::verify) earlier: Option<usize>,
+    /// Indices of the coefficients whose weighted sum is bounded, with their weights.
+    pub(in crate::verify) ends: Vec<(usize, f64)>,
     pub(in crate::verify) channel: usize,
     pub(in crate::verify) normals: Vec<Vector3<f64>>,
     pub(in crate::verify) curvature: Matrix3<f64>,
@@ -115,7 +115,7 @@ impl ControlConditions {
         problem: &OptimalControlProblem,
         coefficients: &[Wrench],
         pulled: &[Wrench],
-        rates: &[[f64; 6]],
+        multipliers: &SolutionMultipliers,
     ) -> Self {
         let mut out = Self::default();
         let n = problem.actuators.len();
@@ -130,6 +130,7 @@ impl ControlConditions {
             }
         }
         let spline = Spline::of(problem);
+        let rates = multipliers.rates;
         let (times, gaps) = (spline.times(), spline.gaps());
         for a in 0..n {
             for (c, (scale, name, unit)) in channels(problem, a).into_iter().enumerate() {
@@ -171,10 +172,45 @@ impl ControlConditions {
                         )
                     });
                     out.active.push(ActiveBound {
-                        at: (j + 1) * n + a,
-                        earlier: Some(j * n + a),
+                        ends: vec![((j + 1) * n + a, 1.0), (j * n + a, -1.0)],
                         channel: c,
                         ..normals_of(&bound, &change, &normal)
+                    });
+                }
+                let commands = if channel.lag > 0.0 {
+                    spline.command_rows(channel.lag)
+                } else {
+                    Vec::new()
+                };
+                for (row, weights) in commands.iter().enumerate() {
+                    let Some(bound) = channel.bound else {
+                        continue;
+                    };
+                    let normal = (multipliers.commands.get(row * n + a))
+                        .map_or_else(Vector3::zeros, |z| {
+                            Vector3::from_column_slice(&z[3 * c..3 * c + 3])
+                        });
+                    let mut command = Vector3::zeros();
+                    for &(j, weight) in weights {
+                        gradient[j * n + a][c] += normal * weight;
+                        command += at(j) * weight;
+                    }
+                    out.largest = out.largest.max(normal.amax());
+                    let time = times[weights[0].0];
+                    let slack =
+                        rate_slack(&channel.bound, 1.0 / scale, &(command / scale), &normal);
+                    (out.complementarity)
+                        .note(slack, || place(time, " command", "", slack, String::new()));
+                    let violation = bound.violation(&command);
+                    out.violation = super::worse(out.violation, violation);
+                    out.bounds.note(violation / scale, || {
+                        let axis = largest_axis(&command);
+                        place(time, " command", axis, violation, unit.into())
+                    });
+                    out.active.push(ActiveBound {
+                        ends: weights.iter().map(|&(j, w)| (j * n + a, w)).collect(),
+                        channel: c,
+                        ..normals_of(&bound, &(command / scale), &normal)
                     });
                 }
                 for (j, time) in times.iter().enumerate() {
@@ -199,7 +235,8 @@ impl ControlConditions {
                         });
                         continue;
                     }
-                    let (rest, gap, normal) = normal_cone(&channel.bound, &g, &u, scale);
+                    let own_bound = channel.coefficient_bound();
+                    let (rest, gap, normal) = normal_cone(&own_bound, &g, &u, scale);
                     out.stationarity.note(rest.amax(), || {
                         let value = rest.amax() / scale;
                         place(*time, "", largest_axis(&rest), value, per(unit))
@@ -210,12 +247,11 @@ impl ControlConditions {
                     out.bounds.note(violation / scale, || {
                         place(*time, "", largest_axis(&u), violation, unit.into())
                     });
-                    let Some(bound) = channel.bound else {
+                    let Some(bound) = own_bound else {
                         continue;
                     };
                     out.active.push(ActiveBound {
-                        at: j * n + a,
-                        earlier: None,
+                        ends: vec![(j * n + a, 1.0)],
                         channel: c,
                         ..normals_of(&bound, &(u / scale), &normal)
                     });
@@ -248,8 +284,7 @@ impl ControlConditions {
 /// Returns the multipliers of a bound at the scaled vector `u`, as vectors along its normals, and `|normal| ∂²|u|`.
 fn normals_of(bound: &Bound, u: &Vector3<f64>, normal: &Vector3<f64>) -> ActiveBound {
     let mut out = ActiveBound {
-        at: 0,
-        earlier: None,
+        ends: Vec::new(),
         channel: 0,
         normals: Vec::new(),
         curvature: Matrix3::zeros(),
@@ -272,8 +307,9 @@ fn normals_of(bound: &Bound, u: &Vector3<f64>, normal: &Vector3<f64>) -> ActiveB
     out
 }
 
-/// Returns the complementarity of a bound on the rate from one coefficient to the next: `|z| limit = z·change` exactly if the change is at
-/// the limit and the normal points outward. `gap` is the time between the coefficients divided by the channel's scale.
+/// Returns the complementarity of a bound on the rate from one coefficient to the next, or on a command: `|z| limit = z·change` exactly if
+/// the change, or the command, is at the limit and the normal points outward. `gap` is the time between the coefficients, or 1, divided by
+/// the channel's scale.
 fn rate_slack(
     bound: &Option<Bound>,
     gap: f64,

@@ -25,6 +25,11 @@ use crate::control::{Channel, OptimalControlProblem};
 use crate::mechanics::{Trajectory, Wrench};
 use crate::sqp::KktResidual;
 
+/// Size, in units of the largest curvature of effort and rate, below which the terms of the gradient count as vanished. With the default
+/// tolerance of 1e-6, controls that are off by 1e-12 of their unit then still pass, and rounding of vanishing terms does not fail the test.
+/// The solver's [`KktResidual`] has the same number.
+const NO_TERM: f64 = 1e-6;
+
 /// The recomputed conditions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecomputedKkt {
@@ -92,7 +97,7 @@ pub fn recompute(
     let (functional, state_cost) = conditions.functional(multipliers);
     let pulled = conditions.control_gradient(&functional, multipliers.goals);
 
-    let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers.rates);
+    let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers);
     // As in the solver, a problem whose terms all vanish is judged against one unit of effort.
     let spline = Spline::of(problem);
     let channels =
@@ -100,7 +105,7 @@ pub fn recompute(
     let part = (channels.filter(Channel::acts))
         .map(|channel| channel.unit() / channel.scale)
         .fold(1.0, f64::min);
-    let unit = 1e-6
+    let unit = NO_TERM
         * (part * part)
         * (spline.largest_curvature(problem.objective.effort, 0.0)
             + spline.largest_curvature(0.0, problem.objective.rate));

@@ -307,15 +307,25 @@ impl Conditions<'_> {
         let node = self.problem.grid.node(k);
         let (view, control) = (self.view(k), self.control.at(k));
         let mut out = applied(&node, &view, control, gradient);
-        let own = efforts::at_node(self.rod(), &node, &control);
+        let own = efforts::at_node(self.rod(), &node, &control, view.positions, view.rotations);
         efforts::add_at_node(self.rod(), view.positions, view.rotations, &own, &mut out);
         out
     }
 
     /// Returns the efforts of the interval from time node `k` on.
     pub(in crate::verify) fn interval_efforts(&self, k: usize) -> Vec<f64> {
-        let ends = [self.control.at(k), self.control.at(k + 1)];
-        efforts::of_interval(self.rod(), self.problem.grid, k, ends)
+        let inputs = self.interval_inputs(k);
+        if !self.rod().actuators.has_winches() {
+            return inputs;
+        }
+        efforts::of_interval(self.rod(), inputs, &self.strains(k), &self.strains(k + 1))
+    }
+
+    /// Returns the mean inputs of the actuators over the interval from time node `k` on.
+    pub(in crate::verify) fn interval_inputs(&self, k: usize) -> Vec<f64> {
+        let ends = self.problem.grid.clock().ends_of_step(k);
+        let control = [self.control.at(k), self.control.at(k + 1)];
+        efforts::mean_inputs(self.rod(), ends, control)
     }
 
     /// Returns the sum of the scaled distances of node 0 from its prescribed pose; each is shown to `worst`.

@@ -10,7 +10,7 @@ use nalgebra::{Matrix6, SMatrix, Vector3};
 use super::motion::Conditions;
 use super::spin::Spin;
 use crate::mechanics::{Rod, TimeScheme};
-use crate::verify::efforts;
+use crate::verify::efforts::{self, Springs};
 use crate::verify::interval::{self, Nine, Strained, nine};
 
 /// The stresses of the interval that ends at time node `k`, for the adjoint equations: the covectors of the configurations at both ends of
@@ -24,6 +24,8 @@ pub(super) struct StressLink<'a> {
     stresses: Vec<Nine>,
     /// Efforts of the interval where its stress has a part of actuators; otherwise empty.
     efforts: Vec<f64>,
+    /// Their changes with the strains.
+    springs: Springs,
 }
 
 impl<'a> StressLink<'a> {
@@ -37,10 +39,17 @@ impl<'a> StressLink<'a> {
         };
         let mut stresses = interval::stresses(rod, weights, &start, &end);
         efforts::add_to_stresses(rod, &start, &end, &own, &mut stresses);
+        let inputs = if own.is_empty() {
+            Vec::new()
+        } else {
+            conditions.interval_inputs(k - 1)
+        };
+        let springs = Springs::of(rod, &inputs, |q| (start[q].0 + end[q].0) * 0.5);
         Self {
             conditions,
             weights,
             k,
+            springs,
             stresses,
             start,
             end,
@@ -80,6 +89,28 @@ impl<'a> StressLink<'a> {
             let stretched = b.tr_mul(&self.stressed(q, weight, &(b * w)));
             interval::add_to_nodes(q, factor, &(bent + stretched), x, eta);
         }
+        self.add_springs([strained, strained], [lx, lr], factor, [x, eta]);
+    }
+
+    /// Adds the covectors of `λ·Bᵀσ` from the efforts that change with the mean strain: the derivatives `B` of the strains for the
+    /// multipliers are the first of `strained`, those for the covectors the second.
+    fn add_springs(
+        &self,
+        strained: [&[Strained]; 2],
+        multipliers: [&[Vector3<f64>]; 2],
+        factor: f64,
+        [x, eta]: [&mut [Vector3<f64>]; 2],
+    ) {
+        let [left, right] = strained.map(|at| self.springs.pulled(at));
+        for ((_, stiffness), (left, right)) in self.springs.taut.iter().zip(left.iter().zip(&right))
+        {
+            let along = efforts::paired(left.each_ref().map(Vec::as_slice), multipliers);
+            let size = 0.5 * stiffness * factor * along;
+            for (q, (a, b)) in right[0].iter().zip(&right[1]).enumerate() {
+                x[q] += a * size;
+                eta[q] += b * size;
+            }
+        }
     }
 
     /// Adds the covector of `λ_k·B_kᵀσ` along the configuration at `k`.
@@ -109,6 +140,7 @@ impl<'a> StressLink<'a> {
             );
             interval::add_to_nodes(q, factor, &self.start[q].1.tr_mul(&stress), x, eta);
         }
+        self.add_springs([&self.end, &self.start], [lx, lr], factor, [x, eta]);
     }
 
     /// Adds the covector of `λ_{k-1}·B_{k-1}ᵀσ` along the configuration at `k - 1`.
@@ -175,6 +207,22 @@ impl<'a> StressLink<'a> {
                         let value = sign * other * link[(i + a, j + b)];
                         add(row + a - 6 * first, column + b - 6 * first, value);
                     }
+                }
+            }
+        }
+        let [pulled, pulls] = [&self.start, &self.end].map(|at| self.springs.pulled(at));
+        for ((_, stiffness), (start, end)) in
+            self.springs.taut.iter().zip(pulled.iter().zip(&pulls))
+        {
+            let entries = |[x, eta]: &[Vec<Vector3<f64>>; 2]| -> Vec<f64> {
+                let nodes = x.iter().zip(eta).skip(first);
+                let both = nodes.flat_map(|(x, eta)| [*x, *eta]);
+                both.flat_map(|v| [v.x, v.y, v.z]).collect()
+            };
+            let (rows, columns) = (entries(end), entries(start));
+            for (row, a) in rows.iter().enumerate() {
+                for (column, b) in columns.iter().enumerate() {
+                    add(row, column, -factor * 0.5 * stiffness * a * b);
                 }
             }
         }

@@ -20,6 +20,7 @@ mod chain;
 mod coupling;
 mod instant;
 mod step;
+mod winches;
 
 use std::marker::PhantomData;
 
@@ -33,12 +34,14 @@ use self::step::{
     EQUATION_ROWS, ORDERS, Outcome, PUSHED, RATE_ROWS, RESIDUAL, SPUN, SolvedStep, TRIAL_ROWS,
     TURNED,
 };
+use self::winches::{WinchFactors, Winches};
 use super::constants::Constants;
 use super::place::Slots;
 use super::sweep::POSITION;
 use super::{LaneIntegrator, NORMALIZE_EVERY, dispatch};
 use crate::mechanics::base_motion::BaseState;
 use crate::mechanics::buffer::Buffer;
+use crate::mechanics::configuration::Configuration;
 use crate::mechanics::element::{Helical, StrainRule, Trapezoidal};
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::implicit::IntervalWeights;
@@ -71,6 +74,7 @@ pub struct Solver {
     /// Blocks of the matrix that is factored.
     equations: Buffer,
     chain: Chain,
+    winches: WinchFactors,
     /// Tells whether the next step computes new factors.
     stale: bool,
     pace: Pace,
@@ -160,6 +164,7 @@ impl Solver {
             order: 0,
             equations: buffer(EQUATION_ROWS),
             chain: Chain::new(rod.n_nodes() - first),
+            winches: WinchFactors::default(),
             stale: true,
             pace: Pace::default(),
             rounding: Rounding::of(rod, weights, time_step),
@@ -263,6 +268,17 @@ impl LaneIntegrator<'_> {
         self.add_control(control[0]);
         self.share_jumps();
         self.prepare_efforts(control);
+        let implicit = self.rod.scheme == TimeScheme::Implicit;
+        let inputs = (self.active.as_ref().filter(|_| implicit))
+            .and_then(|active| Some(active.winch_inputs()?.to_vec()));
+        let winches = inputs.as_ref().map(|inputs| {
+            let (positions, rotations) = self.poses();
+            let start = Configuration {
+                positions,
+                rotations,
+            };
+            Winches::new(self.rod, inputs, start)
+        });
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }
@@ -282,6 +298,7 @@ impl LaneIntegrator<'_> {
                 elements,
                 kinds,
                 active: self.active.as_deref(),
+                winches,
                 solver: &mut solver,
                 held,
                 ends: &self.ends,

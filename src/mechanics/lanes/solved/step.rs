@@ -7,10 +7,12 @@ use pulp::{Simd, WithSimd};
 
 use super::Solver;
 use super::chain::{Blocks, SIZE, Square, ZERO};
-use super::coupling::SolvedRule;
+use super::coupling::{ActiveCoupling, SolvedRule};
 use super::instant::{
     INSTANT_ROWS, STRAINED, elastic_stress, framed, instant, interval_stress, next_lane, pose,
 };
+use super::winches::Winches;
+use crate::mechanics::configuration::Configuration;
 use crate::mechanics::ends::Joint;
 use crate::mechanics::lanes::active::{ActiveBlocks, ActiveLanes};
 use crate::mechanics::lanes::base::HeldEnd;
@@ -24,6 +26,8 @@ use crate::mechanics::lanes::sweep::{
 use crate::mechanics::lanes::vector::{
     Frame, Lanes, Mat3, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows,
 };
+use crate::mechanics::part::apart;
+use crate::mechanics::rotation::from_quaternion;
 use crate::mechanics::rotation_step::{momentum, momentum_slope, spin_inertia};
 use crate::mechanics::time::TimeScheme;
 
@@ -96,6 +100,8 @@ pub struct SolvedStep<'a, R> {
     pub kinds: &'a [[usize; 2]],
     /// Actuators on the strains, if there are any.
     pub active: Option<&'a ActiveLanes>,
+    /// Winches of an implicit step.
+    pub winches: Option<Winches<'a>>,
     pub solver: &'a mut Solver,
     /// Pose of a base that is held, at the end of the step.
     pub held: Option<[f64; 7]>,
@@ -121,7 +127,8 @@ impl<R: SolvedRule> WithSimd for SolvedStep<'_, R> {
             nodes: blocks::<S, NODE_ROWS>(self.nodes),
             elements: rows::<S>(self.elements),
             kinds: self.kinds,
-            active: self.active.map(ActiveLanes::blocks),
+            active: self.active,
+            winches: self.winches,
             solver: self.solver,
             held: self.held,
             ends: self.ends,
@@ -141,7 +148,8 @@ struct Work<'a, S: Simd, R> {
     nodes: &'a [[Row<S>; NODE_ROWS]],
     elements: &'a [Row<S>],
     kinds: &'a [[usize; 2]],
-    active: Option<ActiveBlocks<'a, S>>,
+    active: Option<&'a ActiveLanes>,
+    winches: Option<Winches<'a>>,
     solver: &'a mut Solver,
     held: Option<[f64; 7]>,
     ends: &'a [HeldEnd],
@@ -153,6 +161,34 @@ struct Work<'a, S: Simd, R> {
     decay: Lanes<S>,
     normalize: bool,
     rule: PhantomData<R>,
+}
+
+/// Returns the actuators under their efforts.
+#[inline(always)]
+fn active_blocks<'a, S: Simd>(
+    active: Option<&'a ActiveLanes>,
+    winches: &'a Option<Winches>,
+) -> Option<ActiveBlocks<'a, S>> {
+    active.map(|active| match winches {
+        None => active.blocks(),
+        Some(winches) => active.under(&winches.efforts),
+    })
+}
+
+/// Returns the poses of all nodes in the first seven rows of a buffer of trials.
+fn trial_poses(slots: Slots, trial: &[f64], n_nodes: usize) -> Configuration {
+    let (positions, rotations) = (0..n_nodes)
+        .map(|node| {
+            let at = slots.index(slots.place(node), TRIAL_ROWS, 0);
+            let [x, y, z, rotation @ ..] =
+                std::array::from_fn::<f64, 7, _>(|i| trial[at + i * slots.n_lanes]);
+            (Vector3::new(x, y, z), from_quaternion(rotation))
+        })
+        .unzip();
+    Configuration {
+        positions,
+        rotations,
+    }
 }
 
 /// Largest squares over the nodes that move.
@@ -227,12 +263,11 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             if corrections == CORRECTION_LIMIT {
                 return given_up;
             }
-            if is_newton {
-                self.factor();
-            } else if self.solver.stale && !fresh || worst > SLOW * last {
-                if fresh && slow || !begins_anew {
-                    return given_up;
-                }
+            let is_needed = !is_newton && (self.solver.stale && !fresh || worst > SLOW * last);
+            if is_needed && (fresh && slow || !begins_anew) {
+                return given_up;
+            }
+            if is_newton || is_needed {
                 self.factor();
                 fresh = true;
             }
@@ -321,6 +356,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
     fn attempt(&mut self) -> Trial {
         let simd = self.simd;
         let Solver {
+            slots,
             rates,
             trial,
             instants: [start, end],
@@ -383,6 +419,11 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             let frame = pose(simd, &trial[place.block], 0).frame;
             frame.store(&mut end[place.block], 0);
         }
+        if let Some(winches) = &mut self.winches {
+            let end = trial_poses(*slots, trial, winches.rod.n_nodes());
+            winches.find(&end);
+        }
+        let active = active_blocks::<S>(self.active, &self.winches);
         let trial = blocks_mut::<S, TRIAL_ROWS>(trial);
         let n_blocks = trial.len();
         let [mut linear, mut angular] = [zero; 2];
@@ -403,13 +444,13 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             let strained = R::strained(&a, &b, &chord);
             R::store(&strained, &mut end[i][STRAINED..]);
             folded = folded.max(fold(constants, strained.w));
-            if self.active.is_some() {
+            if active.is_some() {
                 folded = folded.max(pressed(constants, &strained));
             }
             let before = R::load(simd, &start[i][STRAINED..]);
             let mut stress =
                 interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
-            if let (Some(active), TimeScheme::Implicit) = (&self.active, *scheme) {
+            if let (Some(active), TimeScheme::Implicit) = (&active, *scheme) {
                 let mean = before.mean(&strained);
                 R::add_active(active, i, &mean, &mut stress);
             }
@@ -481,8 +522,10 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             scheme,
             equations,
             chain,
+            winches: winch_factors,
             ..
         } = &mut *self.solver;
+        let active = active_blocks::<S>(self.active, &self.winches);
         {
             let trial = blocks::<S, TRIAL_ROWS>(trial);
             let start = blocks::<S, INSTANT_ROWS>(start);
@@ -496,18 +539,20 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
                     instant::<S, R>(simd, end, i),
                 );
                 let mut coupling = R::coupling(constants, &before, &after);
-                if let (Some(active), TimeScheme::Implicit) = (&self.active, *scheme) {
+                if let (Some(active), TimeScheme::Implicit) = (&active, *scheme) {
                     // The mean strain changes with half of that at the end.
                     let share = Lanes::splat(simd, 0.5 / weights.end);
                     let mean = before.strained.mean(&after.strained);
-                    R::add_active_coupling(
-                        active,
-                        i,
-                        &mean,
+                    let part = ActiveCoupling::<S, R> {
+                        active: *active,
+                        block: i,
+                        strain: mean,
                         share,
-                        [&before, &after],
-                        &mut coupling,
-                    );
+                        instants: [before, after],
+                        coupling,
+                        rule: PhantomData,
+                    };
+                    coupling = apart(simd, part);
                 }
                 let factor = self.weight * weights.end;
                 for (p, blocks) in coupling.iter().enumerate() {
@@ -532,6 +577,10 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             rates,
             ends: self.ends,
         });
+        if let Some(winches) = &self.winches {
+            let end = trial_poses(*slots, trial, winches.rod.n_nodes());
+            winches.factor(chain, *first, &end, winch_factors);
+        }
         self.solver.work.factorizations += 1;
     }
 
@@ -546,6 +595,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             trial,
             instants: [start, _],
             chain,
+            winches: winch_factors,
             ..
         } = &mut *self.solver;
         let (n_blocks, n_lanes) = (slots.n_blocks, S::F64_LANES);
@@ -568,6 +618,9 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             }
         }
         chain.solve();
+        if let Some(winches) = &self.winches {
+            winches.amend(self.weight, winch_factors, &mut chain.columns);
+        }
         let columns = &chain.columns[..];
         for lane in 0..n_lanes {
             for block in 0..n_blocks {
@@ -647,6 +700,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         let differences = blocks_mut::<S, { 6 * ORDERS }>(differences);
         let state = blocks_mut::<S, STATE_ROWS>(self.state);
         let n_blocks = trial.len();
+        let active = active_blocks::<S>(self.active, &self.winches);
         let inverse = [1.0 / tolerance[0], 1.0 / tolerance[1]];
         let mut errors = [Lanes::splat(simd, 0.0); ORDERS];
         let n_differences = match scheme {
@@ -671,7 +725,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
                 TimeScheme::Implicit => None,
                 TimeScheme::Explicit => {
                     let mut stress = elastic_stress::<S, R>(constants, &strained);
-                    if let Some(active) = &self.active {
+                    if let Some(active) = &active {
                         R::add_active(active, i, &strained.measures(), &mut stress);
                     }
                     Some(R::pull(&strained, frames, &stress))
@@ -679,7 +733,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             };
             let mut stress =
                 interval_stress::<S, R>(constants, &before, &strained, *weights, *scheme);
-            if let (Some(active), TimeScheme::Implicit) = (&self.active, *scheme) {
+            if let (Some(active), TimeScheme::Implicit) = (&active, *scheme) {
                 let mean = before.mean(&strained);
                 R::add_active(active, i, &mean, &mut stress);
             }

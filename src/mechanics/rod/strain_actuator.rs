@@ -11,14 +11,15 @@
 use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
-use super::element::{
-    ActivePoint, ActiveTangent, Density, ElementGradient, ElementPose, ElementStiffness,
+use super::{Rod, RodError, require};
+use crate::mechanics::configuration::Configuration;
+use crate::mechanics::element::{
+    ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
     ElementStrain, IntervalStress, StrainRule,
 };
-use super::lanes::vector::{Lanes, Vec3};
-use super::load::profile;
-use super::rod::{Rod, RodError, require};
-use super::time::TimeNode;
+use crate::mechanics::load::profile;
+use crate::mechanics::time::TimeNode;
+use crate::mechanics::vector::{Lanes, Vec3};
 
 /// The line of an actuator in the arm at rest.
 ///
@@ -82,6 +83,75 @@ impl Route {
     }
 }
 
+/// A winch that pulls a tendon in and lets it out.
+///
+/// With the length `ℓ` of the tendon in the arm, `ℓ₀` that in the stress-free arm, the length `b` outside of it, and the displacement `z`
+/// of the winch, positive where it lets out, the tendon would have the length `a = ℓ₀ + b + z` without tension. Its tension stretches it:
+///
+/// ```text
+/// ℓ + b = a (1 + C T),   T ≥ 0        T = <ℓ - ℓ₀ - z>₊ / (C a)
+/// ```
+///
+/// (Till et al. 2019, ContinuumRobotExamples, 02_Dynamics). The potential is that of a spring, `½ <ℓ - ℓ₀ - z>₊² / (C a)`, and a tendon
+/// that is longer than its way is slack.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Winch {
+    /// `C`, strain of the tendon per tension, 1/N.
+    pub compliance: f64,
+    /// `b`, m.
+    pub outside: f64,
+}
+
+/// The effort of an actuator as a function of its input and its coordinate, with derivatives.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EffortLaw {
+    /// `u`
+    pub effort: f64,
+    /// `∂u/∂y`, not positive.
+    pub along_coordinate: f64,
+    /// `∂u/∂z` along the input `z`.
+    pub along_input: f64,
+    /// `∂²u/∂y∂z`
+    pub mixed: f64,
+    /// `∂²u/∂z²`
+    pub bend: f64,
+}
+
+impl Winch {
+    /// Returns the length of the tendon without tension, m, for a displacement and the coordinate `-ℓ₀` of the stress-free arm.
+    fn unstretched(&self, displacement: f64, at_rest: f64) -> f64 {
+        self.outside - at_rest + displacement
+    }
+
+    /// Returns the tension at a displacement (m) and a coordinate `y = -ℓ` (m), with `-ℓ₀` in the stress-free arm: zero if it is slack.
+    #[must_use]
+    pub fn law(&self, displacement: f64, coordinate: f64, at_rest: f64) -> EffortLaw {
+        let length = self.unstretched(displacement, at_rest);
+        let stretched = self.outside - coordinate;
+        let beyond = at_rest - coordinate - displacement;
+        if !(beyond > 0.0) {
+            return EffortLaw::default();
+        }
+        let stiffness = 1.0 / (self.compliance * length);
+        let ratio = stretched / length;
+        EffortLaw {
+            effort: beyond * stiffness,
+            along_coordinate: -stiffness,
+            along_input: -ratio * stiffness,
+            mixed: stiffness / length,
+            bend: 2.0 * ratio * stiffness / length,
+        }
+    }
+
+    /// Returns the displacement at which a tendon with a tension (N) and a coordinate is as long as it is, m: `(ℓ + b)/(1 + C T) - ℓ₀ - b`.
+    #[must_use]
+    pub fn displacement(&self, tension: f64, coordinate: f64, at_rest: f64) -> f64 {
+        // Without the cancellation of two lengths.
+        let stretch = self.compliance * tension;
+        (at_rest - coordinate - stretch * self.unstretched(0.0, at_rest)) / (1.0 + stretch)
+    }
+}
+
 /// An actuator on the strains of the elements along its [`Route`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct StrainActuator {
@@ -93,28 +163,45 @@ pub struct StrainActuator {
     pub scale: f64,
     /// Its line.
     pub route: Route,
-    /// Given effort over time: `(t, u)` in order of time, piecewise linear, with a jump where a time occurs twice; before the first row it
-    /// has the first value, after the last row the last one. Empty means none. The effort of a control adds to it.
+    /// Given input over time: `(t, u)` in order of time, piecewise linear, with a jump where a time occurs twice; before the first row it
+    /// has the first value, after the last row the last one. Empty means zero. The input of a control adds to it. It is the effort, or the
+    /// displacement (m) of a winch.
     pub effort: Vec<(f64, f64)>,
-    /// Largest size of its effort at any time, which the stable step counts; no less than that of the given effort is counted.
+    /// The winch of a tendon whose input is a displacement; `None` if the input is the effort.
+    pub winch: Option<Winch>,
+    /// Largest size of its effort at any time, or the farthest that its winch pulls in, m, which the stable step counts; no less than what
+    /// is given is counted.
     pub largest: f64,
 }
 
 impl StrainActuator {
-    /// Returns the largest size of the effort at any time.
+    /// Returns the largest size of the input at any time; of a winch the farthest that it pulls in, or zero.
     #[must_use]
-    pub fn largest_effort(&self) -> f64 {
-        (self.effort.iter()).fold(self.largest, |most, (_, effort)| most.max(effort.abs()))
+    pub fn largest_input(&self) -> f64 {
+        let size = |input: f64| match &self.winch {
+            None => input.abs(),
+            Some(_) => -input,
+        };
+        (self.effort.iter()).fold(self.largest, |most, (_, input)| most.max(size(*input)))
     }
 
-    /// Returns the given effort at the instant `t`; at a jump the value after it.
+    /// Returns the unit of its input; empty for a number.
+    #[must_use]
+    pub fn input_unit(&self) -> &'static str {
+        match self.winch {
+            Some(_) => "m",
+            None => self.density.effort_unit(),
+        }
+    }
+
+    /// Returns the given input at the instant `t`; at a jump the value after it.
     #[must_use]
     pub fn effort(&self, t: f64) -> f64 {
         profile::kept(&self.effort, t)
     }
 
-    /// Returns the given effort that the steps beside a time node take, with jumps shared between time nodes like those of
-    /// [loads](super::load).
+    /// Returns the given input that the steps beside a time node take, with jumps shared between time nodes like those of
+    /// [loads](crate::mechanics::load).
     #[must_use]
     pub fn effort_at_node(&self, node: &TimeNode) -> f64 {
         profile::kept_at_node(&self.effort, node)
@@ -141,6 +228,29 @@ impl StrainActuator {
             require("time of an effort", *time, |_| true, "finite")?;
             require("effort", *effort, |_| true, "finite")?;
         }
+        if let Some(winch) = &self.winch {
+            let is_tendon = self.density == Density::Shortening && self.scale == 1.0;
+            let only = "that of a tendon";
+            require("scale of a winch", self.scale, |_| is_tendon, only)?;
+            require(
+                "compliance of a winch",
+                winch.compliance,
+                |c| c > 0.0,
+                "positive",
+            )?;
+            let length = winch.outside;
+            require(
+                "length outside of the arm",
+                length,
+                |b| b >= 0.0,
+                "zero or more",
+            )?;
+            for pair in self.effort.windows(2) {
+                let later = |t: f64| t > pair[0].0;
+                let increasing = "after the one before, since a winch does not jump";
+                require("time of a displacement", pair[1].0, later, increasing)?;
+            }
+        }
         Ok(())
     }
 }
@@ -163,7 +273,7 @@ pub struct PlacedPoint {
 impl PlacedPoint {
     /// Returns the point in an element of rest length `length` (m).
     #[inline(always)]
-    pub(super) fn in_element<S: Simd>(&self, simd: S, length: f64) -> ActivePoint<S> {
+    pub(in crate::mechanics) fn in_element<S: Simd>(&self, simd: S, length: f64) -> ActivePoint<S> {
         let of = |value: f64| Lanes::splat(simd, value);
         ActivePoint {
             weight: of(self.weight / length),
@@ -182,14 +292,22 @@ pub struct StrainActuators {
     points: Vec<PlacedPoint>,
     /// First point of every element, and the number of all.
     starts: Vec<usize>,
+    /// Coordinates of the stress-free shape.
+    at_rest: Vec<f64>,
 }
 
 impl StrainActuators {
-    /// Places actuators on elements of the given rest lengths (m).
+    /// Places actuators on elements.
     ///
     /// # Errors
-    /// Returns [`RodError`] for a part that does not exist, or a number that is not finite.
-    pub(super) fn new(actuators: Vec<StrainActuator>, lengths: &[f64]) -> Result<Self, RodError> {
+    /// Returns [`RodError`] for a part that does not exist, a number that is not finite, or a winch that pulls in more than all of its
+    /// tendon.
+    pub(super) fn new(
+        actuators: Vec<StrainActuator>,
+        rule: StrainRule,
+        elements: &[Element],
+    ) -> Result<Self, RodError> {
+        let lengths: Vec<f64> = elements.iter().map(|element| element.length).collect();
         actuators.iter().try_for_each(StrainActuator::check)?;
         if actuators.is_empty() {
             return Ok(Self::default());
@@ -226,11 +344,75 @@ impl StrainActuators {
             starts.push(points.len());
             start = end;
         }
-        Ok(Self {
+        let mut out = Self {
             actuators,
             points,
             starts,
-        })
+            at_rest: Vec::new(),
+        };
+        out.at_rest = out.coordinates(rule, elements, |q| elements[q].rest);
+        for (actuator, at_rest) in out.actuators.iter().zip(&out.at_rest) {
+            let Some(winch) = &actuator.winch else {
+                continue;
+            };
+            for (_, displacement) in &actuator.effort {
+                let is_some = |z: f64| winch.unstretched(z, *at_rest) > 0.0;
+                let less = "more than minus the length of the tendon";
+                require("displacement of a winch", *displacement, is_some, less)?;
+            }
+        }
+        Ok(out)
+    }
+
+    /// Returns the coordinates of all actuators for the strains of the elements.
+    fn coordinates(
+        &self,
+        rule: StrainRule,
+        elements: &[Element],
+        strain: impl Fn(usize) -> ElementStrain,
+    ) -> Vec<f64> {
+        let mut out = vec![0.0; self.actuators.len()];
+        for (q, element) in elements.iter().enumerate() {
+            let points = self.on(q);
+            if points.is_empty() {
+                continue;
+            }
+            let (linear, psi) = stretched(&strain(q), element.length);
+            let ends = match rule {
+                StrainRule::Helical => 1,
+                StrainRule::Trapezoidal => 2,
+            };
+            for point in points {
+                let at = point.in_element(Scalar, element.length);
+                out[point.actuator] += at.value(point.density, &linear[..ends], psi);
+            }
+        }
+        out
+    }
+
+    /// Tells whether the effort of any of them depends on the configuration.
+    #[must_use]
+    pub fn has_winches(&self) -> bool {
+        self.actuators.iter().any(|own| own.winch.is_some())
+    }
+
+    /// Returns the coordinates of the stress-free shape.
+    #[must_use]
+    pub fn at_rest(&self) -> &[f64] {
+        &self.at_rest
+    }
+
+    /// Returns the effort of an actuator for an input and a coordinate.
+    #[must_use]
+    pub fn law(&self, actuator: usize, input: f64, coordinate: f64) -> EffortLaw {
+        match &self.actuators[actuator].winch {
+            Some(winch) => winch.law(input, coordinate, self.at_rest[actuator]),
+            None => EffortLaw {
+                effort: input,
+                along_input: 1.0,
+                ..EffortLaw::default()
+            },
+        }
     }
 
     /// Tells whether there are none.
@@ -259,20 +441,20 @@ impl StrainActuators {
         }
     }
 
-    /// Returns the given efforts at the instant `t`.
+    /// Returns the given inputs at the instant `t`: efforts, or the displacements of winches.
     #[must_use]
     pub fn efforts(&self, t: f64) -> Vec<f64> {
         self.iter().map(|actuator| actuator.effort(t)).collect()
     }
 
-    /// Writes the given efforts that the steps beside a time node take.
+    /// Writes the given inputs that the steps beside a time node take.
     pub fn write_efforts(&self, node: &TimeNode, out: &mut [f64]) {
         for (out, actuator) in out.iter_mut().zip(self.iter()) {
             *out = actuator.effort_at_node(node);
         }
     }
 
-    /// Returns the same actuators with constant given efforts.
+    /// Returns the same actuators with constant given inputs.
     #[must_use]
     pub fn with_efforts(&self, efforts: &[f64]) -> Self {
         let mut out = self.clone();
@@ -301,6 +483,16 @@ impl Rod {
         strain: &ElementStrain,
         efforts: &[f64],
     ) -> Option<IntervalStress> {
+        self.active_stress_under(q, strain, &|actuator| efforts[actuator])
+    }
+
+    /// Returns [`Self::active_stress`] where `effort` gives the effort of an actuator.
+    fn active_stress_under(
+        &self,
+        q: usize,
+        strain: &ElementStrain,
+        effort: &dyn Fn(usize) -> f64,
+    ) -> Option<IntervalStress> {
         let points = self.actuators.on(q);
         if points.is_empty() {
             return None;
@@ -318,7 +510,7 @@ impl Rod {
                 StrainRule::Helical => (at.slopes::<1>(point.density, linear, psi), 1.0),
                 StrainRule::Trapezoidal => (at.slopes::<2>(point.density, linear, psi), 2.0),
             };
-            let effort = efforts[point.actuator];
+            let effort = effort(point.actuator);
             for (out, n) in out.linear.iter_mut().zip(slopes.linear) {
                 *out -= n.vector() * (ends * effort);
             }
@@ -333,7 +525,7 @@ impl Rod {
         &self,
         q: usize,
         strain: &ElementStrain,
-        efforts: &[f64],
+        effort: &dyn Fn(usize) -> f64,
     ) -> SMatrix<f64, 9, 9> {
         let length = self.elements[q].length;
         let (linear, psi) = stretched(strain, length);
@@ -344,7 +536,7 @@ impl Rod {
                 StrainRule::Helical => at.bends::<1>(point.density, linear, psi),
                 StrainRule::Trapezoidal => at.bends::<2>(point.density, linear, psi),
             };
-            sum = sum.plus(bends, Lanes::splat(Scalar, -efforts[point.actuator]));
+            sum = sum.plus(bends, Lanes::splat(Scalar, -effort(point.actuator)));
         }
         let mut out = SMatrix::<f64, 9, 9>::zeros();
         let mut put = |i: usize, j: usize, block: nalgebra::Matrix3<f64>| {
@@ -386,24 +578,60 @@ impl Rod {
         let (strain, b) = rule.strain_derivative(element.length, pose);
         let stress = self.active_stress(q, &strain, efforts)?;
         let bent = element.stiffness_under(rule, pose, &stress, 0.0);
-        Some(bent + b.transpose() * self.active_tangent(q, &strain, efforts) * b)
+        let tangent = self.active_tangent(q, &strain, &|actuator| efforts[actuator]);
+        Some(bent + b.transpose() * tangent * b)
     }
 
     /// Returns the derivative along the pose at the end of an interval of the pull there of the stress at the mean strain; `None` if no
     /// actuator passes the element.
-    pub(super) fn arriving_active_stiffness(
+    pub(in crate::mechanics) fn arriving_active_stiffness(
         &self,
         q: usize,
         poses: &[ElementPose; 2],
-        efforts: &[f64],
+        effort: &dyn Fn(usize) -> f64,
     ) -> Option<ElementStiffness> {
         let (element, rule) = (&self.elements[q], self.strain_rule);
         let start = rule.strain(element.length, &poses[0]);
         let (end, b) = rule.strain_derivative(element.length, &poses[1]);
         let mean = start.mean(&end);
-        let stress = self.active_stress(q, &mean, efforts)?;
+        let stress = self.active_stress_under(q, &mean, effort)?;
         let bent = element.stiffness_under(rule, &poses[1], &stress, 0.0);
-        Some(bent + b.transpose() * self.active_tangent(q, &mean, efforts) * b * 0.5)
+        Some(bent + b.transpose() * self.active_tangent(q, &mean, effort) * b * 0.5)
+    }
+
+    /// Returns the largest efforts of the actuators at any time. Of a winch it is the tension that the arm at rest puts up against the
+    /// farthest displacement.
+    #[must_use]
+    pub fn largest_efforts(&self) -> Vec<f64> {
+        (self.actuators.iter().enumerate())
+            .map(|(i, own)| {
+                let most = own.largest_input();
+                match self.winch_flexibility(i, -most) {
+                    Some(flexibility) => most / flexibility,
+                    None => most,
+                }
+            })
+            .collect()
+    }
+
+    /// Returns the displacement of a winch per tension in the arm at rest, m/N: that of the tendon, pulled in to a `displacement`, and that
+    /// of the arm under a unit tension, `∫ (n·C₁⁻¹n + m·C₂⁻¹m) ds`. `None` for another actuator.
+    #[must_use]
+    pub fn winch_flexibility(&self, actuator: usize, displacement: f64) -> Option<f64> {
+        let winch = self.actuators.actuators[actuator].winch?;
+        let mut unit = vec![0.0; self.actuators.len()];
+        unit[actuator] = 1.0;
+        let of_arm: f64 = (self.elements.iter().enumerate())
+            .filter_map(|(q, element)| {
+                let stress = self.active_stress(q, &element.rest, &unit)?;
+                let [n, m] = [&stress.linear[0], &stress.angular];
+                let shear = n.dot(&n.component_div(&element.linear_stiffness));
+                let bend = m.dot(&m.component_div(&element.angular_stiffness));
+                Some(element.length * (shear + bend))
+            })
+            .sum();
+        let length = winch.unstretched(displacement, self.actuators.at_rest[actuator]);
+        Some(winch.compliance * length + of_arm)
     }
 
     /// Returns the coordinates `y` of the actuators in a configuration, each in the unit of work over that of its effort.
@@ -413,38 +641,62 @@ impl Rod {
         positions: &[Vector3<f64>],
         rotations: &[nalgebra::Matrix3<f64>],
     ) -> Vec<f64> {
-        let mut out = vec![0.0; self.actuators.len()];
-        for (q, element) in self.elements.iter().enumerate() {
-            let points = self.actuators.on(q);
-            if points.is_empty() {
-                continue;
-            }
-            let pose = Self::element_pose(q, positions, rotations);
-            let strain = self.strain_rule.strain(element.length, &pose);
-            let (linear, psi) = stretched(&strain, element.length);
-            let ends = match self.strain_rule {
-                StrainRule::Helical => 1,
-                StrainRule::Trapezoidal => 2,
-            };
-            for point in points {
-                let at = point.in_element(Scalar, element.length);
-                out[point.actuator] += at.value(point.density, &linear[..ends], psi);
-            }
-        }
-        out
+        self.actuators
+            .coordinates(self.strain_rule, &self.elements, |q| {
+                let pose = Self::element_pose(q, positions, rotations);
+                let length = self.elements[q].length;
+                self.strain_rule.strain(length, &pose)
+            })
     }
 
-    /// Returns `-Σ u y`, J.
+    /// Returns the coordinates of the actuators at the mean strains of an interval.
+    pub(in crate::mechanics) fn mean_coordinates(&self, ends: [&Configuration; 2]) -> Vec<f64> {
+        (self.actuators).coordinates(self.strain_rule, &self.elements, |q| {
+            let length = self.elements[q].length;
+            let [start, end] = ends.map(|at| {
+                let pose = Self::element_pose(q, &at.positions, &at.rotations);
+                self.strain_rule.strain(length, &pose)
+            });
+            start.mean(&end)
+        })
+    }
+
+    /// Returns the efforts of the actuators in a configuration for their inputs, which are efforts already but for those of winches.
+    #[must_use]
+    pub fn efforts_at(
+        &self,
+        inputs: Vec<f64>,
+        positions: &[Vector3<f64>],
+        rotations: &[nalgebra::Matrix3<f64>],
+    ) -> Vec<f64> {
+        if !self.actuators.has_winches() {
+            return inputs;
+        }
+        let coordinates = self.actuator_coordinates(positions, rotations);
+        (inputs.iter().zip(coordinates).enumerate())
+            .map(|(i, (input, y))| self.actuators.law(i, *input, y).effort)
+            .collect()
+    }
+
+    /// Returns the potential of the actuators for their inputs, J: `-Σ u y`, and of winches the energy of their tendons, `½ C a T²`.
     #[must_use]
     pub fn actuator_energy(
         &self,
         positions: &[Vector3<f64>],
         rotations: &[nalgebra::Matrix3<f64>],
-        efforts: &[f64],
+        inputs: &[f64],
     ) -> f64 {
         let coordinates = self.actuator_coordinates(positions, rotations);
-        -(coordinates.iter().zip(efforts))
-            .map(|(y, u)| y * u)
+        let own = self.actuators.iter().zip(self.actuators.at_rest());
+        (own.zip(coordinates.iter().zip(inputs)))
+            .map(|((actuator, at_rest), (y, input))| match &actuator.winch {
+                None => -(y * input),
+                Some(winch) => {
+                    let tension = winch.law(*input, *y, *at_rest).effort;
+                    let length = winch.unstretched(*input, *at_rest);
+                    0.5 * winch.compliance * length * tension * tension
+                }
+            })
             .sum::<f64>()
     }
 }

@@ -1,12 +1,12 @@
 //! Motions of a model whose parameters change from one motion to the next.
 
-use super::estimator::ModelParameters;
+use super::ModelParameters;
 use crate::mechanics::{Rod, State, Stepper, StepperMemory};
 
 /// Memory that motions of a model reuse. Its constants belong to a step length and to parameters of the model, and are computed anew for a
 /// motion with others.
 #[derive(Clone, Debug)]
-pub(super) struct Motions {
+pub(in crate::mpc) struct Motions {
     /// Empty only while a motion runs.
     memory: Option<StepperMemory>,
     tuned: (f64, ModelParameters),

@@ -2,7 +2,8 @@
 
 use nalgebra::Vector3;
 
-use crate::mechanics::forms::NODE_COMPONENTS;
+/// Number of components of a node's tangent: `δx, ζ, δp, δπ`.
+pub const NODE_COMPONENTS: usize = 12;
 
 /// One column of the linearized motion at one instant: `(δx, ζ, δp, δπ)` of every node.
 #[derive(Clone, Debug, PartialEq)]

@@ -4,11 +4,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::describe::DescribeError;
-use super::super::keys::{Checked, Keys};
-use super::super::values::{self, Number, Positive, digits, known};
-use super::{Inertia, Material, Parts, Rod, Section, ShapeKey, Stiffness, Transverse};
+use super::{Material, Parts, Rod};
 use crate::mechanics::SectionProfile;
+use crate::scene::error::DescribeError;
+use crate::scene::keys::{Checked, Keys};
+use crate::scene::model::{Inertia, Section, ShapeKey, Stiffness, Transverse};
+use crate::scene::values::{self, Number, Positive, digits, known};
 
 /// A piece of the arm with a material, a section or a stress-free curvature of its own. Segments follow one another from
 /// base to tip and make up the whole arm. An element ends where two of them meet.

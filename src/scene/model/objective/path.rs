@@ -4,10 +4,11 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::model::{Base, Circle, FigureEight, Track};
-use super::values::{Number, known};
+use super::{Circle, FigureEight, Track};
 use crate::control::Tracking;
 use crate::mechanics::rotation::from_quaternion;
+use crate::scene::model::Base;
+use crate::scene::values::{Number, known};
 
 /// Number of points on a turn, and on a ramp: the chords between them are off the circle by `r (1 - cos(π/360))`, a fraction of 4e-5 of the
 /// radius.
@@ -17,21 +18,21 @@ const MOST_POINTS: f64 = 1e6;
 
 impl Track {
     /// Takes the weights that the discretization chose for the quantities that the track follows.
-    pub(super) fn take_weights(&mut self, chosen: &Tracking) {
+    pub(in crate::scene) fn take_weights(&mut self, chosen: &Tracking) {
         self.weight = (!chosen.path.is_empty()).then(|| known(chosen.weight));
         self.orientation_weight =
             (!chosen.rotations.is_empty()).then(|| known(chosen.rotation_weight));
     }
 
     /// Times in s and orientations, body to space.
-    pub(super) fn rotations(&self) -> Vec<(f64, Matrix3<f64>)> {
+    pub(in crate::scene) fn rotations(&self) -> Vec<(f64, Matrix3<f64>)> {
         (self.orientations_wxyz.iter())
             .map(|&[t, w, x, y, z]| (t, from_quaternion([w, x, y, z])))
             .collect()
     }
 
     /// Times in s and positions in m, up to `end` in s at least where the path turns.
-    pub(super) fn path(&self, end: f64) -> Vec<(f64, Vector3<f64>)> {
+    pub(in crate::scene) fn path(&self, end: f64) -> Vec<(f64, Vector3<f64>)> {
         if let Some((turns, shape)) = self.turns() {
             turns.points(end, shape)
         } else {
@@ -53,14 +54,14 @@ impl Track {
     }
 
     /// Places of the tip along one turn of a closed path, m.
-    pub(super) fn round(&self) -> Option<Vec<Vector3<f64>>> {
+    pub(in crate::scene) fn round(&self) -> Option<Vec<Vector3<f64>>> {
         let (turns, shape) = self.turns()?;
         let phases = (0..ROUND).map(|i| TAU * i as f64 / ROUND as f64);
         Some(phases.map(|phase| turns.on_path(phase, shape)).collect())
     }
 
     /// Center of a closed path, m.
-    pub(super) fn center(&self) -> Option<Vector3<f64>> {
+    pub(in crate::scene) fn center(&self) -> Option<Vector3<f64>> {
         self.turns().map(|(turns, _)| Vector3::from(turns.center))
     }
 }

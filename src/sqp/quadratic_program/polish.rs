@@ -12,15 +12,15 @@ use std::collections::BTreeMap;
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 
-use super::kkt::{Multipliers, infinity_norm, norm};
-use super::program::{ConvexSet, Softness, along};
-use super::quadratic_program::{LinearInequalities, QpSolution, QuadraticProgram};
-use super::settings::{EXACT, NEGLIGIBLE};
+use super::{LinearInequalities, QpSolution, QuadraticProgram};
+use crate::sqp::norms::{infinity_norm, norm};
+use crate::sqp::program::{ConvexSet, Multipliers, Softness, along};
+use crate::sqp::settings::{EXACT, NEGLIGIBLE};
 
 /// Steps longer than this fraction of the trust radius are not polished: the cone of the trust region may be active as well. Clarabel
 /// leaves a distance of 1e-11 over the multiplier to an active cone, which is within this margin for all multipliers that are not
 /// [`NEGLIGIBLE`].
-pub(super) const INSIDE: f64 = 0.999;
+pub(in crate::sqp) const INSIDE: f64 = 0.999;
 /// Cap on Newton iterations after an interior point, whose error of some 1e-6 is rounding after two of them.
 const ITERATIONS: usize = 4;
 /// Cap on Newton iterations if the active set comes from the multipliers of another subproblem.
@@ -546,8 +546,8 @@ fn moved(variables: &[f64], change: &[f64]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::program::affine;
     use super::*;
+    use crate::sqp::program::affine;
 
     /// Problems with all kinds of sets and rows at once, half of them with rows whose violation is cheaper than the elastic weight: the
     /// conditions hold to rounding where Clarabel ends orders of magnitude above, and multipliers of balls point outward exactly.

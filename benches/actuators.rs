@@ -1,0 +1,249 @@
+//! Costs of actuators in the arm: `cargo bench --bench actuators` prints the table `actuator costs`.
+//!
+//! The cases of a row group take turns in every round, on one thread, so that a busy machine slows all of them. The least time of all rounds
+//! stands for a case.
+
+#[path = "../tests/common/mod.rs"]
+mod common;
+mod support;
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use common::soft_arm;
+use nalgebra::Vector3;
+use softarm::control::{Guess, OptimalControlProblem, Transcription, first_point};
+use softarm::mechanics::stability::{automatic_step, stable_step};
+use softarm::mechanics::{
+    Density, Material, Rod, RodParameters, Route, Stepper, StrainActuator, StrainRule, TimeScheme,
+};
+use softarm::sqp::{HessianChoice, SqpSettings, solve};
+use softarm::task::{Arm, Discretization, EffortControl, Task};
+use support::{moving, push};
+
+const ELEMENTS: usize = 20;
+const ROUNDS: usize = 15;
+/// Rounds of solves, which take longer.
+const SOLVES: usize = 5;
+/// Iterations of a solve, none of which converges.
+const ITERATIONS: usize = 4;
+
+fn main() {
+    println!("## Actuator costs\n");
+    println!("| K = {ELEMENTS}, one thread | case | least time | ratio |\n|---|---|---|---|");
+    steps(false);
+    steps(true);
+    for hessian in [HessianChoice::GaussNewton, HessianChoice::Exact] {
+        for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+            iterations(hessian, scheme);
+        }
+    }
+}
+
+/// Prints the least times of cases that take turns, each over `units`, and their ratios to the first one.
+fn rows(
+    title: &str,
+    unit: (&str, f64),
+    rounds: usize,
+    names: &[&str],
+    mut run: impl FnMut(usize),
+    units: impl Fn(usize) -> f64,
+) {
+    let mut least = vec![f64::INFINITY; names.len()];
+    for round in 0..=rounds {
+        for (case, least) in least.iter_mut().enumerate() {
+            let start = Instant::now();
+            run(case);
+            // The first round warms up.
+            if round > 0 {
+                *least = least.min(start.elapsed().as_secs_f64());
+            }
+        }
+    }
+    let per: Vec<f64> = (0..names.len()).map(|i| least[i] / units(i)).collect();
+    for (name, time) in names.iter().zip(&per) {
+        println!(
+            "| {title} | {name} | {:.1} {} | {:.2} |",
+            time * unit.1,
+            unit.0,
+            time / per[0]
+        );
+    }
+}
+
+/// Four actuators around the axis of the soft arm, by turns straight or wound once about it, with a constant effort.
+fn around(
+    density: Density,
+    scale: f64,
+    turns: f64,
+    effort: f64,
+    radius: f64,
+) -> Vec<StrainActuator> {
+    (0..4)
+        .map(|i| {
+            let (sin, cos) = (std::f64::consts::FRAC_PI_2 * f64::from(i)).sin_cos();
+            StrainActuator {
+                name: String::new(),
+                density,
+                scale,
+                route: Route {
+                    turns,
+                    ..Route::straight([0.8 * radius * cos, 0.8 * radius * sin])
+                },
+                effort: vec![(0.0, effort)],
+                largest: effort,
+            }
+        })
+        .collect()
+}
+
+/// The forward step of a moving arm, all cases with the same time step.
+fn steps(implicit: bool) {
+    let arm = soft_arm(StrainRule::Helical, ELEMENTS);
+    let names = [
+        "no actuator",
+        "four straight tendons",
+        "four helical tendons",
+        "four chambers",
+        "four muscles",
+    ];
+    let sets = [
+        Vec::new(),
+        around(Density::Shortening, 1.0, 0.0, 1.0, 0.05),
+        around(Density::Shortening, 1.0, 1.0, 1.0, 0.05),
+        around(Density::Volume, 1e-3, 0.0, 1e3, 0.05),
+        around(Density::Muscle, 1.0, 0.0, 1.0, 0.05),
+    ];
+    let rods: Vec<Rod> = (sets.into_iter())
+        .map(|actuators| Rod {
+            scheme: if implicit {
+                TimeScheme::Implicit
+            } else {
+                TimeScheme::Explicit
+            },
+            ..Rod::new(&RodParameters {
+                actuators,
+                ..arm.clone()
+            })
+            .expect("a valid rod")
+        })
+        .collect();
+    let step = (rods.iter())
+        .map(|rod| {
+            if implicit {
+                automatic_step(rod)
+            } else {
+                0.7 * stable_step(rod)
+            }
+        })
+        .fold(f64::INFINITY, f64::min);
+    let n_steps = if implicit { 30 } else { 500 };
+    let starts: Vec<Stepper> = (rods.iter())
+        .map(|rod| Stepper::new(rod, step, moving(rod)))
+        .collect();
+    let controls: Vec<_> = rods.iter().map(push).collect();
+    rows(
+        if implicit {
+            "implicit step of a node"
+        } else {
+            "explicit step of a node"
+        },
+        ("ns", 1e9),
+        ROUNDS,
+        &names,
+        |case| {
+            let mut stepper = starts[case].clone();
+            for _ in 0..n_steps {
+                (stepper.advance([controls[case].at(0); 2])).expect("a stable step");
+            }
+            divan::black_box(&stepper.state());
+        },
+        |case| (n_steps * rods[case].n_nodes()) as f64,
+    );
+}
+
+/// The problem of a hanging arm that reaches to its side by a force on its tip or by four tendons.
+fn problem(tendons: bool, scheme: TimeScheme) -> OptimalControlProblem {
+    let radius = 0.01;
+    let material = Material::isotropic(1e5, 0.4, 1070.0);
+    let mut arm = Arm::cylinder(&material, 0.3, radius).pointing(-Vector3::z());
+    arm.gravity = Vector3::new(0.0, 0.0, -9.81);
+    arm.viscous_damping = 1.0;
+    arm.internal_damping = 5e-3;
+    let mut task = Task::reach(Vector3::new(0.05, -0.02, -0.27), 0.25, 0.2);
+    if tendons {
+        arm.actuators = around(Density::Shortening, 1.0, 0.0, 0.0, radius);
+        task.actuators.clear();
+        task.efforts = (0..4)
+            .map(|actuator| EffortControl {
+                actuator,
+                bounds: [0.0, 2.0],
+                rate: None,
+                scale: None,
+            })
+            .collect();
+    }
+    let discretization = Discretization {
+        scheme: Some(scheme),
+        step: Some(if scheme == TimeScheme::Implicit {
+            1e-3
+        } else {
+            1e-4
+        }),
+        ..Discretization::with_elements(ELEMENTS)
+    };
+    let posed = task.discretize(&arm, &discretization);
+    posed.expect("a problem").discrete
+}
+
+/// An iteration of the solver, with the same Hessian, grid and blocks.
+fn iterations(hessian: HessianChoice, scheme: TimeScheme) {
+    let problems = [false, true].map(|tendons| problem(tendons, scheme));
+    let settings = SqpSettings {
+        tolerance: 1e-14,
+        max_iterations: ITERATIONS,
+        hessian,
+        ..SqpSettings::default()
+    };
+    let starts = (problems.each_ref())
+        .map(|problem| first_point(problem, Guess::Rest, None).expect("a start").0);
+    let mut counts = [0; 2];
+    let work = |case: usize, counts: &mut [usize; 2]| {
+        let program = Transcription::new(&problems[case], 1);
+        let mut count = 0;
+        let outcome = solve(&program, starts[case].clone(), &settings, &mut |_| {
+            count += 1;
+            ControlFlow::Continue(())
+        });
+        divan::black_box(&outcome.point);
+        counts[case] = count;
+    };
+    for case in 0..2 {
+        work(case, &mut counts);
+    }
+    let per = counts;
+    let title = format!(
+        "{} iteration, {}, {} steps",
+        match scheme {
+            TimeScheme::Explicit => "explicit",
+            TimeScheme::Implicit => "implicit",
+        },
+        hessian.name(),
+        problems[0].grid.n_steps
+    );
+    let names = problems
+        .each_ref()
+        .map(|problem| format!("{} variables", problem.n_variables()));
+    let names = [
+        format!("tip force, {}", names[0]),
+        format!("four tendons, {}", names[1]),
+    ];
+    rows(
+        &title,
+        ("ms", 1e3),
+        SOLVES,
+        &[&names[0], &names[1]],
+        |case| work(case, &mut counts),
+        |case| per[case] as f64,
+    );
+}

@@ -1,0 +1,276 @@
+//! Tendons on winches and efforts with a lag as controls: derivatives, reaches with a certificate, and the bounds of commands.
+
+use nalgebra::Vector3;
+use softarm::control::{
+    ActuatedNode, Bound, Channel, ControlGrid, Goal, Hold, OptimalControlProblem,
+};
+use softarm::derivatives::{Verdict, check};
+use softarm::mechanics::{
+    Density, Efforts, Material, Rod, RodModel, RodParameters, Route, Section, SectionProfile,
+    State, StrainActuator, StrainRule, TimeGrid, TimeScheme, TipSpring, Winch, Wrench, stable_step,
+    static_equilibrium,
+};
+use softarm::solve::solve;
+use softarm::task::{
+    Arm, Discretization, DiscretizeError, EffortControl, StartShape, Staying, Task,
+};
+
+/// A tendon on a winch if it has a compliance, otherwise with a tension.
+fn tendon(route: Route, input: f64, compliance: Option<f64>) -> StrainActuator {
+    StrainActuator {
+        name: String::new(),
+        density: Density::Shortening,
+        scale: 1.0,
+        route,
+        effort: vec![(0.0, input)],
+        winch: compliance.map(|compliance| Winch {
+            compliance,
+            outside: 0.1,
+        }),
+        largest: 0.0,
+    }
+}
+
+/// Two winches that are driven, one that is given, and a tendon with a driven tension, beside a force on the tip.
+fn problem(rule: StrainRule, model: RodModel, damping: [f64; 2]) -> OptimalControlProblem {
+    let silicone = Material::isotropic(1e5, 0.4, 1070.0);
+    let section = SectionProfile::Uniform(Section::circle(&silicone, 0.01));
+    let helix = Route {
+        from: 0.1,
+        to: 0.83,
+        turns: 0.7,
+        ..Route::straight([8e-3, 2e-3])
+    };
+    let rod = Rod::new(&RodParameters {
+        strain_rule: rule,
+        model,
+        gravity: Vector3::new(-9.81, 0.0, 0.0),
+        viscous_damping: damping[0],
+        internal_damping: damping[1],
+        actuators: vec![
+            tendon(helix, -20e-3, Some(1e-2)),
+            tendon(Route::straight([-3e-3, -8e-3]), -15e-3, Some(2e-2)),
+            tendon(Route::straight([-6e-3, 4e-3]), -18e-3, Some(1e-2)),
+            tendon(Route::straight([0.0, 7e-3]), 0.2, None),
+        ],
+        ..RodParameters::straight(0.3, 5, section)
+    })
+    .expect("a rod");
+    let grid = TimeGrid {
+        start: 0.0,
+        step: 0.4 * stable_step(&rod),
+        n_steps: 60,
+    };
+    let control = ControlGrid::new(Hold::Linear, 5, grid.n_steps, grid.step).expect("blocks");
+    let none = Channel::new(1.0, Some(Bound::PerAxis(Vector3::zeros())));
+    let along_first = |size: f64| Channel {
+        axes: [true, false, false],
+        ..Channel::new(size, Some(Bound::PerAxis(Vector3::repeat(size))))
+    };
+    let initial = State::at_rest(rod.rest.clone());
+    let goal = Goal::reach(&rod, grid, Vector3::new(0.05, 0.02, 0.28));
+    let mut problem =
+        OptimalControlProblem::least_effort(rod, grid, initial, control, [none, none], goal);
+    problem.actuators[0].force = Channel::new(0.01, Some(Bound::PerAxis(Vector3::repeat(0.01))));
+    let carriers = [
+        [along_first(3e-3), along_first(2e-3)],
+        [along_first(0.1), none],
+    ];
+    problem
+        .actuators
+        .extend(carriers.map(|[force, moment]| ActuatedNode {
+            node: 0,
+            force,
+            moment,
+        }));
+    problem.efforts = Some(Efforts {
+        actuators: vec![0, 1, 3],
+        first: 1,
+        places: vec![0, 3, 6],
+    });
+    problem
+}
+
+/// Gradients, Jacobians, the Hessian and the linearized step agree with differences where tendons with tension are on winches.
+#[test]
+fn derivatives_with_winches_are_derivatives() {
+    let mut failed = Vec::new();
+    for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
+        for (model, damping) in [
+            (RodModel::Standard, [0.5, 0.0]),
+            (RodModel::Standard, [0.0, 2e-3]),
+            (RodModel::Consistent, [0.5, 0.0]),
+            (RodModel::Dilatation, [0.5, 0.0]),
+        ] {
+            let report = check(&problem(rule, model, damping), 7).expect("a motion");
+            let wrong: Vec<_> = (report.blocks.iter())
+                .filter(|block| block.verdict != Verdict::Ok)
+                .map(|block| format!("{}: {:?} {:?}", block.name, block.verdict, block.worst))
+                .collect();
+            if !wrong.is_empty() {
+                failed.push(format!("{rule:?} {model:?} {damping:?}: {wrong:#?}"));
+            }
+        }
+    }
+    assert!(failed.is_empty(), "{}", failed.join("\n"));
+}
+
+/// A soft arm that hangs, with two parallel tendons.
+fn hanging(compliance: Option<f64>, input: f64) -> Arm {
+    let silicone = Material::isotropic(1e5, 0.4, 1070.0);
+    Arm {
+        gravity: Vector3::new(0.0, 0.0, -9.81),
+        viscous_damping: 1.0,
+        internal_damping: 5e-3,
+        actuators: [[8e-3, 0.0], [0.0, 8e-3]]
+            .map(|offset| tendon(Route::straight(offset), input, compliance))
+            .to_vec(),
+        ..Arm::cylinder(&silicone, 0.3, 0.01).pointing(-Vector3::z())
+    }
+}
+
+/// Returns the tip of the arm at rest under the given inputs.
+fn tip_under(arm: &Arm, discretization: &Discretization, inputs: [f64; 2]) -> Vector3<f64> {
+    let mut arm = arm.clone();
+    for (actuator, input) in arm.actuators.iter_mut().zip(inputs) {
+        actuator.effort = vec![(0.0, input)];
+    }
+    let rod = arm.rod(discretization).expect("a rod");
+    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).expect("a shape");
+    shape.positions[rod.tip()]
+}
+
+/// Returns the task to reach a tip at rest and to stay there, by both tendons.
+fn reach(target: Vector3<f64>, seconds: f64, control: &EffortControl) -> Task {
+    let mut task = Task::reach(target, seconds, 1.0).staying(Staying::default());
+    task.start.shape = StartShape::Equilibrium;
+    task.actuators.clear();
+    task.efforts = (0..2)
+        .map(|actuator| EffortControl {
+            actuator,
+            ..control.clone()
+        })
+        .collect();
+    for target in &mut task.targets {
+        target.tolerances.distance = Some(3e-4);
+    }
+    task
+}
+
+fn explicit(hold: Hold) -> Discretization {
+    Discretization {
+        scheme: Some(TimeScheme::Explicit),
+        blocks: 10,
+        hold,
+        ..Discretization::with_elements(5)
+    }
+}
+
+/// Two winches bring a hanging arm to the tip of a static shape and keep it there; the certificate holds. Their displacements are within
+/// the bounds and begin at rest.
+#[test]
+fn winches_reach_and_stay() {
+    let arm = hanging(Some(5e-3), -3e-3);
+    for hold in [Hold::Linear, Hold::Cubic] {
+        let discretization = explicit(hold);
+        let target = tip_under(&arm, &discretization, [-12e-3, -8e-3]);
+        let control = EffortControl {
+            actuator: 0,
+            bounds: [-0.03, 0.01],
+            rate: Some([-0.1, 0.1]),
+            scale: None,
+            lag: None,
+        };
+        let task = reach(target, 1.0, &control);
+        let solution = solve(&arm, &task, &discretization).expect("a solution");
+        eprintln!(
+            "{hold:?}: {:?}, {} iterations",
+            solution.status(),
+            solution.attempt.iterations()
+        );
+        let check = solution.certify().expect("a check");
+        assert!(check.is_certified(), "{hold:?}");
+        // The carrier of both inputs, which are differences from the displacement at rest.
+        let first = solution.coefficients[0];
+        assert_eq!(first, Wrench::default(), "begins at rest");
+    }
+}
+
+/// Tensions with a lag of a tenth of the task bring the arm to its target; commands keep their bounds at all times, and reach them; the
+/// certificate holds, and without the multipliers of the commands it does not.
+#[test]
+fn lagging_tensions_reach_within_the_bounds_of_their_commands() {
+    let arm = hanging(None, 0.05);
+    for hold in [Hold::Linear, Hold::Cubic] {
+        let discretization = explicit(hold);
+        let target = tip_under(&arm, &discretization, [0.4, 0.3]);
+        let (lag, bounds) = (0.1, [0.0, 0.45]);
+        let control = EffortControl {
+            actuator: 0,
+            bounds,
+            rate: None,
+            scale: None,
+            lag: Some(lag),
+        };
+        let task = reach(target, 0.6, &control);
+        let solution = solve(&arm, &task, &discretization).expect("a solution");
+        let problem = &solution.problem.discrete;
+        let grid = &problem.control;
+        let [mut least, mut most] = [f64::INFINITY, f64::NEG_INFINITY];
+        for k in 0..=problem.grid.n_steps {
+            let weights = grid.command_weights(k, lag);
+            let n = problem.actuators.len();
+            let carrier = n - 1;
+            for axis in [0, 3] {
+                let of = |(j, w): &(usize, f64)| {
+                    w * solution.coefficients[j * n + carrier].to_array()[axis]
+                };
+                let command = 0.05 + weights.iter().map(of).sum::<f64>();
+                (least, most) = (least.min(command), most.max(command));
+            }
+        }
+        eprintln!(
+            "{hold:?}: {:?}, {} iterations, commands {least} to {most} N",
+            solution.status(),
+            solution.attempt.iterations()
+        );
+        let rounding = 1e-6 * bounds[1];
+        assert!(least >= bounds[0] - rounding && most <= bounds[1] + rounding);
+        assert!(most > bounds[1] - 0.05, "a bound is reached");
+        let check = solution.certify().expect("a check");
+        assert!(check.is_certified(), "{hold:?}");
+        let mut without = solution.clone();
+        without.multipliers.commands.clear();
+        let check = without.certify().expect("a check");
+        assert!(!check.is_certified(), "{hold:?}: without multipliers");
+    }
+}
+
+/// A constant hold, which jumps, is refused with a lag and with a winch, and so are implicit steps with a winch.
+#[test]
+fn jumps_and_implicit_steps_are_refused() {
+    let control = |lag| EffortControl {
+        actuator: 0,
+        bounds: [-0.02, 0.5],
+        rate: None,
+        scale: None,
+        lag,
+    };
+    let [winches, tensions] = [hanging(Some(5e-3), 0.0), hanging(None, 0.05)];
+    for (arm, lag) in [(&winches, None), (&tensions, Some(0.1))] {
+        let task = reach(Vector3::new(0.02, 0.0, -0.28), 1.0, &control(lag));
+        let error = task.discretize(arm, &explicit(Hold::Constant));
+        let text = error.map(|_| ()).expect_err("a jump").to_string();
+        assert!(text.contains("linear or cubic hold"), "{text}");
+    }
+    let implicit = Discretization {
+        scheme: Some(TimeScheme::Implicit),
+        ..explicit(Hold::Linear)
+    };
+    let task = reach(Vector3::new(0.02, 0.0, -0.28), 1.0, &control(None));
+    let error = task.discretize(&winches, &implicit).map(|_| ());
+    assert!(
+        matches!(error, Err(DiscretizeError::ImplicitWinch(_))),
+        "{error:?}"
+    );
+}

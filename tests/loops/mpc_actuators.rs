@@ -1,0 +1,476 @@
+//! Loops of arms with tendons and chambers: the tensions of a loop on its own model are those of a solve, bounds and rates hold, estimators
+//! know the efforts, and a wrong arm is followed.
+
+use crate::serving::{Desk, Plant, state_line};
+use crate::tracking::{TENSION, TENSION_RATE, discretization, tendon_arm, tendon_task};
+
+use std::ops::ControlFlow;
+
+use nalgebra::Vector3;
+use serde_json::json;
+use softarm::control::Hold;
+use softarm::mechanics::{Density, Rod, State, TimeScheme};
+use softarm::mpc::{
+    Command, Computing, Contender, Controller, EffortDynamics, EstimatorChoice, Experiment,
+    KalmanFilter, KalmanSettings, LoopSettings, MpcError, MpcSettings, Plant as _, Predictor,
+    RodPlant, Sensing, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
+};
+use softarm::mpc::{Disturbance, Estimator as _};
+use softarm::solve::solve;
+use softarm::task::{ChannelLimits, Discretization, EffortControl, Place, WrenchActuator};
+
+/// Plant = model, no noise, no delay, and a horizon that covers the task: the plan before the first sample is the motion of a solve of the
+/// same problem, and the closed loop retraces it. The solve ends with a relative residual of 1e-6, which moves the tip by less than a
+/// ten-thousandth of its way; the loop is on the same grid and differs by the tolerance of its own subproblems.
+#[test]
+fn loops_of_tendons_retrace_a_solve() {
+    for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+        let settings = MpcSettings {
+            period: 0.02,
+            block: 0.02,
+            due: Some(0.4),
+            jump: 1e9,
+            subproblem_tolerance: 1e-12,
+            subproblem_iterations: 100,
+            ..MpcSettings::receding(0.4)
+        };
+        let (arm, mut task) = (tendon_arm(3e5), tendon_task(false));
+        task.horizon = 0.4;
+        let asked = Discretization {
+            scheme: Some(scheme),
+            ..discretization()
+        };
+        let mut controller = Controller::new(&arm, &task, &asked, &settings).unwrap();
+        let model = controller.rod().clone();
+        let planned: Vec<(f64, [f64; 3])> = controller.prediction(model.tip()).collect();
+        let found = solve(
+            &arm,
+            &task,
+            &Discretization {
+                blocks: 20,
+                step: Some(controller.model_step()),
+                ..asked
+            },
+        )
+        .unwrap();
+        let trajectory = found.trajectory();
+        assert_eq!(trajectory.n_times(), planned.len());
+        let way = 0.03;
+        for (k, (t, there)) in planned.iter().enumerate() {
+            let gap = (trajectory.positions_at(k)[model.tip()] - Vector3::from(*there)).norm();
+            assert!(gap < 1e-4 * way, "{scheme:?} t = {t}: {gap:e}");
+        }
+        let start = controller.expected().clone();
+        let step = controller.model_step();
+        let mut plant = RodPlant::new(&model, start, settings.period, step, &model);
+        let steps = (settings.period / step).round() as usize;
+        let mut is_bounded = false;
+        for sample in 1..=20 {
+            let command = controller.feedback(&plant.measure()).unwrap();
+            is_bounded |= command.record().subproblem.iterations > 0;
+            plant.apply(&command).unwrap();
+            let here = plant.state().configuration.positions[model.tip()];
+            let gap = (here - Vector3::from(planned[sample * steps].1)).norm();
+            assert!(gap < 1e-6, "{scheme:?} sample {sample}: {gap:e}");
+            if sample < 20 {
+                command.prepare().unwrap();
+            }
+        }
+        assert!(is_bounded);
+    }
+}
+
+/// A loop of six elements on an arm of twelve and of four fifths of the model's stiffness, with poses of motion capture, noise and a period of delay.
+fn scene(hold: Hold) -> Experiment {
+    let settings = MpcSettings {
+        block: 0.04,
+        ..MpcSettings::receding(0.4)
+    };
+    let asked = Discretization {
+        hold,
+        scheme: Some(TimeScheme::Implicit),
+        step: Some(0.02),
+        ..discretization()
+    };
+    let mut scene = Experiment::new(tendon_arm(3e5), tendon_task(true), asked, settings);
+    scene.plant = tendon_arm(2.4e5);
+    scene.plant_discretization = Discretization::with_elements(12);
+    scene.sensing = Sensing::Estimated {
+        sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
+        estimator: EstimatorChoice::Kalman(Unknowns::ALL),
+        elements: None,
+        seed: 3,
+    };
+    scene.settings = LoopSettings {
+        computing: Computing::Fixed(0.01),
+        ..scene.settings
+    };
+    (scene.duration, scene.counted_from) = (3.0, 1.0);
+    scene
+}
+
+/// Checks bounds and rates of the commands of a run, one after the other.
+struct Watch {
+    hold: Hold,
+    before: Option<Command>,
+    /// Commands that are at a bound, and those that change at the fastest rate, to a hundredth.
+    n_bounded: usize,
+    n_fast: usize,
+}
+
+impl Watch {
+    fn new(hold: Hold) -> Self {
+        Self {
+            hold,
+            before: None,
+            n_bounded: 0,
+            n_fast: 0,
+        }
+    }
+
+    /// Rounding of a sum of a pretension and a difference.
+    const ROUNDING: f64 = 1e-12 * TENSION;
+
+    fn see(&mut self, controller: &Controller, sent: &Command) {
+        let [down, up] = TENSION_RATE;
+        for (i, (name, [from, to])) in controller.efforts(sent).enumerate() {
+            for tension in [from, to] {
+                let within = -Self::ROUNDING..=TENSION + Self::ROUNDING;
+                assert!(within.contains(&tension), "{name} {tension}");
+            }
+            // The pretension acts before the first command.
+            let before = self.before.as_ref().map_or(0.4, |before| {
+                let s = (sent.start - before.start) / (before.end - before.start);
+                let s = s.clamp(0.0, 1.0);
+                0.4 + before.efforts_from[i] * (1.0 - s) + before.efforts_to[i] * s
+            });
+            let (change, time) = match self.hold {
+                Hold::Constant => (from - before, 0.01),
+                Hold::Linear | Hold::Cubic => {
+                    assert!((from - before).abs() < 1e-9 * TENSION, "{name} jumps");
+                    (to - from, sent.end - sent.start)
+                }
+            };
+            let room = 1.0 + 1e-9;
+            assert!(
+                change >= down * time * room && change <= up * time * room,
+                "{name} {change}"
+            );
+            self.n_bounded += usize::from(from < 0.01 * TENSION || from > 0.99 * TENSION);
+            self.n_fast += usize::from(change < 0.99 * down * time || change > 0.99 * up * time);
+        }
+        self.before = Some(sent.clone());
+    }
+}
+
+/// On an arm of a fifth less stiffness, with poses alone, noise and a period of delay, the tip stays within half a percent of the length of its
+/// path, and tensions keep their bounds and rates at every sample; some of them reach both.
+#[test]
+fn wrong_arms_are_followed_by_tensions() {
+    for hold in [Hold::Linear, Hold::Constant] {
+        let scene = scene(hold);
+        let mut watch = Watch::new(hold);
+        let run = scene
+            .run(Contender::Mpc, &mut |_, closed| {
+                watch.see(closed.controller(), closed.sent());
+                ControlFlow::Continue(())
+            })
+            .unwrap();
+        assert!(
+            run.broke_down.is_none() && run.tally.fallbacks.is_empty(),
+            "{:?}",
+            run.tally
+        );
+        let rms = run.tip_error.rms / scene.arm.length;
+        println!("{hold:?}: {rms} {} {}", watch.n_bounded, watch.n_fast);
+        assert!(rms < 5e-3, "{hold:?}: {rms}");
+        assert!(watch.n_bounded > 0);
+    }
+}
+
+/// Efforts have no other unit than that of their actuator: chambers of half the area under twice the pressure give the same motion, to
+/// the rounding of their products, which the loop does not amplify by more than 1e6.
+#[test]
+fn units_of_efforts_are_free() {
+    let motion = |factor: f64| {
+        let mut scene = scene(Hold::Linear);
+        for arm in [&mut scene.arm, &mut scene.plant] {
+            for actuator in &mut arm.actuators {
+                actuator.density = Density::Volume;
+                actuator.scale = 1e-5 * factor;
+                actuator.effort = vec![(0.0, 2e4 / factor)];
+                actuator.largest = 3e5 / factor;
+            }
+        }
+        for control in &mut scene.task.efforts {
+            *control = EffortControl {
+                bounds: [0.0, 3e5 / factor],
+                rate: Some([-2e6 / factor, 2e6 / factor]),
+                ..*control
+            };
+        }
+        scene.duration = 0.5;
+        let mut last = Vec::new();
+        let run = scene
+            .run(Contender::Mpc, &mut |_, closed| {
+                let own = closed.controller().efforts(closed.sent());
+                last.extend(own.map(|(_, [from, _])| from * factor));
+                ControlFlow::Continue(())
+            })
+            .unwrap();
+        (
+            run.samples
+                .iter()
+                .map(|sample| sample.tip)
+                .collect::<Vec<_>>(),
+            last,
+        )
+    };
+    let ((whole, pressures), (half, others)) = (motion(1.0), motion(0.5));
+    for (a, b) in whole.iter().zip(&half) {
+        assert!(
+            (Vector3::from(*a) - Vector3::from(*b)).norm() < 1e-9,
+            "{a:?} {b:?}"
+        );
+    }
+    for (a, b) in pressures.iter().zip(&others) {
+        assert!((a - b).abs() < 1e-4 * 3e5, "{a} {b}");
+    }
+}
+
+/// A moving arm, and a command that changes its tensions by up to a newton.
+fn swinging(model: &Rod) -> (State, Command) {
+    let mut state = State::at_rest(model.rest.clone());
+    for q in 1..model.n_nodes() {
+        state.linear_momentum[q] = Vector3::new(0.1, -0.2, 0.0) * (model.nodes[q].mass * q as f64);
+    }
+    let command = Command {
+        start: 0.0,
+        end: 0.03,
+        efforts_from: vec![0.7, -0.3, 0.0, 0.2],
+        efforts_to: vec![1.0, 0.4, -0.2, 0.0],
+        ..Command::default()
+    };
+    (state, command)
+}
+
+/// A filter without measurements moves as a plant that is its model, and the derivative of its state along the state at the start is that
+/// of differences: the tensions that were sent are in both.
+#[test]
+fn estimators_know_the_efforts() {
+    for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+        let asked = Discretization {
+            scheme: Some(scheme),
+            ..discretization()
+        };
+        let model = tendon_arm(3e5).rod(&asked).unwrap();
+        let (start, command) = swinging(&model);
+        let settings = KalmanSettings {
+            longest_step: match scheme {
+                TimeScheme::Explicit => softarm::mechanics::stable_step(&model),
+                TimeScheme::Implicit => 0.005,
+            },
+            ..Unknowns::NONE.settings(&model)
+        };
+        let step = settings.longest_step;
+        let mut predictor = Predictor::new(&model, step);
+        let mut moved = |from: &State, end: f64| {
+            let mut state = from.clone();
+            (predictor.advance(&mut state, [0.0, end], &command, &Disturbance::NONE)).unwrap();
+            state
+        };
+        let mut plant = RodPlant::new(&model, start.clone(), 0.03, step, &model);
+        plant.apply(&command).unwrap();
+        let mut filter = KalmanFilter::new(&model, 0.0, &start, &settings).unwrap();
+        filter.advance(&command, command.end).unwrap();
+        let expected = moved(&start, command.end);
+        for (name, found) in [
+            ("plant", &plant.state()),
+            ("filter", &filter.estimate().state),
+        ] {
+            let gap: f64 = (found.configuration.positions.iter())
+                .zip(&expected.configuration.positions)
+                .map(|(a, b)| (a - b).norm())
+                .fold(0.0, f64::max);
+            assert!(gap < 1e-12, "{scheme:?} {name}: {gap:e}");
+        }
+        // As many steps as the derivative is kept of.
+        let end = 4.0 * step;
+        let mut filter = KalmanFilter::new(&model, 0.0, &start, &settings).unwrap();
+        filter.advance(&command, end).unwrap();
+        let first = model.first_free_node();
+        let along = &filter.transition()[0];
+        const STEP: f64 = 1e-6;
+        for column in [0, 4, 12 * 3 + 1, 12 * 4 + 5, 12 * 5 + 6] {
+            let sides = [STEP, -STEP].map(|h| {
+                let mut tangent = start.difference(&start);
+                let (node, part) = (first + column / 12, column % 12);
+                let vectors = [
+                    &mut tangent.positions,
+                    &mut tangent.rotations,
+                    &mut tangent.linear,
+                    &mut tangent.angular,
+                ];
+                let [.., vector] = [part / 3; 1];
+                // Momenta are small numbers.
+                let unit = if part < 6 {
+                    1.0
+                } else {
+                    model.nodes[node].mass
+                };
+                vectors.into_iter().nth(vector).unwrap()[node][part % 3] = h * unit;
+                (moved(&start.retract(&tangent), end), unit)
+            });
+            let unit = sides[0].1;
+            let difference = sides[0].0.difference(&sides[1].0);
+            let differences: Vec<f64> = difference.components_from(first).collect();
+            let largest =
+                (0..along.nrows()).fold(0.0, |most: f64, i| most.max(along[(i, column)].abs()));
+            for (row, expected) in differences.iter().enumerate() {
+                let found = along[(row, column)];
+                let expected = expected / (2.0 * STEP * unit);
+                assert!(
+                    (found - expected).abs() < 1e-5 * largest,
+                    "{scheme:?} {row}, {column}: {found} {expected}"
+                );
+            }
+        }
+    }
+}
+
+/// An actuator of a plant that is slow follows a step as `1 - exp(-t/τ)`, and one that saturates stays at its limit; the command of the
+/// others acts at once.
+#[test]
+fn actuators_of_plants_are_slow_and_limited() {
+    let model = tendon_arm(3e5).rod(&discretization()).unwrap();
+    let start = State::at_rest(model.rest.clone());
+    let arm = SimulatedArm::new(&model, start.clone(), 0.01, &model, &[], Default::default());
+    let lag = 0.02;
+    let dynamics = [
+        EffortDynamics {
+            lag,
+            ..EffortDynamics::default()
+        },
+        EffortDynamics {
+            range: [0.0, 1.0],
+            ..EffortDynamics::default()
+        },
+    ];
+    let mut arm = arm.unwrap().with_efforts(&dynamics).unwrap();
+    arm.send(&Command {
+        start: 0.0,
+        end: 0.01,
+        efforts_from: vec![1.0, 1.0, 1.0, -0.4],
+        efforts_to: vec![1.0, 1.0, 1.0, -0.4],
+        ..Command::default()
+    });
+    assert_eq!(arm.acting_efforts(), [0.4; 4]);
+    for k in 1..=10 {
+        let t = 0.01 * f64::from(k);
+        arm.advance(t).unwrap();
+        let [slow, limited, free, slack] = arm.acting_efforts()[..] else {
+            panic!("four tendons");
+        };
+        let expected = 0.4 + 1.0 - (-t / lag).exp();
+        assert!((slow - expected).abs() < 1e-9, "{t}: {slow} {expected}");
+        assert!((limited - 1.0).abs() < 1e-12 && (free - 1.4).abs() < 1e-12);
+        assert!(slack.abs() < 1e-12);
+    }
+    let arm = SimulatedArm::new(&model, start, 0.01, &model, &[], Default::default()).unwrap();
+    let narrow = EffortDynamics {
+        range: [1.0, 2.0],
+        ..EffortDynamics::default()
+    };
+    let error = arm.with_efforts(&[narrow]).unwrap_err();
+    assert!(error.to_string().contains("given effort: 0.4"), "{error}");
+}
+
+/// A force on the tip beside the tendons holds the arm on a path as well; without one there is no law at the tip, and a loop says so.
+#[test]
+fn forces_and_tensions_go_together() {
+    let mut scene = scene(Hold::Linear);
+    scene.sensing = Sensing::Everything;
+    scene.duration = 1.0;
+    scene.counted_from = 0.5;
+    for law in [Contender::OpenLoop, Contender::Regulator] {
+        let run = scene
+            .run(law, &mut |_, _| ControlFlow::Continue(()))
+            .unwrap();
+        assert!(run.broke_down.is_none(), "{law:?}");
+    }
+    let error = scene
+        .run(Contender::TipPd, &mut |_, _| ControlFlow::Continue(()))
+        .unwrap_err();
+    assert!(matches!(error, MpcError::Unsupported(_)), "{error}");
+    scene.task.actuators.push(WrenchActuator {
+        at: Place::Tip,
+        force: ChannelLimits::at_most(0.05),
+        moment: ChannelLimits::NONE,
+    });
+    let mut most = 0.0f64;
+    let run = scene
+        .run(Contender::Mpc, &mut |_, closed| {
+            most = most.max(closed.sent().from[0].force.norm());
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+    let rms = run.tip_error.rms / scene.arm.length;
+    assert!(rms < 5e-3, "{rms}");
+    assert!(most > 0.0 && most <= 0.05 * (1.0 + 1e-9), "{most}");
+}
+
+/// A served loop names its tensions with their unit, limits and pretension, and its commands have whole tensions: those of the closed loop
+/// in the library, to the rounding of a rotation through JSON, which a loop on the same model does not amplify by more than 1e5.
+#[test]
+fn served_tensions_are_those_of_the_library() {
+    let mut scene = scene(Hold::Linear);
+    scene.sensing = Sensing::Everything;
+    scene.settings = LoopSettings::default();
+    scene.duration = 0.3;
+    let mut tensions = Vec::new();
+    let run = scene.run(Contender::Mpc, &mut |_, closed| {
+        let own = closed.controller().efforts(closed.sent());
+        tensions.push(own.map(|(_, ends)| ends).collect::<Vec<_>>());
+        ControlFlow::Continue(())
+    });
+    assert!(run.unwrap().broke_down.is_none());
+    let plant = Plant::new(&scene);
+    let mut arm = plant.arm(&scene);
+    let mut desk = Desk::new(&scene);
+    assert!(desk.hello["actuators"].as_array().unwrap().is_empty());
+    let first = &desk.hello["efforts"][0];
+    assert_eq!(
+        (&first["name"], &first["unit"]),
+        (&json!("east"), &json!("N"))
+    );
+    assert_eq!(
+        (&first["rest"], &first["least"]),
+        (&json!(0.4), &json!(0.0))
+    );
+    assert_eq!(first["most"], json!(TENSION));
+    assert_eq!(first["fastest_fall"], json!(TENSION_RATE[0]));
+    for (k, expected) in tensions.iter().enumerate() {
+        let t = 0.01 * k as f64;
+        let line = desk.command(&state_line(t, &arm.state_on_model()));
+        let of = |end: &str| -> Vec<f64> {
+            let efforts = line["efforts"].as_array().unwrap();
+            efforts
+                .iter()
+                .map(|own| own[end].as_f64().unwrap())
+                .collect()
+        };
+        let (from, to) = (of("from"), of("to"));
+        for (i, [a, b]) in expected.iter().enumerate() {
+            let off = (from[i] - a).abs().max((to[i] - b).abs());
+            assert!(off < 1e-9 * TENSION, "sample {k}, tendon {i}: {off:e}");
+        }
+        arm.send(&Command {
+            start: line["from_s"].as_f64().unwrap(),
+            end: line["to_s"].as_f64().unwrap(),
+            efforts_from: from.iter().map(|tension| tension - 0.4).collect(),
+            efforts_to: to.iter().map(|tension| tension - 0.4).collect(),
+            ..Command::default()
+        });
+        arm.advance(t + 0.01).unwrap();
+    }
+}

@@ -1,0 +1,262 @@
+//! What the verbs make of arms with tendons and chambers: pages, exports, trade-offs, and accuracies.
+
+#![cfg(feature = "cli")]
+
+use crate::tool;
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+
+use serde_json::Value;
+use softarm::output::{EffortRow, MotionRecord, read_efforts};
+use softarm::scene::Scene;
+use softarm::tradeoff::Subject;
+use tempfile::TempDir;
+use tool::DONE;
+
+/// A hanging arm that two opposed tendons pull toward a point, past a chamber whose pressure is given.
+const ARM: &str = "\
+[rod]
+length_m = 0.3
+elements = 8
+[rod.material]
+youngs_modulus_pa = 1e5
+poisson_ratio = 0.4
+density_kg_m3 = 1070.0
+[rod.section]
+radius_m = 0.01
+[base]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[damping]
+viscous_1_s = 1.0
+internal_s = 5e-3
+[[tendon]]
+name = \"front, <1>\"
+offset_m = [0.008, 0.0]
+tension_n = [0.0, 2.0]
+[[tendon]]
+name = \"back\"
+offset_m = [-0.008, 0.0]
+to = 0.5
+tension_n = [0.0, 2.0]
+[[chamber]]
+name = \"side\"
+area_m2 = 2e-5
+offset_m = [0.0, 0.006]
+profile = [[0.0, 0.0], [0.2, 2e3]]
+[time]
+end_s = 0.3
+[task]
+position_m = [0.03, 0.0, -0.29]
+hard = false
+weight = 1e4
+at_rest = false
+";
+
+struct Desk(TempDir);
+
+impl Desk {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("arm.toml"), ARM).unwrap();
+        Self(folder)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn read(&self, name: &str) -> String {
+        fs::read_to_string(self.path(name)).unwrap()
+    }
+
+    /// Runs a line of words, and returns its summary.
+    #[track_caller]
+    fn done(&self, line: &str) -> Value {
+        let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(line.split_whitespace())
+            .args(["--json", "--quiet"])
+            .current_dir(self.0.path())
+            .output()
+            .unwrap();
+        let talk = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(DONE), "{line}: {talk}");
+        serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
+    }
+
+    fn efforts(&self, run: &str) -> (MotionRecord, Vec<EffortRow>) {
+        let motion = MotionRecord::read_npz(&self.path(run).join("trajectory.npz")).unwrap();
+        let n = 3 * motion.n_rows();
+        let rows = read_efforts(&self.path(run).join("efforts.csv"), n, 16).unwrap();
+        (motion, rows)
+    }
+
+    /// The data that a page draws.
+    fn page(&self, run: &str) -> Value {
+        let page = self.read(&format!("{run}/report.html"));
+        let (_, rest) = page.split_once("type=\"application/json\">").unwrap();
+        serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+    }
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    (value.as_array().unwrap().iter())
+        .map(|number| number.as_f64().unwrap())
+        .collect()
+}
+
+/// The picture has every actuator at its offset in the section, over the nodes that it passes, with the efforts of `efforts.csv` at its
+/// frames; without effort it is slack; charts have efforts and bounds; the page is made anew to the byte. A page without actuators has none.
+#[test]
+fn pages_show_actuators() {
+    let desk = Desk::new();
+    for verb in ["simulate", "solve"] {
+        desk.done(&format!("{verb} arm.toml --out run"));
+        let (motion, efforts) = desk.efforts("run");
+        let page = desk.page("run");
+        let routes = page["routes"].as_array().unwrap();
+        let t = numbers(&page["motion"]["t"]);
+        let expected = [
+            ("front, <1>", "tendon", 9, [0.008, 0.0]),
+            ("back", "tendon", 5, [-0.008, 0.0]),
+            ("side", "chamber", 9, [0.0, 0.006]),
+        ];
+        for (i, (name, kind, n_nodes, offset)) in expected.into_iter().enumerate() {
+            let route = &routes[i];
+            assert_eq!(
+                (&route["name"], &route["kind"]),
+                (&name.into(), &kind.into())
+            );
+            assert_eq!(
+                (&route["first"], route["offsets"].as_array().unwrap().len()),
+                (&0.into(), n_nodes)
+            );
+            for found in route["offsets"].as_array().unwrap() {
+                let found = numbers(found);
+                assert!((found[0] - offset[0]).abs() < 1e-9 && (found[1] - offset[1]).abs() < 1e-9);
+            }
+            let drawn = numbers(&route["efforts"]);
+            let most = route["most"].as_f64().unwrap();
+            let slack = route["slack"].as_array().unwrap();
+            assert_eq!(drawn.len(), t.len());
+            for ((effort, slack), t) in drawn.iter().zip(slack).zip(&t) {
+                let row = (motion.t.iter())
+                    .position(|own| (own - t).abs() < 1e-9)
+                    .unwrap();
+                let own = efforts[3 * row + i].effort;
+                // Numbers of a picture have seven digits.
+                assert!((effort - own).abs() <= 1e-7 * most, "{effort} {own}");
+                assert_eq!(slack.as_bool().unwrap(), own.abs() <= 1e-4 * most);
+            }
+            let radius = route["radius"].as_f64().unwrap();
+            let chamber = (2e-5 / std::f64::consts::PI).sqrt();
+            assert_eq!(radius, if kind == "chamber" { chamber } else { 0.0 });
+        }
+        assert_eq!(routes[2]["slack"][0], true);
+        let charts = page["charts"].as_array().unwrap();
+        let chart = |title: &str| charts.iter().find(|chart| chart["title"] == title).unwrap();
+        let names = |chart: &Value| -> Vec<String> {
+            let series = chart["series"].as_array().unwrap().iter();
+            series
+                .map(|own| own["name"].as_str().unwrap().to_string())
+                .collect()
+        };
+        assert_eq!(
+            names(chart("Tensions")),
+            ["front, <1>", "back", "bound", "bound"]
+        );
+        assert_eq!(names(chart("Pressures")), ["side"]);
+        assert_eq!(chart("Pressures")["unit"], "Pa");
+        assert_eq!(numbers(&chart("Tensions")["series"][3]["y"]), [2.0, 2.0]);
+        let acting = page["acting"].to_string();
+        assert!(
+            acting.contains("allowed 0 N to 2 N") && acting.contains("to 0.5 of the length"),
+            "{acting}"
+        );
+        let before = desk.read("run/report.html");
+        desk.done("report run");
+        assert!(desk.read("run/report.html") == before, "{verb}");
+        fs::remove_dir_all(desk.path("run")).unwrap();
+    }
+    fs::write(desk.path("plain.toml"), tool::SCENE).unwrap();
+    desk.done("simulate plain.toml --out plain");
+    assert_eq!(desk.page("plain")["routes"], Value::Null);
+}
+
+/// VTK files have effort and coordinate of their time as field data, and the table a column for each actuator, whatever its name is.
+#[test]
+fn exports_have_efforts() {
+    let desk = Desk::new();
+    desk.done("solve arm.toml --out run");
+    let (motion, efforts) = desk.efforts("run");
+    let last = &efforts[3 * (motion.n_rows() - 1)..];
+    desk.done("export run --to vtk --out vtk --frames 3");
+    let text = desk.read("vtk/motion-0002.vtp");
+    for (name, own) in ["front, &lt;1&gt;", "back", "side"].into_iter().zip(last) {
+        for (word, value) in [("effort", own.effort), ("coordinate", own.coordinate)] {
+            let head = format!("Name=\"{word} {name}\" NumberOfTuples=\"1\" format=\"ascii\">\n");
+            let (_, rest) = text.split_once(&head).expect(&head);
+            assert_eq!(rest.lines().next().unwrap().parse::<f64>().unwrap(), value);
+        }
+    }
+    for _ in 0..2 {
+        // The second export replaces the first one, which it knows by its head.
+        desk.done("export run --to csv --out csv --frames 3");
+    }
+    let path = desk.path("csv/motion.csv");
+    let mut table = csv::Reader::from_path(path).unwrap();
+    let heads: Vec<String> = table.headers().unwrap().iter().map(String::from).collect();
+    assert_eq!(
+        heads[10..],
+        ["effort front, <1>", "effort back", "effort side"]
+    );
+    let row = table.records().last().unwrap().unwrap();
+    for (i, own) in last.iter().enumerate() {
+        assert_eq!(row[10 + i].parse::<f64>().unwrap(), own.effort);
+    }
+}
+
+/// A scene whose only controls are efforts is an optimal-control problem to a trade-off, with blocks of its own, which a changed setting
+/// writes into the scene; without a goal it is a motion.
+#[test]
+fn efforts_are_controls_of_a_tradeoff() {
+    let (scene, _) = Scene::from_toml("arm", ARM, &[]).unwrap();
+    assert_eq!(Subject::of(&scene), Subject::OptimalControl);
+    let (task, _) = ARM.split_once("[task]").unwrap();
+    let (motion, _) = Scene::from_toml("motion", task, &[]).unwrap();
+    assert_eq!(Subject::of(&motion), Subject::Motion);
+    let own = scene.discretization();
+    let wanted = softarm::task::Discretization {
+        blocks: 7,
+        elements: 6,
+        ..own
+    };
+    assert_eq!(scene.with_grid(&wanted).discretization().blocks, 7);
+    assert_eq!(scene.with_grid(&own).control, None);
+}
+
+/// An accuracy that the first grid misses leads to a finer one, which begins with the efforts of the coarser one: it needs fewer iterations
+/// than a solve of that grid from the beginning, and the result is certified.
+#[test]
+fn efforts_are_carried_to_finer_grids() {
+    let desk = Desk::new();
+    let scene = ARM.replace("elements = 8\n", "accuracy = 2e-3\n");
+    fs::write(desk.path("accurate.toml"), scene).unwrap();
+    let summary = desk.done("solve accurate.toml --out run");
+    assert_eq!(summary["check"]["verdict"], "certified");
+    let accuracy = &summary["accuracy"];
+    let levels = accuracy["levels"].as_array().unwrap();
+    assert!(levels.len() > 1, "{accuracy}");
+    let elements = levels.last().unwrap()["elements"].as_u64().unwrap();
+    let alone = desk.done(&format!(
+        "solve arm.toml --out alone --set rod.elements={elements}"
+    ));
+    let [carried, fresh] = [&summary, &alone].map(|own| own["iterations"].as_u64().unwrap());
+    assert!(carried <= fresh, "{carried} {fresh}");
+    let [a, b] = [&summary, &alone].map(|own| own["objective"].as_f64().unwrap());
+    // Both are optima of one grid, of objectives that a solve knows to the square of its tolerance.
+    assert!((a - b).abs() < 1e-6 * b.abs(), "{a} {b}");
+}
