@@ -121,6 +121,9 @@ pub enum NotFound {
         "the base is free, so that the arm may rest in any pose: name task.position_m and task.orientation_wxyz"
     )]
     FreeBase,
+    /// The search knows clamped, driven and free bases and free tips.
+    #[error("an end is pinned, or the tip is held, and what holds such an arm is not looked for")]
+    HeldEnds,
     /// The search would take too long.
     #[error("too many elements or actuators for a search that takes about a second")]
     TooLarge,
@@ -218,6 +221,9 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         components,
         time,
     };
+    if !rod.joints.is_empty() {
+        return not_found(NotFound::HeldEnds);
+    }
     if rod.base == BaseCondition::Free {
         return Ok(floating(&statics, target));
     }

@@ -53,7 +53,7 @@ impl Stay {
         let unit = held.least_squared_frequency;
         let tangent = match rod.base {
             BaseCondition::Free => (held.tangent).with_inertia(rod, &held.shape, seconds.powi(-2)),
-            BaseCondition::Clamped | BaseCondition::Driven(_) => held.tangent,
+            _ => held.tangent,
         };
         let modes = SlowModes::about(rod, &held.shape, tangent, unit)?;
         Some(Self {

@@ -47,6 +47,18 @@ pub fn random_state(rod: &Rod, size: f64, rng: &mut Rng) -> State {
         configuration.positions[q + 1] = x + r * chord * element.length;
         configuration.rotations[q + 1] = r * exp(&psi);
     }
+    // A held tip stays where it is, and every node on the way to it by its share.
+    if let Some(joint) = rod.joint(rod.tip()) {
+        let gap = rod.gap(joint, configuration, 0.0);
+        let (way, turn) = (
+            Vector3::new(gap[0], gap[1], gap[2]),
+            Vector3::new(gap[3], gap[4], gap[5]),
+        );
+        for (q, share) in rod.mesh.fractions().into_iter().enumerate() {
+            configuration.positions[q] += share * way;
+            configuration.rotations[q] *= exp(&(share * turn));
+        }
+    }
     let rotary = rod.rotary_at(&configuration.positions);
     let (speed, spin) = (
         vector(rng, size * SPEED * scales.length / scales.time),

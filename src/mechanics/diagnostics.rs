@@ -27,6 +27,7 @@ use super::base_motion::BaseState;
 use super::configuration::State;
 use super::element::RodModel;
 use super::element::{Element, ElementPose, IntervalStress, StrainRule};
+use super::ends::{EndCondition, Joint};
 use super::energy::{Energy, angular_momentum, linear_momentum};
 use super::forces::NodalForces;
 use super::implicit::IntervalWeights;
@@ -100,7 +101,7 @@ impl ElementStress {
 /// model `dilatation` has no energy to balance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PowerBalance {
-    /// Power of the loads and of the base's drive, `Σ f·v + τ·ω`, the mean of both ends of the step, with the wrenches that the step
+    /// Power of the loads and of the drives of the ends, `Σ f·v + τ·ω`, the mean of both ends of the step, with the wrenches that the step
     /// applies there. The work of gravity is part of the energy instead.
     pub external: f64,
     /// Power of damping: `c Σ |p|²/m + π·J⁻¹π`, the mean of both ends, and `τ Σ l ṡ·C ṡ` with the step's own rate of strain.
@@ -117,7 +118,7 @@ impl PowerBalance {
     pub fn over_step(rod: &Rod, time_step: f64, t: f64, before: &State, after: &State) -> Self {
         let ends = ends_of_step(time_step, t, before, after);
         let power = |node: &TimeNode, state: &State| {
-            load_power(rod, node, state) + base_power(rod, time_step, node, state)
+            load_power(rod, node, state) + drive_power(rod, time_step, node, state)
         };
         let external = (ends.iter())
             .map(|(node, state)| 0.5 * power(node, state))
@@ -243,12 +244,50 @@ fn given_efforts(rod: &Rod, node: &TimeNode) -> Vec<f64> {
     efforts
 }
 
+/// Returns the wrench that holds or drives the tip, as [`reaction`] does for the base.
+fn tip_reaction(rod: &Rod, time_step: f64, t: f64, state: &State, net: &NodalForces) -> Wrench {
+    rod.joint(rod.tip()).map_or_else(Wrench::default, |joint| {
+        joint_reaction(rod, joint, time_step, t, state, net)
+    })
+}
+
+/// Returns the wrench with which a joint holds or drives its end: the part of `ṗ + c p - f` and `Rᵀ d(R π)/dt + c π - τ` along the motions
+/// that it holds.
+fn joint_reaction(
+    rod: &Rod,
+    joint: &Joint,
+    time_step: f64,
+    t: f64,
+    state: &State,
+    net: &NodalForces,
+) -> Wrench {
+    let (q, c) = (joint.node, rod.viscous_damping);
+    let mut wrench = Wrench {
+        force: c * state.linear_momentum[q] - net.forces[q],
+        moment: c * state.angular_momentum[q] - net.moments[q],
+    };
+    let (from, to) = ((t - time_step).max(0.0), t + time_step);
+    if let (Some(before), Some(after)) = (rod.driven_end(q, from), rod.driven_end(q, to)) {
+        let inertia = &rod.nodes[q];
+        let spin =
+            |end: &BaseState| end.rotation * inertia.rotary.component_mul(&end.angular_velocity);
+        wrench.force += inertia.mass * (after.velocity - before.velocity) / (to - from);
+        let rate = (spin(&after) - spin(&before)) / (to - from);
+        wrench.moment += state.configuration.rotations[q].tr_mul(&rate);
+    }
+    wrench.moment -= joint.turning * wrench.moment;
+    wrench
+}
+
 /// Returns the wrench that holds or drives node 0, on which `net` acts otherwise: `ṗ + c p - f`, and `Rᵀ d(R π)/dt + c π - τ`. The rates of
 /// a driven base are central differences over `2 h`, one-sided at the start; under the model `consistent` its inertia changes with the
 /// dilatation together with its momentum.
 fn reaction(rod: &Rod, time_step: f64, t: f64, state: &State, net: &NodalForces) -> Wrench {
     if rod.base == BaseCondition::Free {
         return Wrench::default();
+    }
+    if let Some(joint) = rod.joint(0) {
+        return joint_reaction(rod, joint, time_step, t, state, net);
     }
     let c = rod.viscous_damping;
     let mut wrench = Wrench {
@@ -282,15 +321,19 @@ fn reaction(rod: &Rod, time_step: f64, t: f64, state: &State, net: &NodalForces)
     wrench
 }
 
-/// Returns `Σ f·v + τ·ω` of the base's drive, W.
-fn base_power(rod: &Rod, time_step: f64, node: &TimeNode, state: &State) -> f64 {
-    let Some(base) = rod.driven_base(node.time) else {
-        return 0.0;
+/// Returns `Σ f·v + τ·ω` of the drives of both ends, W.
+fn drive_power(rod: &Rod, time_step: f64, node: &TimeNode, state: &State) -> f64 {
+    let power = |end: BaseState, reaction: ReactionOf| {
+        let net = forces_of_motion(rod, node, state);
+        let wrench = reaction(rod, time_step, node.time, state, &net);
+        wrench.force.dot(&end.velocity) + wrench.moment.dot(&end.angular_velocity)
     };
-    let net = forces_of_motion(rod, node, state);
-    let wrench = reaction(rod, time_step, node.time, state, &net);
-    wrench.force.dot(&base.velocity) + wrench.moment.dot(&base.angular_velocity)
+    let [base, tip] = [0, rod.tip()].map(|q| rod.driven_end(q, node.time));
+    base.map_or(0.0, |base| power(base, reaction)) + tip.map_or(0.0, |tip| power(tip, tip_reaction))
 }
+
+/// A function that returns the wrench on an end.
+type ReactionOf = fn(&Rod, f64, f64, &State, &NodalForces) -> Wrench;
 
 /// Returns `Σ f·v + τ·ω` of the loads and of the actuators, `Σ u ẏ`, W.
 fn load_power(rod: &Rod, node: &TimeNode, state: &State) -> f64 {
@@ -316,7 +359,8 @@ fn load_power(rod: &Rod, node: &TimeNode, state: &State) -> f64 {
 /// Mean wrenches over one step, and their residual in the change of the momenta.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MomentumBalance {
-    /// Wrench that holds or drives the base: the impulse of the constraint on node 0, from its own rows of the step. Zero for a free base.
+    /// Wrench that holds or drives the ends: the impulses of the constraints on nodes 0 and `K`, from their own rows of the step. Zero for
+    /// free ends.
     pub reaction: TotalWrench,
     /// Wrench of gravity and loads.
     pub loads: TotalWrench,
@@ -343,10 +387,16 @@ impl MomentumBalance {
                 let (p, pi) = (&step.linear[q], &step.angular[end][q]);
                 out.damping.add(-0.5 * rod.viscous_damping, state, q, p, pi);
             }
-            if rod.base != BaseCondition::Free {
-                let impulse = step.base_impulse(rod, h, end, &node, [before, after]);
+            for q in [0, rod.tip()] {
+                if *rod.end_at(q) == EndCondition::Free {
+                    continue;
+                }
+                let mut impulse = step.end_impulse(rod, q, h, end, &node, [before, after]);
+                if let Some(joint) = rod.joint(q) {
+                    impulse.moment -= joint.turning * impulse.moment;
+                }
                 out.reaction
-                    .add(1.0 / h, state, 0, &impulse.force, &impulse.moment);
+                    .add(1.0 / h, state, q, &impulse.force, &impulse.moment);
             }
         }
         let rate = |of: fn(&State) -> Vector3<f64>| (of(after) - of(before)) / h;
@@ -405,23 +455,26 @@ impl Step {
         }
     }
 
-    /// Returns the impulse of the constraint on node 0 at the start (`end` 0) or the end (1) of the step, at the time node `node`.
-    fn base_impulse(
+    /// Returns the impulse of the constraint on node `q`, the base or the tip, at the start (`end` 0) or the end (1) of the step, at the time
+    /// node `node`.
+    fn end_impulse(
         &self,
         rod: &Rod,
+        q: usize,
         h: f64,
         end: usize,
         node: &TimeNode,
         states: [&State; 2],
     ) -> Wrench {
+        let beside = q.saturating_sub(1);
         let poses = states.map(|state| {
             let at = &state.configuration;
-            Rod::element_pose(0, &at.positions, &at.rotations)
+            Rod::element_pose(beside, &at.positions, &at.rotations)
         });
         let state = states[end];
         let a = 0.5 * rod.viscous_damping * h;
-        let of_step = [self.linear[0], self.angular[end][0]];
-        let of_state = [state.linear_momentum[0], state.angular_momentum[0]];
+        let of_step = [self.linear[q], self.angular[end][q]];
+        let of_state = [state.linear_momentum[q], state.angular_momentum[q]];
         let mut change = match end {
             0 => [0, 1].map(|i| of_step[i] * (1.0 + a) - of_state[i]),
             _ => [0, 1].map(|i| of_state[i] - of_step[i] * (1.0 - a)),
@@ -430,16 +483,21 @@ impl Step {
         let mut forces = NodalForces::zeros(rod.n_nodes());
         let at = &state.configuration;
         forces.evaluate_at_node(rod, &at.positions, &at.rotations, node);
-        change[0] -= 0.5 * h * forces.forces[0];
-        change[1] -= 0.5 * h * forces.moments[0];
+        change[0] -= 0.5 * h * forces.forces[q];
+        change[1] -= 0.5 * h * forces.moments[q];
         if let Some(weights) = IntervalWeights::of(rod, h) {
-            let element = &rod.elements[0];
+            let element = &rod.elements[beside];
             let strain = poses.map(|pose| rod.strain_rule.strain(element.length, &pose));
-            let stress = weights.stress(&rod.elements[0], &strain[0], &strain[1]);
+            let stress = weights.stress(element, &strain[0], &strain[1]);
             let pull = element.gradient_under(rod.strain_rule, &poses[end], &stress);
-            change[0] -= 0.5 * h * pull.force;
-            change[1] += 0.5 * h * pull.moment_a;
+            let (force, moment) = match q {
+                0 => (-pull.force, pull.moment_a),
+                _ => (pull.force, pull.moment_b),
+            };
+            change[0] += 0.5 * h * force;
+            change[1] += 0.5 * h * moment;
         }
+        // A tip is held under the standard model only, which has no kinetic reaction.
         if [InertiaRule::Start, InertiaRule::End][end] == self.inertia_rule {
             let turns = [&self.turns[0], &self.turns[1]];
             change[0] += rod.kinetic_reaction(0, &poses[end].dx, turns, h);
@@ -483,7 +541,9 @@ pub struct Diagnostics {
     /// node 0 (those of the stress of the first element, of viscosity and of the kinetic reaction among them), cause its motion; zero for a
     /// free base.
     pub reaction: Wrench,
-    /// Gravity, loads and the reaction; at a jump of a load the mean of both sides.
+    /// Wrench that holds or drives the tip, likewise; `None` for a free tip.
+    pub tip_reaction: Option<Wrench>,
+    /// Gravity, loads and the reactions; at a jump of a load the mean of both sides.
     pub external: TotalWrench,
     /// Mean wrench of viscous damping over the step that begins here, `-c Σ p½` and `-c Σ x × p½ + R g`, with the momenta after the kick of
     /// the forces at its start.
@@ -528,6 +588,11 @@ impl Diagnostics {
         let mut external = TotalWrench::default();
         add_loads(&mut external, 1.0, rod, &node, state);
         external.add(1.0, state, 0, &reaction.force, &reaction.moment);
+        let tip_reaction =
+            (!rod.has_free_tip()).then(|| tip_reaction(rod, time_step, t, state, &net));
+        if let Some(wrench) = &tip_reaction {
+            external.add(1.0, state, rod.tip(), &wrench.force, &wrench.moment);
+        }
 
         let c = rod.viscous_damping;
         let undamp = 1.0 / (1.0 + 0.5 * c * time_step);
@@ -542,7 +607,18 @@ impl Diagnostics {
         for q in rod.first_free_node()..rod.n_nodes() {
             let p = (state.linear_momentum[q] + 0.5 * time_step * net.forces[q]) * undamp;
             let g = (state.angular_momentum[q] + 0.5 * time_step * net.moments[q]) * undamp;
-            damping.add(-c, state, q, &p, &g);
+            let mut own = rod.on_free_motions(
+                q,
+                Wrench {
+                    force: p,
+                    moment: g,
+                },
+            );
+            if let Some(end) = rod.driven_end(q, t + 0.5 * time_step).filter(|_| q > 0) {
+                own.force += end.velocity * rod.nodes[q].mass;
+                own.moment += rod.nodes[q].rotary.component_mul(&end.angular_velocity);
+            }
+            damping.add(-c, state, q, &own.force, &own.moment);
         }
 
         Self {
@@ -550,6 +626,7 @@ impl Diagnostics {
             angular_momentum: angular_momentum(state),
             elements,
             reaction,
+            tip_reaction,
             external,
             damping,
             volume_error: match rod.model {

@@ -15,11 +15,12 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::block_tridiagonal::{BlockCholesky, BlockTridiagonal};
 use super::configuration::Configuration;
+use super::ends::EndCondition;
 use super::forces::NodalForces;
 use super::load::{Load, LoadFrame, Wrench};
-use super::rod::{BaseCondition, Rod};
+use super::rod::Rod;
 use super::rotation::{exp, log, log_tangent};
-use super::stiffness::tangent_stiffness;
+use super::stiffness::{free_stiffness, tangent_stiffness};
 use super::strain_coordinates::retract_shape;
 use super::tangent::Tangent;
 use crate::stop::{Stop, StopSignal};
@@ -78,7 +79,7 @@ impl TipSpring {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EquilibriumError {
     /// A free rod has no place of rest.
-    #[error("a static equilibrium needs a base that is held, and this one is free")]
+    #[error("a static equilibrium needs an end that is held, and both are free")]
     FreeBase,
     /// The iteration limit was reached.
     #[error(
@@ -99,6 +100,17 @@ pub enum EquilibriumError {
         element: usize,
         /// Length divided by the length at rest.
         dilatation: f64,
+    },
+    /// The shape at the start does not end where its tip is held.
+    #[error(
+        "the shape at the start does not end where the tip is held: it ends {distance:.3e} m and {angle:.3e} rad away; start from its equilibrium \
+         there (initial.shape = \"equilibrium\"), or without the pose of the tip, which is then held where the arm at rest ends"
+    )]
+    NotThere {
+        /// Distance of the tip from where it is held, m.
+        distance: f64,
+        /// Angle between them, rad.
+        angle: f64,
     },
     /// A stop signal ended the iteration.
     #[error("stopped before the static equilibrium was found: {0}")]
@@ -130,6 +142,11 @@ const FIRST_STRIDE: f64 = 0.1;
 const LEAST_STRIDE: f64 = 1e-3;
 /// Cap on Newton's steps at one load.
 const CONTINUATION_STEPS: usize = 12;
+/// Distance of a held end from its place, in lengths of the arm, or angle, up to which it is there: rounding of poses.
+const CLOSED: f64 = 1e-12;
+/// Stiffness of all rotations, in units of `EI/L`, that is added to the matrix of Newton's method where ends leave motions without
+/// stiffness: far below every other one, so that a step is wrong by about this part of itself. It is above the rounding of the others.
+const LEAST_TURN_STIFFNESS: f64 = 1e-8;
 
 /// Finds an equilibrium from `start`, with the base as in `start` and loads at their value at time `t`.
 ///
@@ -155,10 +172,13 @@ pub fn static_equilibrium_until(
     spring: &TipSpring,
     stop: &StopSignal,
 ) -> Result<Configuration, EquilibriumError> {
-    if rod.base == BaseCondition::Free {
+    if !rod.is_held() {
         return Err(EquilibriumError::FreeBase);
     }
-    let mut center = start.clone();
+    let mut center = match gap(rod, start, t) > CLOSED {
+        true => led(rod, start, t, spring, stop)?,
+        false => start.clone(),
+    };
     let mut statics = Statics::new(rod, t, *spring);
     let mut residual = statics.residual(&center);
     let mut iterations = 0;
@@ -201,6 +221,57 @@ pub fn static_equilibrium_until(
         iterations,
         residual: statics.scaled(&residual),
     })
+}
+
+/// Returns by how far the held ends of a shape are from where they are held, in lengths of the arm and in rad.
+fn gap(rod: &Rod, at: &Configuration, t: f64) -> f64 {
+    let (distance, angle) = rod.largest_gap(at, t);
+    (distance / rod.scales.length).max(angle)
+}
+
+/// Returns the equilibrium that is reached from the one with the tip where `start` has it when the tip moves to where it is held: its
+/// position straight, its rotation about one axis; or a shape that ends there, if that path cannot be followed.
+fn led(
+    rod: &Rod,
+    start: &Configuration,
+    t: f64,
+    spring: &TipSpring,
+    stop: &StopSignal,
+) -> Result<Configuration, EquilibriumError> {
+    let tip = rod.tip();
+    let (x, r) = (start.positions[tip], start.rotations[tip]);
+    let to = rod
+        .joint(tip)
+        .map_or((x, r), |joint| rod.held_pose(joint, t));
+    let turn = log(&r.tr_mul(&to.1));
+    let under = |part: f64| Rod {
+        tip_end: match &rod.tip_end {
+            EndCondition::Driven(_) => EndCondition::Clamped,
+            other => other.clone(),
+        },
+        tip_reference: match part {
+            1.0 => to,
+            _ => (x + part * (to.0 - x), r * exp(&(part * turn))),
+        },
+        ..rod.clone()
+    };
+    let shape = static_equilibrium_until(&under(0.0), start, t, spring, stop)?;
+    let strides = [FIRST_STRIDE, LEAST_STRIDE];
+    let each = &mut |_, _: &Configuration, _| Passage::On;
+    let (part, shape) = followed(&under, (0.0, shape), 1.0, strides, t, spring, stop, each)?;
+    if part == 1.0 {
+        return Ok(shape);
+    }
+    // Where the path cannot be followed, the arm settles from a shape that is moved and turned by as much as its place along it says.
+    let mut out = shape;
+    let (x, r) = (out.positions[tip], out.rotations[tip]);
+    let turn = log(&r.tr_mul(&to.1));
+    for (q, s) in rod.mesh.fractions().into_iter().enumerate() {
+        out.positions[q] += s * (to.0 - x);
+        out.rotations[q] *= exp(&(s * turn));
+    }
+    (out.positions[tip], out.rotations[tip]) = to;
+    Ok(out)
 }
 
 /// Returns the equilibrium that is reached when the loads without a potential are increased from zero; `None` if Newton's method cannot
@@ -322,7 +393,8 @@ impl<'a> Statics<'a> {
         }
     }
 
-    /// Returns the unbalanced force and moment on every free node (node 1 first).
+    /// Returns the unbalanced force and moment on every free node, the first of them first; of motions that a joint holds, their
+    /// [gaps](Self::of_gap).
     fn residual(&mut self, at: &Configuration) -> Vec<Vector6<f64>> {
         self.forces
             .evaluate(self.rod, &at.positions, &at.rotations, self.t);
@@ -330,12 +402,62 @@ impl<'a> Statics<'a> {
         let pull = self.spring.wrench(&at.positions[tip], &at.rotations[tip]);
         self.forces.forces[tip] += pull.force;
         self.forces.moments[tip] += pull.moment;
-        (1..self.rod.n_nodes())
+        let first = self.rod.first_free_node();
+        let mut out: Vec<Vector6<f64>> = (first..self.rod.n_nodes())
             .map(|q| {
                 let (f, m) = (&self.forces.forces[q], &self.forces.moments[q]);
                 Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z)
             })
-            .collect()
+            .collect();
+        for joint in &self.rod.joints {
+            let gap = self.rod.gap(joint, at, self.t);
+            let own = &mut out[joint.node - first];
+            *own = joint.project(own) + self.of_gap().component_mul(&gap);
+        }
+        out
+    }
+
+    /// Returns the factors by which gaps of held ends count among forces and moments.
+    fn of_gap(&self) -> Vector6<f64> {
+        let scales = &self.rod.scales;
+        let (linear, angular) = (scales.force / scales.length, scales.moment);
+        Vector6::new(linear, linear, linear, angular, angular, angular)
+    }
+
+    /// Returns the matrix of Newton's method: minus the derivative of the [residual](Self::residual).
+    fn jacobian(&self, at: &Configuration) -> BlockTridiagonal {
+        if self.rod.joints.is_empty() {
+            return self.stiffness(at);
+        }
+        let mut out = free_stiffness(self.rod, at, self.t);
+        if self.rod.most_loose_motions() > 0 {
+            let stiffest = (self.rod.elements.iter())
+                .map(|element| element.linear_stiffness.max() * element.length)
+                .fold(0.0, f64::max);
+            let least =
+                (LEAST_TURN_STIFFNESS * self.rod.scales.moment).max(64.0 * f64::EPSILON * stiffest);
+            let least = Matrix6::from_diagonal(&Vector6::new(0.0, 0.0, 0.0, least, least, least));
+            out.diagonal.iter_mut().for_each(|block| *block += least);
+        }
+        for joint in &self.rod.joints {
+            let p = joint.projection();
+            let i = joint.node - self.rod.first_free_node();
+            let held = Matrix6::from_diagonal(&self.of_gap()) * (Matrix6::identity() - p);
+            if joint.node == self.rod.tip() {
+                out.diagonal[i] += self.spring.stiffness(&at.rotations[joint.node]);
+            }
+            out.diagonal[i] = p * out.diagonal[i] + held;
+            if let Some(before) = i.checked_sub(1) {
+                out.below[before] = p * out.below[before];
+            }
+            if let Some(above) = out.above.get_mut(i) {
+                *above = p * *above;
+            }
+        }
+        if let (true, Some(tip)) = (self.rod.has_free_tip(), out.diagonal.last_mut()) {
+            *tip += self.spring.stiffness(&at.rotations[self.rod.tip()]);
+        }
+        out
     }
 
     /// Returns the largest component, forces divided by `EI/L²` and moments by `EI/L`.
@@ -433,7 +555,7 @@ impl<'a> Statics<'a> {
         at: &Configuration,
         residual: &[Vector6<f64>],
     ) -> Option<(Configuration, Vec<Vector6<f64>>)> {
-        let mut tangent = Tangent::of(self.stiffness(at));
+        let mut tangent = Tangent::of(self.jacobian(at));
         tangent.add_winches(self.rod, at, self.t);
         let factor = tangent.factor()?;
         let step = factor.solve(&[residual.to_vec()]).swap_remove(0);
@@ -450,10 +572,12 @@ impl<'a> Statics<'a> {
         let farthest = (step.iter())
             .map(|s| s.fixed_rows::<3>(3).norm())
             .fold(0.0, f64::max);
-        let trial = if farthest > SMALL_TURN {
-            strained(at, &step)
+        let first = self.rod.first_free_node();
+        // Strains that change linearly would carry a held tip away.
+        let trial = if farthest > SMALL_TURN && self.rod.has_free_tip() {
+            strained(at, &step, first)
         } else {
-            moved(at, &step)
+            moved(at, &step, first)
         };
         if !is_short && !(largest_bend(at, &trial) < LARGEST_NEWTON_TURN) {
             return None;
@@ -524,7 +648,7 @@ impl<'a> Statics<'a> {
         };
         let mut step = blocks(z);
         factor.solve_lower_transposed(&mut step);
-        moved(center, &step)
+        moved(center, &step, self.rod.first_free_node())
     }
 }
 
@@ -534,19 +658,19 @@ fn blocks(flat: &[f64]) -> Vec<Vector6<f64>> {
         .collect()
 }
 
-/// Returns `x + δx`, `R exp(η)` on the free nodes.
-fn moved(at: &Configuration, step: &[Vector6<f64>]) -> Configuration {
+/// Returns `x + δx`, `R exp(η)` on the free nodes, from node `first` on.
+fn moved(at: &Configuration, step: &[Vector6<f64>], first: usize) -> Configuration {
     let mut out = at.clone();
     for (q, s) in step.iter().enumerate() {
-        out.positions[q + 1] += s.fixed_rows::<3>(0);
-        out.rotations[q + 1] *= exp(&s.fixed_rows::<3>(3).into());
+        out.positions[q + first] += s.fixed_rows::<3>(0);
+        out.rotations[q + first] *= exp(&s.fixed_rows::<3>(3).into());
     }
     out
 }
 
 /// Returns the shape after a step along which the strains of all elements are linear.
-fn strained(at: &Configuration, step: &[Vector6<f64>]) -> Configuration {
-    let mut positions = vec![Vector3::zeros()];
+fn strained(at: &Configuration, step: &[Vector6<f64>], first: usize) -> Configuration {
+    let mut positions = vec![Vector3::zeros(); first];
     let mut rotations = positions.clone();
     for s in step {
         positions.push(s.fixed_rows::<3>(0).into());
@@ -609,7 +733,7 @@ impl CostFunction for PotentialEnergy<'_> {
         }
         self.stop.check()?;
         let step = self.step(z);
-        let at = moved(self.center, &step);
+        let at = moved(self.center, &step, self.rod.first_free_node());
         let tip = self.rod.tip();
         let mut energy = self.rod.elastic_energy(&at.positions, &at.rotations)
             + self.rod.gravity_energy(&at.positions)
@@ -619,7 +743,12 @@ impl CostFunction for PotentialEnergy<'_> {
             energy += (self.rod).actuator_energy(&at.positions, &at.rotations, &efforts);
         }
         energy += (self.rod).potential_energy(&at.positions, &at.rotations);
-        for (load, s) in self.frozen.iter().skip(1).zip(&step) {
+        for (load, s) in self
+            .frozen
+            .iter()
+            .skip(self.rod.first_free_node())
+            .zip(&step)
+        {
             energy -=
                 load.force.dot(&s.fixed_rows::<3>(0)) + load.moment.dot(&s.fixed_rows::<3>(3));
         }
@@ -633,7 +762,8 @@ impl Gradient for PotentialEnergy<'_> {
 
     fn gradient(&self, z: &Vec<f64>) -> Result<Vec<f64>, ArgminError> {
         let step = self.step(z);
-        let at = moved(self.center, &step);
+        let first = self.rod.first_free_node();
+        let at = moved(self.center, &step, first);
         let tip = self.rod.tip();
         let mut forces = self.forces.borrow_mut();
         forces.evaluate(self.rod, &at.positions, &at.rotations, self.t);
@@ -650,7 +780,7 @@ impl Gradient for PotentialEnergy<'_> {
             .iter()
             .enumerate()
             .map(|(i, s)| {
-                let q = i + 1;
+                let q = i + first;
                 let eta: Vector3<f64> = s.fixed_rows::<3>(3).into();
                 // The body tangent of exp is the inverse of Sᵀ; its transpose pulls moments back to the chart.
                 let chart = log_tangent(&eta)
@@ -662,6 +792,10 @@ impl Gradient for PotentialEnergy<'_> {
                 Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z)
             })
             .collect();
+        for joint in &self.rod.joints {
+            let own = &mut gradient[joint.node - first];
+            *own = joint.project(own);
+        }
         self.factor.solve_lower(&mut gradient);
         Ok(gradient.iter().flat_map(|g| g.iter().copied()).collect())
     }

@@ -189,11 +189,17 @@ impl Rod {
     /// frame of the base.
     #[must_use]
     pub fn static_reaction(&self, at: &Configuration, t: f64) -> Wrench {
+        self.static_reaction_at(0, at, t)
+    }
+
+    /// Returns the wrench of the end at node `node` on an arm at rest in a shape, as [`Self::static_reaction`] does that of the base.
+    #[must_use]
+    pub fn static_reaction_at(&self, node: usize, at: &Configuration, t: f64) -> Wrench {
         let mut net = NodalForces::zeros(self.n_nodes());
         net.evaluate(self, &at.positions, &at.rotations, t);
         Wrench {
-            force: -net.forces[0],
-            moment: -net.moments[0],
+            force: -net.forces[node],
+            moment: -net.moments[node],
         }
     }
 

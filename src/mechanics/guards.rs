@@ -15,23 +15,45 @@ pub(crate) fn approach_base(
     step: usize,
     clock: Clock,
 ) -> Result<Option<(BaseState, Vector3<f64>)>, StepError> {
+    approach_end(rod, 0, rotation, step, clock)
+}
+
+/// Returns the state of a driven end at the end of the step, and the Cayley vector of its turn, as [`approach_base`] does for the base.
+pub(crate) fn approach_end(
+    rod: &Rod,
+    node: usize,
+    rotation: &Matrix3<f64>,
+    step: usize,
+    clock: Clock,
+) -> Result<Option<(BaseState, Vector3<f64>)>, StepError> {
     let time = clock.time(step);
-    let Some(base) = rod.driven_base(clock.time(step + 1)) else {
+    let Some(end) = rod.driven_end(node, clock.time(step + 1)) else {
         return Ok(None);
     };
-    let turn = rotation.tr_mul(&base.rotation);
+    let turn = rotation.tr_mul(&end.rotation);
     // The speed counts as well, so that whole turns between two time nodes are noticed.
     let angle = log(&turn)
         .norm()
-        .max(base.angular_velocity.norm() * clock.step);
-    if !(angle + base.position.norm() + base.velocity.norm()).is_finite() {
-        return Err(not_finite(0, step, time, "the given motion of the base"));
+        .max(end.angular_velocity.norm() * clock.step);
+    let name = if node == 0 { "base" } else { "tip" };
+    if !(angle + end.position.norm() + end.velocity.norm()).is_finite() {
+        let quantity = match node {
+            0 => "the given motion of the base",
+            _ => "the given motion of the tip",
+        };
+        return Err(not_finite(node, step, time, quantity));
     }
     if angle >= std::f64::consts::FRAC_PI_2 {
-        return Err(StepError::BaseTurnTooLarge { step, time, angle });
+        return Err(StepError::EndTurnTooLarge {
+            node,
+            end: name,
+            step,
+            time,
+            angle,
+        });
     }
     let turn = cay_inverse(&turn);
-    Ok(Some((base, turn)))
+    Ok(Some((end, turn)))
 }
 
 /// Checks that the time step resolves the dilatation of element `q` with its ends at `ends`.

@@ -15,7 +15,7 @@ use super::equilibrium::{
     EquilibriumError, Passage, TipSpring, followed, static_equilibrium_until,
 };
 use super::load::{Load, LoadFrame};
-use super::rod::{BaseCondition, Rod};
+use super::rod::Rod;
 use super::tangent::{POSITIVE, Stability, Tangent, own_squared_frequency};
 use crate::stop::StopSignal;
 
@@ -144,7 +144,7 @@ impl<'a> LoadPath<'a> {
         aside: Vector3<f64>,
         stop: &'a StopSignal,
     ) -> Result<Self, EquilibriumError> {
-        if rod.base == BaseCondition::Free {
+        if !rod.is_held() {
             return Err(EquilibriumError::FreeBase);
         }
         Ok(Self {

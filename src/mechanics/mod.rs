@@ -44,6 +44,8 @@ pub mod differences;
 #[doc(hidden)]
 pub mod element;
 #[doc(hidden)]
+pub mod ends;
+#[doc(hidden)]
 pub mod energy;
 mod energy_norm;
 #[doc(hidden)]
@@ -53,6 +55,7 @@ pub mod forces;
 #[doc(hidden)]
 pub mod forms;
 pub(crate) mod guards;
+mod held;
 #[doc(hidden)]
 pub mod implicit;
 #[doc(hidden)]
@@ -110,6 +113,7 @@ pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillati
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
 pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
 pub use element::{Density, RodModel, StrainRule};
+pub use ends::{EndCondition, Joint};
 pub use energy::Energy;
 #[doc(hidden)]
 pub use energy_norm::EnergyNorm;

@@ -9,10 +9,11 @@ use nalgebra::{Matrix3, Vector3};
 
 use self::pose_actuator::{OfPose, PoseActuator, Span};
 use self::strain_actuator::{RodActuators, StrainActuator};
-use super::base_motion::{BaseMotion, BaseState};
+use super::base_motion::BaseState;
 use super::configuration::{Configuration, State};
 use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
+use super::ends::{EndCondition, Joint};
 use super::load::{DistributedLoad, Load};
 use super::mesh::Mesh;
 use super::rotation::{exp, log_tangent};
@@ -24,23 +25,7 @@ pub(super) use super::rod_error::require;
 pub use super::section::{Material, NodeInertia, Section, SectionProfile, SectionSegment};
 
 /// The condition at the base, node 0.
-#[derive(Clone, Debug, PartialEq)]
-pub enum BaseCondition {
-    /// Position and rotation fixed.
-    Clamped,
-    /// Position and rotation given as functions of time.
-    Driven(Box<BaseMotion>),
-    /// No constraint.
-    Free,
-}
-
-impl BaseCondition {
-    /// Returns a base that follows `motion`.
-    #[must_use]
-    pub fn driven(motion: BaseMotion) -> Self {
-        Self::Driven(Box::new(motion))
-    }
-}
+pub type BaseCondition = EndCondition;
 
 /// Kind of the rotary inertia of nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -104,6 +89,12 @@ pub struct RodParameters {
     pub base_position: Vector3<f64>,
     /// Rotation of the base, body to space, relative to which a driven base turns; the rod starts along its third column.
     pub base_rotation: Matrix3<f64>,
+    /// The condition at the tip, node `K`.
+    pub tip: EndCondition,
+    /// Position in which the tip is held, from which a driven tip moves, m; `None` for that of the stress-free shape.
+    pub tip_position: Option<Vector3<f64>>,
+    /// Rotation in which the tip is held, body to space; `None` for that of the stress-free shape.
+    pub tip_rotation: Option<Matrix3<f64>>,
     /// Acceleration of gravity, m/s².
     pub gravity: Vector3<f64>,
     /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum. A velocity without other forces decays as `exp(-c
@@ -150,6 +141,9 @@ impl RodParameters {
             base: BaseCondition::Clamped,
             base_position: Vector3::zeros(),
             base_rotation: Matrix3::identity(),
+            tip: EndCondition::Free,
+            tip_position: None,
+            tip_rotation: None,
             gravity: Vector3::zeros(),
             viscous_damping: 0.0,
             internal_damping: 0.0,
@@ -252,6 +246,12 @@ pub struct Rod {
     pub rest_chords: Vec<f64>,
     /// Pose relative to which a driven base moves: position, m, and rotation, body to space.
     pub base_reference: (Vector3<f64>, Matrix3<f64>),
+    /// The condition at the tip, node `K`.
+    pub tip_end: EndCondition,
+    /// Pose in which the tip is held, or relative to which a driven tip moves: position, m, and rotation, body to space.
+    pub tip_reference: (Vector3<f64>, Matrix3<f64>),
+    /// The held ends that have a place among the moving nodes.
+    pub joints: Vec<Joint>,
     /// Stress-free configuration, starting at the base pose (at t = 0).
     pub rest: Configuration,
     /// Acceleration of gravity, m/s².
@@ -321,6 +321,8 @@ impl Rod {
                 ("internal_damping", p.internal_damping > 0.0),
                 ("scheme", p.scheme == TimeScheme::Implicit),
                 ("rotary_inertia", p.rotary_inertia == RotaryInertia::Segment),
+                ("tip", p.tip != EndCondition::Free),
+                ("base", matches!(p.base, EndCondition::Pinned { .. })),
             ] {
                 if is_used {
                     return Err(RodError::NeedsStandardModel { parameter });
@@ -428,8 +430,29 @@ impl Rod {
         for (at, _) in &p.bodies {
             require("body place", *at, is_fraction, FRACTION)?;
         }
-        if let BaseCondition::Driven(motion) = &p.base {
-            motion.check()?;
+        for end in [&p.base, &p.tip] {
+            match end {
+                EndCondition::Driven(motion) => motion.check()?,
+                EndCondition::Pinned { axis: Some(axis) } => {
+                    let size = axis.norm();
+                    require("length of a hinge's axis", size, positive, "positive")?;
+                }
+                _ => {}
+            }
+        }
+        if let Some(position) = &p.tip_position {
+            for i in 0..3 {
+                require("tip_position", position[i], |_| true, "finite")?;
+            }
+        }
+        if let Some(rotation) = &p.tip_rotation {
+            let defect = (rotation.tr_mul(rotation) - Matrix3::identity()).norm();
+            require(
+                "|RᵀR - I| of tip_rotation",
+                defect,
+                |defect| defect < LARGEST_ROTATION_DEFECT,
+                "that of a rotation matrix, below 1e-9",
+            )?;
         }
         for q in 0..k {
             let psi = p.curvature(&mesh, q) * mesh.length(q, p.length);
@@ -533,10 +556,29 @@ impl Rod {
             nodes[node].mass += body.mass;
             nodes[node].rotary += body.rotary;
         }
+        let tip_reference = (
+            p.tip_position.unwrap_or(rest.positions[k]),
+            p.tip_rotation.unwrap_or(rest.rotations[k]),
+        );
+        let joints = Joint::of_ends((&p.base, &p.base_rotation), (&p.tip, &tip_reference.1), k);
+        // A hinge turns about its axis alone, so that its moment of inertia about it is all of its inertia.
+        for joint in &joints {
+            if let Some(axis) = joint.axis() {
+                let rotary = &mut nodes[joint.node].rotary;
+                *rotary = Vector3::repeat(axis.dot(&rotary.component_mul(&axis)));
+            }
+        }
         let mut loads = p.loads.clone();
         for load in &p.distributed_loads {
             loads.extend(load.lumped(p.length, &mesh));
         }
+        let n_winches = p.actuators.iter().filter(|own| own.winch.is_some()).count();
+        require(
+            "winches of an arm with a pinned base or a held tip",
+            n_winches as f64,
+            |n| n == 0.0 || joints.is_empty(),
+            "none: give the tensions of its tendons",
+        )?;
         let places = (&mesh, p.strain_rule, &elements[..]);
         let actuators = RodActuators::new(&p.actuators, &p.pose_actuators, &p.potentials, places)?;
         Ok(Self {
@@ -550,6 +592,9 @@ impl Rod {
             rest_chords,
             base: p.base.clone(),
             base_reference: (p.base_position, p.base_rotation),
+            tip_end: p.tip.clone(),
+            tip_reference,
+            joints,
             rest,
             gravity: p.gravity,
             viscous_damping: p.viscous_damping,
@@ -584,7 +629,7 @@ impl Rod {
     pub fn first_free_node(&self) -> usize {
         match self.base {
             BaseCondition::Clamped | BaseCondition::Driven(_) => 1,
-            BaseCondition::Free => 0,
+            BaseCondition::Pinned { .. } | BaseCondition::Free => 0,
         }
     }
 
@@ -596,7 +641,7 @@ impl Rod {
                 let (position, rotation) = &self.base_reference;
                 Some(motion.at(position, rotation, t))
             }
-            BaseCondition::Clamped | BaseCondition::Free => None,
+            _ => None,
         }
     }
 
@@ -625,11 +670,12 @@ impl Rod {
         state.angular_momentum[0] = rotary.component_mul(&base.angular_velocity);
     }
 
-    /// Moves a driven base to its pose at time `t` (s); does nothing for any other base.
+    /// Moves a driven base, and the held part of other ends, to their poses at time `t` (s).
     pub fn start_base(&self, t: f64, state: &mut State) {
         if let Some(base) = self.driven_base(t) {
             self.set_base(&base, state);
         }
+        self.start_joints(t, state);
     }
 
     /// Returns the mean power of Kelvin-Voigt damping over a step of length `time_step`, W: `τ Σ l ṡ·C ṡ`.
@@ -825,7 +871,7 @@ fn rest_shape(p: &RodParameters, mesh: &Mesh) -> Configuration {
             let start = motion.at(&p.base_position, &p.base_rotation, 0.0);
             (start.position, start.rotation)
         }
-        BaseCondition::Clamped | BaseCondition::Free => (p.base_position, p.base_rotation),
+        _ => (p.base_position, p.base_rotation),
     };
     let mut shape = Configuration {
         positions: vec![position],

@@ -67,8 +67,9 @@ impl SparseMotion {
     #[must_use]
     pub fn unknowns_per_time_node(motion: &Motion) -> Option<usize> {
         let rod = motion.rod;
-        let is_local =
-            rod.model == RodModel::Standard && IntervalWeights::of(rod, motion.grid.step).is_none();
+        let is_local = rod.model == RodModel::Standard
+            && rod.joints.is_empty()
+            && IntervalWeights::of(rod, motion.grid.step).is_none();
         is_local.then(|| 6 * (rod.n_nodes() - rod.first_free_node()))
     }
 

@@ -20,17 +20,21 @@ pub enum StepError {
         /// `|h g| / min J`, which must be below 1.
         ratio: f64,
     },
-    /// The given motion of the base is too fast for the step.
+    /// The given motion of a driven end is too fast for the step.
     #[error(
-        "node 0, step {step} (t = {time} s): the base turns {angle:.3e} rad in one step, must stay below a quarter turn; \
-         shorten time.step_s or slow the base motion"
+        "node {node}, step {step} (t = {time} s): the {end} turns {angle:.3e} rad in one step, must stay below a quarter turn; \
+         shorten time.step_s or slow the {end} motion"
     )]
-    BaseTurnTooLarge {
+    EndTurnTooLarge {
+        /// Index of the rod's node.
+        node: usize,
+        /// Name of the end, base or tip.
+        end: &'static str,
         /// Step, counted from 0.
         step: usize,
         /// Time at the start of the step, s.
         time: f64,
-        /// Rotation of the base in one step, rad.
+        /// Rotation of the end in one step, rad.
         angle: f64,
     },
     /// An element is compressed so much that the time step no longer resolves its stiffness `EA/e²`.

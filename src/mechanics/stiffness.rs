@@ -8,9 +8,17 @@ use super::pose_actuator::Posed;
 use super::rod::Rod;
 
 /// Returns the derivative of minus the forces and body moments on the free nodes (elements, loads at their value at time `t`, and
-/// actuators with their efforts) along `(δx, η)` of these nodes, the first of them in block 0. It is symmetric at an equilibrium under
-/// loads with a potential. The effort of a winch is constant here; [`winch_stiffness`] has the rest.
+/// actuators with their efforts) along `(δx, η)` of these nodes, the first of them in block 0; motions that a joint holds are
+/// [fast modes of their own](Rod::hold_joints). It is symmetric at an equilibrium under loads with a potential. The effort of a winch is
+/// constant here; [`winch_stiffness`] has the rest.
 pub(super) fn tangent_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
+    let mut out = free_stiffness(rod, at, t);
+    rod.hold_joints(rod.first_free_node(), &mut out);
+    out
+}
+
+/// Returns the stiffness of [`tangent_stiffness`] as if the joints of the rod were free.
+pub(super) fn free_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
     let first = rod.first_free_node();
     let efforts = rod.efforts_at(rod.actuators.efforts(t), &at.positions, &at.rotations);
     let mut out = BlockTridiagonal::zeros(rod.n_nodes() - first);

@@ -82,11 +82,28 @@ pub(crate) fn own_squared_frequency(rod: &Rod) -> f64 {
         loads: Vec::new(),
         ..rod.clone()
     };
-    Tangent::stiffness(&bare, &rod.rest, 0.0)
-        .lowest_modes(rod, &rod.rest, guess, 1)
-        .and_then(|modes| modes.first().map(|mode| mode.squared_frequency))
-        .filter(|square| *square > 0.0)
+    let loose = loose_motions_of_held(rod);
+    let tangent = Tangent::stiffness(&bare, &rod.rest, 0.0);
+    let least = match loose {
+        0 => 0.0,
+        _ => (POSITIVE * guess).max(tangent.rounding(rod, &rod.rest)),
+    };
+    tangent
+        .lowest_modes(rod, &rod.rest, guess, 1 + loose)
+        .and_then(|modes| {
+            let squares = modes.iter().map(|mode| mode.squared_frequency);
+            squares.take(1 + loose).find(|square| *square > least)
+        })
         .unwrap_or(guess)
+}
+
+/// Returns the largest number of motions that the ends of a held rod leave without stiffness.
+fn loose_motions_of_held(rod: &Rod) -> usize {
+    if rod.is_held() {
+        rod.most_loose_motions()
+    } else {
+        0
+    }
 }
 
 /// Number of additional modes that are computed, so that subspace iteration converges fast.
@@ -328,12 +345,21 @@ impl Tangent {
     }
 
     /// Returns the stability of the equilibrium with this stiffness. The smallest `ω²` of a stiffness with a potential decides; without a
-    /// potential (body moments, forces that turn with the arm), or if it is negative, the growth rate does. `unit` is
+    /// potential (body moments, forces that turn with the arm), or if it is negative, the growth rate does. Motions that [the ends leave
+    /// loose](Rod::most_loose_motions) do not count where nothing else holds them. `unit` is
     /// [`own_squared_frequency`]. `None` if a value is not finite.
     pub fn stability(&self, rod: &Rod, at: &Configuration, unit: f64) -> Option<Stability> {
-        let modes = self.lowest_modes(rod, at, unit, 1)?;
-        let square = modes.first()?.squared_frequency;
-        let rounding = POSITIVE * unit;
+        let loose = loose_motions_of_held(rod);
+        let mut rounding = POSITIVE * unit;
+        if loose > 0 {
+            rounding = rounding.max(self.rounding(rod, at));
+        }
+        let modes = self.lowest_modes(rod, at, unit, 1 + loose)?;
+        // Motions that the ends leave without stiffness neither return nor grow.
+        let square = (modes.iter().enumerate())
+            .map(|(i, mode)| (i, mode.squared_frequency))
+            .find(|(i, square)| *i == loose || square.abs() > rounding)?
+            .1;
         let has_potential = self.asymmetry() <= ASYMMETRIC;
         let is_definite = square > rounding;
         let mut growth = None;
@@ -359,6 +385,28 @@ impl Tangent {
             growth_frequency: growth.map(|motion| motion.im.abs()),
             first_frequency: lowest.filter(|_| is_stable),
         })
+    }
+
+    /// Returns the rounding of an `ω²` of zero, 1/s²: that of the largest entry of `M^{-½} K M^{-½}`.
+    fn rounding(&self, rod: &Rod, at: &Configuration) -> f64 {
+        let roots = inertia_roots(rod, at);
+        let scaled = self.blocks.iter().map(|(&(row, column), block)| {
+            (block.component_mul(&(roots[row] * roots[column].transpose()))).amax()
+        });
+        64.0 * f64::EPSILON * scaled.fold(0.0, f64::max)
+    }
+
+    /// Returns the motions without stiffness, which [the ends leave loose](Rod::most_loose_motions) and no load holds; `unit` is
+    /// [`own_squared_frequency`].
+    pub fn loose_motions(&self, rod: &Rod, at: &Configuration, unit: f64) -> Vec<Mode> {
+        let most = rod.most_loose_motions();
+        let modes = match most {
+            0 => None,
+            _ => self.lowest_modes(rod, at, unit, most),
+        };
+        let least = (POSITIVE * unit).max(self.rounding(rod, at));
+        let is_loose = |mode: &Mode| mode.squared_frequency.abs() <= least;
+        modes.into_iter().flatten().filter(is_loose).collect()
     }
 
     /// Returns the displacement of the tip per force on it, m/N, spatial frame; `None` if the matrix is singular.

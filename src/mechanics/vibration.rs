@@ -12,7 +12,7 @@
 use nalgebra::{Matrix6, Vector6};
 
 use super::configuration::Configuration;
-use super::rod::{BaseCondition, Rod};
+use super::rod::Rod;
 use super::stiffness::tangent_stiffness;
 
 /// Weight number `ρA g L³/EI` above which a uniform column that is clamped upright topples under its own weight: `9/4 j²` with
@@ -82,19 +82,30 @@ impl SmallMotions {
             .map(|(i, (below, above))| scaled(0.5 * (below + above.transpose()), i + 1, i))
             .collect();
         let bound = largest_row_sum(&diagonal, &below);
-        Self {
+        let mut out = Self {
             diagonal,
             below,
             bound,
-            rigid: match rod.base {
-                BaseCondition::Free => 6,
-                BaseCondition::Clamped | BaseCondition::Driven(_) => 0,
-            },
+            rigid: 0,
             damping: rod.viscous_damping,
-        }
+        };
+        out.rigid = match rod.most_loose_motions() {
+            _ if !rod.is_held() => 6,
+            // A load may hold what the ends leave loose, as its weight holds a pendulum.
+            most => (0..most)
+                .filter(|&mode| out.squared_frequency(mode).abs() <= out.rounding())
+                .count(),
+        };
+        out
     }
 
-    /// Returns the `mode`-th smallest `ω²`, counted from 0 and including the rigid modes of a free rod, 1/s². NaN if there is no such mode,
+    /// Returns the number of slowest modes without stiffness.
+    #[must_use]
+    pub fn n_loose(&self) -> usize {
+        self.rigid
+    }
+
+    /// Returns the `mode`-th smallest `ω²`, counted from 0 and including the modes without stiffness of a rod whose ends do not hold it, 1/s². NaN if there is no such mode,
     /// or the stiffness is not finite.
     #[must_use]
     pub fn squared_frequency(&self, mode: usize) -> f64 {

@@ -140,7 +140,7 @@ pub fn of_simulation(setup: &Simulation) -> Estimate {
     let nodes = setup.rod.n_nodes();
     let mut row = row_bytes(&MotionRecord::empty(nodes).arrays());
     if setup.diagnostics {
-        row += row_bytes(&DiagnosticsRecord::empty(nodes - 1).arrays());
+        row += row_bytes(&DiagnosticsRecord::empty(&setup.rod).arrays());
     }
     let kept = setup
         .n_rows(setup.grid.n_steps)

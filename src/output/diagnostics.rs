@@ -3,7 +3,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 
 use super::{ArrayView, OutputError, npz};
-use crate::mechanics::{Diagnostics, PowerBalance};
+use crate::mechanics::{Diagnostics, PowerBalance, Rod};
 
 /// Diagnostics at `n` times: the content of `diagnostics.npz`, whose rows correspond to those of `trajectory.npz`.
 ///
@@ -12,6 +12,8 @@ use crate::mechanics::{Diagnostics, PowerBalance};
 pub struct DiagnosticsRecord {
     /// Number of elements of the arm.
     pub n_elements: usize,
+    /// Tells whether the tip is held, so that it has a reaction.
+    pub holds_tip: bool,
     /// `[n]` times, s.
     pub t: Vec<f64>,
     /// `[n, 3]` total linear momentum, spatial, kg m/s.
@@ -26,11 +28,15 @@ pub struct DiagnosticsRecord {
     pub internal_force: Vec<f64>,
     /// `[n, K, 3]` internal moment, elastic and of internal damping, body frame, N m.
     pub internal_moment: Vec<f64>,
-    /// `[n, 3]` reaction force at a clamped or driven base, spatial, N; zero for a free one.
+    /// `[n, 3]` reaction force at a held base, spatial, N; zero for a free one.
     pub base_force: Vec<f64>,
-    /// `[n, 3]` reaction moment at a clamped or driven base, body frame of the base, N m.
+    /// `[n, 3]` reaction moment at a held base, body frame of the base, N m.
     pub base_moment: Vec<f64>,
-    /// `[n, 3]` gravity, loads and reaction together, spatial, N.
+    /// `[n, 3]` reaction force at a held tip, spatial, N; empty for a free one.
+    pub tip_force: Vec<f64>,
+    /// `[n, 3]` reaction moment at a held tip, body frame of the tip, N m; empty for a free one.
+    pub tip_moment: Vec<f64>,
+    /// `[n, 3]` gravity, loads and reactions together, spatial, N.
     pub external_force: Vec<f64>,
     /// `[n, 3]` moment of the external forces about the origin, spatial frame, N m.
     pub external_moment: Vec<f64>,
@@ -95,9 +101,10 @@ impl BaseReaction {
 
 impl DiagnosticsRecord {
     /// Creates a record without rows.
-    pub fn empty(n_elements: usize) -> Self {
+    pub fn empty(rod: &Rod) -> Self {
         Self {
-            n_elements,
+            n_elements: rod.n_elements(),
+            holds_tip: !rod.has_free_tip(),
             ..Self::default()
         }
     }
@@ -108,11 +115,14 @@ impl DiagnosticsRecord {
         let vector = |v: &Vector3<f64>| v.as_slice().to_vec();
         let mut row = Self {
             n_elements: d.elements.len(),
+            holds_tip: d.tip_reaction.is_some(),
             t: vec![t],
             linear_momentum: vector(&d.linear_momentum),
             angular_momentum: vector(&d.angular_momentum),
             base_force: vector(&d.reaction.force),
             base_moment: vector(&d.reaction.moment),
+            tip_force: (d.tip_reaction).map_or_else(Vec::new, |tip| vector(&tip.force)),
+            tip_moment: (d.tip_reaction).map_or_else(Vec::new, |tip| vector(&tip.moment)),
             external_force: vector(&d.external.force),
             external_moment: vector(&d.external.moment),
             damping_force: vector(&d.damping.force),
@@ -153,6 +163,8 @@ impl DiagnosticsRecord {
             &mut self.damping_moment,
             &mut self.volume_error,
             &mut self.power,
+            &mut self.tip_force,
+            &mut self.tip_moment,
         ];
         for (values, (_, _, more)) in own.into_iter().zip(other.arrays()) {
             values.extend_from_slice(more);
@@ -172,12 +184,12 @@ impl DiagnosticsRecord {
         })
     }
 
-    /// Returns name, shape and values of every array of the file, in the order of the file.
-    pub fn arrays(&self) -> [ArrayView<'_>; 15] {
+    /// Returns name, shape and values of every array of the file, in the order of the file; those of the tip are there if it is held.
+    pub fn arrays(&self) -> Vec<ArrayView<'_>> {
         let n = self.t.len();
         let vectors = || vec![n, 3];
         let elements = || vec![n, self.n_elements, 3];
-        [
+        let mut out: Vec<ArrayView<'_>> = vec![
             ("t", vec![n], &self.t),
             ("linear_momentum", vectors(), &self.linear_momentum),
             ("angular_momentum", vectors(), &self.angular_momentum),
@@ -193,6 +205,11 @@ impl DiagnosticsRecord {
             ("damping_moment", vectors(), &self.damping_moment),
             ("volume_error", vec![n], &self.volume_error),
             ("power", vec![n, 4], &self.power),
-        ]
+        ];
+        if self.holds_tip {
+            out.push(("tip_force", vectors(), &self.tip_force));
+            out.push(("tip_moment", vectors(), &self.tip_moment));
+        }
+        out
     }
 }

@@ -17,6 +17,9 @@ impl Scene {
             return Err(keys.few_elements(self.rod.elements, pieces));
         }
         keys.check_base(&self.base)?;
+        if let Some(tip) = &self.tip {
+            keys.check_tip(tip)?;
+        }
         if let Some(gravity) = &self.gravity {
             keys.finite("gravity.acceleration_m_s2", &gravity.acceleration_m_s2)?;
         }
@@ -27,7 +30,7 @@ impl Scene {
             keys.check_distributed_load(load, index)?;
         }
         if let Some(initial) = &self.initial {
-            keys.check_initial(initial, self.base.kind)?;
+            keys.check_initial(initial, self)?;
         }
         keys.check_time(&self.time)?;
         if let Some(task) = &self.task {

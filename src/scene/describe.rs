@@ -5,13 +5,13 @@ use nalgebra::Vector3;
 use super::error::DescribeError;
 use super::model::geometry::wxyz;
 use super::model::{
-    Base, BaseKind, Body, Damping, DistributedLoad, Gravity, Initial, Limit, Load, Objective,
+    Base, Body, Damping, DistributedLoad, EndKind, Gravity, Initial, Limit, Load, Objective,
     Obstacle, Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme, TimeStep,
-    describe_section, described_control, described_motion, described_targets, described_task,
+    Tip, describe_section, described_control, described_end, described_targets, described_task,
     describing_hardware, describing_poses,
 };
 use super::values::known;
-use crate::mechanics::{self, BaseCondition};
+use crate::mechanics;
 use crate::sqp::SqpSettings;
 use crate::task::{self, PathLimit, Problem};
 
@@ -26,10 +26,25 @@ impl Scene {
         let (arm, task) = (&problem.arm, &problem.task);
         let chosen = &problem.discretization;
         let mesh = &problem.discrete.rod.mesh;
-        let base = match &arm.base {
-            BaseCondition::Clamped => (BaseKind::Clamped, None),
-            BaseCondition::Free => (BaseKind::Free, None),
-            BaseCondition::Driven(motion) => (BaseKind::Driven, Some(described_motion(motion)?)),
+        let (kind, axis, motion) = described_end(&arm.base)?;
+        let base = Base {
+            kind,
+            position_m: arm.base_position.into(),
+            direction: None,
+            roll_rad: None,
+            orientation_wxyz: Some(wxyz(&arm.base_rotation)),
+            axis,
+            motion,
+        };
+        let (kind, axis, motion) = described_end(&arm.tip)?;
+        let tip = Tip {
+            kind,
+            position_m: arm.tip_position.map(Into::into),
+            direction: None,
+            roll_rad: None,
+            orientation_wxyz: arm.tip_rotation.as_ref().map(wxyz),
+            axis,
+            motion,
         };
         let mut rod = Rod {
             length_m: known(arm.length),
@@ -82,14 +97,8 @@ impl Scene {
         let (via, goal) = described_targets(task, mesh)?;
         Ok(Scene {
             rod,
-            base: Base {
-                kind: base.0,
-                position_m: arm.base_position.into(),
-                direction: None,
-                roll_rad: None,
-                orientation_wxyz: Some(wxyz(&arm.base_rotation)),
-                motion: base.1,
-            },
+            base,
+            tip: (tip.kind != EndKind::Free).then_some(tip),
             gravity: (arm.gravity != Vector3::zeros()).then(|| Gravity {
                 acceleration_m_s2: arm.gravity.into(),
             }),

@@ -109,7 +109,7 @@ impl Scene {
                     Obstruction::Goal => {
                         "move one of them, give it another time, a larger tolerance, or hard = false"
                     }
-                    Obstruction::Base => "choose another node, or base.kind = \"free\"",
+                    Obstruction::Base => "choose another node, or kind = \"free\" of that end",
                     Obstruction::Obstacle => {
                         "move one of them, give the obstacle a smaller margin_m, or one of them hard = false or a soft price"
                     }
@@ -148,6 +148,8 @@ impl Scene {
             let (key, remedy) = match error.parameter() {
                 "scheme" => ("time.integrator", "set it to \"explicit\""),
                 "rotary_inertia" => ("rod.rotary_inertia", "set it to \"section\""),
+                "tip" => ("tip.kind", "set it to \"free\""),
+                "base" => ("base.kind", "set it to \"clamped\""),
                 _ => ("damping.internal_s", "leave it out"),
             };
             let help = format!("{remedy}, or set rod.model = \"standard\"");
@@ -239,13 +241,18 @@ fn start_remedy(error: &StartError) -> &'static str {
 
 fn equilibrium_remedy(error: &EquilibriumError) -> &'static str {
     match error {
-        EquilibriumError::FreeBase => "set base.kind = \"clamped\", or initial.shape = \"rest\"",
+        EquilibriumError::FreeBase => {
+            "set base.kind = \"clamped\" or hold the tip, or initial.shape = \"rest\""
+        }
         EquilibriumError::NotConverged { .. } => {
             "set initial.shape = \"rest\" and let it settle (damping.viscous_1_s, or a profile that raises a [[load]] from 0), or \
              make gravity and loads smaller or the rod stiffer"
         }
         EquilibriumError::Overstretched { .. } => {
             "make the loads smaller or the rod stiffer; rod.model = \"standard\" bears any pull"
+        }
+        EquilibriumError::NotThere { .. } => {
+            "set initial.shape = \"equilibrium\", or leave out tip.position_m and the orientation of the tip"
         }
         EquilibriumError::Stopped(_) => {
             "set initial.shape = \"rest\", which needs no search, or a longer solver.deadline_s"

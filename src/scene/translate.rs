@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::error::SceneError;
 use super::model::{
-    self, AtRest, Objective, Scene, TimeStep, base_motion, integrator, rotary_inertia,
+    self, AtRest, Objective, Scene, TimeStep, end_condition, integrator, rotary_inertia,
 };
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
@@ -14,7 +14,7 @@ use super::values::{Number, known};
 use crate::control::{Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search};
 use crate::mechanics::rotation::{exp, from_quaternion};
 use crate::mechanics::rows;
-use crate::mechanics::{BaseCondition, Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
+use crate::mechanics::{Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
 use crate::sqp::{QpRoute, SqpSettings};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, Limit, Problem, Rest, Start, Staying, Task};
@@ -338,11 +338,17 @@ impl Scene {
     pub fn arm(&self, source: &SceneSource) -> Result<Arm, SceneError> {
         let reference = self.rod.reference.as_ref();
         let mesh = self.mesh();
-        let mut base_rotation = from_quaternion(self.base.unit_quaternion());
         let roll = self.rod.roll();
-        if roll != 0.0 {
-            base_rotation *= exp(&Vector3::new(0.0, 0.0, roll));
-        }
+        let rolled = |orientation: [f64; 4]| {
+            let mut rotation = from_quaternion(orientation);
+            if roll != 0.0 {
+                rotation *= exp(&Vector3::new(0.0, 0.0, roll));
+            }
+            rotation
+        };
+        let base_rotation = rolled(self.base.unit_quaternion());
+        let tip = self.tip.clone().unwrap_or_default();
+        let tip_rotation = tip.unit_quaternion().map(rolled);
         Ok(Arm {
             length: self.rod.length_m.get(),
             section: self.section_profile(source)?,
@@ -357,20 +363,24 @@ impl Scene {
                 .map(|(s, curvature)| (s, curvature.into()))
                 .collect(),
             rest_stretch: reference.map_or(1.0, |r| r.stretch.get()),
-            base: match self.base.kind {
-                model::BaseKind::Clamped => BaseCondition::Clamped,
-                model::BaseKind::Driven => {
-                    let motion = self.base.motion.clone().unwrap_or_default();
-                    BaseCondition::driven(
-                        base_motion(&motion, &base_rotation).map_err(|error| {
-                            source.error_at("base.motion", error.to_string(), None)
-                        })?,
-                    )
-                }
-                model::BaseKind::Free => BaseCondition::Free,
-            },
+            base: end_condition(
+                self.base.kind,
+                self.base.axis,
+                self.base.motion.as_ref(),
+                &base_rotation,
+            )
+            .map_err(|error| source.error_at("base.motion", error.to_string(), None))?,
             base_position: self.base.position_m.into(),
             base_rotation,
+            tip: end_condition(
+                tip.kind,
+                tip.axis,
+                tip.motion.as_ref(),
+                &tip_rotation.unwrap_or_else(Matrix3::identity),
+            )
+            .map_err(|error| source.error_at("tip.motion", error.to_string(), None))?,
+            tip_position: tip.position_m.map(Into::into),
+            tip_rotation,
             actuators: self.strain_actuators(),
             pose_actuators: self.pose_actuators(),
             potentials: Vec::new(),

@@ -4,8 +4,7 @@ use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::vibration::weight_in_words;
 use crate::mechanics::{
-    BaseCondition, Configuration, Rod, RodModel, SmallMotions, State, StrainRule, TimeGrid,
-    TimeScheme,
+    Configuration, Rod, RodModel, SmallMotions, State, StrainRule, TimeGrid, TimeScheme,
 };
 
 /// Growth of a small deviation over the time of a motion above which the motion is called unstable. It decides about a sentence alone: a
@@ -88,7 +87,7 @@ fn unstable_equilibrium(
 ) -> Option<(Configuration, f64)> {
     let is_loaded = rod.gravity.norm() > 0.0 || !rod.loads.is_empty();
     let has_potential = !rod.loads.iter().any(|load| load.turns());
-    if rod.base == BaseCondition::Free || !is_loaded || !has_potential {
+    if !rod.is_held() || !is_loaded || !has_potential {
         return None;
     }
     let shape = static_equilibrium(rod, near, t, &TipSpring::default()).ok()?;

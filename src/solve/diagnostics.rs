@@ -21,7 +21,7 @@ pub(crate) fn diagnostics(
     problem: &OptimalControlProblem,
     coefficients: &[Wrench],
 ) -> Result<DiagnosticsRecord, StepError> {
-    let mut record = DiagnosticsRecord::empty(problem.rod.n_elements());
+    let mut record = DiagnosticsRecord::empty(&problem.rod);
     visit(problem, coefficients, 1, |t, found, power| {
         record.append(&DiagnosticsRecord::row(t, found, power));
     })?;

@@ -10,9 +10,9 @@ use crate::mechanics::rod::append_element;
 use crate::mechanics::rotation::{from_direction, log, log_tangent, quaternion, wxyz};
 use crate::mechanics::rows;
 use crate::mechanics::{
-    BaseCondition, Configuration, DistributedLoad, Load, LoadFrame, Material, Mesh, NodalState,
-    NodeInertia, OfPose, PoseActuator, Rod, RodError, RodModel, RodParameters, RotaryInertia,
-    Section, SectionProfile, Span, State, StrainActuator, TimeScheme,
+    BaseCondition, Configuration, DistributedLoad, EndCondition, Load, LoadFrame, Material, Mesh,
+    NodalState, NodeInertia, OfPose, PoseActuator, Rod, RodError, RodModel, RodParameters,
+    RotaryInertia, Section, SectionProfile, Span, State, StrainActuator, TimeScheme,
 };
 use crate::stop::StopSignal;
 
@@ -49,12 +49,18 @@ pub struct Arm {
     pub curvature_rows: Vec<(f64, Vector3<f64>)>,
     /// Stress-free stretch (1: the arm is as long as `length`).
     pub rest_stretch: f64,
-    /// The condition at the base: clamped, driven or free.
+    /// The condition at the base: clamped, driven, pinned or free.
     pub base: BaseCondition,
     /// Position of the base, m; a driven base moves from this position.
     pub base_position: Vector3<f64>,
     /// Rotation of the base, body to space; the arm leaves it along its third column. A driven base turns from this rotation.
     pub base_rotation: Matrix3<f64>,
+    /// The condition at the tip: free, clamped, driven, or pinned.
+    pub tip: EndCondition,
+    /// Position in which the tip is held, from which a driven tip moves, m; `None` for that of the stress-free shape.
+    pub tip_position: Option<Vector3<f64>>,
+    /// Rotation in which the tip is held, body to space; `None` for that of the stress-free shape.
+    pub tip_rotation: Option<Matrix3<f64>>,
     /// Acceleration of gravity, m/s², spatial frame.
     pub gravity: Vector3<f64>,
     /// Viscous damping `c`, 1/s: force `-c m v`, moment `-c` times the angular momentum.
@@ -103,6 +109,9 @@ impl Arm {
             base: BaseCondition::Clamped,
             base_position: Vector3::zeros(),
             base_rotation: Matrix3::identity(),
+            tip: EndCondition::Free,
+            tip_position: None,
+            tip_rotation: None,
             gravity: Vector3::zeros(),
             viscous_damping: 0.0,
             internal_damping: 0.0,
@@ -201,6 +210,9 @@ impl Arm {
             base: self.base.clone(),
             base_position: self.base_position,
             base_rotation: self.base_rotation,
+            tip: self.tip.clone(),
+            tip_position: self.tip_position,
+            tip_rotation: self.tip_rotation,
             gravity: self.gravity,
             viscous_damping: self.viscous_damping,
             internal_damping: self.internal_damping,
@@ -230,7 +242,7 @@ pub enum StartShape {
     /// The stress-free shape: gravity and loads act suddenly.
     #[default]
     Rest,
-    /// Static equilibrium under gravity and the loads at t = 0; needs a clamped or driven base.
+    /// Static equilibrium under gravity and the loads at t = 0; needs an end that is held.
     Equilibrium,
     /// A curvature, 1/m, as rows over the fraction of the length, linear between two rows and constant beyond the first and the last one. The
     /// elements are as long as at rest and not sheared.
@@ -252,6 +264,19 @@ pub struct Start {
     /// Angular velocity of a free arm, rad/s, spatial frame.
     pub angular_velocity: Vector3<f64>,
 }
+
+/// Returns a shape whose tip is where it is held, or is free.
+fn at_its_ends(rod: &Rod, shape: Configuration) -> Result<Configuration, EquilibriumError> {
+    let (distance, angle) = rod.largest_gap(&shape, 0.0);
+    if distance > AT_ITS_END * rod.scales.length || angle > AT_ITS_END {
+        return Err(EquilibriumError::NotThere { distance, angle });
+    }
+    Ok(shape)
+}
+
+/// Distance of a held tip from the end of a shape, in lengths of the arm, or angle in rad, up to which it counts as there: rounding
+/// of a pose that is written in decimals.
+const AT_ITS_END: f64 = 1e-9;
 
 /// The reason why an arm has no state to start from.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -300,16 +325,16 @@ impl Start {
     /// base, or `stop` is raised before a state is found.
     pub fn state(&self, rod: &Rod, stop: &StopSignal) -> Result<State, StartError> {
         let shape = match &self.shape {
-            StartShape::Rest => rod.rest.clone(),
+            StartShape::Rest => at_its_ends(rod, rod.rest.clone())?,
             StartShape::Equilibrium => {
                 static_equilibrium_until(rod, &rod.rest, 0.0, &TipSpring::default(), stop)?
             }
-            StartShape::Curvature(rows) => bent(rod, rows)?,
+            StartShape::Curvature(rows) => at_its_ends(rod, bent(rod, rows)?)?,
             StartShape::Poses(places, poses) => {
                 let nodes: Vec<_> = (rod.places().into_iter())
                     .map(|part| locate(places, part))
                     .collect();
-                on_base(rod, carry(&nodes, poses))?
+                at_its_ends(rod, on_base(rod, carry(&nodes, poses))?)?
             }
             StartShape::State(found) => {
                 let length: f64 = rod.elements.iter().map(|element| element.length).sum();
@@ -318,7 +343,7 @@ impl Start {
                     return Err(StartError::Length { found, length });
                 }
                 let mut state = found.on(rod);
-                state.configuration = on_base(rod, state.configuration)?;
+                state.configuration = at_its_ends(rod, on_base(rod, state.configuration)?)?;
                 if rod.base == BaseCondition::Clamped {
                     state.linear_momentum[0] = Vector3::zeros();
                     state.angular_momentum[0] = Vector3::zeros();
@@ -328,11 +353,11 @@ impl Start {
             }
         };
         Ok(match rod.base {
-            BaseCondition::Clamped | BaseCondition::Driven(_) => rod.at_rest_on_base(shape),
-            BaseCondition::Free => {
+            EndCondition::Free if !rod.is_held() => {
                 let center = rod.center_of_mass(&shape.positions);
                 rod.rigid_motion(shape, &center, &self.velocity, &self.angular_velocity)
             }
+            _ => rod.at_rest_on_base(shape),
         })
     }
 }

@@ -167,7 +167,7 @@ fn base(problem: &OptimalControlProblem, time: f64) -> Option<(Vector3<f64>, Mat
         BaseCondition::Driven(_) => {
             (rod.driven_base(time)).map(|base| (base.position, base.rotation))
         }
-        BaseCondition::Free => None,
+        BaseCondition::Pinned { .. } | BaseCondition::Free => None,
     }
 }
 

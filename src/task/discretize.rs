@@ -707,9 +707,10 @@ fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
                 return refuse(GoalPart::Orientation, off, why, Obstruction::Goal);
             }
         }
-        if goal.node < rod.first_free_node() {
-            let (position, rotation) = match rod.driven_base(time) {
-                Some(base) => (base.position, base.rotation),
+        let joint = rod.joint(goal.node);
+        if goal.node < rod.first_free_node() || joint.is_some() {
+            let (position, rotation) = match rod.driven_end(goal.node, time) {
+                Some(end) => (end.position, end.rotation),
                 None => {
                     let start = &problem.initial.configuration;
                     (start.positions[goal.node], start.rotations[goal.node])
@@ -721,7 +722,7 @@ fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
                 return refuse(GoalPart::Position, off, why, Obstruction::Base);
             }
             let off = turn(&goal.rotation, &Some(rotation));
-            if off > angle {
+            if off > angle && joint.is_none_or(|joint| !joint.turns()) {
                 return refuse(GoalPart::Orientation, off, why, Obstruction::Base);
             }
         }

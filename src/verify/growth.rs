@@ -5,7 +5,7 @@
 //! deviations of unit energy; its largest singular value is the amplification. The base does not deviate; for a free arm, rigid motions
 //! have no energy, and node 0 stays at its start.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::CheckError;
 use super::interval::{self, nine};
@@ -148,7 +148,14 @@ fn directions(rod: &Rod) -> Vec<(usize, usize)> {
     let mut out = Vec::new();
     for node in first..rod.n_nodes() {
         for part in 0..4 {
-            if part < 2 && node == 0 && rod.base == BaseCondition::Free {
+            if part < 2 && node == 0 && rod.base == BaseCondition::Free && rod.has_free_tip() {
+                continue;
+            }
+            // Of a joint, a ball's angular velocity alone: without the poses of its node the arm has no motion without energy.
+            if rod
+                .joint(node)
+                .is_some_and(|joint| part != 3 || joint.turning != Matrix3::identity())
+            {
                 continue;
             }
             out.extend((0..3).map(|axis| (3 * node + axis, part)));

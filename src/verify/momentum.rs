@@ -106,42 +106,56 @@ impl Conditions<'_> {
             let Wrench { force, moment } = applied[q];
             let after = self.velocity_momentum(k, q);
             let after_angular = momentum_after(&self.turn(k, q), &leaving[q], h);
-            add(
-                q,
-                after - before * decay - force * weight,
-                after_angular - before_angular * decay - moment * weight,
-            );
+            let push = after - before * decay - force * weight;
+            let twist = after_angular - before_angular * decay - moment * weight;
+            match rod.joint(q) {
+                None => add(q, push, twist),
+                // Along held motions the element beside the joint acts against what holds it.
+                Some(joint) => {
+                    let (held, turned) = self.on_end(q, k, weight, impulse);
+                    add(q, held, joint.turning * (twist - turned) + turned);
+                }
+            }
         }
         if rod.first_free_node() > 0 {
-            let (push, twist) = self.on_base(k, weight, impulse);
+            let (push, twist) = self.on_end(0, k, weight, impulse);
             add(0, push, twist);
         }
         [linear, angular]
     }
 
-    /// Returns the impulse of the first element on node 0 at time node `k`: force, and moment in the body frame.
-    fn on_base(&self, k: usize, weight: f64, impulse: f64) -> (Vector3<f64>, Vector3<f64>) {
+    /// Returns the impulse of the element beside node `q`, the base or the tip, on it at time node `k`: force, and moment in the body frame.
+    fn on_end(
+        &self,
+        q: usize,
+        k: usize,
+        weight: f64,
+        impulse: f64,
+    ) -> (Vector3<f64>, Vector3<f64>) {
         let rod = self.rod();
         let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
-        let element = &rod.elements[0];
-        let mut push = impulse * self.reaction(k, 0);
+        let beside = q.saturating_sub(1);
+        let element = &rod.elements[beside];
+        // The far end of an element is pulled the other way, and has the last rows of its gradient.
+        let (sign, end) = if q == 0 { (1.0, 1) } else { (-1.0, 2) };
+        let mut push = impulse * self.reaction(k, q);
         let mut twist = Vector3::zeros();
         if rod.scheme == TimeScheme::Explicit {
             let pose = Rod::element_pose(
-                0,
+                beside,
                 self.trajectory.positions_at(k),
                 self.trajectory.rotations_at(k),
             );
-            let [force, moment, _] = dual::gradient(element, rod.strain_rule, &pose);
+            let gradient = dual::gradient(element, rod.strain_rule, &pose);
             let (x, r) = (
                 self.trajectory.positions_at(k),
                 self.trajectory.rotations_at(k),
             );
             let node = self.problem.grid.node(k);
             let own = efforts::at_node(rod, &node, &self.control.at(k), x, r);
-            let active = efforts::gradient_of(rod, 0, x, r, &own);
-            push += weight * (force + active.fixed_rows::<3>(0));
-            twist -= weight * (moment + active.fixed_rows::<3>(3));
+            let active = efforts::gradient_of(rod, beside, x, r, &own);
+            push += sign * weight * (gradient[0] + active.fixed_rows::<3>(0));
+            twist -= weight * (gradient[end] + active.fixed_rows::<3>(3 * end));
         }
         if let Some(weights) = interval::weights(rod, h) {
             let strained = |k: usize| {
@@ -149,7 +163,11 @@ impl Conditions<'_> {
                     self.trajectory.positions_at(k),
                     self.trajectory.rotations_at(k),
                 );
-                dual::strain(element.length, rod.strain_rule, &interval::pose(x, r, 0))
+                dual::strain(
+                    element.length,
+                    rod.strain_rule,
+                    &interval::pose(x, r, beside),
+                )
             };
             let (here, b) = strained(k);
             let mut stress = interval::Nine::zeros();
@@ -158,7 +176,7 @@ impl Conditions<'_> {
                 stress += interval::stress(element, weights, start, end);
                 if implicit {
                     let mean = (start + end) * 0.5;
-                    stress += efforts::stress(rod, 0, &mean, &self.interval_efforts(k));
+                    stress += efforts::stress(rod, beside, &mean, &self.interval_efforts(k));
                 }
             };
             if k > 0 {
@@ -168,8 +186,8 @@ impl Conditions<'_> {
                 add(k, &here, &strained(k + 1).0);
             }
             let pull = b.tr_mul(&stress) * (0.5 * h * impulse);
-            push += pull.fixed_rows::<3>(0);
-            twist -= pull.fixed_rows::<3>(3);
+            push += sign * pull.fixed_rows::<3>(0);
+            twist -= pull.fixed_rows::<3>(3 * end);
         }
         (push, twist)
     }

@@ -23,7 +23,8 @@ use super::kkt::motion::{
 };
 use crate::mechanics::block_tridiagonal::BlockTridiagonal;
 use crate::mechanics::guards::{
-    approach_base, check_dilatation, check_fold, check_pressed, not_finite, rotation_error,
+    approach_base, approach_end, check_dilatation, check_fold, check_pressed, not_finite,
+    rotation_error,
 };
 use crate::mechanics::rotation::{cay_inverse, exp, orthonormalized, quaternion};
 use crate::mechanics::{
@@ -56,6 +57,8 @@ pub struct ReferenceStepper<'a> {
     /// Gradient of the energy at the present time node.
     gradient: Gradient,
     stressed: Option<Stressed>,
+    /// Driven tip at the end of the interval under way.
+    driven: Vec<(usize, BaseState)>,
 }
 
 /// Data for the stresses that depend on both ends of an interval.
@@ -104,6 +107,7 @@ impl<'a> ReferenceStepper<'a> {
             clock,
             step,
             state,
+            driven: Vec::new(),
         }
     }
 
@@ -161,6 +165,17 @@ impl<'a> ReferenceStepper<'a> {
         if let Some(base) = &base {
             interval.turns[0] = from[0].tr_mul(&base.rotation);
         }
+        let mut ends = Vec::new();
+        for joint in &rod.joints {
+            let q = joint.node;
+            interval.linear[q] = Vector3::zeros();
+            interval.angular[q] = joint.turning * interval.angular[q];
+            if let Some((end, _)) = approach_end(rod, q, &from[q], self.step, self.clock)? {
+                interval.turns[q] = from[q].tr_mul(&end.rotation);
+                ends.push((q, end));
+            }
+        }
+        self.driven = ends;
         let stresses = match self.stressed.take() {
             Some(mut stressed) => {
                 stressed.inputs = efforts::mean_inputs(rod, [start, end], control);
@@ -196,6 +211,7 @@ impl<'a> ReferenceStepper<'a> {
                 return Err(not_finite(q, step, time, "the momentum after the step"));
             }
         }
+        self.hold_momenta();
         Ok(())
     }
 
@@ -231,7 +247,9 @@ impl<'a> ReferenceStepper<'a> {
         }
         let inertia = rotary(rod, &self.state.configuration.positions);
         for q in rod.first_free_node()..rod.n_nodes() {
-            interval.turns[q] = self.turn(q, &interval.angular[q], &inertia[q])?;
+            if !self.driven.iter().any(|(end, _)| *end == q) {
+                interval.turns[q] = self.turn(q, &interval.angular[q], &inertia[q])?;
+            }
         }
         if reacts && !uses_end {
             let reaction = self.kinetic_reaction(&interval.turns);
@@ -328,6 +346,25 @@ impl<'a> ReferenceStepper<'a> {
         if let Some(base) = base {
             self.rod.set_base(base, &mut self.state);
         }
+        for (q, end) in &self.driven {
+            self.state.configuration.positions[*q] = end.position;
+            self.state.configuration.rotations[*q] = end.rotation;
+        }
+    }
+
+    /// Gives the held motions of the joints the momenta that are prescribed, or none.
+    fn hold_momenta(&mut self) {
+        for joint in &self.rod.joints {
+            let q = joint.node;
+            let pi = &mut self.state.angular_momentum[q];
+            *pi = joint.turning * *pi;
+            self.state.linear_momentum[q] = Vector3::zeros();
+        }
+        for (q, end) in &self.driven {
+            let node = &self.rod.nodes[*q];
+            self.state.linear_momentum[*q] = end.velocity * node.mass;
+            self.state.angular_momentum[*q] = node.rotary.component_mul(&end.angular_velocity);
+        }
     }
 
     /// Moves the arm over an interval whose stress depends on its end, by Newton's method for the configuration there; returns the stresses
@@ -343,6 +380,9 @@ impl<'a> ReferenceStepper<'a> {
         let mut to = self.state.configuration.clone();
         if let Some(base) = base {
             (to.positions[0], to.rotations[0]) = (base.position, base.rotation);
+        }
+        for (q, end) in &self.driven {
+            to.positions[*q] = end.position;
         }
         let (mut last, mut left) = (f64::INFINITY, (first, f64::INFINITY));
         for _ in 0..=NEWTON_LIMIT {
@@ -416,8 +456,12 @@ impl<'a> ReferenceStepper<'a> {
                 let kicked = [interval.linear[q], interval.angular[q]];
                 momentum[0] = momentum[0].max(moved.norm()).max(kicked[0].norm());
                 momentum[1] = momentum[1].max(spun.norm()).max(kicked[1].norm());
-                let linear = moved - kicked[0] - pull.x[q];
-                let angular = spun - kicked[1] - pull.eta[q];
+                let mut linear = moved - kicked[0] - pull.x[q];
+                let mut angular = spun - kicked[1] - pull.eta[q];
+                if let Some(joint) = rod.joint(q) {
+                    linear = Vector3::zeros();
+                    angular = joint.turning * angular;
+                }
                 Vector6::from_iterator(linear.iter().chain(&angular).copied())
             })
             .collect();
@@ -466,6 +510,7 @@ impl<'a> ReferenceStepper<'a> {
             }
             matrix.add_element(first, q, &(start.transpose() * stiff));
         }
+        hold(rod, &mut matrix);
         let mean = |q: usize| (stressed.strains[q].0 + equations.end[q].0) * 0.5;
         let springs = efforts::Springs::of(rod, &stressed.inputs, mean);
         if rod.scheme == TimeScheme::Implicit && !springs.taut.is_empty() {
@@ -554,6 +599,27 @@ impl<'a> ReferenceStepper<'a> {
             self.step,
             self.time(),
         )
+    }
+}
+
+/// Replaces the rows and columns of held motions by those of the unit matrix.
+fn hold(rod: &Rod, matrix: &mut BlockTridiagonal) {
+    for joint in &rod.joints {
+        let p = joint.projection();
+        let i = joint.node - rod.first_free_node();
+        let own = &mut matrix.diagonal[i];
+        *own = p * *own * p + Matrix6::identity() - p;
+        for (before, after) in [(i.checked_sub(1), false), (Some(i), true)] {
+            let Some(at) = before.filter(|at| *at < matrix.below.len()) else {
+                continue;
+            };
+            let (rows, columns) = match after {
+                false => (&mut matrix.below[at], &mut matrix.above[at]),
+                true => (&mut matrix.above[at], &mut matrix.below[at]),
+            };
+            *rows = p * *rows;
+            *columns *= p;
+        }
     }
 }
 

@@ -11,6 +11,7 @@ mod analytic_optima;
 mod axes;
 mod continuous;
 mod distributed;
+mod ends;
 mod free_duration;
 mod holding;
 mod optimal_control;

@@ -224,7 +224,7 @@ fn base_motion_that_a_step_cannot_follow_is_refused() {
     for quarter_turns in [1.01, 2.0, 4.0] {
         let found = advance(0.5 * PI * quarter_turns / h);
         assert!(
-            matches!(found, Err(StepError::BaseTurnTooLarge { step: 0, angle, .. })
+            matches!(found, Err(StepError::EndTurnTooLarge { step: 0, angle, .. })
                 if (angle / (0.5 * PI * quarter_turns) - 1.0).abs() < 1e-9),
             "{found:?}"
         );

@@ -616,7 +616,7 @@ fn motions_of_the_base_are_checked() {
         .unwrap();
         let rest = State::at_rest(rod.rest.clone());
         let [plain, lanes] = errors(&rod, h, &rest, Wrench::default());
-        let (StepError::BaseTurnTooLarge { angle, .. }, StepError::BaseTurnTooLarge { .. }) =
+        let (StepError::EndTurnTooLarge { angle, .. }, StepError::EndTurnTooLarge { .. }) =
             (&plain, &lanes)
         else {
             panic!("{plain}, {lanes}");

@@ -7,6 +7,7 @@ mod boundary_conditions;
 mod diagnostics;
 mod discrete_action;
 mod discrete_mechanics;
+mod ends;
 mod extremes;
 mod implicit;
 mod lanes;

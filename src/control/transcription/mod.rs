@@ -774,7 +774,10 @@ impl LiftedProgram for Transcription<'_> {
                 .map(|(v, d)| v + step_length * d)
                 .collect(),
             // A large step preserves the stiff strains; a small one need not and has less rounding.
-            trajectory: if direction.trajectory.largest_rotation() > SMALL_TURN {
+            // Strains that change linearly would carry a held tip away.
+            trajectory: if direction.trajectory.largest_rotation() > SMALL_TURN
+                && self.problem.rod.has_free_tip()
+            {
                 point
                     .trajectory
                     .retract_strains(&direction.trajectory, step_length, self.n_threads)

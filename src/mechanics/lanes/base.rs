@@ -1,14 +1,19 @@
-//! A held base in the lanes.
+//! Held ends in the lanes.
 
-use nalgebra::Vector3;
+use nalgebra::{Quaternion, Vector3};
 
 use super::LaneIntegrator;
-use super::place::BASE;
+use super::place::{BASE, Place, Slots};
 use super::sweep::{
-    ANGULAR_MOMENTUM, LAST_TURN, LINEAR_MOMENTUM, POSITION, ROTATION, SPIN_ROWS, STATE_ROWS,
+    ANGULAR_MOMENTUM, FORCE, LAST_TURN, LINEAR_MOMENTUM, MOMENT, POSITION, ROTATION, SPIN_ROWS,
+    STATE_ROWS,
 };
 use crate::mechanics::base_motion::BaseState;
+use crate::mechanics::ends::Joint;
+use crate::mechanics::guards::approach_end;
+use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::{cayley_quaternion, quaternion, wxyz};
+use crate::mechanics::step_error::StepError;
 
 /// The pose of a clamped or driven base.
 #[derive(Clone, Debug)]
@@ -18,7 +23,94 @@ pub struct HeldBase {
     pub turn: [f64; 4],
 }
 
+/// A [`Joint`] in the lanes.
+#[derive(Clone, Copy, Debug)]
+pub struct HeldEnd {
+    pub joint: Joint,
+    pub place: Place,
+    /// State of a driven end at the end of the step under way, and the rows of its pose there.
+    pub driven: Option<(BaseState, [f64; 7])>,
+}
+
+impl HeldEnd {
+    pub fn of_rod(rod: &Rod, slots: Slots) -> Vec<Self> {
+        (rod.joints.iter())
+            .map(|joint| Self {
+                joint: *joint,
+                place: slots.place(joint.node),
+                driven: None,
+            })
+            .collect()
+    }
+}
+
+/// Returns the sign of a rotation's quaternion that is nearer to another one.
+fn nearer(q: Quaternion<f64>, to: &Quaternion<f64>) -> Quaternion<f64> {
+    if q.dot(to) >= 0.0 { q } else { -q }
+}
+
 impl LaneIntegrator<'_> {
+    /// Finds where the driven ends among the joints are at the end of the step.
+    pub(super) fn approach_ends(&mut self) -> Result<(), StepError> {
+        for i in 0..self.ends.len() {
+            let node = self.ends[i].joint.node;
+            let at = self.rotation(node);
+            let Some((end, _)) = approach_end(self.rod, node, &at, self.step, self.clock)? else {
+                continue;
+            };
+            let q = nearer(quaternion(&end.rotation), &self.quaternion(node));
+            let [w, x, y, z] = wxyz(&q);
+            let p = end.position;
+            self.ends[i].driven = Some((end, [p.x, p.y, p.z, w, x, y, z]));
+        }
+        Ok(())
+    }
+
+    /// Moves driven ends to their pose at the end of the step.
+    pub(super) fn put_ends(&mut self) {
+        for held in &self.ends {
+            for (i, value) in held
+                .driven
+                .iter()
+                .flat_map(|(_, pose)| pose.iter().enumerate())
+            {
+                let at = self.slots.index(held.place, STATE_ROWS, POSITION + i);
+                self.state[at] = *value;
+            }
+        }
+    }
+
+    /// Takes away the forces on the held motions of the joints.
+    pub(super) fn hold_forces(&mut self) {
+        for i in 0..self.ends.len() {
+            let HeldEnd { joint, place, .. } = self.ends[i];
+            self.set(place, FORCE, &Vector3::zeros());
+            let moment = joint.turning * self.get(place, MOMENT);
+            self.set(place, MOMENT, &moment);
+        }
+    }
+
+    /// Takes away the forces on the held motions of the joints, and the momenta of these motions but those of a driven end.
+    pub(super) fn hold_ends(&mut self) {
+        let damping = 1.0 + self.half_damping();
+        for i in 0..self.ends.len() {
+            let HeldEnd {
+                joint,
+                place,
+                driven,
+            } = self.ends[i];
+            let node = &self.rod.nodes[joint.node];
+            let (p, mut pi) = driven.map_or_else(Default::default, |(end, _)| {
+                let spin = node.rotary.component_mul(&end.angular_velocity);
+                (end.velocity * (node.mass / damping), spin / damping)
+            });
+            pi += joint.turning * self.get(place, ANGULAR_MOMENTUM);
+            self.set(place, LINEAR_MOMENTUM, &p);
+            self.set(place, ANGULAR_MOMENTUM, &pi);
+        }
+        self.hold_forces();
+    }
+
     /// Sets the pose of a driven base at the end of the step.
     pub(super) fn aim_base(&mut self, base: &BaseState, turn: &Vector3<f64>) {
         let Some(held) = &mut self.base else { return };

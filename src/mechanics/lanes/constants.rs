@@ -82,11 +82,17 @@ fn write_block(
 ) {
     for lane in 0..slots.n_lanes {
         let node = slots.node(Place { block, lane });
-        let rows = if node < rod.first_free_node() || node >= rod.n_nodes() {
+        let mut rows = if node < rod.first_free_node() || node >= rod.n_nodes() {
             held_constants(rod.model == RodModel::Standard)
         } else {
             node_constants(rod, node, time_step)
         };
+        if let Some(joint) = rod.joint(node) {
+            rows[MOBILITY] = 0.0;
+            if !joint.turns() {
+                rows[GYRATION..].fill(0.0);
+            }
+        }
         for (row, value) in rows.iter().enumerate() {
             nodes[row * slots.n_lanes + lane] = *value;
         }

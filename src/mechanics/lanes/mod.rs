@@ -22,7 +22,7 @@ use nalgebra::{Matrix3, Quaternion, Vector3};
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
 use self::active::ActiveLanes;
-use self::base::HeldBase;
+use self::base::{HeldBase, HeldEnd};
 use self::constants::{Constants, HELD_INERTIA};
 use self::element::{Consistent, Dilatation, SectionLaw, Standard};
 use self::place::{BASE, Place, Slots};
@@ -67,6 +67,8 @@ pub struct LaneIntegrator<'a> {
     spin: Buffer,
     exchange: Buffer,
     base: Option<HeldBase>,
+    /// The other ends that are held in part or in whole.
+    ends: Vec<HeldEnd>,
     /// Control just before this time node, on moving nodes.
     control: Vec<(usize, Wrench)>,
     /// Forces at the start of a motion, as temporary memory.
@@ -90,6 +92,7 @@ pub(crate) struct LaneMemory {
     spin: Buffer,
     exchange: Buffer,
     base: Option<HeldBase>,
+    ends: Vec<HeldEnd>,
     control: Vec<(usize, Wrench)>,
     seating: NodalForces,
     solver: Option<Box<Solver>>,
@@ -114,6 +117,7 @@ impl LaneMemory {
             spin: self.spin,
             exchange: self.exchange,
             base: self.base,
+            ends: self.ends,
             control: self.control,
             seating: self.seating,
             solver: self.solver,
@@ -205,6 +209,7 @@ impl<'a> LaneIntegrator<'a> {
             spin: Buffer::zeros(slots.len() * spin_rows),
             exchange: Buffer::zeros(n_lanes * EXCHANGE_ROWS),
             base: None,
+            ends: HeldEnd::of_rod(rod, slots),
             control: Vec::new(),
             seating: NodalForces::zeros(rod.n_nodes()),
             solver: Solver::new(rod, slots, clock.step).map(Box::new),
@@ -224,6 +229,7 @@ impl<'a> LaneIntegrator<'a> {
             spin: self.spin,
             exchange: self.exchange,
             base: self.base,
+            ends: self.ends,
             control: self.control,
             seating: self.seating,
             solver: self.solver,
@@ -280,6 +286,10 @@ impl<'a> LaneIntegrator<'a> {
         if free > 0 {
             forces.forces[0] = Vector3::zeros();
             forces.moments[0] = Vector3::zeros();
+        }
+        for joint in &rod.joints {
+            forces.forces[joint.node] = Vector3::zeros();
+            forces.moments[joint.node] = joint.turning * forces.moments[joint.node];
         }
         if !self.spin.is_empty() {
             let rotary = rod.rotary_at(&configuration.positions);
@@ -441,6 +451,7 @@ impl<'a> LaneIntegrator<'a> {
             state.angular_momentum[node] = momentum(node, ANGULAR_MOMENTUM, MOMENT);
         }
         for (node, wrench) in &self.control {
+            let wrench = self.rod.on_free_motions(*node, *wrench);
             state.linear_momentum[*node] += wrench.force * before;
             state.angular_momentum[*node] += wrench.moment * before;
         }
@@ -456,8 +467,9 @@ impl<'a> LaneIntegrator<'a> {
             BaseCondition::Driven(_) => {
                 approach_base(self.rod, &self.rotation(0), self.step, self.clock)?
             }
-            BaseCondition::Clamped | BaseCondition::Free => None,
+            _ => None,
         };
+        self.approach_ends()?;
         match self.rod.strain_rule {
             StrainRule::Helical => self.advance_by::<Helical>(control, base),
             StrainRule::Trapezoidal => self.advance_by::<Trapezoidal>(control, base),
@@ -488,6 +500,8 @@ impl<'a> LaneIntegrator<'a> {
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }
+        self.hold_forces();
+        self.put_ends();
 
         let mut failure = None;
         let mut sound = true;
@@ -556,5 +570,6 @@ impl<'a> LaneIntegrator<'a> {
         (self.control).extend(given.chain(acting).filter(|(node, _)| *node >= first));
         self.add_loads();
         self.arrive_posed();
+        self.hold_ends();
     }
 }

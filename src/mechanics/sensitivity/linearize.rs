@@ -634,6 +634,7 @@ impl Group<'_> {
             );
             step.winches = winch_kicks(self.along, self.workspace.active.as_ref(), k, kick.weight);
             step.first_free_node = rod.first_free_node();
+            step.joints.clone_from(&rod.joints);
             step.element_drifts.clear();
             if solved {
                 step.drifts.clear();

@@ -356,6 +356,7 @@ pub fn transition_by(
             for column in (index * TILE..size).take(TILE) {
                 tile.set_unit(first * NODE_COMPONENTS + column, column % TILE);
             }
+            tile.hold(&motion.rod.joints);
             RwLock::new(tile)
         })
         .collect();

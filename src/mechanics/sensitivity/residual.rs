@@ -129,6 +129,10 @@ pub(super) fn defects_on(
                 p[q] = decay * p[q] + (weight * forces[q] + kick * of(q, 0));
                 pi[q] = decay * pi[q] + (weight * moments[q] + kick * of(q, 3));
             }
+            for joint in &rod.joints {
+                p[joint.node] = Vector3::zeros();
+                pi[joint.node] = joint.turning * pi[joint.node];
+            }
             if k == grid.n_steps {
                 break;
             }
@@ -147,6 +151,10 @@ pub(super) fn defects_on(
                 let row = k * n + q;
                 defects.linear[row] = moving - p[q];
                 defects.angular[row] = of(q, 6) - pi[q];
+                if let Some(joint) = rod.joint(q) {
+                    defects.linear[row] = Vector3::zeros();
+                    defects.angular[row] = joint.turning * defects.angular[row];
+                }
                 probe += (defects.linear[row] + defects.angular[row]).sum();
                 p[q] = moving;
                 pi[q] = of(q, 9);

@@ -5,7 +5,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::arriving::arriving_terms;
 use super::columns::{Columns, Wide, for_all_vectors};
-use super::step::{LinearizedStep, SolvedDrift};
+use super::step::{LinearizedStep, SolvedDrift, hold};
 use super::{TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::forms::{NODE_COMPONENTS, StateForm, forms_at};
@@ -89,6 +89,9 @@ impl ReverseTile {
                 arch.dispatch(DriftTransposed { step, data, n_used });
             }
         }
+        for joint in &step.joints {
+            hold(&mut self.data, joint, 6);
+        }
         let first_row = k * task.motion.rod.n_nodes();
         if let Some(sum) = &mut self.sum {
             first_places(&self.data, 6, &mut sum.linear[first_row..]);
@@ -117,6 +120,9 @@ impl ReverseTile {
             first_places(&self.data, 9, &mut sum.arriving_angular[first_row..]);
         }
         if k == 0 {
+            for part in [0, 6] {
+                (step.joints.iter()).for_each(|joint| hold(&mut self.data, joint, part));
+            }
             self.read_start(task);
         }
     }

@@ -1,10 +1,11 @@
 //! Linearized steps, in the memory layout of the sweeps.
 
-use nalgebra::{Matrix3, SMatrix};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::TILE;
 use crate::mechanics::actuator::ActingDerivative;
 use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature};
+use crate::mechanics::ends::Joint;
 use crate::mechanics::forces::EffortSlope;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::LoadDerivative;
@@ -33,6 +34,8 @@ pub struct LinearizedStep {
     pub element_drifts: Vec<ElementDrift>,
     /// First node that moves.
     pub first_free_node: usize,
+    /// Ends whose held motions have no variation.
+    pub joints: Vec<Joint>,
     /// The drift of a step that is solved for.
     pub solve: SolvedDrift,
     pub(super) curvature: Option<StepCurvature>,
@@ -204,6 +207,20 @@ impl ActingKick {
     pub fn kick_transposed(&self, data: &mut [f64]) {
         for &(momentum, configuration, coefficient) in &self.terms {
             add_row(data, configuration, momentum, coefficient);
+        }
+    }
+}
+
+/// Takes away the held part of the rows of a joint's node from `part` on, 0 of the poses or 6 of the momenta, for all columns of a tile: a
+/// symmetric projection, and so its own transpose.
+pub(super) fn hold(data: &mut [f64], joint: &Joint, part: usize) {
+    let first = joint.node * NODE_COMPONENTS + part;
+    let (linear, angular) = data[first * TILE..][..6 * TILE].split_at_mut(3 * TILE);
+    linear.fill(0.0);
+    for column in 0..TILE {
+        let own = joint.turning * Vector3::from_fn(|i, _| angular[i * TILE + column]);
+        for (i, value) in own.iter().enumerate() {
+            angular[i * TILE + column] = *value;
         }
     }
 }

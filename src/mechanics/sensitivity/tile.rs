@@ -8,9 +8,10 @@ use pulp::{Arch, Simd, WithSimd};
 use super::arriving::arriving_terms;
 use super::columns::{Columns, Wide, for_all_vectors};
 use super::reduction::Record;
-use super::step::{LinearizedStep, SolvedDrift};
+use super::step::{LinearizedStep, SolvedDrift, hold};
 use super::{INCREMENT_ROWS, TILE, Task, step_flops};
 use crate::mechanics::buffer::Buffer;
+use crate::mechanics::ends::Joint;
 use crate::mechanics::forms::{NODE_COMPONENTS, forms_at};
 use crate::mechanics::linearization::StateTangent;
 
@@ -48,6 +49,7 @@ impl<'a> Tile<'a> {
                 tile.set_start(start, task.motion.rod.first_free_node(), column);
             }
         }
+        tile.hold(&task.motion.rod.joints);
         tile
     }
 
@@ -114,6 +116,15 @@ impl<'a> Tile<'a> {
         self.reach = joined(&self.reach, row / NODE_COMPONENTS);
     }
 
+    /// Takes away the held motions of the joints and their momenta.
+    pub fn hold(&mut self, joints: &[Joint]) {
+        for joint in joints {
+            for part in [0, 6] {
+                hold(&mut self.data, joint, part);
+            }
+        }
+    }
+
     /// Sum of the first two columns.
     pub fn sum(&self, node: usize, part: usize) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| {
@@ -162,6 +173,10 @@ impl<'a> Tile<'a> {
             }
         }
         self.add_sources(step, k, task);
+        // Held motions are not moved by any force.
+        for joint in &step.joints {
+            hold(&mut self.data, joint, 6);
+        }
         if last {
             self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
             self.read_forms(k, task);

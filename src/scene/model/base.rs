@@ -1,4 +1,4 @@
-//! The first node, held, moved or free.
+//! The two ends of the arm: held, moved or free.
 
 use nalgebra::{Matrix3, Vector3};
 #[cfg(feature = "schema")]
@@ -9,7 +9,7 @@ use super::super::error::DescribeError;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, Positive, known};
 use crate::mechanics::rotation::unit;
-use crate::mechanics::{self, CubicSpline, LoadFrame, MotionCurve, RodError};
+use crate::mechanics::{self, CubicSpline, EndCondition, LoadFrame, MotionCurve, RodError};
 
 /// Pose and motion of the first node.
 ///
@@ -18,8 +18,8 @@ use crate::mechanics::{self, CubicSpline, LoadFrame, MotionCurve, RodError};
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Base {
-    /// Condition of the base: held, driven, or free.
-    pub kind: BaseKind,
+    /// Condition of the base: clamped, pinned, driven, or free.
+    pub kind: EndKind,
     /// Position in m; for a driven base, the position from which it moves. Default: the origin.
     pub position_m: [f64; 3],
     /// Direction of the arm at the base, of any length but zero. Default: [0, 0, 1].
@@ -32,16 +32,69 @@ pub struct Base {
     /// `roll_rad`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
+    /// Axis of a pinned base that is a hinge, spatial frame, of any length but zero. Default: none, a ball joint.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axis: Option<[f64; 3]>,
     /// Prescribed motion of a driven base.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<BaseMotion>,
 }
 
-/// Prescribed motion of the base: the sum of a uniform motion, curves through tables, and oscillations.
+/// Condition of the tip, and the pose in which it is held.
 ///
-/// Translations are displacements from `base.position_m` in the spatial frame. Rotations are rotation vectors r: the
+/// Without a pose, the tip is held where the arm at rest ends. With another pose, the arm starts from its equilibrium there
+/// (`initial.shape = "equilibrium"`).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Tip {
+    /// Condition of the tip: clamped, pinned, driven, or free.
+    #[cfg_attr(feature = "schema", schemars(default = "free_tip"))]
+    pub kind: EndKind,
+    /// Position in m in which the tip is held; for a driven tip, the position from which it moves. Default: where the arm at rest ends.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_m: Option<[f64; 3]>,
+    /// Direction in which the arm arrives at its tip, of any length but zero. Default: that of the arm at rest.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub direction: Option<[f64; 3]>,
+    /// Rotation about `direction` in rad, after the shortest rotation of +z onto it. Default: 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub roll_rad: Option<f64>,
+    /// Orientation of the tip as a quaternion, scalar first, of any length but zero; instead of `direction` and
+    /// `roll_rad`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub orientation_wxyz: Option<[f64; 4]>,
+    /// Axis of a pinned tip that is a hinge, spatial frame, of any length but zero. Default: none, a ball joint.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axis: Option<[f64; 3]>,
+    /// Prescribed motion of a driven tip, relative to the pose in which it is held.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion: Option<BaseMotion>,
+}
+
+fn free_tip() -> EndKind {
+    EndKind::Free
+}
+
+impl Default for Tip {
+    fn default() -> Tip {
+        Tip {
+            kind: free_tip(),
+            position_m: None,
+            direction: None,
+            roll_rad: None,
+            orientation_wxyz: None,
+            axis: None,
+            motion: None,
+        }
+    }
+}
+
+/// Prescribed motion of a driven end: the sum of a uniform motion, curves through tables, and oscillations.
+///
+/// Translations are displacements from `position_m` of the end, in the spatial frame. Rotations are rotation vectors r: the
 /// orientation at time t is exp(r(t)) times the given one, or with `rotation_frame = "body"` the given one times
-/// exp(r(t)). Rotation vectors of several terms add up. At t = 0 the arm has its shape where the base is then, and
+/// exp(r(t)). Rotation vectors of several terms add up. At t = 0 the arm has its shape where a driven base is then, and
 /// moves with it as a rigid body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
@@ -84,28 +137,43 @@ pub struct Oscillation {
     pub phase_rad: f64,
 }
 
-/// Condition of the first node.
+/// Condition of an end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-pub enum BaseKind {
+pub enum EndKind {
     /// Position and orientation are held.
     #[default]
     Clamped,
-    /// Position and orientation follow `base.motion`.
+    /// The position is held; the orientation is free, or with `axis` turns about it alone.
+    Pinned,
+    /// Position and orientation follow `motion`.
     Driven,
-    /// The base moves like any other node.
+    /// The end moves like any other node.
     Free,
+}
+
+impl EndKind {
+    /// Returns the word of the scene file.
+    pub(in crate::scene) fn name(self) -> &'static str {
+        match self {
+            Self::Clamped => "clamped",
+            Self::Pinned => "pinned",
+            Self::Driven => "driven",
+            Self::Free => "free",
+        }
+    }
 }
 
 impl Default for Base {
     fn default() -> Base {
         Base {
-            kind: BaseKind::default(),
+            kind: EndKind::default(),
             position_m: [0.0; 3],
             direction: None,
             roll_rad: None,
             orientation_wxyz: None,
+            axis: None,
             motion: None,
         }
     }
@@ -116,73 +184,175 @@ impl Base {
     /// frame. With a direction `d` it is the shortest rotation of e3 onto `d` times the rotation by `roll` about e3;
     /// for `d = -e3` the shortest rotation is the half turn about e1.
     pub fn unit_quaternion(&self) -> [f64; 4] {
-        if let Some(orientation) = self.orientation_wxyz {
-            return unit(orientation);
-        }
-        let [x, y, z] = unit(self.direction.unwrap_or([0.0, 0.0, 1.0]));
-        // 1 + z, without cancellation where d is close to -e3.
-        let one_plus_z = if z < 0.0 {
-            (x * x + y * y) / (1.0 - z)
-        } else {
-            1.0 + z
-        };
-        let [w, i, j, _] = if one_plus_z > 0.0 {
-            unit([one_plus_z, -y, x, 0.0])
-        } else {
-            [0.0, 1.0, 0.0, 0.0]
-        };
-        let (sin, cos) = (0.5 * self.roll_rad.unwrap_or(0.0)).sin_cos();
-        [w * cos, i * cos + j * sin, j * cos - i * sin, w * sin]
+        unit_quaternion(self.orientation_wxyz, self.direction, self.roll_rad)
     }
+}
+
+impl Tip {
+    /// The tip's orientation as [`Base::unit_quaternion`] has it; `None` for that of the arm at rest.
+    pub fn unit_quaternion(&self) -> Option<[f64; 4]> {
+        let is_given = self.orientation_wxyz.is_some() || self.direction.is_some();
+        is_given.then(|| unit_quaternion(self.orientation_wxyz, self.direction, self.roll_rad))
+    }
+}
+
+fn unit_quaternion(
+    orientation: Option<[f64; 4]>,
+    direction: Option<[f64; 3]>,
+    roll: Option<f64>,
+) -> [f64; 4] {
+    if let Some(orientation) = orientation {
+        return unit(orientation);
+    }
+    let [x, y, z] = unit(direction.unwrap_or([0.0, 0.0, 1.0]));
+    // 1 + z, without cancellation where d is close to -e3.
+    let one_plus_z = if z < 0.0 {
+        (x * x + y * y) / (1.0 - z)
+    } else {
+        1.0 + z
+    };
+    let [w, i, j, _] = if one_plus_z > 0.0 {
+        unit([one_plus_z, -y, x, 0.0])
+    } else {
+        [0.0, 1.0, 0.0, 0.0]
+    };
+    let (sin, cos) = (0.5 * roll.unwrap_or(0.0)).sin_cos();
+    [w * cos, i * cos + j * sin, j * cos - i * sin, w * sin]
+}
+
+/// The keys that both ends have.
+struct End<'a> {
+    name: &'static str,
+    kind: EndKind,
+    direction: Option<[f64; 3]>,
+    roll_rad: Option<f64>,
+    orientation_wxyz: Option<[f64; 4]>,
+    axis: Option<[f64; 3]>,
+    motion: Option<&'a BaseMotion>,
 }
 
 impl Keys<'_> {
     pub(in crate::scene) fn check_base(&self, base: &Base) -> Checked {
         self.finite("base.position_m", &base.position_m)?;
-        if let Some(direction) = &base.direction {
-            self.nonzero("base.direction", direction)?;
+        self.check_end(&End {
+            name: "base",
+            kind: base.kind,
+            direction: base.direction,
+            roll_rad: base.roll_rad,
+            orientation_wxyz: base.orientation_wxyz,
+            axis: base.axis,
+            motion: base.motion.as_ref(),
+        })
+    }
+
+    pub(in crate::scene) fn check_tip(&self, tip: &Tip) -> Checked {
+        if let Some(position) = &tip.position_m {
+            self.finite("tip.position_m", position)?;
         }
-        if let Some(roll) = base.roll_rad {
-            self.finite_number("base.roll_rad", roll)?;
-        }
-        if let Some(orientation) = &base.orientation_wxyz {
-            self.nonzero("base.orientation_wxyz", orientation)?;
-            if base.direction.is_some() {
-                return Err(self.contradiction("base.orientation_wxyz", "base.direction"));
+        let given = [
+            ("tip.position_m", tip.position_m.is_some()),
+            ("tip.direction", tip.direction.is_some()),
+            ("tip.orientation_wxyz", tip.orientation_wxyz.is_some()),
+        ];
+        for (key, _) in given.iter().filter(|(_, is_given)| *is_given) {
+            if tip.kind == EndKind::Free {
+                let help = "set tip.kind = \"clamped\" or \"pinned\", or leave the key out";
+                let message = "a free tip is not held in any pose";
+                return Err(self.source.error_at(key, message, Some(help.to_string())));
             }
-            if base.roll_rad.is_some() {
-                return Err(self.contradiction("base.orientation_wxyz", "base.roll_rad"));
+        }
+        if tip.roll_rad.is_some() && tip.direction.is_none() {
+            return Err(self.missing("tip.direction", "goes with tip.roll_rad"));
+        }
+        if let Some(motion) = &tip.motion {
+            let turns = motion.angular_velocity_rad_s != [0.0; 3]
+                || motion.rotation_rad.is_some()
+                || motion
+                    .oscillation
+                    .iter()
+                    .any(|o| o.rotation_rad != [0.0; 3]);
+            let in_space = motion.rotation_frame == LoadFrame::Spatial;
+            if turns && in_space && tip.unit_quaternion().is_none() {
+                return Err(self.missing(
+                    "tip.direction",
+                    "a tip that turns in the spatial frame needs its orientation; or set tip.motion.rotation_frame = \"body\"",
+                ));
             }
         }
-        match (&base.motion, base.kind) {
-            (Some(motion), BaseKind::Driven) => self.check_motion(motion),
-            (None, BaseKind::Driven) => Err(self.missing(
-                "base.motion",
-                "a driven base needs to know how it moves, for example velocity_m_s = [0.1, 0, 0]",
+        self.check_end(&End {
+            name: "tip",
+            kind: tip.kind,
+            direction: tip.direction,
+            roll_rad: tip.roll_rad,
+            orientation_wxyz: tip.orientation_wxyz,
+            axis: tip.axis,
+            motion: tip.motion.as_ref(),
+        })
+    }
+
+    fn check_end(&self, end: &End) -> Checked {
+        let key = |name: &str| format!("{}.{name}", end.name);
+        if let Some(direction) = &end.direction {
+            self.nonzero(&key("direction"), direction)?;
+        }
+        if let Some(roll) = end.roll_rad {
+            self.finite_number(&key("roll_rad"), roll)?;
+        }
+        if let Some(orientation) = &end.orientation_wxyz {
+            let name = key("orientation_wxyz");
+            self.nonzero(&name, orientation)?;
+            if end.direction.is_some() {
+                return Err(self.contradiction(&name, &key("direction")));
+            }
+            if end.roll_rad.is_some() {
+                return Err(self.contradiction(&name, &key("roll_rad")));
+            }
+        }
+        if let Some(axis) = &end.axis {
+            self.nonzero(&key("axis"), axis)?;
+            if end.kind != EndKind::Pinned {
+                let message = format!("only a pinned {} has an axis", end.name);
+                let help = format!("set {} = \"pinned\", or leave the axis out", key("kind"));
+                return Err(self.source.error_at(&key("axis"), message, Some(help)));
+            }
+        }
+        let name = key("motion");
+        match (end.motion, end.kind) {
+            (Some(motion), EndKind::Driven) => self.check_motion(&name, motion),
+            (None, EndKind::Driven) => Err(self.missing(
+                &name,
+                &format!(
+                    "a driven {} needs to know how it moves, for example velocity_m_s = [0.1, 0, 0]",
+                    end.name
+                ),
             )),
-            (Some(_), BaseKind::Clamped | BaseKind::Free) => Err(self.source.error_at(
-                "base.motion",
-                "only a driven base has a given motion",
-                Some("set base.kind = \"driven\", or leave base.motion out".to_string()),
+            (Some(_), _) => Err(self.source.error_at(
+                &name,
+                format!("only a driven {} has a given motion", end.name),
+                Some(format!(
+                    "set {} = \"driven\", or leave {name} out",
+                    key("kind")
+                )),
             )),
-            (None, BaseKind::Clamped | BaseKind::Free) => Ok(()),
+            (None, _) => Ok(()),
         }
     }
 
-    fn check_motion(&self, motion: &BaseMotion) -> Checked {
-        self.finite("base.motion.velocity_m_s", &motion.velocity_m_s)?;
+    fn check_motion(&self, name: &str, motion: &BaseMotion) -> Checked {
+        let key = |own: &str| format!("{name}.{own}");
+        self.finite(&key("velocity_m_s"), &motion.velocity_m_s)?;
         self.finite(
-            "base.motion.angular_velocity_rad_s",
+            &key("angular_velocity_rad_s"),
             &motion.angular_velocity_rad_s,
         )?;
         if let Some(table) = &motion.translation_m {
-            self.table("base.motion.translation_m", table, "no translation")?;
+            self.table(&key("translation_m"), table, "no translation")?;
         }
         if let Some(table) = &motion.rotation_rad {
-            self.table("base.motion.rotation_rad", table, "no rotation")?;
+            self.table(&key("rotation_rad"), table, "no rotation")?;
         }
         for (index, oscillation) in motion.oscillation.iter().enumerate() {
-            let key = |name: &str| format!("base.motion.oscillation.{index}.{name}");
+            let key = |own: &str| format!("{name}.oscillation.{index}.{own}");
             self.finite(&key("translation_m"), &oscillation.translation_m)?;
             self.finite(&key("rotation_rad"), &oscillation.rotation_rad)?;
             self.finite_number(&key("phase_rad"), oscillation.phase_rad)?;
@@ -191,9 +361,42 @@ impl Keys<'_> {
     }
 }
 
-/// Returns the motion of a base with this orientation: `exp(r) R_b = R_b exp(R_bᵀ r)` turns spatial rotation vectors into those of its
+/// Returns the condition of an end with these keys and this orientation.
+pub(in crate::scene) fn end_condition(
+    kind: EndKind,
+    axis: Option<[f64; 3]>,
+    motion: Option<&BaseMotion>,
+    orientation: &Matrix3<f64>,
+) -> Result<EndCondition, RodError> {
+    Ok(match kind {
+        EndKind::Clamped => EndCondition::Clamped,
+        EndKind::Pinned => EndCondition::Pinned {
+            axis: axis.map(Vector3::from),
+        },
+        EndKind::Driven => {
+            let motion = motion.cloned().unwrap_or_default();
+            EndCondition::driven(base_motion(&motion, orientation)?)
+        }
+        EndKind::Free => EndCondition::Free,
+    })
+}
+
+/// Kind, axis and motion of an end.
+type DescribedEnd = (EndKind, Option<[f64; 3]>, Option<BaseMotion>);
+
+/// Returns the keys of an end with this condition.
+pub(in crate::scene) fn described_end(end: &EndCondition) -> Result<DescribedEnd, DescribeError> {
+    Ok(match end {
+        EndCondition::Clamped => (EndKind::Clamped, None, None),
+        EndCondition::Pinned { axis } => (EndKind::Pinned, axis.map(Into::into), None),
+        EndCondition::Driven(motion) => (EndKind::Driven, None, Some(described_motion(motion)?)),
+        EndCondition::Free => (EndKind::Free, None, None),
+    })
+}
+
+/// Returns the motion of an end with this orientation: `exp(r) R_b = R_b exp(R_bᵀ r)` turns spatial rotation vectors into those of its
 /// frame.
-pub(in crate::scene) fn base_motion(
+fn base_motion(
     motion: &BaseMotion,
     orientation: &Matrix3<f64>,
 ) -> Result<mechanics::BaseMotion, RodError> {
@@ -237,9 +440,7 @@ pub(in crate::scene) fn base_motion(
     })
 }
 
-pub(in crate::scene) fn described_motion(
-    motion: &mechanics::BaseMotion,
-) -> Result<BaseMotion, DescribeError> {
+fn described_motion(motion: &mechanics::BaseMotion) -> Result<BaseMotion, DescribeError> {
     let table = |curve: &MotionCurve| {
         (curve.table.as_ref()).map(|table| {
             (table.points())
@@ -254,7 +455,7 @@ pub(in crate::scene) fn described_motion(
     };
     if translation.oscillations.len() != rotation.oscillations.len() || !pairs().all(belong) {
         return Err(DescribeError(
-            "its base translates and rotates at different frequencies",
+            "an end of it translates and rotates at different frequencies",
         ));
     }
     Ok(BaseMotion {

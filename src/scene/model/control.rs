@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::super::error::DescribeError;
 use super::super::keys::{Checked, Keys, LARGEST_COUNT};
 use super::super::values::{self, NonNegative, Number, Positive, known};
-use super::{BaseKind, Scene};
+use super::{EndKind, Scene};
 use crate::control::{self, Hold};
 use crate::mechanics::Mesh;
 use crate::task::{
@@ -201,10 +201,30 @@ impl Keys<'_> {
         let acts =
             |parts: [Option<Bound>; 2]| parts.into_iter().flatten().any(|part| !part.is_zero());
         let mut nothing = !acts([control.force_max_n, control.moment_max_n_m]);
+        let tip = scene.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind);
+        for (key, bound, answers) in [
+            (
+                "control.force_max_n",
+                control.force_max_n,
+                tip == EndKind::Free,
+            ),
+            (
+                "control.moment_max_n_m",
+                control.moment_max_n_m,
+                matches!(tip, EndKind::Free | EndKind::Pinned),
+            ),
+        ] {
+            if acts([bound, None]) && !answers {
+                let message = format!("acts on the tip, which is {}", tip.name());
+                let help = "name another node in [[control.actuator]], or free the tip";
+                return Err(self.source.error_at(key, message, Some(help.to_string())));
+            }
+        }
         let elements = scene.rod.elements;
         for (index, actuator) in control.actuator.iter().enumerate() {
             let key = format!("control.actuator.{index}");
-            let held = scene.base.kind != BaseKind::Free && actuator.node == 0;
+            let turns = scene.base.kind == EndKind::Pinned && !acts([actuator.force_max_n, None]);
+            let held = scene.base.kind != EndKind::Free && !turns && actuator.node == 0;
             let earlier = &control.actuator[..index];
             let message = if actuator.node > elements {
                 format!("there is no node {}", actuator.node)

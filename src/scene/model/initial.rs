@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
 use super::super::values::digits;
-use super::BaseKind;
 use super::geometry::wxyz;
+use super::{EndKind, Scene};
 use crate::mechanics::rotation::from_quaternion;
 use crate::mechanics::{Configuration, NodalState, State};
 use crate::task::{Start, StartShape};
@@ -210,7 +210,8 @@ const CURVATURE: usize = 4;
 const POSE: usize = 8;
 
 impl Keys<'_> {
-    pub(in crate::scene) fn check_initial(&self, initial: &Initial, base: BaseKind) -> Checked {
+    pub(in crate::scene) fn check_initial(&self, initial: &Initial, scene: &Scene) -> Checked {
+        let tip = scene.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind);
         if let Some(state) = &initial.state {
             self.check_initial_state(initial, state)?;
         }
@@ -228,13 +229,17 @@ impl Keys<'_> {
             if *velocity == [0.0; 3] {
                 continue;
             }
-            let (message, help) = match base {
-                BaseKind::Free => continue,
-                BaseKind::Clamped => (
+            let (message, help) = match scene.base.kind {
+                EndKind::Free if tip == EndKind::Free => continue,
+                EndKind::Free | EndKind::Pinned => (
+                    "an arm that is held at an end cannot start as a moving rigid body",
+                    "leave the velocity out, or free both ends",
+                ),
+                EndKind::Clamped => (
                     "a clamped arm cannot start as a moving rigid body",
                     "set base.kind = \"free\", or \"driven\" with a base.motion",
                 ),
-                BaseKind::Driven => (
+                EndKind::Driven => (
                     "an arm on a driven base starts with the velocity of its base",
                     "give the velocity in base.motion",
                 ),

@@ -51,6 +51,9 @@ pub struct Scene {
     /// Pose of the first node, and whether it is held. Default: clamped at the origin, the arm along +z.
     #[serde(default)]
     pub base: Base,
+    /// Condition of the last node. Absent: free.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tip: Option<Tip>,
     /// Uniform gravity. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gravity: Option<Gravity>,

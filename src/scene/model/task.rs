@@ -9,18 +9,22 @@ use super::super::error::DescribeError;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::geometry::wxyz;
-use super::{BaseKind, LoadNode, Scene};
+use super::{EndKind, LoadNode, Scene};
 use crate::control::{self, Enforcement, Goal};
 use crate::mechanics::Mesh;
 use crate::mechanics::rotation::from_quaternion;
-use crate::task::{self, Hardness, Place, Problem, Rest, Staying, Target, Tolerances};
+use crate::task::{self, Hardness, Problem, Rest, Staying, Target, Tolerances};
 
 /// Target of the tip: a position, an orientation, or both.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Task {
-    /// Position of the tip in m.
+    /// Node of the target: `"tip"`, or a fraction of the length, or an index. A tip that is held has no target, so that a task with one
+    /// names a node on the way to it. Default: the tip.
+    #[serde(default, skip_serializing_if = "is_tip")]
+    pub node: LoadNode,
+    /// Position of the tip, or of `node`, in m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
     /// Orientation of the tip as a quaternion, scalar first, of any length but zero. The arm reaches it by more than
@@ -195,9 +199,19 @@ impl Keys<'_> {
                 "or else, or as well, give task.orientation_wxyz",
             ));
         }
+        self.node("task.node", task.node, scene.rod.elements)?;
+        let tip = scene.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind);
+        if tip != EndKind::Free && task.node.index(&scene.mesh()) == scene.mesh().n_elements() {
+            let message = format!("the tip is {}, and has no target", tip.name());
+            let help =
+                "name a node on the way to it, for example node = 0.5, the middle of the arm";
+            return Err(self
+                .source
+                .error_at("task.node", message, Some(help.to_string())));
+        }
         if let Some(position) = &task.position_m {
             self.finite("task.position_m", position)?;
-            self.check_reach("task.position_m", position, LoadNode::default(), scene)?;
+            self.check_reach("task.position_m", position, task.node, scene)?;
         }
         if let Some(orientation) = &task.orientation_wxyz {
             self.nonzero("task.orientation_wxyz", orientation)?;
@@ -375,11 +389,13 @@ impl Keys<'_> {
         let reach = LARGEST_STRETCH * stretch * mesh.fraction(index) * scene.rod.length_m.get();
         let [x, y, z] = std::array::from_fn(|axis| position[axis] - scene.base.position_m[axis]);
         let distance = x.hypot(y).hypot(z);
-        if scene.base.kind == BaseKind::Clamped && distance > reach {
+        let is_fixed = matches!(scene.base.kind, EndKind::Clamped | EndKind::Pinned);
+        if is_fixed && distance > reach {
             let message = format!("{} m from the base is out of reach", rounded(distance));
             let help = format!(
-                "rod.length_m is {} and base.position_m is the clamped end",
-                digits(scene.rod.length_m.get())
+                "rod.length_m is {} and base.position_m is the {} end",
+                digits(scene.rod.length_m.get()),
+                scene.base.kind.name()
             );
             return Err(self
                 .source
@@ -404,6 +420,10 @@ fn rounded(value: f64) -> String {
     } else {
         format!("{value:.3e}")
     }
+}
+
+fn is_tip(node: &LoadNode) -> bool {
+    *node == LoadNode::Tip
 }
 
 impl Task {
@@ -461,7 +481,7 @@ impl Task {
         });
         let goal = Target {
             name: "task".into(),
-            at: Place::Tip,
+            at: self.node.place(mesh),
             time: None,
             position: self.position_m.map(Vector3::from),
             rotation: self.orientation_wxyz.map(from_quaternion),
@@ -481,7 +501,7 @@ fn hardness(hard: bool, weight: Option<f64>) -> Hardness {
     }
 }
 
-/// Returns the waypoints, and the goal of the tip at the end if there is one.
+/// Returns the waypoints, and the goal at the end if there is one.
 pub(in crate::scene) fn described_targets<'a>(
     task: &'a task::Task,
     mesh: &Mesh,
@@ -490,12 +510,9 @@ pub(in crate::scene) fn described_targets<'a>(
         Some((last, before)) if last.time.is_none() => (Some(last), before),
         _ => (None, &task.targets[..]),
     };
-    if last.is_some_and(|goal| LoadNode::of(goal.at, mesh) != LoadNode::Tip) {
-        return Err(DescribeError("its goal at the end is not one of the tip"));
-    }
     if last.is_none() && !before.is_empty() {
         return Err(DescribeError(
-            "it has points on the way, and behind them no goal of the tip at the end",
+            "it has points on the way, and behind them no goal at the end",
         ));
     }
     let via = (before.iter())
@@ -534,6 +551,7 @@ pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Ve
         .rest(problem.arm.length, problem.task.horizon);
     let with_rest = goal.rest == Rest::Instant && hard;
     Task {
+        node: LoadNode::of(goal.at, &problem.discrete.rod.mesh),
         position_m: goal.position.map(Into::into),
         orientation_wxyz: goal.rotation.as_ref().map(wxyz),
         at_s: Some(known(problem.task.horizon)),

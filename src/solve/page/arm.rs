@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::control::{Bound, named_axes};
-use crate::mechanics::{BaseCondition, LoadFrame, Rod, Section, SectionProfile, SectionSegment};
+use crate::mechanics::{LoadFrame, Rod, Section, SectionProfile, SectionSegment};
 use crate::task::{Arm, ChannelLimits, Limit, Place, WrenchActuator};
 
 fn triple(v: Vector3<f64>) -> [f64; 3] {
@@ -48,11 +48,8 @@ pub(super) fn arm(arm: &Arm, rod: &Rod, known: [usize; 2]) -> Value {
         "rest_curvature": triple(arm.rest_curvature),
         "is_curved_unevenly": !arm.curvature_rows.is_empty(),
         "rest_stretch": arm.rest_stretch,
-        "base": match arm.base {
-            BaseCondition::Clamped => "clamped",
-            BaseCondition::Driven(_) => "driven",
-            BaseCondition::Free => "free",
-        },
+        "base": arm.base.name(),
+        "tip": arm.tip.name(),
         "base_position": triple(arm.base_position),
         "base_direction": triple(arm.base_rotation.column(2).into_owned()),
         "elements": rod.n_elements(),

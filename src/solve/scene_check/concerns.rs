@@ -1,10 +1,15 @@
 //! Remarks on a scene that a user should see before it runs.
 
+use nalgebra::Vector3;
+
 use super::super::causes::SAME;
 use super::hardly_meant::hardly_meant;
 use crate::mechanics::stability::{bent_step, posed_step, stable_step};
+use crate::mechanics::tangent::{Tangent, own_squared_frequency};
 use crate::mechanics::vibration::{weight_in_words, weight_number};
-use crate::mechanics::{Density, Rod, RodModel, RotaryInertia, StrainRule, TimeScheme};
+use crate::mechanics::{
+    Configuration, Density, EndCondition, Rod, RodModel, RotaryInertia, StrainRule, TimeScheme,
+};
 use crate::output::summary::{OutputSize, RestSummary};
 use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
 
@@ -22,6 +27,49 @@ pub(super) fn topples(rest: &RestSummary, rod: &Rod) -> Option<String> {
             what_weighs(rod),
             1.0 / rate,
             weight_in_words(rod)
+        )
+    })
+}
+
+/// Displacement of nodes, in lengths of the arm per radian, below which a motion is a spin of its sections: that of a rigid turn is a fraction
+/// of one, but for axes along the arm.
+const SPIN: f64 = 1e-3;
+
+/// Returns the motions of a held arm that its ends leave without stiffness in a shape under its weight, in words.
+pub(super) fn loose(rod: &Rod, at: &Configuration) -> Option<String> {
+    if !rod.is_held() || rod.most_loose_motions() == 0 {
+        return None;
+    }
+    let modes = Tangent::stiffness(rod, at, 0.0).loose_motions(rod, at, own_squared_frequency(rod));
+    let first = rod.first_free_node();
+    let both = !rod.has_free_tip() && rod.base != EndCondition::Free;
+    let words = modes.iter().map(|mode| {
+        let turns = mode.shape.iter().zip(&at.rotations[first..]);
+        let turns: Vec<Vector3<f64>> = turns.map(|(s, r)| r * s.fixed_rows::<3>(3)).collect();
+        let largest = turns.iter().map(Vector3::norm).fold(0.0, f64::max);
+        let way = (mode.shape.iter())
+            .map(|s| s.fixed_rows::<3>(0).norm())
+            .fold(0.0, f64::max);
+        if way < SPIN * rod.scales.length * largest {
+            return "a spin of its sections about its own axis".to_string();
+        }
+        if both {
+            return "a turn about the line between its ends".to_string();
+        }
+        let axis = turns.iter().sum::<Vector3<f64>>().normalize();
+        let end = if rod.has_free_tip() { "base" } else { "tip" };
+        format!(
+            "a turn about its {end} around [{:.2}, {:.2}, {:.2}]",
+            axis.x, axis.y, axis.z
+        )
+    });
+    let mut words: Vec<String> = words.collect();
+    words.dedup();
+    (!words.is_empty()).then(|| {
+        format!(
+            "{}: no stiffness and no weight holds the arm against {}; hold the end more firmly, unless that is meant",
+            if both || rod.has_free_tip() { "base.kind" } else { "tip.kind" },
+            words.join(", nor against ")
         )
     })
 }

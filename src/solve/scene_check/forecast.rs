@@ -115,7 +115,7 @@ pub(crate) fn output_size(setup: &Simulation) -> OutputSize {
     let rows = setup.n_rows(setup.grid.n_steps);
     let mut row = row_bytes(&MotionRecord::empty(setup.rod.n_nodes()).arrays());
     if setup.diagnostics {
-        row += row_bytes(&DiagnosticsRecord::empty(setup.rod.n_elements()).arrays());
+        row += row_bytes(&DiagnosticsRecord::empty(&setup.rod).arrays());
     }
     OutputSize {
         rows,

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use nalgebra::Vector3;
 
-use self::concerns::topples;
+use self::concerns::{loose, topples};
 pub(crate) use self::concerns::{size_warning, warnings, what_weighs};
 use self::forecast::{cost, problem_size, shorter};
 pub(crate) use self::forecast::{expectation, output_size, time_in_words};
@@ -22,7 +22,7 @@ use super::causes::{MOST_ELEMENTS, stands_by_symmetry};
 use crate::control::{Bound, Channel, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::vibration::{SmallMotions, weight_number};
-use crate::mechanics::{BaseCondition, Place, Rod, TipSpring, static_equilibrium};
+use crate::mechanics::{Place, Rod, TipSpring, static_equilibrium};
 use crate::memory::{of_simulation, of_solve};
 use crate::output::quantity::{digits, quantity};
 use crate::output::summary::{
@@ -130,7 +130,8 @@ pub(crate) fn check_scene(
         concerns.extend(more);
         summary
     });
-    let at_rest = at_rest(&rod);
+    let (at_rest, loose) = at_rest(&rod);
+    concerns.extend(loose);
     concerns.extend(topples(&at_rest, &rod).or(by_symmetry));
     let distance = plan.as_ref().and_then(|plan| plan.distance);
     let (actuators, static_need, solve_cost, own_units) = plan
@@ -204,19 +205,19 @@ struct Plan {
     own_units: Vec<String>,
 }
 
-/// The arm under gravity, with its payload and without loads.
-fn at_rest(rod: &Rod) -> RestSummary {
+/// The arm under gravity, with its payload and without loads; and the motions that nothing holds, in words.
+fn at_rest(rod: &Rod) -> (RestSummary, Option<String>) {
     let mut out = RestSummary {
         weight_number: weight_number(rod),
         ..RestSummary::default()
     };
     if rod.n_elements() > MOST_ELEMENTS {
         out.no_equilibrium = Some("too many elements to look at in passing".into());
-        return out;
+        return (out, None);
     }
     let mut bare = rod.clone();
     bare.loads.clear();
-    let shape = if bare.base == BaseCondition::Free {
+    let shape = if !bare.is_held() {
         out.no_equilibrium = Some("the base is free".into());
         bare.gravity = Vector3::zeros();
         bare.rest.clone()
@@ -225,7 +226,7 @@ fn at_rest(rod: &Rod) -> RestSummary {
             Ok(shape) => shape,
             Err(error) => {
                 out.no_equilibrium = Some(error.to_string());
-                return out;
+                return (out, None);
             }
         }
     };
@@ -243,7 +244,7 @@ fn at_rest(rod: &Rod) -> RestSummary {
     let motions = SmallMotions::about(&bare, &shape, 0.0);
     out.first_frequency_hz = (motions.first_frequency()).map(|omega| omega / TAU);
     out.growth_rate_1_s = motions.growth_rate();
-    out
+    (out, loose(&bare, &shape))
 }
 
 fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {

@@ -63,7 +63,7 @@ impl<'a> Run<'a> {
             RowFiles::create(&directory.path().join(name), layout)
         };
         let row = MotionRecord::empty(setup.rod.n_nodes());
-        let diagnostics = DiagnosticsRecord::empty(setup.rod.n_elements());
+        let diagnostics = DiagnosticsRecord::empty(&setup.rod);
         let mut run = Self {
             setup,
             folder: directory.path().into(),
@@ -128,7 +128,7 @@ impl<'a> Run<'a> {
             },
         )?;
         tally.extremes.widen(&checkpoint.extremes);
-        let layout = DiagnosticsRecord::empty(setup.rod.n_elements());
+        let layout = DiagnosticsRecord::empty(&setup.rod);
         let diagnostics = (checkpoint.diagnostics)
             .map(|written| files("diagnostics", &layout.arrays(), written, &mut |_| ()))
             .transpose()?;

@@ -48,6 +48,13 @@ impl Conditions<'_> {
                 lr[q] += own.pi[q];
             }
         }
+        let hold = |vectors: &mut [Vector3<f64>], turns: &mut [Vector3<f64>]| {
+            for joint in &rod.joints {
+                vectors[joint.node] = Vector3::zeros();
+                turns[joint.node] = joint.turning * turns[joint.node];
+            }
+        };
+        hold(&mut lx, &mut lr);
         let nodes = &self.control.nodes;
         let width = self.control.width();
         let mut out = vec![Wrench::default(); (n + 1) * width];
@@ -98,6 +105,8 @@ impl Conditions<'_> {
                 link.add_start_of_end(own, &lx, &lr, [&mut earlier_x, &mut earlier_eta]);
                 (link, -0.5 * h * kick(rod, h, k - 1, n).2)
             });
+            // Held motions do not vary.
+            hold(&mut cx, &mut ceta);
             let solve_x = |cx: &[Vector3<f64>], lx: &mut [Vector3<f64>]| {
                 for q in first..count {
                     // x: mass (λ_{k-1} - decay λ_k) = covector of x_k.
@@ -135,6 +144,7 @@ impl Conditions<'_> {
                         .unwrap_or_else(|| Vector3::repeat(f64::NAN));
                 }
             }
+            hold(&mut lx, &mut lr);
             for q in first..count {
                 earlier_eta[q] += spins[q].start_arriving.tr_mul(&next_r[q])
                     - spins[q].start_leaving.tr_mul(&lr[q]);

@@ -338,8 +338,9 @@ impl Conditions<'_> {
     /// Returns the sum of the scaled distances of node 0 from its prescribed pose; each is shown to `worst`.
     pub(super) fn base_defects(&self, worst: &mut Worst) -> f64 {
         let rod = self.rod();
-        if rod.base == BaseCondition::Free {
-            return 0.0;
+        let joints = self.joint_defects(worst);
+        if rod.base == BaseCondition::Free || rod.joint(0).is_some() {
+            return joints;
         }
         let start = &self.problem.initial.configuration;
         (0..=self.problem.grid.n_steps)
@@ -366,7 +367,44 @@ impl Conditions<'_> {
                 worst.note(scaled[1], || of("base (orientation)", turned, "rad"));
                 scaled[0] + scaled[1]
             })
-            .sum()
+            .sum::<f64>()
+            + joints
+    }
+
+    /// Returns the sum of the scaled distances of the joints from where they are held; each is shown to `worst`.
+    fn joint_defects(&self, worst: &mut Worst) -> f64 {
+        let rod = self.rod();
+        let mut sum = 0.0;
+        for (joint, k) in (rod.joints.iter())
+            .flat_map(|joint| (0..=self.problem.grid.n_steps).map(move |k| (joint, k)))
+        {
+            let (q, time) = (joint.node, self.problem.grid.time(k));
+            let (x, r) = rod.held_pose(joint, time);
+            let here = self.trajectory.rotations_at(k)[q];
+            let moved = self.trajectory.positions_at(k)[q] - x;
+            let turned = match joint.axis() {
+                // The axis is fixed in the body and in space.
+                Some(axis) => (here * axis).cross(&(r * axis)),
+                None if joint.turns() => Vector3::zeros(),
+                None => log(&r.tr_mul(&here)),
+            };
+            let scaled = [moved.norm() / rod.scales.length, turned.norm()];
+            for (off, size, name, unit) in [
+                (moved, scaled[0], "held end (position)", "m"),
+                (turned, scaled[1], "held end (orientation)", "rad"),
+            ] {
+                sum += size;
+                worst.note(size, || Place {
+                    name: name.into(),
+                    node: q,
+                    time,
+                    component: largest_axis(&off),
+                    value: off.norm(),
+                    unit: unit.into(),
+                });
+            }
+        }
+        sum
     }
 
     /// Computes the defects of the equations of motion.
@@ -419,12 +457,20 @@ impl Conditions<'_> {
                 let after =
                     decay * before + weight * force + impulse * (self.reaction(k, q) + pulls[q]);
                 let after_angular = decay * before_angular + weight * moment + impulse * twists[q];
+                let (after, after_angular) = match rod.joint(q) {
+                    None => (after, after_angular),
+                    Some(joint) => (Vector3::zeros(), joint.turning * after_angular),
+                };
                 let Some([j_d, _]) = &leaving else {
                     (p_end[q], pi_end[q]) = (after, after_angular);
                     continue;
                 };
-                let linear = self.velocity_momentum(k, q) - after;
-                let angular = momentum_after(&self.turn(k, q), &j_d[q], h) - after_angular;
+                let mut linear = self.velocity_momentum(k, q) - after;
+                let mut angular = momentum_after(&self.turn(k, q), &j_d[q], h) - after_angular;
+                if let Some(joint) = rod.joint(q) {
+                    linear = Vector3::zeros();
+                    angular = joint.turning * angular;
+                }
                 let rows = [
                     (linear, scales.force, "equation of motion (77)", "N s"),
                     (angular, scales.moment, "equation of motion (81)", "N m s"),

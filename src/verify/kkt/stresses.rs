@@ -1,13 +1,15 @@
 //! The terms of the adjoint equations from stresses that depend on both ends of a time step.
 
+use std::collections::BTreeMap;
+
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use faer::sparse::{SparseColMat, Triplet};
-use nalgebra::{SMatrix, Vector3};
+use nalgebra::{Matrix6, SMatrix, Vector3};
 
 use super::motion::Conditions;
 use super::spin::Spin;
-use crate::mechanics::TimeScheme;
+use crate::mechanics::{Rod, TimeScheme};
 use crate::verify::efforts::{self, Springs};
 use crate::verify::interval::{self, Nine, Strained, nine};
 
@@ -224,6 +226,7 @@ impl<'a> StressLink<'a> {
                 }
             }
         }
+        let entries = held(rod, entries);
         let n = 6 * (count - first);
         let right = Mat::from_fn(n, 1, |row, _| {
             let (q, i) = (first + row / 6, row % 6);
@@ -245,6 +248,41 @@ impl<'a> StressLink<'a> {
             (lx[q], lr[q]) = (part(0), part(3));
         }
     }
+}
+
+/// Returns the matrix with unit rows and columns for the held motions of the joints.
+fn held(rod: &Rod, entries: Vec<Triplet<usize, usize, f64>>) -> Vec<Triplet<usize, usize, f64>> {
+    if rod.joints.is_empty() {
+        return entries;
+    }
+    let mut matrix = BTreeMap::new();
+    for entry in entries {
+        let block: &mut Matrix6<f64> = matrix.entry((entry.row / 6, entry.col / 6)).or_default();
+        block[(entry.row % 6, entry.col % 6)] += entry.val;
+    }
+    for joint in &rod.joints {
+        let (p, i) = (joint.projection(), joint.node - rod.first_free_node());
+        for ((row, column), block) in &mut matrix {
+            if *row == i {
+                *block = p * *block;
+            }
+            if *column == i {
+                *block *= p;
+            }
+            if (*row, *column) == (i, i) {
+                *block += Matrix6::identity() - p;
+            }
+        }
+    }
+    let blocks = matrix.into_iter();
+    blocks
+        .flat_map(|((row, column), block)| {
+            (0..36).map(move |at| {
+                let (i, j) = (at / 6, at % 6);
+                Triplet::new(6 * row + i, 6 * column + j, block[(i, j)])
+            })
+        })
+        .collect()
 }
 
 /// Returns `(λx_b - λx_a, λr_a, λr_b)` of element `q`.

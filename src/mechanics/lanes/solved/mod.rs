@@ -231,11 +231,16 @@ impl Solver {
     }
 }
 
-/// `m/h` and `J/h` of the nodes that move.
+/// `m/h` and `J/h` of the nodes that move; zero for motions that a joint holds.
 fn write_rates(rates: &mut [f64], slots: Slots, rod: &Rod, time_step: f64) {
     for (q, node) in rod.nodes.iter().enumerate().skip(rod.first_free_node()) {
         let place = slots.place(q);
-        rates[slots.index(place, RATE_ROWS, 0)] = node.mass / time_step;
+        let joint = rod.joint(q);
+        if joint.is_none() {
+            rates[slots.index(place, RATE_ROWS, 0)] = node.mass / time_step;
+        } else if joint.is_some_and(|joint| !joint.turns()) {
+            continue;
+        }
         for i in 0..3 {
             rates[slots.index(place, RATE_ROWS, 1 + i)] = node.rotary[i] / time_step;
         }
@@ -277,6 +282,7 @@ impl LaneIntegrator<'_> {
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);
         }
+        self.hold_forces();
         let held =
             (self.base.as_ref()).map(|held| std::array::from_fn(|i| held.rows[POSITION + i]));
         let Constants {
@@ -295,6 +301,7 @@ impl LaneIntegrator<'_> {
                 winches,
                 solver: &mut solver,
                 held,
+                ends: &self.ends,
                 half_damping: 0.5 * self.rod.viscous_damping * self.clock.step,
                 time_step: self.clock.step,
                 normalize: self.step.is_multiple_of(NORMALIZE_EVERY),

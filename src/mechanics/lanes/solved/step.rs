@@ -2,7 +2,7 @@
 
 use std::marker::PhantomData;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix6, Vector3};
 use pulp::{Simd, WithSimd};
 
 use super::Solver;
@@ -13,7 +13,9 @@ use super::instant::{
 };
 use super::winches::Winches;
 use crate::mechanics::configuration::Configuration;
+use crate::mechanics::ends::Joint;
 use crate::mechanics::lanes::active::{ActiveBlocks, ActiveLanes};
+use crate::mechanics::lanes::base::HeldEnd;
 use crate::mechanics::lanes::element::{Chord, STRESS_ROWS, fold};
 use crate::mechanics::lanes::place::Slots;
 use crate::mechanics::lanes::rule::{Pull, pressed};
@@ -103,6 +105,8 @@ pub struct SolvedStep<'a, R> {
     pub solver: &'a mut Solver,
     /// Pose of a base that is held, at the end of the step.
     pub held: Option<[f64; 7]>,
+    /// The other ends that are held in part or in whole.
+    pub ends: &'a [HeldEnd],
     /// `a = c h/2` of the viscous damping.
     pub half_damping: f64,
     pub time_step: f64,
@@ -127,6 +131,7 @@ impl<R: SolvedRule> WithSimd for SolvedStep<'_, R> {
             winches: self.winches,
             solver: self.solver,
             held: self.held,
+            ends: self.ends,
             kick: Lanes::splat(simd, self.time_step * scale),
             weight: 0.5 * self.time_step * scale,
             decay: Lanes::splat(simd, (1.0 - self.half_damping) * scale),
@@ -147,6 +152,7 @@ struct Work<'a, S: Simd, R> {
     winches: Option<Winches<'a>>,
     solver: &'a mut Solver,
     held: Option<[f64; 7]>,
+    ends: &'a [HeldEnd],
     /// `h/(1 + a)`
     kick: Lanes<S>,
     /// `h/2/(1 + a)`, of the stress.
@@ -359,6 +365,17 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             ..
         } = &mut *self.solver;
         let n_lanes = S::F64_LANES;
+        // The rounding of held motions must not enter the extrapolation of later steps, which would multiply it.
+        for HeldEnd { joint, place, .. } in self.ends {
+            let numbers: &mut [f64] = trial;
+            let at = (place.block * TRIAL_ROWS + MOVED) * n_lanes + place.lane;
+            let turned = Vector3::from_fn(|i, _| numbers[at + (3 + i) * n_lanes]);
+            let turned = joint.turning * turned;
+            for i in 0..3 {
+                numbers[at + i * n_lanes] = 0.0;
+                numbers[at + (3 + i) * n_lanes] = turned[i];
+            }
+        }
         let state = blocks::<S, STATE_ROWS>(self.state);
         let rates = blocks::<S, RATE_ROWS>(rates);
         let start = blocks::<S, INSTANT_ROWS>(start);
@@ -392,6 +409,15 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             }
             let trial = blocks::<S, TRIAL_ROWS>(trial);
             pose(simd, &trial[0], 0).frame.store(&mut end[0], 0);
+        }
+        for HeldEnd { place, driven, .. } in self.ends {
+            let Some((_, held)) = driven else { continue };
+            for (i, value) in held.iter().enumerate() {
+                trial[(place.block * TRIAL_ROWS + i) * n_lanes + place.lane] = *value;
+            }
+            let trial = blocks::<S, TRIAL_ROWS>(trial);
+            let frame = pose(simd, &trial[place.block], 0).frame;
+            frame.store(&mut end[place.block], 0);
         }
         if let Some(winches) = &mut self.winches {
             let end = trial_poses(*slots, trial, winches.rod.n_nodes());
@@ -458,9 +484,23 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         s.store(first, RESIDUAL + 3);
         let free = row(simd, &rates[0], 0);
         sum = sum + (r + s).sum();
+        let linear = linear.max(of_free(free, r.dot(r))).largest();
+        let mut angular = angular.max(of_free(free, s.dot(s))).largest();
+        // The rate of a joint's node is zero, so that only its free rotations count.
+        for HeldEnd { joint, place, .. } in self.ends {
+            let numbers: &mut [f64] = &mut self.solver.trial;
+            let at = (place.block * TRIAL_ROWS + RESIDUAL) * n_lanes + place.lane;
+            let moment = Vector3::from_fn(|i, _| numbers[at + (3 + i) * n_lanes]);
+            let moment = joint.turning * moment;
+            for i in 0..3 {
+                numbers[at + i * n_lanes] = 0.0;
+                numbers[at + (3 + i) * n_lanes] = moment[i];
+            }
+            angular = angular.max(moment.norm_squared());
+        }
         Trial {
-            linear: linear.max(of_free(free, r.dot(r))).largest(),
-            angular: angular.max(of_free(free, s.dot(s))).largest(),
+            linear,
+            angular,
             moving: moving.largest(),
             spinning: spinning.largest(),
             finite: sum.has_finite_sum(),
@@ -535,6 +575,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             first: *first,
             rows: equations,
             rates,
+            ends: self.ends,
         });
         if let Some(winches) = &self.winches {
             let end = trial_poses(*slots, trial, winches.rod.n_nodes());
@@ -850,6 +891,7 @@ struct Equations<'a> {
     first: usize,
     rows: &'a [f64],
     rates: &'a [f64],
+    ends: &'a [HeldEnd],
 }
 
 impl Equations<'_> {
@@ -863,6 +905,40 @@ impl Equations<'_> {
             for (row, entry) in entries.0.iter_mut().enumerate().take(SIZE) {
                 *entry += numbers[(SIZE * row + column) * self.slots.n_lanes];
             }
+        }
+    }
+}
+
+impl Equations<'_> {
+    /// Replaces the equations of motions that are held in a block of two nodes: they are unit equations, and nothing else depends on them.
+    #[inline(always)]
+    fn hold(&self, block: &mut Square, row: usize, column: usize) {
+        for HeldEnd { joint, .. } in self.ends {
+            if joint.node == row || joint.node == column {
+                hold(block, joint, row, column);
+            }
+        }
+    }
+}
+
+/// `P A`, `A P`, or on the diagonal `P A P + 1 - P`, with the projection onto the free motions of a joint.
+#[cold]
+#[inline(never)]
+fn hold(block: &mut Square, joint: &Joint, row: usize, column: usize) {
+    let p = joint.projection();
+    let mut a = Matrix6::from_fn(|i, j| block[j].0[i]);
+    if joint.node == row {
+        a = p * a;
+    }
+    if joint.node == column {
+        a *= p;
+    }
+    if row == column {
+        a += Matrix6::identity() - p;
+    }
+    for (j, column) in block.iter_mut().enumerate() {
+        for (i, entry) in column.0.iter_mut().enumerate().take(SIZE) {
+            *entry = a[(i, j)];
         }
     }
 }
@@ -886,6 +962,7 @@ impl Blocks for Equations<'_> {
         if q > 0 {
             self.add(q - 1, 3, &mut out);
         }
+        self.hold(&mut out, q, q);
         out
     }
 
@@ -894,6 +971,7 @@ impl Blocks for Equations<'_> {
         let mut out = ZERO;
         let (block, q) = if i < j { (1, i) } else { (2, j) };
         self.add(self.first + q, block, &mut out);
+        self.hold(&mut out, self.first + i, self.first + j);
         out
     }
 }

@@ -21,6 +21,7 @@ use crate::mechanics::buffer::Buffer;
 use crate::mechanics::element::{
     ActiveTangent, Blocks, Elasticity, Stress, TangentRule, stiffness_under,
 };
+use crate::mechanics::ends::Joint;
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, spin};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
@@ -389,17 +390,27 @@ impl Group<'_> {
             if !last {
                 add_blocks(&mut pivot, couplings, q, [0, 0]);
             }
+            let own = rod.joint(q).map(|joint| turning(simd, joint));
+            if let Some(own) = own {
+                pivot[1][1] = own.product(pivot[1][1]).product(own)
+                    + (Mat3::multiple(Lanes::splat(simd, 1.0)) - own);
+                pivot[0][0] = Mat3::multiple(Lanes::splat(simd, 1.0));
+                (pivot[0][1], pivot[1][0]) = (none, none);
+            }
             invert(&mut pivot);
             sum = sum + pivot[0][0].trace() + pivot[1][1].trace();
             store_square(&mut workspace.out, 0, &pivot);
             if !last {
                 let mut beside = [[none; 2]; 2];
                 add_blocks(&mut beside, couplings, q, [0, 1]);
+                let next = rod.joint(q + 1).map(|joint| turning(simd, joint));
+                hold_square(&mut beside, own, next);
                 let mut above = beside;
                 multiply(&pivot, &beside, &mut above);
                 store_square(&mut workspace.out, 72, &above);
                 let mut below = [[none; 2]; 2];
                 add_blocks(&mut below, couplings, q, [1, 0]);
+                hold_square(&mut below, next, own);
                 store_square(&mut workspace.out, 36, &below);
                 multiply(&below, &above, &mut fill);
             }
@@ -473,6 +484,32 @@ fn add_blocks<S: Simd>(
                     *sum + values
                 };
             }
+        }
+    }
+}
+
+/// Returns the projection onto the free rotations of a joint.
+#[inline(always)]
+fn turning<S: Simd>(simd: S, joint: &Joint) -> Mat3<S> {
+    let mut out = Mat3::zero(simd);
+    for (i, row) in out.rows.iter_mut().enumerate() {
+        let [x, y, z] = [0, 1, 2].map(|j| Lanes::splat(simd, joint.turning[(i, j)]));
+        *row = Vec3 { x, y, z };
+    }
+    out
+}
+
+/// Takes away the held motions of joints at the nodes of the rows and of the columns, whose free rotations are given.
+#[inline(always)]
+fn hold_square<S: Simd>(m: &mut Square<S>, rows: Option<Mat3<S>>, columns: Option<Mat3<S>>) {
+    let none = Mat3::zero(m[0][0].rows[0].x.simd);
+    if let Some(free) = rows {
+        m[0] = [none; 2];
+        m[1] = [free.product(m[1][0]), free.product(m[1][1])];
+    }
+    if let Some(free) = columns {
+        for row in m.iter_mut() {
+            *row = [none, row[1].product(free)];
         }
     }
 }
