@@ -28,12 +28,12 @@ use pulp::Scalar;
 use super::configuration::Trajectory;
 use super::element::rule::DIFFERENCE_STEP;
 use super::element::{
-    Displacement, Elasticity, Element, ElementPose, ElementStiffness, Helical, StrainRule,
-    TangentRule, Trapezoidal, blocks_of, nine_by_nine, pose_of_any_turn,
+    AnyTurn, Displacement, Elasticity, Element, ElementPose, ElementStiffness, Helical, StrainRule,
+    TangentRule, Trapezoidal, blocks_of, nine_by_nine,
 };
 use super::implicit::IntervalWeights;
 use super::lanes;
-use super::lanes::curved::{CurvedEnd, StressBlocks};
+use super::lanes::curved::{CurvedEnd, StressBlocks, stress_curvature as stress_blocks};
 use super::lanes::vector::{Mat3, Vec3};
 use super::linearization::{AdjointSweep, Motion};
 use super::load::LoadFrame;
@@ -269,9 +269,8 @@ fn stress_curvature_by<R: TangentRule>(
         }
     });
     let law = Elasticity::of::<R>(Scalar, element);
-    let pose = pose_of_any_turn::<R>;
     let StressBlocks { start, cross, end } =
-        lanes::curved::stress_curvature::<Scalar, R>(&law, element.length, weights, &ends, pose);
+        stress_blocks::<Scalar, R, AnyTurn>(&law, element.length, weights, &ends);
     let [start, cross, end] = [start, cross, end].map(|blocks| nine_by_nine(&blocks));
     StressCurvature { start, cross, end }
 }

@@ -66,6 +66,7 @@ pub mod load;
 pub mod load_path;
 mod logarithm;
 mod mesh;
+mod part;
 pub(crate) mod place;
 #[doc(hidden)]
 pub mod rod;

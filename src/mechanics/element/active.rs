@@ -17,9 +17,12 @@
 //! Under the trapezoidal rule `φ` is the mean of its values at the strains of both ends. Strains are multiplied by the length of the
 //! element here, as in the [rules](super::rule), so that stresses are derivatives along `(l v, ψ)`.
 
+use std::marker::PhantomData;
+
 use pulp::Simd;
 
 use super::rule::{Blocks, Stress, TangentRule};
+use crate::mechanics::part::{Part, apart};
 use crate::mechanics::vector::{Lanes, Mat3, Vec3};
 
 /// The coordinate of an actuator per length of the rod, as a function of the tangent `p` of its line and of the twist `κ₃`.
@@ -372,23 +375,52 @@ impl<S: Simd> ActiveTangent<S> {
     /// Returns `Lᵀ T R` of two derivatives of the strains of an element by one rule.
     #[inline(always)]
     pub fn between<R: TangentRule>(&self, left: &Blocks<S>, right: &Blocks<S>) -> Blocks<S> {
-        let simd = self.angular.rows[0].x.simd;
+        let part = Between::<S, R> {
+            tangent: self,
+            left,
+            right,
+            rule: PhantomData,
+        };
+        apart(self.angular.rows[0].x.simd, part)
+    }
+}
+
+/// The arguments of [`ActiveTangent::between`].
+struct Between<'a, S: Simd, R> {
+    tangent: &'a ActiveTangent<S>,
+    left: &'a Blocks<S>,
+    right: &'a Blocks<S>,
+    rule: PhantomData<R>,
+}
+
+impl<S: Simd, R: TangentRule> Part for Between<'_, S, R> {
+    type Output = Blocks<S>;
+
+    #[inline(always)]
+    fn run(self) -> Blocks<S> {
+        let Self {
+            tangent,
+            left,
+            right,
+            ..
+        } = self;
+        let simd = tangent.angular.rows[0].x.simd;
         let zero = Mat3::zero(simd);
         let ends = if R::END_WEIGHT == 1.0 { 1 } else { 2 };
         let mut out = [[zero; 3]; 3];
         for j in 0..3 {
             // T R, column j: of the strains at the ends and of the angular one.
             let turn = R::PATTERN[2][j].then_some(right[2][j]);
-            let mut angular = turn.map_or(zero, |turn| self.angular.product(turn));
+            let mut angular = turn.map_or(zero, |turn| tangent.angular.product(turn));
             let mut linear = [zero; 2];
             for end in 0..ends {
                 if R::PATTERN[end][j] {
                     let moved = right[end][j];
-                    linear[end] = self.linear[end].product(moved);
-                    angular = angular + self.mixed[end].transposed_product(moved);
+                    linear[end] = tangent.linear[end].product(moved);
+                    angular = angular + tangent.mixed[end].transposed_product(moved);
                 }
                 if let Some(turn) = turn {
-                    linear[end] = linear[end] + self.mixed[end].product(turn);
+                    linear[end] = linear[end] + tangent.mixed[end].product(turn);
                 }
             }
             for i in 0..3 {

@@ -32,7 +32,8 @@ pub(crate) use self::active::{ActivePoint, ActiveTangent};
 pub use self::law::RodModel;
 pub(crate) use self::law::Thinning;
 pub(crate) use self::rule::{
-    Blocks, Displacement, Elasticity, Helical, Stress, TangentRule, Trapezoidal,
+    AnyTurn, Blocks, Displacement, Elasticity, Helical, MildTurn, Stress, TangentRule, Trapezoidal,
+    Turns, stiffness_under,
 };
 use crate::mechanics::logarithm::Logarithm;
 use crate::mechanics::rotation::{self, InverseTangentCoefficients, log_tangent};
@@ -176,6 +177,12 @@ pub(crate) fn pose_of_any_turn<R: TangentRule>(
         v: Vec3::splat(Scalar, &q.imag()),
     };
     R::pose_at(dx, a, b, relative)
+}
+
+impl Turns<Scalar> for AnyTurn {
+    fn pose<R: TangentRule>(dx: Vec3<Scalar>, a: Mat3<Scalar>, b: Mat3<Scalar>) -> R::Pose<Scalar> {
+        pose_of_any_turn::<R>(dx, a, b)
+    }
 }
 
 fn strain_of<R: TangentRule>(length: f64, pose: &R::Pose<Scalar>) -> ElementStrain {

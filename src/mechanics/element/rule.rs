@@ -6,6 +6,7 @@
 use pulp::Simd;
 
 use super::Element;
+use crate::mechanics::part::{Part, apart};
 use crate::mechanics::vector::{Lanes, Mat3, Quaternion, Vec3};
 
 /// A matrix over `(dx; body a; body b)`, in blocks.
@@ -164,7 +165,52 @@ pub trait TangentRule {
             Elasticity::of::<Self>(dx.x.simd, element),
         );
         let stress = law.stress(Self::strain(&pose).minus(law.rest));
-        Self::stiffness_under(&law, &pose, &stress)
+        stiffness_under::<S, Self>(&law, &pose, &stress)
+    }
+}
+
+/// Returns [`TangentRule::stiffness_under`], compiled once.
+#[inline(always)]
+pub fn stiffness_under<S: Simd, R: TangentRule>(
+    law: &Elasticity<S>,
+    pose: &R::Pose<S>,
+    stress: &Stress<S>,
+) -> Blocks<S> {
+    let part: StiffnessUnder<S, R> = StiffnessUnder { law, pose, stress };
+    apart(law.c1.x.simd, part)
+}
+
+struct StiffnessUnder<'a, S: Simd, R: TangentRule> {
+    law: &'a Elasticity<S>,
+    pose: &'a R::Pose<S>,
+    stress: &'a Stress<S>,
+}
+
+impl<S: Simd, R: TangentRule> Part for StiffnessUnder<'_, S, R> {
+    type Output = Blocks<S>;
+
+    #[inline(always)]
+    fn run(self) -> Blocks<S> {
+        R::stiffness_under(self.law, self.pose, self.stress)
+    }
+}
+
+/// The poses of elements for whose ends a computation holds.
+pub trait Turns<S: Simd> {
+    /// Returns the data of a rule for a pose.
+    fn pose<R: TangentRule>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> R::Pose<S>;
+}
+
+/// Elements whose ends are turned against each other by less than half a turn, with a margin.
+pub struct MildTurn;
+
+/// All elements, one at a time.
+pub struct AnyTurn;
+
+impl<S: Simd> Turns<S> for MildTurn {
+    #[inline(always)]
+    fn pose<R: TangentRule>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> R::Pose<S> {
+        R::pose(dx, a, b)
     }
 }
 

@@ -2,11 +2,16 @@
 //!
 //! Strains are multiplied by the length, as in [`element`](crate::mechanics::element).
 
+use std::marker::PhantomData;
+
 use pulp::Simd;
 
 use super::vector::{Lanes, Mat3, Vec3};
-use crate::mechanics::element::{Blocks, Displacement, Elasticity, Stress, TangentRule};
+use crate::mechanics::element::{
+    Blocks, Displacement, Elasticity, Stress, TangentRule, Turns, stiffness_under,
+};
 use crate::mechanics::implicit::IntervalWeights;
+use crate::mechanics::part::{Part, apart};
 
 /// An element at one end of an interval, and the constant components `(dx; body a; body b)` along which its pull is taken.
 #[derive(Clone, Copy)]
@@ -31,30 +36,41 @@ struct Bent<S: Simd, R: TangentRule> {
     bend: Blocks<S>,
 }
 
+/// The arguments of [`Bent::at`].
+struct BentAt<'a, S: Simd, R, P> {
+    end: &'a CurvedEnd<S>,
+    length: f64,
+    kind: PhantomData<(R, P)>,
+}
+
+impl<S: Simd, R: TangentRule, P: Turns<S>> Part for BentAt<'_, S, R, P> {
+    type Output = Bent<S, R>;
+
+    #[inline(always)]
+    fn run(self) -> Bent<S, R> {
+        Bent::at::<P>(self.end, self.length)
+    }
+}
+
 impl<S: Simd, R: TangentRule> Bent<S, R> {
     #[inline(always)]
-    fn at(
-        end: &CurvedEnd<S>,
-        length: f64,
-        pose: impl Fn(Vec3<S>, Mat3<S>, Mat3<S>) -> R::Pose<S>,
-    ) -> Self {
+    fn at<P: Turns<S>>(end: &CurvedEnd<S>, length: f64) -> Self {
         let CurvedEnd {
             dx,
             rotations,
             covector,
         } = *end;
         let displacement = Displacement::along(covector, length);
-        let moved = |sign: f64| {
-            let (dx, [a, b]) = displacement.moved(dx, rotations, sign);
-            pose(dx, a, b)
-        };
         let [a, b] = rotations;
-        let poses = [pose(dx, a, b), moved(1.0), moved(-1.0)];
-        let [derivative, ahead, behind] = [
-            R::derivative(&poses[0]),
-            R::derivative(&poses[1]),
-            R::derivative(&poses[2]),
-        ];
+        let mut poses = [P::pose::<R>(dx, a, b); 3];
+        let derivative = R::derivative(&poses[0]);
+        let mut moved = [derivative; 2];
+        for (i, sign) in [1.0, -1.0].into_iter().enumerate() {
+            let (dx, [a, b]) = displacement.moved(dx, rotations, sign);
+            poses[1 + i] = P::pose::<R>(dx, a, b);
+            moved[i] = R::derivative(&poses[1 + i]);
+        }
+        let [ahead, behind] = moved;
         let mut bend = derivative;
         for (i, row) in bend.iter_mut().enumerate() {
             for (j, block) in row.iter_mut().enumerate() {
@@ -105,15 +121,13 @@ impl<S: Simd, R: TangentRule> Bent<S, R> {
     ) -> Blocks<S> {
         let weight = Lanes::splat(law.c1.x.simd, weight);
         let slack = law.times(Lanes::splat(weight.simd, 0.0));
-        let under =
-            |pose: &R::Pose<S>, stress: &Stress<S>| R::stiffness_under(&slack, pose, stress);
         let [here, ahead, behind] = &self.poses;
         let mut own = self.displacement.curvature(&[
-            under(here, stress),
-            under(ahead, stress),
-            under(behind, stress),
+            stiffness_under::<S, R>(&slack, here, stress),
+            stiffness_under::<S, R>(&slack, ahead, stress),
+            stiffness_under::<S, R>(&slack, behind, stress),
         ]);
-        let bent = under(here, &law.stress(along.times(weight)));
+        let bent = stiffness_under::<S, R>(&slack, here, &law.stress(along.times(weight)));
         let mixed = coupled::<S, R>(law, &self.bend, &self.derivative);
         for i in 0..3 {
             for j in 0..3 {
@@ -123,6 +137,25 @@ impl<S: Simd, R: TangentRule> Bent<S, R> {
             }
         }
         own
+    }
+}
+
+/// The arguments of [`Bent::own`].
+struct Own<'a, S: Simd, R: TangentRule> {
+    bent: &'a Bent<S, R>,
+    law: &'a Elasticity<S>,
+    stress: &'a Stress<S>,
+    along: &'a Stress<S>,
+    weight: f64,
+}
+
+impl<S: Simd, R: TangentRule> Part for Own<'_, S, R> {
+    type Output = Blocks<S>;
+
+    #[inline(always)]
+    fn run(self) -> Blocks<S> {
+        self.bent
+            .own(self.law, self.stress, self.along, self.weight)
     }
 }
 
@@ -151,22 +184,26 @@ fn coupled<S: Simd, R: TangentRule>(
     x
 }
 
-/// Returns the curvature of an element of the given length over an interval; `pose` computes the data of a pose, as [`TangentRule::pose`].
+/// Returns the curvature of an element of the given length over an interval.
 ///
 /// With `d = B w` of either end, the function is `(d_start + d_end)·σ`, and `σ` is linear in the strains of both ends. Its second
 /// derivatives are those of the strains themselves, at the given stress ([`TangentRule::stiffness_under`]) and at the stress of the strains
 /// `d`, and the derivatives of `d` along `w`, which are central differences.
 #[inline(always)]
-pub fn stress_curvature<S: Simd, R: TangentRule>(
+pub fn stress_curvature<S: Simd, R: TangentRule, P: Turns<S>>(
     law: &Elasticity<S>,
     length: f64,
     weights: IntervalWeights,
     ends: &[CurvedEnd<S>; 2],
-    pose: impl Fn(Vec3<S>, Mat3<S>, Mat3<S>) -> R::Pose<S> + Copy,
 ) -> StressBlocks<S> {
     let simd = law.c1.x.simd;
-    let start = Bent::<S, R>::at(&ends[0], length, pose);
-    let end = Bent::<S, R>::at(&ends[1], length, pose);
+    let bent = |end| BentAt::<S, R, P> {
+        end,
+        length,
+        kind: PhantomData,
+    };
+    let start = apart(simd, bent(&ends[0]));
+    let end = apart(simd, bent(&ends[1]));
     let [near, far] = [R::strain(&start.poses[0]), R::strain(&end.poses[0])];
     let of = |weight: f64| Lanes::splat(simd, weight);
     let elastic = near.minus(law.rest).times(of(weights.start + weights.end));
@@ -179,9 +216,16 @@ pub fn stress_curvature<S: Simd, R: TangentRule>(
             cross[i][j] = cross[i][j] * weights.end + other[i][j] * weights.start;
         }
     }
+    let own = |bent, weight| Own {
+        bent,
+        law,
+        stress: &stress,
+        along: &along,
+        weight,
+    };
     StressBlocks {
-        start: start.own(law, &stress, &along, weights.start),
+        start: apart(simd, own(&start, weights.start)),
         cross,
-        end: end.own(law, &stress, &along, weights.end),
+        end: apart(simd, own(&end, weights.end)),
     }
 }

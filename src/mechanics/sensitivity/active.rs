@@ -8,7 +8,7 @@ use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Blocks, Displacement, Elasticity, Element, Helical, StrainRule,
-    Stress, TangentRule, Trapezoidal,
+    Stress, TangentRule, Trapezoidal, Turns, stiffness_under,
 };
 use crate::mechanics::lanes::curved::{CurvedEnd, StressBlocks};
 use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS, put_pose};
@@ -16,6 +16,7 @@ use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::Motion;
 use crate::mechanics::load::Wrench;
+use crate::mechanics::part::{Part, apart};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::signal::{ControlSignal, EffortTable};
 use crate::mechanics::strain_actuator::StrainActuators;
@@ -100,22 +101,10 @@ impl<S: Simd> ActiveEfforts<'_, S> {
     /// Returns the stress `-Σ u ∂y/∂(l v, ψ)` in element `q` at a strain times its length.
     #[inline(always)]
     pub fn stress<R: TangentRule>(&self, q: usize, length: f64, strain: &Stress<S>) -> Stress<S> {
-        let simd = strain.angular.x.simd;
-        let zero = Vec3::zero(simd);
-        let mut sum = Stress {
-            linear: [zero; 2],
-            angular: zero,
-        };
-        for point in self.actuators.on(q) {
-            let at = point.in_element(simd, length);
-            let slopes = if R::END_WEIGHT == 1.0 {
-                at.slopes::<1>(point.density, strain.linear, strain.angular)
-            } else {
-                at.slopes::<2>(point.density, strain.linear, strain.angular)
-            };
-            sum = sum.minus(slopes.times(self.effort(simd, point.actuator)));
-        }
-        sum
+        apart(
+            strain.angular.x.simd,
+            Stressed(self.at::<R>(q, length, *strain)),
+        )
     }
 
     /// Returns the derivative of [`Self::stress`] along the strain.
@@ -126,18 +115,10 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         length: f64,
         strain: &Stress<S>,
     ) -> ActiveTangent<S> {
-        let simd = strain.angular.x.simd;
-        let mut sum = ActiveTangent::zero(simd);
-        for point in self.actuators.on(q) {
-            let at: ActivePoint<S> = point.in_element(simd, length);
-            let bends = if R::END_WEIGHT == 1.0 {
-                at.bends::<1>(point.density, strain.linear, strain.angular)
-            } else {
-                at.bends::<2>(point.density, strain.linear, strain.angular)
-            };
-            sum = sum.plus(bends, -self.effort(simd, point.actuator));
-        }
-        sum
+        apart(
+            strain.angular.x.simd,
+            Tangent(self.at::<R>(q, length, *strain)),
+        )
     }
 
     #[inline(always)]
@@ -145,6 +126,17 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         Lanes {
             simd,
             value: self.efforts[actuator],
+        }
+    }
+
+    #[inline(always)]
+    fn at<R>(&self, q: usize, length: f64, strain: Stress<S>) -> At<'_, S, R> {
+        At {
+            efforts: *self,
+            q,
+            length,
+            strain,
+            rule: PhantomData,
         }
     }
 
@@ -177,7 +169,7 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         let derivative = R::derivative(&pose);
         let tangent = self.tangent::<R>(q, element.length, &strain);
         sum(
-            R::stiffness_under(&law, &pose, &stress),
+            stiffness_under::<S, R>(&law, &pose, &stress),
             tangent.between::<R>(&derivative, &derivative),
         )
     }
@@ -189,47 +181,146 @@ impl<S: Simd> ActiveEfforts<'_, S> {
     /// the covectors: the difference of its second derivatives at poses that are moved along them, in the chart of
     /// [`Displacement::curvature`].
     #[inline(always)]
-    pub fn curvature<R: TangentRule>(
+    pub fn curvature<R: TangentRule, P: Turns<S>>(
         &self,
         element: &Element,
         q: usize,
         ends: &[CurvedEnd<S>; 2],
-        pose: impl Fn(Vec3<S>, Mat3<S>, Mat3<S>) -> R::Pose<S> + Copy,
     ) -> StressBlocks<S> {
+        let part = Curvature::<S, R, P> {
+            efforts: *self,
+            element,
+            q,
+            ends,
+            kind: PhantomData,
+        };
+        apart(ends[0].dx.x.simd, part)
+    }
+}
+
+/// The arguments of [`ActiveEfforts::stress`] and [`ActiveEfforts::tangent`].
+struct At<'a, S: Simd, R> {
+    efforts: ActiveEfforts<'a, S>,
+    q: usize,
+    length: f64,
+    strain: Stress<S>,
+    rule: PhantomData<R>,
+}
+
+struct Stressed<'a, S: Simd, R>(At<'a, S, R>);
+
+impl<S: Simd, R: TangentRule> Part for Stressed<'_, S, R> {
+    type Output = Stress<S>;
+
+    #[inline(always)]
+    fn run(self) -> Stress<S> {
+        let At {
+            efforts,
+            q,
+            length,
+            strain,
+            ..
+        } = self.0;
+        let simd = strain.angular.x.simd;
+        let zero = Vec3::zero(simd);
+        let mut sum = Stress {
+            linear: [zero; 2],
+            angular: zero,
+        };
+        for point in efforts.actuators.on(q) {
+            let at = point.in_element(simd, length);
+            let slopes = if R::END_WEIGHT == 1.0 {
+                at.slopes::<1>(point.density, strain.linear, strain.angular)
+            } else {
+                at.slopes::<2>(point.density, strain.linear, strain.angular)
+            };
+            sum = sum.minus(slopes.times(efforts.effort(simd, point.actuator)));
+        }
+        sum
+    }
+}
+
+struct Tangent<'a, S: Simd, R>(At<'a, S, R>);
+
+impl<S: Simd, R: TangentRule> Part for Tangent<'_, S, R> {
+    type Output = ActiveTangent<S>;
+
+    #[inline(always)]
+    fn run(self) -> ActiveTangent<S> {
+        let At {
+            efforts,
+            q,
+            length,
+            strain,
+            ..
+        } = self.0;
+        let simd = strain.angular.x.simd;
+        let mut sum = ActiveTangent::zero(simd);
+        for point in efforts.actuators.on(q) {
+            let at: ActivePoint<S> = point.in_element(simd, length);
+            let bends = if R::END_WEIGHT == 1.0 {
+                at.bends::<1>(point.density, strain.linear, strain.angular)
+            } else {
+                at.bends::<2>(point.density, strain.linear, strain.angular)
+            };
+            sum = sum.plus(bends, -efforts.effort(simd, point.actuator));
+        }
+        sum
+    }
+}
+
+/// The arguments of [`ActiveEfforts::curvature`].
+struct Curvature<'a, S: Simd, R, P> {
+    efforts: ActiveEfforts<'a, S>,
+    element: &'a Element,
+    q: usize,
+    ends: &'a [CurvedEnd<S>; 2],
+    kind: PhantomData<(R, P)>,
+}
+
+impl<S: Simd, R: TangentRule, P: Turns<S>> Part for Curvature<'_, S, R, P> {
+    type Output = StressBlocks<S>;
+
+    #[inline(always)]
+    fn run(self) -> StressBlocks<S> {
+        let Self {
+            efforts,
+            element,
+            q,
+            ends,
+            ..
+        } = self;
         let length = element.length;
         let simd = ends[0].dx.x.simd;
         let none = Elasticity::of::<R>(simd, element).times(Lanes::splat(simd, 0.0));
         let both = Displacement::along_both(ends[0].covector, ends[1].covector, length);
-        let found = [0.0, 1.0, -1.0].map(|sign| {
-            let [start, end] = [0, 1].map(|i| {
-                let end = &ends[i];
-                let (dx, [a, b]) = both[i].moved(end.dx, end.rotations, sign);
-                pose(dx, a, b)
-            });
+        // Own at the start, mixed, own at the end; each here, ahead and behind.
+        let mut found = [[[[Mat3::zero(simd); 3]; 3]; 3]; 3];
+        for (at, sign) in [0.0, 1.0, -1.0].into_iter().enumerate() {
+            let (dx, [a, b]) = both[0].moved(ends[0].dx, ends[0].rotations, sign);
+            let start = P::pose::<R>(dx, a, b);
+            let (dx, [a, b]) = both[1].moved(ends[1].dx, ends[1].rotations, sign);
+            let end = P::pose::<R>(dx, a, b);
             let mean = R::strain(&start)
                 .plus(R::strain(&end))
                 .times(Lanes::splat(simd, 0.5));
-            let stress = self.stress::<R>(q, length, &mean);
-            let tangent = self.tangent::<R>(q, length, &mean);
+            let stress = efforts.stress::<R>(q, length, &mean);
+            let tangent = efforts.tangent::<R>(q, length, &mean);
             let [left, right] = [R::derivative(&start), R::derivative(&end)];
-            let own = |pose: &R::Pose<S>, b: &Blocks<S>| {
-                let half = times(tangent.between::<R>(b, b), 0.25);
-                // The weight of a strain in the mean is one half.
-                let bent = times(R::stiffness_under(&none, pose, &stress), 0.5);
-                sum(bent, half)
-            };
-            [
-                own(&start, &left),
-                times(tangent.between::<R>(&left, &right), 0.25),
-                own(&end, &right),
-            ]
-        });
-        let of = |part: usize| [0, 1, 2].map(|i: usize| found[i][part]);
+            // The weight of a strain in the mean is one half.
+            let bent = times(stiffness_under::<S, R>(&none, &start, &stress), 0.5);
+            let half = times(tangent.between::<R>(&left, &left), 0.25);
+            found[0][at] = sum(bent, half);
+            found[1][at] = times(tangent.between::<R>(&left, &right), 0.25);
+            let bent = times(stiffness_under::<S, R>(&none, &end, &stress), 0.5);
+            let half = times(tangent.between::<R>(&right, &right), 0.25);
+            found[2][at] = sum(bent, half);
+        }
         // The covectors have the weights of the impulses, which are twice the derivative along one of both strains.
         StressBlocks {
-            start: times(both[0].curvature(&of(0)), 2.0),
-            cross: times(both[0].mixed_curvature(&both[1], &of(1)), 2.0),
-            end: times(both[1].curvature(&of(2)), 2.0),
+            start: times(both[0].curvature(&found[0]), 2.0),
+            cross: times(both[0].mixed_curvature(&both[1], &found[1]), 2.0),
+            end: times(both[1].curvature(&found[2]), 2.0),
         }
     }
 }
@@ -538,39 +629,38 @@ impl PullGroup<'_> {
             } else {
                 [Displacement::along(near.covector, element.length); 2]
             };
-            let posed = |sign: f64| {
-                [0, 1].map(|i| {
-                    let end = if i == 0 { &near } else { &far };
-                    let (dx, [a, b]) = if sign == 0.0 {
-                        (end.dx, end.rotations)
-                    } else {
-                        both[i].moved(end.dx, end.rotations, sign)
-                    };
-                    R::pose(dx, a, b)
-                })
-            };
             let signs: &[f64] = if self.covectors.is_some() {
                 &[0.0, 1.0, -1.0]
             } else {
                 &[0.0]
             };
-            let poses = [0.0, 1.0, -1.0].map(|sign| {
-                let poses = posed(sign);
-                let [start, end] = [R::strain(&poses[0]), R::strain(&poses[1])];
-                let half = Lanes::splat(simd, 0.5);
-                let strain = if ends == 2 {
-                    start.plus(end).times(half)
-                } else {
-                    start
-                };
-                (poses, strain)
-            });
+            let zero = Vec3::zero(simd);
+            let none = Stress {
+                linear: [zero; 2],
+                angular: zero,
+            };
+            let [a, b] = near.rotations;
+            let mut poses = [([R::pose(near.dx, a, b); 2], none); 3];
+            for ((poses, strain), sign) in poses.iter_mut().zip(signs) {
+                for (i, end) in [near, far].iter().enumerate() {
+                    let (dx, [a, b]) = if *sign == 0.0 {
+                        (end.dx, end.rotations)
+                    } else {
+                        both[i].moved(end.dx, end.rotations, *sign)
+                    };
+                    poses[i] = R::pose(dx, a, b);
+                }
+                *strain = R::strain(&poses[0]);
+                if ends == 2 {
+                    let half = Lanes::splat(simd, 0.5);
+                    *strain = strain.plus(R::strain(&poses[1])).times(half);
+                }
+            }
             for point in points {
                 let Some(actuator) = self.index[point.actuator] else {
                     continue;
                 };
                 let here = point.in_element(simd, element.length);
-                let zero = Vec3::zero(simd);
                 let mut pulls = [[[zero; 3]; 2]; 3];
                 for (pulls, (poses, strain)) in pulls.iter_mut().zip(&poses).take(signs.len()) {
                     let slopes = if R::END_WEIGHT == 1.0 {

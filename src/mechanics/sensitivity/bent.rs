@@ -59,11 +59,10 @@ impl Group<'_> {
             };
             let ends = [end(poses, [12, 6], leaving), end(next, [15, 9], arriving)];
             let law = Elasticity::of::<R>(simd, element);
-            let pose = P::pose::<R>;
-            let mut found = stress_curvature::<S, R>(&law, element.length, weights, &ends, pose);
+            let mut found = stress_curvature::<S, R, P>(&law, element.length, weights, &ends);
             if let (TimeScheme::Implicit, Some(active)) = (rod.scheme, &workspace.active) {
                 let active = active.part::<S>(&rod.actuators, 0);
-                let own = active.curvature::<R>(element, q, &ends, pose);
+                let own = active.curvature::<R, P>(element, q, &ends);
                 found.start = sum(found.start, own.start);
                 found.cross = sum(found.cross, own.cross);
                 found.end = sum(found.end, own.end);

@@ -21,8 +21,8 @@ use crate::mechanics::curvature::{
     element_curvature, load_curvatures,
 };
 use crate::mechanics::element::{
-    Blocks, Displacement, Element, ElementPose, ElementStiffness, Helical, RodModel, StrainRule,
-    TangentRule, Trapezoidal, pose_of_any_turn,
+    AnyTurn, Blocks, Displacement, Element, ElementPose, ElementStiffness, Helical, MildTurn,
+    RodModel, StrainRule, TangentRule, Trapezoidal, Turns,
 };
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::inertia::InertiaRule;
@@ -247,14 +247,11 @@ pub(super) fn is_possible(motion: &Motion) -> bool {
 }
 
 /// Elements that a linearization takes apart.
-pub(super) trait Reach<S: Simd> {
+pub(super) trait Reach<S: Simd>: Turns<S> {
     /// Tells whether the linearization takes all elements: bent by any angle, of sections that thin.
     const ALL: bool;
     /// Margin to the quarter turn of a node; within it a time node is linearized by itself.
     const MARGIN: f64;
-
-    /// Returns the data of a rule for a pose.
-    fn pose<R: TangentRule>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> R::Pose<S>;
 
     /// The gradient `(F, M_a, M_b)` of an element's energy.
     fn gradient<R: TangentRule>(
@@ -266,19 +263,9 @@ pub(super) trait Reach<S: Simd> {
 }
 
 /// Elements of the standard model whose ends are turned against each other by less than [`LEAST_MARGIN`] says.
-pub(super) struct MildTurn;
-
-/// All elements, one time node at a time.
-pub(super) struct AnyTurn;
-
 impl<S: Simd> Reach<S> for MildTurn {
     const ALL: bool = false;
     const MARGIN: f64 = ROUNDING;
-
-    #[inline(always)]
-    fn pose<R: TangentRule>(dx: Vec3<S>, a: Mat3<S>, b: Mat3<S>) -> R::Pose<S> {
-        R::pose(dx, a, b)
-    }
 
     #[inline(always)]
     fn gradient<R: TangentRule>(
@@ -294,10 +281,6 @@ impl<S: Simd> Reach<S> for MildTurn {
 impl Reach<Scalar> for AnyTurn {
     const ALL: bool = true;
     const MARGIN: f64 = 0.0;
-
-    fn pose<R: TangentRule>(dx: Vec3<Scalar>, a: Mat3<Scalar>, b: Mat3<Scalar>) -> R::Pose<Scalar> {
-        pose_of_any_turn::<R>(dx, a, b)
-    }
 
     fn gradient<R: TangentRule>(
         element: &Element,

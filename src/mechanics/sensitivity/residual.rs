@@ -5,13 +5,11 @@ use std::marker::PhantomData;
 use nalgebra::Vector3;
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
-use super::linearize::{
-    AnyTurn, MildTurn, Reach, Weights, Workspace, element_at, is_possible, turn_error,
-};
+use super::linearize::{Reach, Weights, Workspace, element_at, is_possible, turn_error};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::StrainRule;
-use crate::mechanics::element::{Elasticity, Helical, TangentRule, Trapezoidal};
+use crate::mechanics::element::{AnyTurn, Elasticity, Helical, MildTurn, TangentRule, Trapezoidal};
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to};

@@ -1,5 +1,7 @@
 //! Derivative of the equations of a step along the configuration at its end, one element per lane.
 
+use std::marker::PhantomData;
+
 use pulp::Simd;
 
 use crate::mechanics::element::helical::{inverse_tangent, tangent_derivative};
@@ -9,6 +11,7 @@ use crate::mechanics::lanes::element::{ANGULAR_STIFFNESS, LINEAR_STIFFNESS};
 use crate::mechanics::lanes::logarithm::Logarithm;
 use crate::mechanics::lanes::rule::{Rule, Strained, Stress};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3};
+use crate::mechanics::part::Part;
 
 /// Blocks over the motion and the rotation of end a, then of end b.
 pub type Coupling<S> = [[Mat3<S>; 4]; 4];
@@ -62,27 +65,70 @@ fn add_tangent<S: Simd, const N: usize>(
     [linear, mixed, angular]: [Mat3<S>; 3],
     right: (&Derivative<S, N>, &Derivative<S, 2>),
 ) {
-    let mut stressed = |column: usize, n: Mat3<S>, m: Mat3<S>| {
-        for (i, row) in left.0.along.into_iter().enumerate() {
-            let block = &mut coupling[row][column];
-            *block = *block + left.0.blocks[i].transposed_product(n);
-        }
-        for (i, row) in left.1.along.into_iter().enumerate() {
-            let block = &mut coupling[row][column];
-            *block = *block + left.1.blocks[i].transposed_product(m);
-        }
-    };
     for (j, column) in right.0.along.into_iter().enumerate() {
         let moved = right.0.blocks[j];
-        stressed(
-            column,
-            linear.product(moved),
-            mixed.transposed_product(moved),
-        );
+        let stress = (linear.product(moved), mixed.transposed_product(moved));
+        add_column(coupling, left, column, stress);
     }
     for (j, column) in right.1.along.into_iter().enumerate() {
         let turned = right.1.blocks[j];
-        stressed(column, mixed.product(turned), angular.product(turned));
+        let stress = (mixed.product(turned), angular.product(turned));
+        add_column(coupling, left, column, stress);
+    }
+}
+
+/// Adds `Lᵀ` times the change of the linear and the angular stress along one motion.
+#[inline(always)]
+fn add_column<S: Simd, const N: usize>(
+    coupling: &mut Coupling<S>,
+    left: (&Derivative<S, N>, &Derivative<S, 2>),
+    column: usize,
+    (linear, angular): (Mat3<S>, Mat3<S>),
+) {
+    for (i, row) in left.0.along.into_iter().enumerate() {
+        let block = &mut coupling[row][column];
+        *block = *block + left.0.blocks[i].transposed_product(linear);
+    }
+    for (i, row) in left.1.along.into_iter().enumerate() {
+        let block = &mut coupling[row][column];
+        *block = *block + left.1.blocks[i].transposed_product(angular);
+    }
+}
+
+/// The arguments of [`SolvedRule::add_active_coupling`].
+pub struct ActiveCoupling<'a, S: Simd, R> {
+    pub active: ActiveBlocks<'a, S>,
+    pub block: usize,
+    pub strain: Stress<S>,
+    pub share: Lanes<S>,
+    pub instants: [Instant<S>; 2],
+    pub coupling: Coupling<S>,
+    pub rule: PhantomData<R>,
+}
+
+impl<S: Simd, R: SolvedRule> Part for ActiveCoupling<'_, S, R> {
+    type Output = Coupling<S>;
+
+    #[inline(always)]
+    fn run(self) -> Coupling<S> {
+        let Self {
+            active,
+            block,
+            strain,
+            share,
+            instants: [start, end],
+            mut coupling,
+            ..
+        } = self;
+        R::add_active_coupling(
+            &active,
+            block,
+            &strain,
+            share,
+            [&start, &end],
+            &mut coupling,
+        );
+        coupling
     }
 }
 
@@ -175,7 +221,11 @@ impl SolvedRule for Helical {
         coupling: &mut Coupling<S>,
     ) {
         let tangent = active.tangent::<1>(block, strain.linear, strain.angular);
-        let blocks = [tangent.linear[0], tangent.mixed[0], tangent.angular].map(|b| b * share);
+        let blocks = [
+            tangent.linear[0] * share,
+            tangent.mixed[0] * share,
+            tangent.angular * share,
+        ];
         let (ended, started) = (helical(end, start), helical(start, start));
         add_tangent(
             coupling,
@@ -251,7 +301,11 @@ impl SolvedRule for Trapezoidal {
         for at in 0..2 {
             let (started, ended) = (stretch(start, start, at), stretch(end, start, at));
             let angular = if at == 0 { tangent.angular } else { none };
-            let blocks = [tangent.linear[at], tangent.mixed[at], angular].map(|b| b * share);
+            let blocks = [
+                tangent.linear[at] * share,
+                tangent.mixed[at] * share,
+                angular * share,
+            ];
             add_tangent(coupling, (&started, &turned), blocks, (&ended, &turning));
         }
     }

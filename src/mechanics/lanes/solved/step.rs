@@ -6,7 +6,7 @@ use pulp::{Simd, WithSimd};
 
 use super::Solver;
 use super::chain::{Blocks, SIZE, Square, ZERO};
-use super::coupling::SolvedRule;
+use super::coupling::{ActiveCoupling, SolvedRule};
 use super::instant::{
     INSTANT_ROWS, STRAINED, elastic_stress, framed, instant, interval_stress, next_lane, pose,
 };
@@ -21,6 +21,7 @@ use crate::mechanics::lanes::sweep::{
 use crate::mechanics::lanes::vector::{
     Frame, Lanes, Mat3, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows,
 };
+use crate::mechanics::part::apart;
 use crate::mechanics::rotation_step::{momentum, momentum_slope, spin_inertia};
 use crate::mechanics::time::TimeScheme;
 
@@ -220,12 +221,11 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             if corrections == CORRECTION_LIMIT {
                 return given_up;
             }
-            if is_newton {
-                self.factor();
-            } else if self.solver.stale && !fresh || worst > SLOW * last {
-                if fresh && slow || !begins_anew {
-                    return given_up;
-                }
+            let is_needed = !is_newton && (self.solver.stale && !fresh || worst > SLOW * last);
+            if is_needed && (fresh && slow || !begins_anew) {
+                return given_up;
+            }
+            if is_newton || is_needed {
                 self.factor();
                 fresh = true;
             }
@@ -459,14 +459,16 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
                     // The mean strain changes with half of that at the end.
                     let share = Lanes::splat(simd, 0.5 / weights.end);
                     let mean = before.strained.mean(&after.strained);
-                    R::add_active_coupling(
-                        active,
-                        i,
-                        &mean,
+                    let part = ActiveCoupling::<S, R> {
+                        active: *active,
+                        block: i,
+                        strain: mean,
                         share,
-                        [&before, &after],
-                        &mut coupling,
-                    );
+                        instants: [before, after],
+                        coupling,
+                        rule: PhantomData,
+                    };
+                    coupling = apart(simd, part);
                 }
                 let factor = self.weight * weights.end;
                 for (p, blocks) in coupling.iter().enumerate() {

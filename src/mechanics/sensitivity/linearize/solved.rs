@@ -18,7 +18,9 @@ use pulp::Simd;
 use super::{Group, Reach, matrix, scatter, store, store_block};
 use crate::mechanics::block_tridiagonal::{Square, invert, multiply, negate};
 use crate::mechanics::buffer::Buffer;
-use crate::mechanics::element::{ActiveTangent, Blocks, Elasticity, Stress, TangentRule};
+use crate::mechanics::element::{
+    ActiveTangent, Blocks, Elasticity, Stress, TangentRule, stiffness_under,
+};
 use crate::mechanics::implicit::IntervalWeights;
 use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, spin};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
@@ -144,18 +146,28 @@ impl<S: Simd> Weights<S> {
         q: usize,
         poses: [&R::Pose<S>; 3],
     ) -> Stress<S> {
-        let [here, there, last] = poses.map(R::strain);
         let length = rod.elements[q].length;
-        let of = |part: usize, strain: Stress<S>, weight: Lanes<S>| {
-            let efforts = active.part(&rod.actuators, part);
-            efforts.stress::<R>(q, length, &strain).times(weight)
-        };
+        let efforts = active.part::<S>(&rod.actuators, 0);
+        let here = R::strain(poses[0]);
         if rod.scheme == TimeScheme::Explicit {
-            return of(0, here, self.elastic);
+            return efforts.stress::<R>(q, length, &here).times(self.elastic);
         }
+        let [after, before] = self.means::<R>(here, poses);
+        let past = active.part::<S>(&rod.actuators, 1);
+        (efforts
+            .stress::<R>(q, length, &after)
+            .times(self.impulses[0]))
+        .plus(past.stress::<R>(q, length, &before).times(self.impulses[1]))
+    }
+
+    /// Returns the mean strains of the intervals after and before the time node.
+    #[inline(always)]
+    fn means<R: TangentRule>(&self, here: Stress<S>, poses: [&R::Pose<S>; 3]) -> [Stress<S>; 2] {
         let half = Lanes::splat(self.elastic.simd, 0.5);
-        let [after, before] = [there, last].map(|other| here.plus(other).times(half));
-        of(0, after, self.impulses[0]).plus(of(1, before, self.impulses[1]))
+        [
+            here.plus(R::strain(poses[1])).times(half),
+            here.plus(R::strain(poses[2])).times(half),
+        ]
     }
 
     /// Returns the derivatives of [`Self::active`] along the strain at the time node, and along that at the next one.
@@ -168,20 +180,20 @@ impl<S: Simd> Weights<S> {
         poses: [&R::Pose<S>; 3],
     ) -> [ActiveTangent<S>; 2] {
         let simd = self.elastic.simd;
-        let [here, there, last] = poses.map(R::strain);
         let length = rod.elements[q].length;
         let none = ActiveTangent::zero(simd);
-        let of = |part: usize, strain: Stress<S>, weight: Lanes<S>| {
-            let efforts = active.part(&rod.actuators, part);
-            none.plus(efforts.tangent::<R>(q, length, &strain), weight)
-        };
+        let efforts = active.part::<S>(&rod.actuators, 0);
+        let here = R::strain(poses[0]);
         if rod.scheme == TimeScheme::Explicit {
-            return [of(0, here, self.elastic), none];
+            let own = efforts.tangent::<R>(q, length, &here);
+            return [none.plus(own, self.elastic), none];
         }
-        let half = Lanes::splat(simd, 0.5);
-        let [after, before] = [there, last].map(|other| here.plus(other).times(half));
-        let after = of(0, after, self.impulses[0] * 0.5);
-        let before = of(1, before, self.impulses[1] * 0.5);
+        let [after, before] = self.means::<R>(here, poses);
+        let past = active.part::<S>(&rod.actuators, 1);
+        let after = efforts.tangent::<R>(q, length, &after);
+        let after = none.plus(after, self.impulses[0] * 0.5);
+        let before = past.tangent::<R>(q, length, &before);
+        let before = none.plus(before, self.impulses[1] * 0.5);
         [after.plus(before, Lanes::splat(simd, 1.0)), after]
     }
 
@@ -294,19 +306,19 @@ impl Group<'_> {
             let strain = weights.strain::<R>(&law, &here, &there, &last);
             let scaled = law.times(weights.scale());
             let mut stress = law.stress(strain);
-            let active = active.map(|active| {
+            if let Some(active) = active {
                 let poses = [&here, &there, &last];
                 stress = stress.plus(weights.active::<R>(active, rod, q, poses));
-                let [own, after] = weights.active_tangents::<R>(active, rod, q, poses);
-                let derivative = R::derivative(&here);
-                let coupling = after.between::<R>(&derivative, &R::derivative(&there));
-                (own.between::<R>(&derivative, &derivative), coupling)
-            });
-            let mut kicked = R::stiffness_under(&scaled, &here, &stress);
+            }
+            let mut kicked = stiffness_under::<S, R>(&scaled, &here, &stress);
             let mut coupling = R::coupling(&law.times(weights.after), &here, &there);
             let mut arriving = None;
-            if let Some((own, after)) = active {
-                kicked = sum(kicked, own);
+            if let Some(active) = active {
+                let poses = [&here, &there, &last];
+                let [own, after] = weights.active_tangents::<R>(active, rod, q, poses);
+                let derivative = R::derivative(&here);
+                let after = after.between::<R>(&derivative, &R::derivative(&there));
+                kicked = sum(kicked, own.between::<R>(&derivative, &derivative));
                 if ratios[0] != ratios[1] {
                     arriving = Some(sum(times(coupling, ratios[0]), times(after, ratios[1])));
                 }
