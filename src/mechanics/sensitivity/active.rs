@@ -394,6 +394,9 @@ pub struct EffortPulls {
     slopes: Vec<f64>,
 }
 
+/// Visitor of time nodes, a weight, and the wrenches on all nodes, six numbers for each.
+pub type SetVisitor<'a> = dyn FnMut(&[usize], f64, &[f64]) + 'a;
+
 /// Covector of the wrench on a node at one end of a set: of its force (spatial) and of its moment (body frame).
 pub type Covectors<'a> = dyn Fn(usize, usize, usize) -> Wrench + 'a;
 
@@ -551,12 +554,7 @@ impl EffortPulls {
 
     /// Calls `visit(times, weight, wrenches)` for the wrenches on all nodes at time node `k`, six numbers for each, that follow from a unit
     /// effort at each of some time nodes, up to a weight.
-    pub fn visit_sets(
-        &self,
-        k: usize,
-        actuator: usize,
-        visit: &mut dyn FnMut(&[usize], f64, &[f64]),
-    ) {
+    pub fn visit_sets(&self, k: usize, actuator: usize, visit: &mut SetVisitor) {
         if self.ends == 1 {
             visit(&[k], 1.0, self.wrenches(k, 0, actuator));
             return;
