@@ -92,6 +92,7 @@ fn around(
                 },
                 effort: vec![(0.0, effort)],
                 largest: effort,
+                winch: None,
             }
         })
         .collect()

@@ -43,7 +43,7 @@ pub(crate) fn of_inputs(rod: &Rod, inputs: Vec<f64>, coordinates: &[f64]) -> Vec
 }
 
 /// Returns the derivatives of the efforts along the coordinates, and along the inputs.
-pub(super) fn slopes(rod: &Rod, inputs: &[f64], coordinates: &[f64]) -> Vec<[f64; 2]> {
+pub(crate) fn slopes(rod: &Rod, inputs: &[f64], coordinates: &[f64]) -> Vec<[f64; 2]> {
     let own = rod.actuators.iter().zip(rod.actuators.at_rest());
     (own.zip(inputs.iter().zip(coordinates)))
         .map(|((actuator, at_rest), (z, y))| {

@@ -492,7 +492,18 @@ fn what_no_scene_can_say_is_refused() {
         refusal(&|task| task.actuators[1].moment.rate_bound = Some(Bound::Norm(1.0)))
             .contains("rates")
     );
-    assert!(refusal(&|task| task.targets[1].at = Place::Fraction(0.5)).contains("goal at the end"));
+}
+
+/// A goal of another place than the tip is said by its node.
+#[test]
+fn goals_of_other_places_are_said_by_their_node() {
+    let (arm, mut task, discretization) = posed();
+    task.targets[1].at = Place::Fraction(0.5);
+    let problem = task.discretize(&arm, &discretization).unwrap();
+    let scene = Scene::describing(&problem, &softarm::sqp::SqpSettings::default()).unwrap();
+    let (again, source) = Scene::from_toml("described", &scene.to_toml(), &[]).unwrap();
+    let again = again.posed_task(&source).unwrap();
+    assert_eq!(again.targets[1].at, Place::Fraction(0.5));
 }
 
 /// Ten lines of library: pose, solve, certify, regulate, save; what was saved is certified by the program, and is the same solve that the program

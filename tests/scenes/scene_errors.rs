@@ -799,9 +799,10 @@ fn unknown_scene_names() {
 error: no file and no built-in scene of this name
   --> raech.toml
 help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, reach-obstacle, reach-tendons, \
-reach-guidewire, till-tendons, knode-tendons, soromox-tendons, stiff-flop, elastica-muscles, paper-arm, swing, shaken-base, wire, \
-wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence, mpc-track-circle, \
-mpc-tendons, mpc-reach, mpc-push, mpc-payload, mpc-delay, mpc-catch, mpc-obstacle, mpc-elastica-case1";
+till-tendons, knode-tendons, soromox-tendons, stiff-flop, elastica-muscles, reach-guidewire, paper-arm, swing, \
+shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence, \
+mpc-track-circle, mpc-tendons, mpc-reach, mpc-push, mpc-payload, mpc-delay, mpc-catch, mpc-obstacle, \
+mpc-elastica-case1";
     assert_eq!(error.to_string(), expected);
     for name in ["", "no/such/file.toml", "nul\0byte", &"x".repeat(100_000)] {
         let error = error_of_overrides(name, &[]);

@@ -6,7 +6,10 @@ use super::*;
 use crate::control::{
     NodeForm, PathEnforcement, Shape, SharedTerm, StateCost, StateTerm, StateView,
 };
-use crate::mechanics::{Density, Material, Rod, Route, StrainActuator};
+use crate::mechanics::{
+    Density, Material, Rod, Route, StrainActuator, StrainRule, TimeScheme, TipSpring,
+    static_equilibrium,
+};
 use crate::mpc::soft_rows::SoftRows;
 use crate::task::{
     ChannelLimits, Cost, EffortControl, Limit, PathLimit, Place, Target, Track, WrenchActuator,
@@ -322,4 +325,140 @@ pub(in crate::mpc) fn tendon_arm() -> (Arm, Vec<EffortControl>) {
         lag: None,
     });
     (arm, controls.into())
+}
+
+/// The same along efforts of actuators in the arm, whose columns follow from the configuration: with both integrators, both strain rules, a
+/// given pressure beside the controls, a force on the tip, a velocity with a price (whose forms are momenta under explicit steps), and
+/// blocks of either kind.
+#[test]
+fn slopes_along_efforts_agree_with_differences() {
+    for (scheme, strain_rule, hold) in [
+        (TimeScheme::Explicit, StrainRule::Helical, Hold::Linear),
+        (TimeScheme::Implicit, StrainRule::Helical, Hold::Constant),
+        (TimeScheme::Implicit, StrainRule::Trapezoidal, Hold::Linear),
+    ] {
+        let (arm, efforts) = tendon_arm();
+        let discretization = Discretization {
+            samples: 4,
+            scheme: Some(scheme),
+            strain_rule,
+            hold,
+            ..Discretization::with_elements(4)
+        };
+        let task = Task {
+            targets: vec![Target {
+                position: Some(Vector3::new(0.02, 0.01, -0.29)),
+                rest: Rest::Instant,
+                ..Target::default()
+            }],
+            actuators: vec![WrenchActuator {
+                at: Place::Tip,
+                force: ChannelLimits::at_most(0.1),
+                moment: ChannelLimits::NONE,
+            }],
+            efforts,
+            cost: Cost {
+                tracks: vec![Track {
+                    path: vec![(0.0, Vector3::new(0.02, 0.0, -0.29))],
+                    weight: Some(1e2),
+                    speed_weight: 3.0,
+                    ..Track::default()
+                }],
+                ..Cost::default()
+            },
+            ..Task::reach(Vector3::zeros(), 0.2, 1.0)
+        };
+        let settings = MpcSettings {
+            block: 0.05,
+            due: Some(0.2),
+            ..MpcSettings::receding(0.2)
+        };
+        let controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+        // Steps that are solved for have the rounding of their solution, which a longer difference divides by more.
+        compare_slopes(controller, 0.05, 1e-3);
+    }
+}
+
+/// Where effort is counted from along a reference at rest: controls within their bounds that put the tip there, on the model, on a softer
+/// one, and under a force on the tip, which the derivatives correct by more than half.
+#[test]
+fn holding_efforts_hold() {
+    let (mut arm, efforts) = tendon_arm();
+    arm.actuators
+        .retain(|actuator| actuator.density == Density::Shortening);
+    let efforts: Vec<EffortControl> = (efforts.into_iter().enumerate())
+        .map(|(actuator, own)| EffortControl { actuator, ..own })
+        .collect();
+    let discretization = Discretization::with_elements(6);
+    let rod = arm.rod(&discretization).unwrap();
+    let settle = |arm: &Arm, efforts: &[f64]| {
+        let rod = arm.rod(&discretization).unwrap();
+        let mut pulled = rod.clone();
+        pulled.actuators = rod.actuators.with_efforts(efforts);
+        let none = TipSpring::default();
+        let shape = static_equilibrium(&pulled, &pulled.rest, 0.0, &none).unwrap();
+        shape.positions[rod.tip()]
+    };
+    let target = settle(&arm, &[1.2, 0.5, 0.1, 0.4]);
+    let task = Task {
+        start: crate::task::Start {
+            shape: crate::task::StartShape::Equilibrium,
+            ..Default::default()
+        },
+        targets: vec![Target {
+            position: Some(target),
+            ..Target::default()
+        }],
+        efforts,
+        actuators: Vec::new(),
+        ..Task::reach(target, 0.2, 1.0)
+    };
+    let settings = MpcSettings::receding(0.2);
+    let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+    let mut free = |disturbance: &Disturbance| -> Vec<f64> {
+        controller.disturb(disturbance).unwrap();
+        controller.note_free();
+        (controller.free.iter().zip(&controller.horizon.scales))
+            .map(|(value, scale)| 0.4 + value * scale)
+            .collect()
+    };
+    let length = rod.scales.length;
+    let off = |arm: &Arm, efforts: &[f64]| (settle(arm, efforts) - target).norm() / length;
+    let found = free(&Disturbance::NONE);
+    assert!(
+        found.iter().all(|tension| (0.0..=4.0).contains(tension)),
+        "{found:?}"
+    );
+    // The weight of the effort leaves a part of what only the sum of all tensions moves.
+    let way = off(&arm, &[0.4; 4]);
+    let missed = off(&arm, &found);
+    assert!(missed < 0.02 * way, "{missed} {way} {found:?}");
+    let softer = Arm {
+        section: arm.section.clone().scaled(0.9, 1.0),
+        ..arm.clone()
+    };
+    let uncorrected = off(&softer, &found);
+    let found = free(&Disturbance {
+        stiffness: 0.9,
+        ..Disturbance::NONE
+    });
+    let corrected = off(&softer, &found);
+    assert!(corrected < 0.5 * uncorrected, "{corrected} {uncorrected}");
+    let force = Vector3::new(5e-3, -3e-3, 0.0);
+    let mut loaded = arm.clone();
+    loaded.loads.push(crate::task::PointLoad {
+        at: Place::Tip,
+        force,
+        ..Default::default()
+    });
+    let uncorrected = off(&loaded, &free(&Disturbance::NONE));
+    let found = free(&Disturbance {
+        tip: Wrench {
+            force,
+            ..Wrench::default()
+        },
+        ..Disturbance::NONE
+    });
+    let corrected = off(&loaded, &found);
+    assert!(corrected < 0.5 * uncorrected, "{corrected} {uncorrected}");
 }

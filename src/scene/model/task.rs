@@ -22,7 +22,7 @@ use crate::task::{self, Hardness, Problem, Rest, Staying, Target, Tolerances};
 pub struct Task {
     /// Node of the target: `"tip"`, or a fraction of the length, or an index. A tip that is held has no target, so that a task with one
     /// names a node on the way to it. Default: the tip.
-    #[serde(default, skip_serializing_if = "is_tip")]
+    #[serde(default)]
     pub node: LoadNode,
     /// Position of the tip, or of `node`, in m.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -420,10 +420,6 @@ fn rounded(value: f64) -> String {
     } else {
         format!("{value:.3e}")
     }
-}
-
-fn is_tip(node: &LoadNode) -> bool {
-    *node == LoadNode::Tip
 }
 
 impl Task {

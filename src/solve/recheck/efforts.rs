@@ -45,6 +45,8 @@ struct Row {
     /// Coordinates relative to the stress-free shape.
     changes: Vec<f64>,
     commands: Option<Vec<f64>>,
+    /// Derivatives of the efforts along the coordinates.
+    slopes: Vec<f64>,
 }
 
 /// Checks every row of a solve, whose recorded motion has all time nodes.
@@ -70,6 +72,9 @@ pub(super) fn check(
                 commands: commands(problem, coefficients, k, &inputs),
                 efforts: efforts::of_inputs(rod, inputs.clone(), &coordinates),
                 changes: changes.collect(),
+                slopes: (efforts::slopes(rod, &inputs, &coordinates).iter())
+                    .map(|[along_coordinate, _]| *along_coordinate)
+                    .collect(),
                 inputs,
             }
         })
@@ -92,6 +97,7 @@ pub(super) fn check(
             efforts,
             changes,
             commands,
+            slopes,
         } = expected;
         for (i, (row, actuator)) in rows.iter().zip(rod.actuators.iter()).enumerate() {
             let place = |column: &str| format!("{column}, row {k}, \"{}\"", actuator.name);
@@ -99,7 +105,10 @@ pub(super) fn check(
             let allowed = ROUNDINGS * problem.grid.duration();
             out.number(row.t, problem.grid.time(k), allowed, || place("t"));
             out.word(&row.name, &actuator.name, || place("name"));
-            let rounding = ROUNDINGS * (effort + actuator.effort(0.0).abs());
+            // The tension of a winch is a difference of lengths.
+            let length = actuator.winch.map_or(0.0, |winch| winch.outside) + at_rest[i].abs();
+            let difference = slopes[i].abs() * length;
+            let rounding = ROUNDINGS * (effort + actuator.effort(0.0).abs() + difference);
             out.number(row.effort, efforts[i], rounding, || place("effort"));
             let allowed = DERIVED * change + ROUNDINGS * at_rest[i].abs();
             out.number(row.coordinate, changes[i], allowed, || place("coordinate"));
