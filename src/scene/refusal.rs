@@ -109,7 +109,9 @@ impl Scene {
                     Obstruction::Goal => {
                         "move one of them, give it another time, a larger tolerance, or hard = false"
                     }
-                    Obstruction::Base => "choose another node, or kind = \"free\" of that end",
+                    Obstruction::Base => {
+                        "choose another node, or free this end: base.kind or tip.kind = \"free\""
+                    }
                     Obstruction::Obstacle => {
                         "move one of them, give the obstacle a smaller margin_m, or one of them hard = false or a soft price"
                     }

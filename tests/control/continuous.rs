@@ -499,6 +499,7 @@ fn what_no_scene_can_say_is_refused() {
 fn goals_of_other_places_are_said_by_their_node() {
     let (arm, mut task, discretization) = posed();
     task.targets[1].at = Place::Fraction(0.5);
+    task.targets[1].position = Some(Vector3::new(0.1, 0.0, -0.45));
     let problem = task.discretize(&arm, &discretization).unwrap();
     let scene = Scene::describing(&problem, &softarm::sqp::SqpSettings::default()).unwrap();
     let (again, source) = Scene::from_toml("described", &scene.to_toml(), &[]).unwrap();

@@ -243,8 +243,10 @@ fn efforts_are_controls_of_a_tradeoff() {
 #[test]
 fn efforts_are_carried_to_finer_grids() {
     let desk = Desk::new();
-    let scene = ARM.replace("elements = 8\n", "accuracy = 2e-3\n");
+    let hard = ARM.replace("hard = false\nweight = 1e4", "tolerance_m = 2e-3");
+    let scene = hard.replace("elements = 8\n", "accuracy = 2e-3\n");
     fs::write(desk.path("accurate.toml"), scene).unwrap();
+    fs::write(desk.path("hard.toml"), hard).unwrap();
     let summary = desk.done("solve accurate.toml --out run");
     assert_eq!(summary["check"]["verdict"], "certified");
     let accuracy = &summary["accuracy"];
@@ -252,7 +254,7 @@ fn efforts_are_carried_to_finer_grids() {
     assert!(levels.len() > 1, "{accuracy}");
     let elements = levels.last().unwrap()["elements"].as_u64().unwrap();
     let alone = desk.done(&format!(
-        "solve arm.toml --out alone --set rod.elements={elements}"
+        "solve hard.toml --out alone --set rod.elements={elements}"
     ));
     let [carried, fresh] = [&summary, &alone].map(|own| own["iterations"].as_u64().unwrap());
     assert!(carried <= fresh, "{carried} {fresh}");
