@@ -156,7 +156,7 @@ impl Watch {
                 change >= down * time * room && change <= up * time * room,
                 "{name} {change}"
             );
-            self.n_bounded += usize::from(from < 0.01 * TENSION || from > 0.99 * TENSION);
+            self.n_bounded += usize::from(!(0.01 * TENSION..=0.99 * TENSION).contains(&from));
             self.n_fast += usize::from(change < 0.99 * down * time || change > 0.99 * up * time);
         }
         self.before = Some(sent.clone());
