@@ -396,6 +396,7 @@ impl Tangent {
         64.0 * f64::EPSILON * scaled.fold(0.0, f64::max)
     }
 
+    #[cfg(feature = "cli")]
     /// Returns the motions without stiffness, which [the ends leave loose](Rod::most_loose_motions) and no load holds; `unit` is
     /// [`own_squared_frequency`].
     pub fn loose_motions(&self, rod: &Rod, at: &Configuration, unit: f64) -> Vec<Mode> {

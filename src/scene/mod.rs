@@ -51,6 +51,7 @@ mod values;
 pub(crate) use check::MOST_ELEMENTS;
 pub use closed_loop::ClosedLoopSetup;
 pub use error::{DescribeError, SceneError};
+#[cfg(feature = "cli")]
 pub(crate) use file::LARGEST_SCENE;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::*;

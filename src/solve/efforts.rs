@@ -104,6 +104,7 @@ fn displacement(rod: &Rod, actuator: usize, input: f64, coordinate: f64) -> Opti
     }
 }
 
+#[cfg(feature = "cli")]
 /// Returns the fraction of the rows of `efforts.csv` in which the tendon of each winch has no tension.
 pub(crate) fn slack(rod: &Rod, rows: &[EffortRow]) -> Vec<SlackSummary> {
     let efforts: Vec<f64> = rows.iter().map(|row| row.effort).collect();
