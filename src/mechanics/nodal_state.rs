@@ -102,7 +102,7 @@ impl NodalState {
 
     /// Returns this state on the nodes of a rod of the same length.
     ///
-    /// Between two nodes poses lie on a helix, as in [`pose`](super::place::pose), and velocities, linear ones in space and angular ones in the
+    /// Between two nodes poses lie on a helix, as in those of places on the rod, and velocities, linear ones in space and angular ones in the
     /// body frame, are linear. Momenta are the velocities times the inertia of the rod's nodes. On a rod with the same places and inertia the
     /// state is the same to the bit.
     #[must_use]
