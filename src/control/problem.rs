@@ -654,29 +654,31 @@ impl OptimalControlProblem {
 
     /// Returns the actuators of the rod whose efforts are controls, with the channels of these.
     pub(crate) fn driven(&self) -> impl Iterator<Item = (&Drive, &Channel)> {
-        (self.efforts.iter()).flat_map(move |efforts| {
+        self.driven_components()
+            .filter_map(|(actuator, component)| {
+                let actuator = self.rod.actuators.iter().nth(actuator)?;
+                Some((actuator, self.channel(&component)))
+            })
+    }
+
+    /// Returns the indices of the actuators of the rod whose efforts are controls, with the components that these are.
+    pub(crate) fn driven_components(&self) -> impl Iterator<Item = (usize, Component)> {
+        (self.efforts.iter()).flat_map(|efforts| {
             let places = efforts.actuators.iter().zip(&efforts.places);
-            places.filter_map(move |(&actuator, &place)| {
+            places.map(|(&actuator, &place)| {
                 let component = Component {
                     actuator: efforts.first + place / 6,
                     axis: place % 6,
                 };
-                let actuator = self.rod.actuators.iter().nth(actuator)?;
-                Some((actuator, self.channel(&component)))
+                (actuator, component)
             })
         })
     }
 
     /// Returns the magnitude that counts as 1 in the solver of a driven actuator's effort, by its index among those.
     pub(super) fn unit_of_effort(&self, index: usize) -> f64 {
-        self.efforts.as_ref().map_or(1.0, |efforts| {
-            let place = efforts.places[index];
-            self.channel(&Component {
-                actuator: efforts.first + place / 6,
-                axis: place % 6,
-            })
-            .unit()
-        })
+        (self.driven_components().nth(index))
+            .map_or(1.0, |(_, component)| self.channel(&component).unit())
     }
 
     /// Tells whether anything acts at time nodes by wrenches that depend on the configuration: a control, or a function of a node's pose.

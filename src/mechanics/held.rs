@@ -1,4 +1,4 @@
-//! What holds a rod: its ends in place, their gaps, and the motions that they leave loose. [`ends`](super::ends) has the conditions.
+//! The held ends of a rod: their poses, their gaps, and the motions that they leave loose. [`ends`](super::ends) has the conditions.
 
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVD, Vector3, Vector6};
 

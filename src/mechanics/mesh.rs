@@ -1,7 +1,7 @@
 //! The nodes of a rod: fractions of the rest length at which its elements end.
 
 /// Fractions of the length that differ by less than this are one place.
-pub(super) const SAME: f64 = 1e-9;
+pub(crate) const SAME: f64 = 1e-9;
 /// Cap on the elements that a scene may ask for and that advice recommends; a larger number is taken for a typing error.
 pub(crate) const MOST_ELEMENTS: usize = 5000;
 

@@ -124,8 +124,8 @@ pub use forms::{FormTerm, StateForm};
 pub use lanes::{LaneIntegrator, SolverWork};
 pub use load::{DistributedLoad, Load, LoadFrame, Wrench};
 pub use load_path::{Critical, Kept, LoadPath, LoadedShape, Loss, Varied};
-pub(crate) use mesh::MOST_ELEMENTS;
 pub use mesh::Mesh;
+pub(crate) use mesh::{MOST_ELEMENTS, SAME as SAME_PLACE};
 pub use nodal_state::{NodalFault, NodalState};
 pub use place::Place;
 pub use pose_actuator::{

@@ -1,7 +1,7 @@
 //! Parts of kernels that are compiled as functions of their own.
 //!
 //! A kernel is one function for the compiler: all that it calls is inlined, since only then the vector instructions are available to it.
-//! What stands in it at several places, or is there for few motions, would make it long, and compilers take more than their share for
+//! Code that stands in it at several places, or is there for few motions, would make it long, and compilers take more than their share for
 //! long functions.
 
 use pulp::{Simd, WithSimd};

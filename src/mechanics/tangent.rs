@@ -396,9 +396,9 @@ impl Tangent {
         64.0 * f64::EPSILON * scaled.fold(0.0, f64::max)
     }
 
-    #[cfg(feature = "cli")]
     /// Returns the motions without stiffness, which [the ends leave loose](Rod::most_loose_motions) and no load holds; `unit` is
     /// [`own_squared_frequency`].
+    #[cfg(feature = "cli")]
     pub fn loose_motions(&self, rod: &Rod, at: &Configuration, unit: f64) -> Vec<Mode> {
         let most = rod.most_loose_motions();
         let modes = match most {

@@ -15,10 +15,10 @@ pub struct Command {
     pub from: Vec<Wrench>,
     /// Wrenches at `end`.
     pub to: Vec<Wrench>,
-    /// What the command adds at `start` to the given effort (the pretension) of every actuator in the arm, in the unit of the effort; 0 for
+    /// Efforts that the command adds at `start` to the given effort (the pretension) of every actuator in the arm, in the unit of the effort; 0 for
     /// an actuator whose effort is no control, and empty if none is. [`Controller::efforts`](super::Controller::efforts) has whole efforts.
     pub efforts_from: Vec<f64>,
-    /// The same at `end`.
+    /// Efforts that it adds at `end`.
     pub efforts_to: Vec<f64>,
 }
 

@@ -574,8 +574,8 @@ impl Controller {
         })
     }
 
-    #[cfg(feature = "cli")]
     /// Returns the indices of the actuators in the arm whose efforts are controls.
+    #[cfg(feature = "cli")]
     pub(crate) fn driven_actuators(&self) -> &[usize] {
         (self.horizon.problem.efforts.as_ref()).map_or(&[], |efforts| &efforts.actuators)
     }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::control::{Component, OptimalControlProblem};
+use crate::control::OptimalControlProblem;
 use crate::mechanics::signal::EffortTable;
 use crate::mechanics::{Configuration, Density, Rod, Trajectory, Wrench};
 use crate::output::summary::SlackSummary;
@@ -16,13 +16,8 @@ pub(crate) fn commands(
     k: usize,
     efforts: &[f64],
 ) -> Option<Vec<f64>> {
-    let driven = problem.efforts.as_ref()?;
     let mut out = None;
-    for (&actuator, &place) in driven.actuators.iter().zip(&driven.places) {
-        let component = Component {
-            actuator: driven.first + place / 6,
-            axis: place % 6,
-        };
+    for (actuator, component) in problem.driven_components() {
         let lag = problem.channel(&component).lag;
         if lag == 0.0 {
             continue;
@@ -104,8 +99,8 @@ fn displacement(rod: &Rod, actuator: usize, input: f64, coordinate: f64) -> Opti
     }
 }
 
-#[cfg(feature = "cli")]
 /// Returns the fraction of the rows of `efforts.csv` in which the tendon of each winch has no tension.
+#[cfg(feature = "cli")]
 pub(crate) fn slack(rod: &Rod, rows: &[EffortRow]) -> Vec<SlackSummary> {
     let efforts: Vec<f64> = rows.iter().map(|row| row.effort).collect();
     slack_of(rod, &efforts)

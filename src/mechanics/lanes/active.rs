@@ -1,6 +1,6 @@
 //! The stress of [actuators](crate::mechanics::strain_actuator) in the elements of a block, one element per lane.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::LaneIntegrator;
@@ -29,7 +29,7 @@ pub struct ActiveLanes {
     /// Efforts of the interval under way: its mean under the implicit scheme, otherwise those at its end. The efforts of winches are zero
     /// here: their forces are added where the configuration is known, or in the iteration of a step that is solved for.
     pub coming: Vec<f64>,
-    /// Memory for a jump of the efforts, and for the shape at which it occurs.
+    /// Memory for efforts whose forces are added, and for the present shape.
     jump: Vec<f64>,
     shape: Configuration,
     /// Inputs of winches: those whose efforts are among the present ones, and those of the interval under way.
@@ -191,6 +191,13 @@ impl<S: Simd> ActiveBlocks<'_, S> {
     }
 }
 
+/// Writes half of the change of efforts.
+fn half_change(before: &[f64], after: &[f64], out: &mut [f64]) {
+    for (out, (before, after)) in out.iter_mut().zip(before.iter().zip(after)) {
+        *out = 0.5 * (after - before);
+    }
+}
+
 impl LaneIntegrator<'_> {
     /// Prepares the efforts of the step that begins: adds to the forces at this time node half of what the efforts just after it differ by
     /// from those before, and finds the efforts of the interval. `controls` act just after this time node and just before the next.
@@ -205,11 +212,8 @@ impl LaneIntegrator<'_> {
         };
         write(0, &mut active.coming);
         if !self.rod.actuators.functions().is_empty() {
-            let halves = active.posed.iter().zip(&active.coming);
-            let jump: Vec<f64> = halves
-                .map(|(before, after)| 0.5 * (after - before))
-                .collect();
-            self.add_posed(Posed::Driven, &jump);
+            half_change(&active.posed, &active.coming, &mut active.jump);
+            self.add_posed(Posed::Driven, &active.jump);
             write(1, &mut active.posed);
         }
         if self.rod.scheme == TimeScheme::Implicit {
@@ -221,12 +225,10 @@ impl LaneIntegrator<'_> {
         } else {
             self.find_efforts(&mut active);
             if active.present != active.coming {
-                let halves = active.present.iter().zip(&active.coming);
-                for (jump, (before, after)) in active.jump.iter_mut().zip(halves) {
-                    *jump = 0.5 * (after - before);
-                }
+                half_change(&active.present, &active.coming, &mut active.jump);
                 let ActiveLanes { jump, shape, .. } = &mut *active;
-                self.add_jump(jump, shape);
+                self.put_poses(shape);
+                self.add_active_stress(jump, shape);
             }
             write(1, &mut active.coming);
             active.present.copy_from_slice(&active.coming);
@@ -283,8 +285,9 @@ impl LaneIntegrator<'_> {
         active.coming = if is_same {
             active.present.clone()
         } else {
-            let (positions, rotations) = self.poses();
-            self.rod.efforts_at(coming, &positions, &rotations)
+            let shape = &mut active.shape;
+            self.put_poses(shape);
+            (self.rod).efforts_at(coming, &shape.positions, &shape.rotations)
         };
     }
 
@@ -293,35 +296,37 @@ impl LaneIntegrator<'_> {
         let Some(mut active) = self.active.take() else {
             return;
         };
-        if let (Some([present, coming]), TimeScheme::Explicit) =
-            (&mut active.inputs, self.rod.scheme)
-        {
-            let (positions, rotations) = self.poses();
-            let efforts = self.rod.efforts_at(coming.clone(), &positions, &rotations);
-            present.copy_from_slice(coming);
-            let winches: Vec<f64> = (efforts.iter().zip(self.rod.actuators.iter()))
-                .map(|(effort, own)| own.winch.map_or(0.0, |_| *effort))
-                .collect();
-            active.present = efforts;
-            self.add_jump(&winches, &mut active.shape);
+        let ActiveLanes {
+            inputs,
+            shape,
+            jump,
+            present,
+            ..
+        } = &mut *active;
+        if let (Some([acting, coming]), TimeScheme::Explicit) = (inputs, self.rod.scheme) {
+            self.put_poses(shape);
+            acting.copy_from_slice(coming);
+            *present = (self.rod).efforts_at(coming.clone(), &shape.positions, &shape.rotations);
+            let own = present.iter().zip(self.rod.actuators.iter());
+            for (jump, (effort, actuator)) in jump.iter_mut().zip(own) {
+                *jump = actuator.winch.map_or(0.0, |_| *effort);
+            }
+            self.add_active_stress(jump, shape);
         }
         self.active = Some(active);
     }
 
-    /// Returns the present positions and rotations of all nodes.
-    pub(super) fn poses(&self) -> (Vec<Vector3<f64>>, Vec<Matrix3<f64>>) {
-        let nodes = 0..self.rod.n_nodes();
-        let positions = nodes.clone().map(|node| self.position(node)).collect();
-        (positions, nodes.map(|node| self.rotation(node)).collect())
-    }
-
-    /// Adds the forces of the stress of actuators with these efforts at the present configuration, for which `shape` is memory.
-    fn add_jump(&mut self, efforts: &[f64], shape: &mut Configuration) {
-        let n = self.rod.n_nodes();
-        for node in 0..n {
+    /// Writes the present positions and rotations of all nodes.
+    pub(super) fn put_poses(&self, shape: &mut Configuration) {
+        for node in 0..self.rod.n_nodes() {
             shape.positions[node] = self.position(node);
             shape.rotations[node] = self.rotation(node);
         }
+    }
+
+    /// Adds the forces of the stress of actuators with these efforts in the present configuration, `shape`.
+    fn add_active_stress(&mut self, efforts: &[f64], shape: &Configuration) {
+        let n = self.rod.n_nodes();
         let forces = &mut self.seating;
         forces.forces.fill(Vector3::zeros());
         forces.moments.fill(Vector3::zeros());

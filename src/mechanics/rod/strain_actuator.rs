@@ -176,7 +176,7 @@ pub struct StrainActuator {
     pub largest: f64,
 }
 
-/// What the actuators of a rod have in common, on strains or on [poses](super::pose_actuator).
+/// The properties that all actuators of a rod have, on strains or on [poses](super::pose_actuator).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drive {
     /// Name in results.

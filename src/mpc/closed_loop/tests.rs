@@ -136,8 +136,8 @@ fn forced_failures_are_survived() {
     assert!(worst < 0.01, "{worst}");
 }
 
-/// The same of an arm with tendons, in a thousand samples: every tension is within its bounds and every change within its rates, from the
-/// pretension on.
+/// A loop of an arm with tendons, whose subproblem fails now and then, in a thousand samples: every
+/// tension is within its bounds and every change within its rates, from the pretension on.
 #[test]
 fn tensions_keep_their_bounds_while_factorizations_fail() {
     let (arm, efforts) = tendon_arm();

@@ -327,7 +327,7 @@ pub(in crate::mpc) fn tendon_arm() -> (Arm, Vec<EffortControl>) {
     (arm, controls.into())
 }
 
-/// The same along efforts of actuators in the arm, whose columns follow from the configuration: with both integrators, both strain rules, a
+/// Derivatives of residuals along efforts of actuators in the arm, whose columns follow from the configuration: with both integrators, both strain rules, a
 /// given pressure beside the controls, a force on the tip, a velocity with a price (whose forms are momenta under explicit steps), and
 /// blocks of either kind.
 #[test]

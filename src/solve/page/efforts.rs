@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 
 use super::{FRAMES, ROWS};
-use crate::mechanics::{Density, Rod, StrainActuator};
+use crate::mechanics::{Density, Rod, SAME_PLACE, StrainActuator};
 use crate::output::{Columns, MotionRecord, ReportRoute};
 use crate::solve::efforts::shape_of;
 use crate::task::EffortControl;
@@ -151,10 +151,11 @@ fn is_slack(effort: f64, most: f64) -> bool {
 
 /// Returns the line of an actuator through the nodes that it passes, with its effort at the frames of the picture.
 fn route(rod: &Rod, own: &StrainActuator, most: f64, efforts: Vec<f64>) -> ReportRoute {
-    const SAME: f64 = 1e-9;
     let places = rod.places();
     let nodes: Vec<usize> = (0..places.len())
-        .filter(|&q| places[q] >= own.route.from - SAME && places[q] <= own.route.to + SAME)
+        .filter(|&q| {
+            places[q] >= own.route.from - SAME_PLACE && places[q] <= own.route.to + SAME_PLACE
+        })
         .collect();
     let length = rod.scales.length;
     ReportRoute {

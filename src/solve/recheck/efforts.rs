@@ -1,7 +1,7 @@
 //! The check of `efforts.csv`: efforts by the check's own hold, coordinates by the check's own strains.
 
 use super::file_check::{DERIVED, FileCheck, ROUNDINGS};
-use crate::control::{Component, OptimalControlProblem};
+use crate::control::OptimalControlProblem;
 use crate::mechanics::{Density, Trajectory, Wrench};
 use crate::output::EffortRow;
 use crate::verify::{efforts, hold};
@@ -9,19 +9,14 @@ use crate::verify::{efforts, hold};
 /// Returns the commands of all actuators just after time node `k`, by the check's own hold; `None` if no actuator has a lag.
 fn commands(
     problem: &OptimalControlProblem,
+    spline: &hold::Spline,
     coefficients: &[Wrench],
     k: usize,
     efforts: &[f64],
 ) -> Option<Vec<f64>> {
-    let driven = problem.efforts.as_ref()?;
-    let spline = hold::Spline::of(problem);
     let n = problem.actuators.len();
     let mut out = None;
-    for (i, &actuator) in driven.actuators.iter().enumerate() {
-        let component = Component {
-            actuator: driven.first + driven.places[i] / 6,
-            axis: driven.places[i] % 6,
-        };
+    for (actuator, component) in problem.driven_components() {
         let lag = problem.channel(&component).lag;
         if lag > 0.0 {
             let value = |lag: f64| -> f64 {
@@ -61,6 +56,7 @@ pub(super) fn check(
     let rod = &problem.rod;
     let signal = hold::signal(problem, 1, coefficients);
     let at_rest = efforts::coordinates(rod, &rod.rest.positions, &rod.rest.rotations);
+    let spline = hold::Spline::of(problem);
     let n = rod.actuators.len();
     let along: Vec<Row> = (0..trajectory.n_times().min(problem.grid.n_steps + 1))
         .map(|k| {
@@ -69,7 +65,7 @@ pub(super) fn check(
             let coordinates = efforts::coordinates(rod, x, r);
             let changes = coordinates.iter().zip(&at_rest).map(|(y, rest)| y - rest);
             Row {
-                commands: commands(problem, coefficients, k, &inputs),
+                commands: commands(problem, &spline, coefficients, k, &inputs),
                 efforts: efforts::of_inputs(rod, inputs.clone(), &coordinates),
                 changes: changes.collect(),
                 slopes: (efforts::slopes(rod, &inputs, &coordinates).iter())

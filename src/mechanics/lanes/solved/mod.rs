@@ -41,7 +41,6 @@ use super::sweep::POSITION;
 use super::{LaneIntegrator, NORMALIZE_EVERY, dispatch};
 use crate::mechanics::base_motion::BaseState;
 use crate::mechanics::buffer::Buffer;
-use crate::mechanics::configuration::Configuration;
 use crate::mechanics::element::{Helical, StrainRule, Trapezoidal};
 use crate::mechanics::guards::not_finite;
 use crate::mechanics::implicit::IntervalWeights;
@@ -272,11 +271,8 @@ impl LaneIntegrator<'_> {
         let inputs = (self.active.as_ref().filter(|_| implicit))
             .and_then(|active| Some(active.winch_inputs()?.to_vec()));
         let winches = inputs.as_ref().map(|inputs| {
-            let (positions, rotations) = self.poses();
-            let start = Configuration {
-                positions,
-                rotations,
-            };
+            let mut start = self.rod.rest.clone();
+            self.put_poses(&mut start);
             Winches::new(self.rod, inputs, start)
         });
         if let Some((base, turn)) = &base {
