@@ -73,7 +73,7 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
 }
 
 /// Returns the actuators in the arm whose efforts are controls.
-fn driven(problem: &OptimalControlProblem) -> &[usize] {
+pub(super) fn driven(problem: &OptimalControlProblem) -> &[usize] {
     (problem.efforts.as_ref()).map_or(&[], |efforts| &efforts.actuators)
 }
 
@@ -219,9 +219,9 @@ impl Horizon {
                 "the controller's targets are soft; leave out tolerances of targets",
             ));
         }
-        if problem.rod.actuators.has_winches() || problem.driven().any(|(_, own)| own.lag != 0.0) {
+        if problem.rod.actuators.has_winches() {
             return Err(MpcError::Unsupported(
-                "the controller knows neither winches nor lags of actuators in the arm; leave them out",
+                "the controller does not know winches of actuators in the arm; leave them out",
             ));
         }
         if !problem.rod.actuators.functions().is_empty() {

@@ -178,7 +178,7 @@ impl Scene {
         let model = Arc::clone(&posed.discrete.rod);
 
         let (plant, plant_discretization) = self.plant(&arm, &discretization);
-        let efforts = self.plant_efforts(arm.actuators.len());
+        let efforts = self.plant_efforts();
         let found = passing
             .discretize_until(&plant, &plant_discretization, stop)
             .map_err(|error| {
@@ -306,19 +306,19 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: winches and lags, magnets, cables, waypoints, a free duration and cubic
+    /// Refuses features that the controller does not support: winches, magnets, cables, waypoints, a free duration and cubic
     /// blocks.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
-        let winch_or_lag = self.winch_or_lag();
+        let winch = self.winch();
         let refusals = [
             (
-                winch_or_lag.as_deref().unwrap_or_default(),
-                winch_or_lag.is_some(),
-                "a closed loop does not know winches, nor lags of its own actuators, yet",
-                "give bounds on the effort alone, and lags of the plant as plant.tendon.N.lag_s",
+                winch.as_deref().unwrap_or_default(),
+                winch.is_some(),
+                "a closed loop does not know winches yet",
+                "give bounds on the tension",
             ),
             (
                 "magnet",
@@ -426,18 +426,20 @@ impl Scene {
         (plant, own)
     }
 
-    /// Returns the dynamics of the plant's actuators in the arm, of which there are `n`.
-    fn plant_efforts(&self, n: usize) -> Vec<EffortDynamics> {
+    /// Returns the dynamics of the plant's actuators in the arm: lags are those of the plant, or else of the model.
+    fn plant_efforts(&self) -> Vec<EffortDynamics> {
         let keys = self.plant.clone().unwrap_or_default();
-        let lag = keys.actuator.as_ref().map_or(0.0, |own| own.lag_s.get());
-        let like_all = EffortDynamics {
-            lag,
-            ..EffortDynamics::default()
-        };
-        let mut out = vec![like_all; n];
+        let of_all = keys.actuator.as_ref().map_or(0.0, |own| own.lag_s.get());
+        let lags = self.lags().into_iter();
+        let mut out: Vec<EffortDynamics> = lags
+            .map(|lag| EffortDynamics {
+                lag: lag.unwrap_or(of_all),
+                ..EffortDynamics::default()
+            })
+            .collect();
         for (section, _, own) in keys.hardware() {
             if let Some((index, ..)) = self.hardware_named(section, &own.name) {
-                out[index] = own.dynamics(lag);
+                out[index] = own.dynamics(out[index].lag);
             }
         }
         out

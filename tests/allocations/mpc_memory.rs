@@ -33,12 +33,13 @@ fn samples_allocate_nothing() {
 }
 
 /// The same of an arm with tendons, whose columns are evaluated anew in every sample, in explicit and in implicit steps, with bounds on
-/// rates and with none.
+/// rates, with lags, and with none.
 #[test]
 fn samples_of_tendons_allocate_nothing() {
-    for (is_slow, scheme, hold) in [
-        (false, TimeScheme::Explicit, Hold::Constant),
-        (true, TimeScheme::Implicit, Hold::Linear),
+    for (is_slow, scheme, hold, lag) in [
+        (false, TimeScheme::Explicit, Hold::Constant, None),
+        (true, TimeScheme::Implicit, Hold::Linear, None),
+        (true, TimeScheme::Implicit, Hold::Linear, Some(0.05)),
     ] {
         let settings = MpcSettings::receding(0.3);
         let discretization = Discretization {
@@ -46,7 +47,10 @@ fn samples_of_tendons_allocate_nothing() {
             scheme: Some(scheme),
             ..tracking::discretization()
         };
-        let (arm, task) = (tracking::tendon_arm(3e5), tracking::tendon_task(is_slow));
+        let (arm, mut task) = (tracking::tendon_arm(3e5), tracking::tendon_task(is_slow));
+        for control in &mut task.efforts {
+            control.lag = lag;
+        }
         let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
         let mut state = controller.expected().clone();
         controller.step(&state).unwrap();
