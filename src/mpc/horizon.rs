@@ -8,8 +8,8 @@
 //! ```
 //!
 //! `J` and `G` come from one reverse sweep: the covectors of the rows, read where the controls act and where the sweep ends. An effort of an
-//! actuator in the arm acts by wrenches that follow from the configuration, so that its columns are evaluated along every roll-out. `C` is
-//! effort and rate, `a` the control that acts when the horizon begins.
+//! actuator of the arm, on its strains or on poses of its nodes, acts by wrenches that follow from the configuration, so that its columns are
+//! evaluated along every roll-out. `C` is effort and rate, `a` the control that acts when the horizon begins.
 
 use std::sync::Arc;
 
@@ -87,8 +87,10 @@ pub(super) struct Horizon {
     /// Wrenches of one unit of every component.
     pub effects: Vec<Vec<Effect>>,
     pub knots: Knots,
-    /// Components that are efforts, in the order of the driven actuators.
+    /// Components that are efforts of actuators on strains, in the order in which these are driven.
     of_efforts: Vec<usize>,
+    /// Components that are efforts of actuators on poses, each with the index of a function of its actuator.
+    of_poses: Vec<(usize, usize)>,
     /// The grid of the present horizon; below it, that of the longest horizon, from the first start.
     pub grid: TimeGrid,
     longest: TimeGrid,
@@ -97,7 +99,8 @@ pub(super) struct Horizon {
     pub order: ControlOrder,
     /// Controls at the two ends of a step.
     wrenches: [Vec<Wrench>; 2],
-    /// Efforts of the plan along the last roll-out, and the wrenches of unit efforts there; `None` without actuators in the arm.
+    /// Efforts of the plan along the last roll-out; `None` without actuators of the arm. Below it, the wrenches of unit efforts there of
+    /// those that are driven on strains; `None` if none is.
     efforts: Option<ControlSignal>,
     pulls: Option<EffortPulls>,
     /// Indices and shapes of the obstacles among the limits of the problem, at t = 0 by the task.
@@ -132,10 +135,13 @@ struct Columns<'a> {
     knots: &'a Knots,
     grid: TimeGrid,
     effects: &'a [Vec<Effect>],
-    /// Wrenches of unit efforts, and the components that are efforts, in the order of the driven actuators.
+    /// Wrenches of unit efforts, and the components that are efforts, in the order of the driven actuators on strains.
     pulls: Option<&'a EffortPulls>,
     of_efforts: &'a [usize],
-    n_nodes: usize,
+    /// Components that are efforts of actuators on poses, and their functions.
+    of_poses: &'a [(usize, usize)],
+    rod: &'a Rod,
+    trajectory: &'a Trajectory,
     scales: &'a [f64],
     n: usize,
 }
@@ -173,8 +179,24 @@ impl ControlColumns for Columns<'_> {
             for (at, (effects, scale)) in self.effects.iter().zip(self.scales).enumerate() {
                 let column = coefficient * self.effects.len() + at;
                 for &(node, component, effect) in effects {
-                    if node < self.n_nodes {
+                    if node < self.rod.n_nodes() {
                         visit(column, node, component, weight * scale * effect);
+                    }
+                }
+            }
+        }
+        for &(at, function) in self.of_poses {
+            let own = &self.rod.actuators.functions()[function];
+            let (x, r) = (
+                self.trajectory.positions_at(k),
+                self.trajectory.rotations_at(k),
+            );
+            let wrench = own.wrench(&own.pose(x, r), own.weight * self.scales[at]);
+            for (coefficient, weight) in self.knots.at_node(&self.grid, k) {
+                let column = coefficient * self.effects.len() + at;
+                for (component, slope) in wrench.to_array().into_iter().enumerate() {
+                    if weight * slope != 0.0 {
+                        visit(column, own.node, component, weight * slope);
                     }
                 }
             }
@@ -224,11 +246,6 @@ impl Horizon {
                 "the controller does not know winches of actuators in the arm; leave them out",
             ));
         }
-        if !problem.rod.actuators.functions().is_empty() {
-            return Err(MpcError::Unsupported(
-                "the controller does not know actuators on poses (magnets, cables) and potentials of nodes; leave them out",
-            ));
-        }
         if problem.duration.is_some() {
             return Err(MpcError::Unsupported(
                 "the controller knows a fixed duration; leave out free_duration",
@@ -267,11 +284,20 @@ impl Horizon {
             }),
             ..ControlSignal::default()
         });
-        let of_efforts = (driven(&problem).iter().enumerate())
-            .filter_map(|(index, _)| {
-                (components.iter()).position(|own| problem.effort(own) == Some(index))
-            })
-            .collect::<Vec<usize>>();
+        let (mut of_efforts, mut on_strains, mut of_poses) = (Vec::new(), Vec::new(), Vec::new());
+        for (index, &actuator) in driven(&problem).iter().enumerate() {
+            let Some(at) = (components.iter()).position(|own| problem.effort(own) == Some(index))
+            else {
+                continue;
+            };
+            if actuator < problem.rod.actuators.strains().len() {
+                of_efforts.push(at);
+                on_strains.push(actuator);
+            }
+            let functions = problem.rod.actuators.functions().iter().enumerate();
+            let own = functions.filter(|(_, own)| own.actuator == Some(actuator));
+            of_poses.extend(own.map(|(function, _)| (at, function)));
+        }
         let mut trajectory = Trajectory::with_capacity(n_nodes, grid.n_steps + 1);
         for _ in 0..=grid.n_steps {
             trajectory.push(&start.configuration);
@@ -288,15 +314,17 @@ impl Horizon {
                 stop: None,
                 control: efforts.as_ref(),
             };
-            let driven = driven(&problem);
-            let pulls = (!driven.is_empty()).then(|| EffortPulls::new(&motion, driven, false));
+            let pulls =
+                (!on_strains.is_empty()).then(|| EffortPulls::new(&motion, &on_strains, false));
             let columns = Columns {
                 knots: &knots,
                 grid,
                 effects: &effects,
                 pulls: pulls.as_ref(),
                 of_efforts: &of_efforts,
-                n_nodes,
+                of_poses: &of_poses,
+                rod: &problem.rod,
+                trajectory: &trajectory,
                 scales: &scales,
                 n,
             };
@@ -311,6 +339,7 @@ impl Horizon {
             efforts,
             pulls,
             of_efforts,
+            of_poses,
             model,
             stop: StopSignal::default(),
             obstacles: (problem.path.iter().enumerate())
@@ -572,7 +601,9 @@ impl Horizon {
             effects: &self.effects,
             pulls: self.pulls.as_ref(),
             of_efforts: &self.of_efforts,
-            n_nodes: self.problem.rod.n_nodes(),
+            of_poses: &self.of_poses,
+            rod: &self.problem.rod,
+            trajectory: &self.trajectory,
             scales: &self.scales,
             n: self.square.nrows(),
         };

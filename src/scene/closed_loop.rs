@@ -178,7 +178,7 @@ impl Scene {
         let model = Arc::clone(&posed.discrete.rod);
 
         let (plant, plant_discretization) = self.plant(&arm, &discretization);
-        let efforts = self.plant_efforts();
+        let efforts = self.plant_efforts(arm.pose_actuators.len());
         let found = passing
             .discretize_until(&plant, &plant_discretization, stop)
             .map_err(|error| {
@@ -306,8 +306,7 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: winches, magnets, cables, waypoints, a free duration and cubic
-    /// blocks.
+    /// Refuses features that the controller does not support: winches, waypoints, a free duration and cubic blocks.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
@@ -319,18 +318,6 @@ impl Scene {
                 winch.is_some(),
                 "a closed loop does not know winches yet",
                 "give bounds on the tension",
-            ),
-            (
-                "magnet",
-                !self.magnet.is_empty(),
-                "a closed loop does not know magnets yet",
-                "leave them out, or use solve and simulate",
-            ),
-            (
-                "cable",
-                !self.cable.is_empty(),
-                "a closed loop does not know cables yet",
-                "leave them out, or use solve and simulate",
             ),
             (
                 "task.via",
@@ -426,11 +413,13 @@ impl Scene {
         (plant, own)
     }
 
-    /// Returns the dynamics of the plant's actuators in the arm: lags are those of the plant, or else of the model.
-    fn plant_efforts(&self) -> Vec<EffortDynamics> {
+    /// Returns the dynamics of the plant's actuators, the last `n_poses` of which are on poses: lags are those of the plant, or else of the
+    /// model.
+    fn plant_efforts(&self, n_poses: usize) -> Vec<EffortDynamics> {
         let keys = self.plant.clone().unwrap_or_default();
         let of_all = keys.actuator.as_ref().map_or(0.0, |own| own.lag_s.get());
-        let lags = self.lags().into_iter();
+        let on_poses = std::iter::repeat_n(None, n_poses);
+        let lags = self.lags().into_iter().chain(on_poses);
         let mut out: Vec<EffortDynamics> = lags
             .map(|lag| EffortDynamics {
                 lag: lag.unwrap_or(of_all),

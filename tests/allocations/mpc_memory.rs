@@ -66,3 +66,26 @@ fn samples_of_tendons_allocate_nothing() {
         }
     }
 }
+
+/// The same of an arm with a magnet in fields and a cable, whose columns are evaluated at the poses of every sample.
+#[test]
+fn samples_of_fields_and_cables_allocate_nothing() {
+    for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+        let settings = MpcSettings::receding(0.3);
+        let discretization = Discretization {
+            scheme: Some(scheme),
+            ..tracking::discretization()
+        };
+        let (arm, task) = (tracking::posed_arm(3e5), tracking::posed_task());
+        let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+        let mut state = controller.expected().clone();
+        controller.step(&state).unwrap();
+        for sample in 0..50 {
+            state.clone_from(controller.expected());
+            state.linear_momentum[3] += Vector3::new(1e-5, 0.0, -1e-5);
+            let before = count();
+            controller.feedback(&state).unwrap().prepare().unwrap();
+            assert_eq!(count() - before, 0, "{scheme:?} sample {sample}");
+        }
+    }
+}

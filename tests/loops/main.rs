@@ -16,6 +16,7 @@ mod mpc_hold;
 mod mpc_kalman;
 mod mpc_limits;
 mod mpc_loop;
+mod mpc_poses;
 mod mpc_sensors;
 mod mpc_serving;
 mod mpc_serving_talk;
