@@ -11,12 +11,15 @@
 //! actuator of the arm, on its strains or on poses of its nodes, acts by wrenches that follow from the configuration, so that its columns are
 //! evaluated along every roll-out. `C` is effort and rate, `a` the control that acts when the horizon begins.
 
+mod columns;
+
 use std::sync::Arc;
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use nalgebra::{Matrix3, Vector3};
 
+use self::columns::{Columns, WinchSlopes};
 use super::command::{ControlOrder, component_mut};
 use super::error::MpcError;
 use super::estimator::{Disturbance, ModelParameters, Motions};
@@ -27,7 +30,7 @@ use crate::control::path::{PathLimit, RodView};
 use crate::control::{Component, Enforcement, Goal, OptimalControlProblem, Shape, residual};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
-use crate::mechanics::sensitivity::{ControlColumns, EffortPulls, RepeatedReverse};
+use crate::mechanics::sensitivity::{EffortPulls, RepeatedReverse};
 use crate::mechanics::{
     ControlSignal, Efforts, Rod, State, StepError, TimeGrid, Trajectory, Wrench,
 };
@@ -103,6 +106,8 @@ pub(super) struct Horizon {
     /// those that are driven on strains; `None` if none is.
     efforts: Option<ControlSignal>,
     pulls: Option<EffortPulls>,
+    /// Slopes of the tensions of winches along the last roll-out; `None` without winches.
+    winches: Option<WinchSlopes>,
     /// Indices and shapes of the obstacles among the limits of the problem, at t = 0 by the task.
     obstacles: Vec<(usize, Shape)>,
     /// The model without estimated errors.
@@ -130,103 +135,6 @@ pub(super) struct Horizon {
     pub square: Mat<f64>,
 }
 
-/// The columns of the plan's coefficients.
-struct Columns<'a> {
-    knots: &'a Knots,
-    grid: TimeGrid,
-    effects: &'a [Vec<Effect>],
-    /// Wrenches of unit efforts, and the components that are efforts, in the order of the driven actuators on strains.
-    pulls: Option<&'a EffortPulls>,
-    of_efforts: &'a [usize],
-    /// Components that are efforts of actuators on poses, and their functions.
-    of_poses: &'a [(usize, usize)],
-    rod: &'a Rod,
-    trajectory: &'a Trajectory,
-    scales: &'a [f64],
-    n: usize,
-}
-
-impl Columns<'_> {
-    /// Returns the coefficients that act at some time nodes with the sums of their weights; unused entries have weight 0.
-    fn shares(&self, times: &[usize]) -> [(usize, f64); 4] {
-        let mut out = [(0, 0.0); 4];
-        let mut n = 0;
-        for &time in times {
-            for (coefficient, weight) in self.knots.at_node(&self.grid, time) {
-                match out[..n].iter_mut().find(|(own, _)| *own == coefficient) {
-                    Some((_, sum)) => *sum += weight,
-                    None => {
-                        out[n] = (coefficient, weight);
-                        n += 1;
-                    }
-                }
-            }
-        }
-        out
-    }
-}
-
-impl ControlColumns for Columns<'_> {
-    fn n_columns(&self) -> usize {
-        self.n
-    }
-
-    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
-        for (coefficient, weight) in self.knots.at_node(&self.grid, k) {
-            if weight == 0.0 {
-                continue;
-            }
-            for (at, (effects, scale)) in self.effects.iter().zip(self.scales).enumerate() {
-                let column = coefficient * self.effects.len() + at;
-                for &(node, component, effect) in effects {
-                    if node < self.rod.n_nodes() {
-                        visit(column, node, component, weight * scale * effect);
-                    }
-                }
-            }
-        }
-        for &(at, function) in self.of_poses {
-            let own = &self.rod.actuators.functions()[function];
-            let (x, r) = (
-                self.trajectory.positions_at(k),
-                self.trajectory.rotations_at(k),
-            );
-            let wrench = own.wrench(&own.pose(x, r), own.weight * self.scales[at]);
-            for (coefficient, weight) in self.knots.at_node(&self.grid, k) {
-                let column = coefficient * self.effects.len() + at;
-                for (component, slope) in wrench.to_array().into_iter().enumerate() {
-                    if weight * slope != 0.0 {
-                        visit(column, own.node, component, weight * slope);
-                    }
-                }
-            }
-        }
-        let Some(pulls) = self.pulls else {
-            return;
-        };
-        for (index, &at) in self.of_efforts.iter().enumerate() {
-            pulls.visit_sets(k, index, &mut |times, factor, wrenches| {
-                for (coefficient, weight) in self.shares(times) {
-                    let weight = weight * factor * self.scales[at];
-                    if weight == 0.0 {
-                        continue;
-                    }
-                    let column = coefficient * self.effects.len() + at;
-                    for (place, wrench) in wrenches.iter().enumerate() {
-                        if *wrench != 0.0 {
-                            visit(column, place / 6, place % 6, weight * wrench);
-                        }
-                    }
-                }
-            });
-        }
-    }
-
-    fn n_started(&self, _: usize) -> usize {
-        self.n
-    }
-}
-
 impl Horizon {
     /// Creates the horizon. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated limit.
     pub fn new(
@@ -239,11 +147,6 @@ impl Horizon {
         if problem.goals.iter().any(has_tolerance) {
             return Err(MpcError::Unsupported(
                 "the controller's targets are soft; leave out tolerances of targets",
-            ));
-        }
-        if problem.rod.actuators.has_winches() {
-            return Err(MpcError::Unsupported(
-                "the controller does not know winches of actuators in the arm; leave them out",
             ));
         }
         if problem.duration.is_some() {
@@ -306,6 +209,7 @@ impl Horizon {
             let whole = evaluated(&problem, &trajectory, grid, &start);
             Rows::new(&problem, &whole.states, weight, price, n_states)
         };
+        let winches = WinchSlopes::of(&problem.rod, &on_strains, grid);
         let (sweep, pulls) = {
             let motion = Motion {
                 rod: &problem.rod,
@@ -322,6 +226,7 @@ impl Horizon {
                 effects: &effects,
                 pulls: pulls.as_ref(),
                 of_efforts: &of_efforts,
+                winches: winches.as_ref(),
                 of_poses: &of_poses,
                 rod: &problem.rod,
                 trajectory: &trajectory,
@@ -338,6 +243,7 @@ impl Horizon {
             order,
             efforts,
             pulls,
+            winches,
             of_efforts,
             of_poses,
             model,
@@ -595,12 +501,16 @@ impl Horizon {
         if let Some(pulls) = &mut self.pulls {
             pulls.evaluate(&motion, &self.trajectory, None);
         }
+        if let Some(winches) = &mut self.winches {
+            winches.evaluate(&motion, &self.trajectory);
+        }
         let columns = Columns {
             knots: &self.knots,
             grid: self.grid,
             effects: &self.effects,
             pulls: self.pulls.as_ref(),
             of_efforts: &self.of_efforts,
+            winches: self.winches.as_ref(),
             of_poses: &self.of_poses,
             rod: &self.problem.rod,
             trajectory: &self.trajectory,

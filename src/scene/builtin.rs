@@ -82,6 +82,10 @@ const SCENES: [(&str, &str); 29] = [
         include_str!("../../examples/scenes/mpc-tendons.toml"),
     ),
     (
+        "mpc-guidewire",
+        include_str!("../../examples/scenes/mpc-guidewire.toml"),
+    ),
+    (
         "mpc-reach",
         include_str!("../../examples/scenes/mpc-reach.toml"),
     ),

@@ -306,19 +306,12 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: winches, waypoints, a free duration and cubic blocks.
+    /// Refuses features that the controller does not support: waypoints, a free duration and cubic blocks.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
-        let winch = self.winch();
         let refusals = [
-            (
-                winch.as_deref().unwrap_or_default(),
-                winch.is_some(),
-                "a closed loop does not know winches yet",
-                "give bounds on the tension",
-            ),
             (
                 "task.via",
                 task.is_some_and(|task| !task.via.is_empty()),

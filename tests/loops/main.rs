@@ -20,3 +20,5 @@ mod mpc_poses;
 mod mpc_sensors;
 mod mpc_serving;
 mod mpc_serving_talk;
+mod mpc_winches;
+mod retracing;

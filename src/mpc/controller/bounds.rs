@@ -68,10 +68,10 @@ pub(super) fn is_slow(channel: &Channel) -> bool {
     }
 }
 
-/// Tells whether the first coefficient of a channel is the control that acts: no course but a constant one jumps if its rate is bounded or it
-/// follows its command with a lag.
+/// Tells whether the first coefficient of a channel is the control that acts: no course but a constant one jumps if its rate is bounded, if
+/// it follows its command with a lag, or if it is that of a winch.
 fn begins_at_acting(channel: &Channel, is_constant: bool) -> bool {
-    !is_constant && (is_slow(channel) || channel.lag > 0.0)
+    !is_constant && (is_slow(channel) || channel.from_rest)
 }
 
 /// Returns the largest fraction of the step `change` that is within `limit` times `factor`.
@@ -221,7 +221,7 @@ impl Controller {
                     all
                 };
                 at = match rate {
-                    None if channel.lag > 0.0 => at + all,
+                    None if begins && time > 0.0 => at + all,
                     None => at,
                     Some(bound @ Bound::Norm(_)) => {
                         at * (1.0 - part_within(&bound, SLOWER * time, &at))

@@ -157,7 +157,7 @@ impl Outlet {
             for c in range {
                 if is_constant {
                     sent.to[c] = sent.from[c];
-                } else if rate.is_some() {
+                } else if rate.is_some() || channel.from_rest {
                     sent.from[c] = acting[c];
                 }
             }

@@ -400,13 +400,6 @@ impl Scene {
         Some((index, own.bounds.1.is_some(), own.rest.1))
     }
 
-    /// Returns a key of the first actuator on a winch, which closed loops do not know.
-    pub(in crate::scene) fn winch(&self) -> Option<String> {
-        let all = self.hardware();
-        let own = &all.iter().find(|own| own.effort.winch.is_some())?.effort;
-        Some(format!("{}.{}.compliance_1_n", own.section, own.index))
-    }
-
     /// Returns the lags of the actuators on strains, s.
     pub(in crate::scene) fn lags(&self) -> Vec<Option<f64>> {
         self.hardware().iter().map(|own| own.effort.lag).collect()
