@@ -176,9 +176,9 @@ pub fn posed_arm(youngs: f64) -> Arm {
 
 /// Largest field, T, and largest tension, N, of [`posed_task`].
 #[allow(dead_code)]
-pub const FIELD: f64 = 0.03;
+pub const FIELD: f64 = 0.1;
 #[allow(dead_code)]
-pub const CABLE: f64 = 0.1;
+pub const CABLE: f64 = 0.05;
 
 /// The tip of [`posed_arm`] goes aside and back, along the surface on which an arm that is bent and not compressed has its tip.
 #[allow(dead_code)]
