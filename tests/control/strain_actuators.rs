@@ -243,6 +243,59 @@ fn tendons_reach_and_stay() {
     }
 }
 
+/// Bounds on the rates of tensions hold in a solve: at 0.7 of the fastest rate of the solution without them, tensions change that fast and no
+/// faster, at a higher cost.
+#[test]
+fn rates_of_tensions_are_bounded() {
+    let arm = four_tendons();
+    let discretization = Discretization {
+        blocks: 10,
+        hold: Hold::Linear,
+        ..Discretization::with_elements(5)
+    };
+    let target = tip_under(&arm, &discretization, &[0.3, 0.2, 0.05, 0.05]);
+    let solved = |rate: Option<f64>| {
+        let mut task = Task::reach(target, 1.0, 1.0);
+        task.start.shape = StartShape::Equilibrium;
+        task.actuators.clear();
+        task.efforts = (0..4)
+            .map(|actuator| EffortControl {
+                actuator,
+                bounds: [0.0, 1.0],
+                // Infinite rates bound nothing, and let a tension begin at the pretension as finite ones do.
+                rate: Some([-1.0, 1.0].map(|sign| sign * rate.unwrap_or(f64::INFINITY))),
+                scale: None,
+                lag: None,
+            })
+            .collect();
+        let solution = solve(&arm, &task, &discretization).expect("a solution");
+        let check = solution.certify().expect("a check");
+        assert!(check.is_certified(), "{rate:?}: {:?}", check.kkt);
+        let step = solution.problem.discrete.grid.step;
+        let at = |k: usize| -> Vec<f64> {
+            let wrenches = solution.wrenches_at(k);
+            wrenches.iter().flat_map(|w| w.to_array()).collect()
+        };
+        let fastest = (0..solution.problem.discrete.grid.n_steps)
+            .flat_map(|k| at(k + 1).into_iter().zip(at(k)))
+            .map(|(next, now)| (next - now).abs() / step)
+            .fold(0.0, f64::max);
+        (fastest, solution.objective())
+    };
+    let (free, cheap) = solved(None);
+    let bound = 0.7 * free;
+    let (fastest, dear) = solved(Some(bound));
+    assert!(
+        fastest <= bound * (1.0 + 1e-6),
+        "{fastest} N/s, at most {bound}"
+    );
+    assert!(
+        fastest >= bound * (1.0 - 1e-3),
+        "{fastest} N/s, as fast as {bound}"
+    );
+    assert!(dear > cheap, "{dear} and {cheap}");
+}
+
 /// A parallel tendon written anew as an actuator of one's own: wrenches on all nodes from the derivative of its length, with Jacobians by
 /// differences.
 #[derive(Debug)]
