@@ -210,20 +210,14 @@ impl Rod {
     ) -> Vec<EffortSlope> {
         let mut out = Vec::new();
         let mut memory = SlopeMemory::of(self);
-        memory.visit(
-            self,
-            inputs,
-            (positions, rotations),
-            |actuator, slope, pull| {
-                if slope != 0.0 {
-                    out.push(EffortSlope {
-                        actuator,
-                        slope,
-                        pull: pull.clone(),
-                    });
-                }
-            },
-        );
+        memory.visit(self, inputs, (positions, rotations), |_, slope, pull| {
+            if slope != 0.0 {
+                out.push(EffortSlope {
+                    slope,
+                    pull: pull.clone(),
+                });
+            }
+        });
         out
     }
 }
