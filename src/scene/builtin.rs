@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 29] = [
+const SCENES: [(&str, &str); 30] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -80,6 +80,10 @@ const SCENES: [(&str, &str); 29] = [
     (
         "mpc-tendons",
         include_str!("../../examples/scenes/mpc-tendons.toml"),
+    ),
+    (
+        "mpc-guidewire",
+        include_str!("../../examples/scenes/mpc-guidewire.toml"),
     ),
     (
         "mpc-reach",

@@ -447,6 +447,18 @@ impl RodActuators {
         strain: impl Fn(usize) -> ElementStrain,
     ) -> Vec<f64> {
         let mut out = vec![0.0; self.drives.len()];
+        self.add_strain_coordinates(rule, elements, strain, &mut out);
+        out
+    }
+
+    /// Adds the coordinates of all actuators for the strains of the elements.
+    fn add_strain_coordinates(
+        &self,
+        rule: StrainRule,
+        elements: &[Element],
+        strain: impl Fn(usize) -> ElementStrain,
+        out: &mut [f64],
+    ) {
         for (q, element) in elements.iter().enumerate() {
             let points = self.on(q);
             if points.is_empty() {
@@ -462,7 +474,6 @@ impl RodActuators {
                 out[point.actuator] += at.value(point.density, &linear[..ends], psi);
             }
         }
-        out
     }
 
     /// Tells whether the effort of any of them depends on the configuration.
@@ -738,18 +749,32 @@ impl Rod {
         positions: &[Vector3<f64>],
         rotations: &[nalgebra::Matrix3<f64>],
     ) -> Vec<f64> {
-        let mut out = (self.actuators).strain_coordinates(self.strain_rule, &self.elements, |q| {
+        let mut out = vec![0.0; self.actuators.len()];
+        self.write_actuator_coordinates(positions, rotations, &mut out);
+        out
+    }
+
+    /// Writes [`Self::actuator_coordinates`] to existing memory.
+    pub fn write_actuator_coordinates(
+        &self,
+        positions: &[Vector3<f64>],
+        rotations: &[nalgebra::Matrix3<f64>],
+        out: &mut [f64],
+    ) {
+        out.fill(0.0);
+        let strain = |q: usize| {
             let pose = Self::element_pose(q, positions, rotations);
             let length = self.elements[q].length;
             self.strain_rule.strain(length, &pose)
-        });
+        };
+        let (rule, elements) = (self.strain_rule, &self.elements[..]);
+        (self.actuators).add_strain_coordinates(rule, elements, strain, out);
         for own in self.actuators.functions() {
             if let Some(actuator) = own.actuator {
                 let at = own.pose(positions, rotations);
                 out[actuator] += own.weight * own.function.function().value(&at);
             }
         }
-        out
     }
 
     /// Returns the coordinates of the actuators at the mean strains of an interval.
@@ -768,17 +793,29 @@ impl Rod {
     #[must_use]
     pub fn efforts_at(
         &self,
-        inputs: Vec<f64>,
+        mut inputs: Vec<f64>,
         positions: &[Vector3<f64>],
         rotations: &[nalgebra::Matrix3<f64>],
     ) -> Vec<f64> {
-        if !self.actuators.has_winches() {
-            return inputs;
+        if self.actuators.has_winches() {
+            let mut coordinates = vec![0.0; inputs.len()];
+            self.turn_into_efforts(&mut inputs, positions, rotations, &mut coordinates);
         }
-        let coordinates = self.actuator_coordinates(positions, rotations);
-        (inputs.iter().zip(coordinates).enumerate())
-            .map(|(i, (input, y))| self.actuators.law(i, *input, y).effort)
-            .collect()
+        inputs
+    }
+
+    /// Replaces inputs by the [efforts](Self::efforts_at); `coordinates` is memory.
+    pub fn turn_into_efforts(
+        &self,
+        inputs: &mut [f64],
+        positions: &[Vector3<f64>],
+        rotations: &[nalgebra::Matrix3<f64>],
+        coordinates: &mut [f64],
+    ) {
+        self.write_actuator_coordinates(positions, rotations, coordinates);
+        for (i, (input, y)) in inputs.iter_mut().zip(coordinates).enumerate() {
+            *input = self.actuators.law(i, *input, *y).effort;
+        }
     }
 
     /// Returns the potential of the actuators for their inputs, J: `-Σ u y`, and of winches the energy of their tendons, `½ C a T²`.

@@ -53,7 +53,8 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, Output
     let shown = efforts::shown(rod, record, &task.efforts, &|row| {
         // A motion that is thinned has rows at some time nodes.
         let k = ((record.t[row] - grid.start) / grid.step).round() as usize;
-        table.nodes[k.min(grid.n_steps) * table.n_actuators..][..table.n_actuators].to_vec()
+        let inputs = &table.nodes[k.min(grid.n_steps) * table.n_actuators..][..table.n_actuators];
+        efforts::of_inputs(rod, record, row, inputs.to_vec())
     });
     columns.extend(shown.columns);
     let context = json!({
