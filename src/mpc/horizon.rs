@@ -224,9 +224,9 @@ impl Horizon {
                 "the controller knows neither winches nor lags of actuators in the arm; leave them out",
             ));
         }
-        if !problem.rod.actuators.functions().is_empty() {
+        if (problem.rod.actuators.functions().iter()).any(|own| own.actuator.is_some()) {
             return Err(MpcError::Unsupported(
-                "the controller does not know actuators on poses (magnets, cables) and potentials of nodes; leave them out",
+                "the controller does not know actuators on poses (magnets, cables); leave them out",
             ));
         }
         if problem.duration.is_some() {

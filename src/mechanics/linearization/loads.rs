@@ -1,7 +1,7 @@
 //! Derivatives of the wrenches of loads and of actuators of one's own along the configuration.
 
 use faer::Mat;
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Matrix6};
 
 use super::Motion;
 use crate::mechanics::actuator::{ActingDerivative, StateView};
@@ -64,12 +64,13 @@ pub(in crate::mechanics) fn acting_derivatives(
     let efforts = motion.efforts_at(k);
     let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
     out.extend(
-        (motion.rod.posed(Posed::All, &efforts)).map(|(own, factor)| {
+        (motion.rod.posed(Posed::All, &efforts)).filter_map(|(own, factor)| {
             let tangent = own.function.tangent(&own.pose(x, r)) * factor;
-            ActingDerivative {
+            // That of a node that touches nothing is zero.
+            (tangent != Matrix6::zeros()).then(|| ActingDerivative {
                 nodes: vec![own.node],
                 matrix: Mat::from_fn(6, 6, |i, j| tangent[(i, j)]),
-            }
+            })
         }),
     );
     out
