@@ -14,12 +14,14 @@ use pulp::{Scalar, Simd};
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
 use super::{Rod, RodError, require};
 use crate::mechanics::configuration::Configuration;
+use crate::mechanics::contact::Contact;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
     ElementStrain, IntervalStress, StrainRule,
 };
 use crate::mechanics::load::profile;
 use crate::mechanics::mesh::Mesh;
+use crate::mechanics::rows;
 use crate::mechanics::time::TimeNode;
 use crate::mechanics::vector::{Lanes, Vec3};
 
@@ -389,6 +391,36 @@ impl RodActuators {
             }
         }
         Ok(out)
+    }
+
+    /// Adds the contact of this index, of a rod with these radii.
+    ///
+    /// # Errors
+    /// Returns [`RodError`] for a part that does not exist.
+    pub(super) fn add_contact(
+        &mut self,
+        (index, contact): (usize, &Contact),
+        radii: &[(f64, f64)],
+        mesh: &Mesh,
+    ) -> Result<(), RodError> {
+        let [from, to] = contact.part;
+        let touch = |radius| OfPose::Touch(contact.on_node(index, radius));
+        let along = (Span::Along(from, to), touch(0.0));
+        let placed = PlacedFunction::placed(&along, None, mesh)?;
+        self.functions.extend(placed.map(|own| PlacedFunction {
+            function: touch(rows::largest(radii, mesh.fraction(own.node)).unwrap_or(0.0)),
+            ..own
+        }));
+        Ok(())
+    }
+
+    /// Multiplies the forces of all contacts.
+    pub(in crate::mechanics) fn multiply_contact_forces(&mut self, factor: f64) {
+        for own in &mut self.functions {
+            if let OfPose::Touch(touch) = &mut own.function {
+                touch.force *= factor;
+            }
+        }
     }
 
     fn on_strains(actuators: &[StrainActuator], elements: &[Element]) -> Result<Self, RodError> {
