@@ -27,9 +27,9 @@ use crate::control::path::{PathLimit, RodView};
 use crate::control::{Component, Enforcement, Goal, OptimalControlProblem, Shape, residual};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
-use crate::mechanics::sensitivity::{ControlColumns, EffortPulls, RepeatedReverse};
+use crate::mechanics::sensitivity::{ControlColumns, EffortColumns, EffortPulls, RepeatedReverse};
 use crate::mechanics::{
-    ControlSignal, Efforts, Rod, State, StepError, TimeGrid, Trajectory, Wrench,
+    ControlSignal, Efforts, Rod, State, StepError, TimeGrid, TimeScheme, Trajectory, Wrench,
 };
 use crate::stop::StopSignal;
 
@@ -70,6 +70,14 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
         }
     };
     Some(components.iter().map(of).collect())
+}
+
+/// Returns the number of time nodes on whose efforts the stress of an actuator depends.
+fn ends(problem: &OptimalControlProblem) -> usize {
+    match problem.rod.scheme {
+        TimeScheme::Explicit => 1,
+        TimeScheme::Implicit => 2,
+    }
 }
 
 /// Returns the actuators in the arm whose efforts are controls.
@@ -135,6 +143,8 @@ struct Columns<'a> {
     /// Wrenches of unit efforts, and the components that are efforts, in the order of the driven actuators.
     pulls: Option<&'a EffortPulls>,
     of_efforts: &'a [usize],
+    /// Time nodes on whose efforts the stress of an actuator depends: that at which it acts, or both ends of an interval.
+    ends: usize,
     n_nodes: usize,
     scales: &'a [f64],
     n: usize,
@@ -160,6 +170,20 @@ impl Columns<'_> {
     }
 }
 
+impl EffortColumns for Columns<'_> {
+    fn visit(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64)) {
+        let at = self.of_efforts[index];
+        let both = [set, set + 1];
+        let times = &both[..self.ends];
+        for (coefficient, weight) in self.shares(times) {
+            if weight != 0.0 {
+                let column = coefficient * self.effects.len() + at;
+                visit(column, weight * self.scales[at] / self.ends as f64);
+            }
+        }
+    }
+}
+
 impl ControlColumns for Columns<'_> {
     fn n_columns(&self) -> usize {
         self.n
@@ -179,25 +203,10 @@ impl ControlColumns for Columns<'_> {
                 }
             }
         }
-        let Some(pulls) = self.pulls else {
-            return;
-        };
-        for (index, &at) in self.of_efforts.iter().enumerate() {
-            pulls.visit_sets(k, index, &mut |times, factor, wrenches| {
-                for (coefficient, weight) in self.shares(times) {
-                    let weight = weight * factor * self.scales[at];
-                    if weight == 0.0 {
-                        continue;
-                    }
-                    let column = coefficient * self.effects.len() + at;
-                    for (place, wrench) in wrenches.iter().enumerate() {
-                        if *wrench != 0.0 {
-                            visit(column, place / 6, place % 6, weight * wrench);
-                        }
-                    }
-                }
-            });
-        }
+    }
+
+    fn efforts(&self) -> Option<(&EffortPulls, &dyn EffortColumns)> {
+        Some((self.pulls?, self))
     }
 
     fn n_started(&self, _: usize) -> usize {
@@ -289,13 +298,14 @@ impl Horizon {
                 control: efforts.as_ref(),
             };
             let driven = driven(&problem);
-            let pulls = (!driven.is_empty()).then(|| EffortPulls::new(&motion, driven, false));
+            let pulls = (!driven.is_empty()).then(|| EffortPulls::along(&motion, driven));
             let columns = Columns {
                 knots: &knots,
                 grid,
                 effects: &effects,
                 pulls: pulls.as_ref(),
                 of_efforts: &of_efforts,
+                ends: ends(&problem),
                 n_nodes,
                 scales: &scales,
                 n,
@@ -564,7 +574,7 @@ impl Horizon {
             control: self.efforts.as_ref(),
         };
         if let Some(pulls) = &mut self.pulls {
-            pulls.evaluate(&motion, &self.trajectory, None);
+            pulls.evaluate_along(&motion, &self.trajectory);
         }
         let columns = Columns {
             knots: &self.knots,
@@ -572,6 +582,7 @@ impl Horizon {
             effects: &self.effects,
             pulls: self.pulls.as_ref(),
             of_efforts: &self.of_efforts,
+            ends: ends(&self.problem),
             n_nodes: self.problem.rod.n_nodes(),
             scales: &self.scales,
             n: self.square.nrows(),
