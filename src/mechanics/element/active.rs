@@ -484,14 +484,17 @@ impl<S: Simd, R: TangentRule> Part for Between<'_, S, R> {
                 }
             }
             for i in 0..3 {
+                // Added at once: every sum with the stiffness of the arm itself is rounded by the size of that.
+                let mut block = zero;
                 for end in 0..ends {
                     if R::PATTERN[end][i] {
-                        out[i][j] = out[i][j] + left[end][i].transposed_product(linear[end]);
+                        block = block + left[end][i].transposed_product(linear[end]);
                     }
                 }
                 if R::PATTERN[2][i] {
-                    out[i][j] = out[i][j] + left[2][i].transposed_product(angular);
+                    block = block + left[2][i].transposed_product(angular);
                 }
+                out[i][j] = out[i][j] + block;
             }
         }
     }

@@ -203,11 +203,11 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         let law = Elasticity::of::<R>(simd, element);
         let pose = R::pose(dx, a, b);
         let strain = R::strain(&pose);
-        let mut stress = law.stress(strain.minus(law.rest));
-        let mut tangent = ActiveTangent::zero(simd);
+        let (mut active, mut tangent) = (Stress::zero(simd), ActiveTangent::zero(simd));
         let one = Lanes::splat(simd, 1.0);
-        let sums = (&mut stress, &mut tangent);
+        let sums = (&mut active, &mut tangent);
         self.add_derivatives::<R>(q, element.length, &strain, one, sums);
+        let stress = law.stress(strain.minus(law.rest)).plus(active);
         let mut out = stiffness_under::<S, R>(&law, &pose, &stress);
         let derivative = R::derivative(&pose);
         tangent.add_between::<R>(&derivative, &derivative, &mut out);

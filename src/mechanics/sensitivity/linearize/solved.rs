@@ -314,7 +314,9 @@ impl Group<'_> {
             let mut tangents = None;
             if let Some(active) = active {
                 let poses = [&here, &there, &last];
-                tangents = Some(weights.add_active::<R>(active, rod, q, poses, &mut stress));
+                let mut own = Stress::zero(simd);
+                tangents = Some(weights.add_active::<R>(active, rod, q, poses, &mut own));
+                stress = stress.plus(own);
             }
             let mut kicked = stiffness_under::<S, R>(&scaled, &here, &stress);
             let mut coupling = R::coupling(&law.times(weights.after), &here, &there);
