@@ -17,7 +17,7 @@ use crate::mechanics::configuration::Configuration;
 use crate::mechanics::contact::Contact;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
-    ElementStrain, IntervalStress, StrainRule,
+    ElementStrain, IntervalStress, StrainRule, Stress,
 };
 use crate::mechanics::load::profile;
 use crate::mechanics::mesh::Mesh;
@@ -669,14 +669,19 @@ impl Rod {
     ) -> SMatrix<f64, 9, 9> {
         let length = self.elements[q].length;
         let (linear, psi) = stretched(strain, length);
-        let mut sum = ActiveTangent::zero(Scalar);
+        let (mut sum, mut stress) = (ActiveTangent::zero(Scalar), Stress::zero(Scalar));
         for point in self.actuators.on(q) {
-            let at = point.in_element(Scalar, length);
-            let bends = match self.strain_rule {
-                StrainRule::Helical => at.bends::<1>(point.density, linear, psi),
-                StrainRule::Trapezoidal => at.bends::<2>(point.density, linear, psi),
-            };
-            sum = sum.plus(bends, Lanes::splat(Scalar, -effort(point.actuator)));
+            let at: ActivePoint<Scalar> = point.in_element(Scalar, length);
+            let factor = Lanes::splat(Scalar, -effort(point.actuator));
+            let (density, strain) = (point.density, (linear, psi));
+            match self.strain_rule {
+                StrainRule::Helical => {
+                    at.add_derivatives::<1>(density, strain, factor, &mut stress, &mut sum);
+                }
+                StrainRule::Trapezoidal => {
+                    at.add_derivatives::<2>(density, strain, factor, &mut stress, &mut sum);
+                }
+            }
         }
         let mut out = SMatrix::<f64, 9, 9>::zeros();
         let mut put = |i: usize, j: usize, block: nalgebra::Matrix3<f64>| {
