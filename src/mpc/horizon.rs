@@ -32,7 +32,7 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
 use crate::mechanics::sensitivity::{EffortPulls, RepeatedReverse};
 use crate::mechanics::{
-    ControlSignal, Efforts, Rod, State, StepError, TimeGrid, Trajectory, Wrench,
+    ControlSignal, Efforts, Rod, State, StepError, TimeGrid, TimeScheme, Trajectory, Wrench,
 };
 use crate::stop::StopSignal;
 
@@ -73,6 +73,14 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
         }
     };
     Some(components.iter().map(of).collect())
+}
+
+/// Returns the number of time nodes on whose efforts the stress of an actuator depends.
+fn ends(problem: &OptimalControlProblem) -> usize {
+    match problem.rod.scheme {
+        TimeScheme::Explicit => 1,
+        TimeScheme::Implicit => 2,
+    }
 }
 
 /// Returns the actuators in the arm whose efforts are controls.
@@ -218,8 +226,7 @@ impl Horizon {
                 stop: None,
                 control: efforts.as_ref(),
             };
-            let pulls =
-                (!on_strains.is_empty()).then(|| EffortPulls::new(&motion, &on_strains, false));
+            let pulls = (!on_strains.is_empty()).then(|| EffortPulls::along(&motion, &on_strains));
             let columns = Columns {
                 knots: &knots,
                 grid,
@@ -230,6 +237,7 @@ impl Horizon {
                 of_poses: &of_poses,
                 rod: &problem.rod,
                 trajectory: &trajectory,
+                ends: ends(&problem),
                 scales: &scales,
                 n,
             };
@@ -499,7 +507,7 @@ impl Horizon {
             control: self.efforts.as_ref(),
         };
         if let Some(pulls) = &mut self.pulls {
-            pulls.evaluate(&motion, &self.trajectory, None);
+            pulls.evaluate_along(&motion, &self.trajectory);
         }
         if let Some(winches) = &mut self.winches {
             winches.evaluate(&motion, &self.trajectory);
@@ -514,6 +522,7 @@ impl Horizon {
             of_poses: &self.of_poses,
             rod: &self.problem.rod,
             trajectory: &self.trajectory,
+            ends: ends(&self.problem),
             scales: &self.scales,
             n: self.square.nrows(),
         };

@@ -201,7 +201,7 @@ impl Scene {
         let counted_from =
             (mpc.counted_from_s).map_or_else(|| followed.fold(period, f64::max), Number::get);
 
-        let mut resolved = self.resolved(&discretization);
+        let mut resolved = self.resolved(&arm, &discretization);
         resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
         let mut objective = self.objective.clone().unwrap_or_default();
         for (track, discrete) in

@@ -798,7 +798,7 @@ fn unknown_scene_names() {
     let expected = "\
 error: no file and no built-in scene of this name
   --> raech.toml
-help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, reach-obstacle, reach-tendons, \
+help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, reach-obstacle, reach-table, reach-tendons, \
 till-tendons, knode-tendons, soromox-tendons, stiff-flop, elastica-muscles, reach-guidewire, paper-arm, swing, \
 shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence, \
 mpc-track-circle, mpc-tendons, mpc-guidewire, mpc-reach, mpc-push, mpc-payload, mpc-delay, mpc-catch, mpc-obstacle, \

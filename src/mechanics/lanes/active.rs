@@ -182,10 +182,12 @@ impl<S: Simd> ActiveBlocks<'_, S> {
     ) -> ActiveTangent<S> {
         let simd = psi.x.simd;
         let mut sum = ActiveTangent::zero(simd);
+        let mut stress = Stress::zero(simd);
         for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
             let point = self.point(simd, block * self.kinds.len() + i);
-            let bends = point.bends::<ENDS>(density, linear, psi);
-            sum = sum.plus(bends, Lanes::splat(simd, -self.efforts[actuator]));
+            let factor = Lanes::splat(simd, -self.efforts[actuator]);
+            let strain = (linear, psi);
+            point.add_derivatives::<ENDS>(density, strain, factor, &mut stress, &mut sum);
         }
         sum
     }

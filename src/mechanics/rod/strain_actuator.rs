@@ -14,12 +14,14 @@ use pulp::{Scalar, Simd};
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
 use super::{Rod, RodError, require};
 use crate::mechanics::configuration::Configuration;
+use crate::mechanics::contact::Contact;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
-    ElementStrain, IntervalStress, StrainRule,
+    ElementStrain, IntervalStress, StrainRule, Stress,
 };
 use crate::mechanics::load::profile;
 use crate::mechanics::mesh::Mesh;
+use crate::mechanics::rows;
 use crate::mechanics::time::TimeNode;
 use crate::mechanics::vector::{Lanes, Vec3};
 
@@ -391,6 +393,36 @@ impl RodActuators {
         Ok(out)
     }
 
+    /// Adds the contact of this index, of a rod with these radii.
+    ///
+    /// # Errors
+    /// Returns [`RodError`] for a part that does not exist.
+    pub(super) fn add_contact(
+        &mut self,
+        (index, contact): (usize, &Contact),
+        radii: &[(f64, f64)],
+        mesh: &Mesh,
+    ) -> Result<(), RodError> {
+        let [from, to] = contact.part;
+        let touch = |radius| OfPose::Touch(contact.on_node(index, radius));
+        let along = (Span::Along(from, to), touch(0.0));
+        let placed = PlacedFunction::placed(&along, None, mesh)?;
+        self.functions.extend(placed.map(|own| PlacedFunction {
+            function: touch(rows::largest(radii, mesh.fraction(own.node)).unwrap_or(0.0)),
+            ..own
+        }));
+        Ok(())
+    }
+
+    /// Multiplies the forces of all contacts.
+    pub(in crate::mechanics) fn multiply_contact_forces(&mut self, factor: f64) {
+        for own in &mut self.functions {
+            if let OfPose::Touch(touch) = &mut own.function {
+                touch.force *= factor;
+            }
+        }
+    }
+
     fn on_strains(actuators: &[StrainActuator], elements: &[Element]) -> Result<Self, RodError> {
         let lengths: Vec<f64> = elements.iter().map(|element| element.length).collect();
         actuators.iter().try_for_each(StrainActuator::check)?;
@@ -637,14 +669,19 @@ impl Rod {
     ) -> SMatrix<f64, 9, 9> {
         let length = self.elements[q].length;
         let (linear, psi) = stretched(strain, length);
-        let mut sum = ActiveTangent::zero(Scalar);
+        let (mut sum, mut stress) = (ActiveTangent::zero(Scalar), Stress::zero(Scalar));
         for point in self.actuators.on(q) {
-            let at = point.in_element(Scalar, length);
-            let bends = match self.strain_rule {
-                StrainRule::Helical => at.bends::<1>(point.density, linear, psi),
-                StrainRule::Trapezoidal => at.bends::<2>(point.density, linear, psi),
-            };
-            sum = sum.plus(bends, Lanes::splat(Scalar, -effort(point.actuator)));
+            let at: ActivePoint<Scalar> = point.in_element(Scalar, length);
+            let factor = Lanes::splat(Scalar, -effort(point.actuator));
+            let (density, strain) = (point.density, (linear, psi));
+            match self.strain_rule {
+                StrainRule::Helical => {
+                    at.add_derivatives::<1>(density, strain, factor, &mut stress, &mut sum);
+                }
+                StrainRule::Trapezoidal => {
+                    at.add_derivatives::<2>(density, strain, factor, &mut stress, &mut sum);
+                }
+            }
         }
         let mut out = SMatrix::<f64, 9, 9>::zeros();
         let mut put = |i: usize, j: usize, block: nalgebra::Matrix3<f64>| {

@@ -330,6 +330,9 @@ pub(super) struct StepCurvature {
     pub couplings: Vec<[[[f64; 3]; 3]; 2]>,
     /// Couplings of an element with itself at `k - 1` and `k + 1`, in the order of `elements`; zero likewise, or absent.
     pub stresses: Vec<[[[f64; 9]; 9]; 2]>,
+    /// Mixed second derivatives along the efforts of a control and the configuration at `k`: `(δx, ζ)` of every node, for all driven
+    /// actuators of every set of [`EffortPulls::sets_at`](super::EffortPulls::sets_at).
+    pub mixed: Vec<f64>,
 }
 
 /// A matrix over `(dx, ζ_a, ζ_b)` added to one in the order `ζ_a, dx, ζ_b`.
@@ -355,6 +358,7 @@ impl StepCurvature {
             elements,
             couplings,
             stresses,
+            ..
         } = self;
         let stressed = !(last.stress.is_empty() && next.stress.is_empty());
         stresses.clear();

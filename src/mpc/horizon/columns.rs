@@ -2,7 +2,7 @@
 
 use super::Effect;
 use crate::mechanics::linearization::Motion;
-use crate::mechanics::sensitivity::{ControlColumns, EffortPulls};
+use crate::mechanics::sensitivity::{ControlColumns, EffortColumns, EffortPulls};
 use crate::mechanics::{Rod, TimeGrid, Trajectory};
 use crate::mpc::knots::Knots;
 
@@ -14,6 +14,8 @@ pub(super) struct Columns<'a> {
     /// Wrenches of unit efforts, and the components that are efforts, in the order of the driven actuators on strains.
     pub pulls: Option<&'a EffortPulls>,
     pub of_efforts: &'a [usize],
+    /// Time nodes on whose efforts the stress of an actuator depends: that at which it acts, or both ends of an interval.
+    pub ends: usize,
     pub winches: Option<&'a WinchSlopes>,
     /// Components that are efforts of actuators on poses, and their functions.
     pub of_poses: &'a [(usize, usize)],
@@ -40,6 +42,24 @@ impl Columns<'_> {
             }
         }
         out
+    }
+}
+
+impl EffortColumns for Columns<'_> {
+    fn visit(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64)) {
+        let at = self.of_efforts[index];
+        let both = [set, set + 1];
+        let times = &both[..self.ends];
+        // Winches have steps that are explicit, whose sets are time nodes.
+        let slope = self
+            .winches
+            .map_or(1.0, |winches| winches.slope(set, index));
+        for (coefficient, weight) in self.shares(times) {
+            if weight != 0.0 {
+                let column = coefficient * self.effects.len() + at;
+                visit(column, weight * self.scales[at] * slope / self.ends as f64);
+            }
+        }
     }
 }
 
@@ -78,26 +98,10 @@ impl ControlColumns for Columns<'_> {
                 }
             }
         }
-        let Some(pulls) = self.pulls else {
-            return;
-        };
-        for (index, &at) in self.of_efforts.iter().enumerate() {
-            let slope = self.winches.map_or(1.0, |winches| winches.slope(k, index));
-            pulls.visit_sets(k, index, &mut |times, factor, wrenches| {
-                for (coefficient, weight) in self.shares(times) {
-                    let weight = weight * factor * self.scales[at] * slope;
-                    if weight == 0.0 {
-                        continue;
-                    }
-                    let column = coefficient * self.effects.len() + at;
-                    for (place, wrench) in wrenches.iter().enumerate() {
-                        if *wrench != 0.0 {
-                            visit(column, place / 6, place % 6, weight * wrench);
-                        }
-                    }
-                }
-            });
-        }
+    }
+
+    fn efforts(&self) -> Option<(&EffortPulls, &dyn EffortColumns)> {
+        Some((self.pulls?, self))
     }
 
     fn n_started(&self, _: usize) -> usize {
