@@ -1,7 +1,7 @@
 //! User-defined actuators along a point: the columns of their controls, and their part of the Hessian of the Lagrangian.
 
 use faer::Mat;
-use nalgebra::Vector6;
+use nalgebra::{Matrix6, Vector6};
 
 use super::path::RowGradient;
 use super::problem::{Component, OptimalControlProblem};
@@ -406,6 +406,10 @@ impl<'a> ActingAlong<'a> {
             let bent = own
                 .function
                 .curvature(&own.pose(x, r), &covector, rod.scales.length);
+            // A node that touches nothing.
+            if bent == Matrix6::zeros() {
+                continue;
+            }
             along_states.push(OwnCurvature {
                 time_node: k,
                 rows: (0..6).map(|component| (own.node, component)).collect(),

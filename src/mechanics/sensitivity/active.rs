@@ -6,12 +6,14 @@ use std::ops::Range;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::linearize::Along;
+use super::step::WinchKick;
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Blocks, Displacement, Elasticity, Element, Helical, StrainRule,
     Stress, TangentRule, Trapezoidal, Turns, stiffness_under,
 };
+use crate::mechanics::forces::SlopeMemory;
 use crate::mechanics::lanes::curved::{CurvedEnd, StressBlocks};
 use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS, put_pose};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
@@ -37,6 +39,9 @@ pub(super) struct ActiveTimes {
     /// Efforts of the time nodes, or of the intervals after them and then of those before them.
     lanes: Buffer,
     intervals: bool,
+    /// Memory for the efforts of winches, and for coordinates.
+    efforts: [Vec<f64>; 2],
+    slopes: SlopeMemory,
 }
 
 impl ActiveTimes {
@@ -54,6 +59,8 @@ impl ActiveTimes {
             interval: vec![0.0; actuators.len()],
             lanes: Buffer::zeros(n_rows * n_lanes),
             intervals,
+            efforts: [(); 2].map(|()| vec![0.0; actuators.len()]),
+            slopes: SlopeMemory::of(motion.rod),
         })
     }
 
@@ -92,8 +99,10 @@ impl ActiveTimes {
         }
         let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
         if rod.actuators.has_winches() {
-            let efforts = rod.efforts_at(inputs.to_vec(), x, r);
-            for (actuator, effort) in efforts.into_iter().enumerate() {
+            let [efforts, coordinates] = &mut self.efforts;
+            efforts.copy_from_slice(inputs);
+            rod.turn_into_efforts(efforts, x, r, coordinates);
+            for (actuator, &effort) in efforts.iter().enumerate() {
                 self.lanes[actuator * n_lanes + lane] = effort;
             }
             return;
@@ -101,6 +110,26 @@ impl ActiveTimes {
         for (actuator, effort) in inputs.iter().enumerate() {
             self.lanes[actuator * n_lanes + lane] = *effort;
         }
+    }
+
+    /// Writes the kicks of winches at time node `k` of a trajectory, which is in a lane; that of a slack tendon is none.
+    pub fn write_winch_kicks(
+        &mut self,
+        (rod, trajectory): (&Rod, &Trajectory),
+        (k, lane): (usize, usize),
+        weight: f64,
+        out: &mut Vec<WinchKick>,
+    ) {
+        let inputs = &self.inputs[lane * self.n_actuators..][..self.n_actuators];
+        let at = (trajectory.positions_at(k), trajectory.rotations_at(k));
+        let mut index = 0;
+        (self.slopes).visit(rod, inputs, at, |actuator, slope, pull| {
+            if index == out.len() {
+                out.push(WinchKick::default());
+            }
+            out[index].renew(rod, actuator, weight * slope, pull);
+            index += 1;
+        });
     }
 
     /// Returns the efforts of the one time node of a group.

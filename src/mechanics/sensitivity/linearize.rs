@@ -14,7 +14,7 @@ pub(super) use self::solved::{Weights, element_at};
 use super::active::{ActiveTimes, MixedSlopes};
 use super::dilated::element_drifts;
 use super::step::{
-    LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_acting, pack_loads,
+    ActingKick, LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_loads,
     square,
 };
 use crate::mechanics::buffer::Buffer;
@@ -227,23 +227,27 @@ pub(super) fn turn_error(motion: &Motion, trajectory: &Trajectory, k: usize) -> 
         })
 }
 
-/// Returns the kicks of winches with tension at time node `k` in a lane.
-fn winch_kicks(
+/// Writes the kicks of actuators of one's own and of functions of nodes at time node `k`, which is in a lane.
+fn write_acting_kicks(
     along: &Along,
     active: Option<&ActiveTimes>,
     (k, lane): (usize, usize),
     weight: f64,
-) -> Vec<WinchKick> {
-    let (Some(active), rod) = (active, along.motion.rod) else {
-        return Vec::new();
-    };
-    let (x, r) = (
-        along.trajectory.positions_at(k),
-        along.trajectory.rotations_at(k),
-    );
-    (rod.effort_slopes(active.inputs(lane), x, r).iter())
-        .map(|slope| WinchKick::new(rod, slope, weight))
-        .collect()
+    out: &mut Vec<ActingKick>,
+) {
+    let (rod, trajectory) = (along.motion.rod, along.trajectory);
+    let own = acting_derivatives(along.motion, trajectory, k);
+    let functions = rod.actuators.functions();
+    out.resize_with(own.len() + functions.len(), ActingKick::default);
+    for (kick, acting) in out.iter_mut().zip(&own) {
+        *kick = ActingKick::new(acting, weight);
+    }
+    let efforts = active.map_or(&[][..], |active| active.inputs(lane));
+    let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+    for (kick, function) in out[own.len()..].iter_mut().zip(functions) {
+        let tangent = function.function.tangent(&function.pose(x, r)) * function.factor(efforts);
+        kick.renew(function.node, &tangent, weight);
+    }
 }
 
 impl WinchKick {
@@ -620,14 +624,12 @@ impl Group<'_> {
                 &load_derivatives(self.along.motion, self.along.trajectory, k),
                 kick.weight,
             );
-            step.acting = pack_acting(
-                &acting_derivatives(self.along.motion, self.along.trajectory, k),
-                kick.weight,
-            );
-            step.winches = {
-                let active = self.workspace.active.as_ref();
-                winch_kicks(self.along, active, (k, lane), kick.weight)
-            };
+            let active = self.workspace.active.as_ref();
+            write_acting_kicks(self.along, active, (k, lane), kick.weight, &mut step.acting);
+            if let Some(active) = &mut self.workspace.active {
+                let at = (self.along.motion.rod, self.along.trajectory);
+                active.write_winch_kicks(at, (k, lane), kick.weight, &mut step.winches);
+            }
             step.first_free_node = rod.first_free_node();
             step.joints.clone_from(&rod.joints);
             step.element_drifts.clear();
