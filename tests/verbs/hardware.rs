@@ -8,6 +8,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
+use nalgebra::Vector3;
 use serde_json::Value;
 use softarm::output::{EffortRow, MotionRecord, read_efforts};
 use softarm::scene::Scene;
@@ -261,4 +262,25 @@ fn efforts_are_carried_to_finer_grids() {
     let [a, b] = [&summary, &alone].map(|own| own["objective"].as_f64().unwrap());
     // Both are optima of one grid, of objectives that a solve knows to the square of its tolerance.
     assert!((a - b).abs() < 1e-6 * b.abs(), "{a} {b}");
+}
+
+/// A soft goal is solved at any weight, on grids whose subproblems have many tensions at their bounds: the variables of the goal have a penalty
+/// of unit curvature, whatever the weight is. The distance that is left falls as the inverse of a large weight, to first order in it.
+#[test]
+fn heavy_weights_are_solved() {
+    let desk = Desk::new();
+    let left = |weight: &str| {
+        let set = "--set rod.elements=16 --set solver.max_iterations=40";
+        desk.done(&format!(
+            "solve arm.toml {set} --set task.weight={weight} --out run"
+        ));
+        let (motion, _) = desk.efforts("run");
+        let tip = motion.positions.last().unwrap().last().unwrap();
+        (Vector3::from(*tip) - Vector3::new(0.03, 0.0, -0.29)).norm()
+    };
+    let [light, heavy, heaviest] = ["1e2", "1e4", "1e5"].map(left);
+    assert!(
+        heaviest < heavy && heavy < light,
+        "{light:e} {heavy:e} {heaviest:e}"
+    );
 }
