@@ -284,3 +284,36 @@ fn heavy_weights_are_solved() {
         "{light:e} {heavy:e} {heaviest:e}"
     );
 }
+
+/// `check` says of every tendon its bounds and its tension at the target, and of chambers, muscles and magnets likewise. Implicit steps beyond the
+/// limit of an arm that a moment bends are a remark only where something else than actuators along the arm bends it, or nothing damps it.
+#[test]
+fn check_names_every_actuator() {
+    let desk = Desk::new();
+    let talk = |line: &str| {
+        let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(line.split_whitespace())
+            .current_dir(desk.0.path())
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(DONE), "{line}");
+        String::from_utf8_lossy(&output.stderr).into_owned()
+            + &String::from_utf8_lossy(&output.stdout)
+    };
+    for scene in ["till-tendons", "knode-tendons"] {
+        let words = talk(&format!("check {scene}"));
+        for name in ["first", "second", "third", "fourth"] {
+            let mut lines = words.lines();
+            let line = lines.find(|line| line.contains(&format!("{name}, 0 to")));
+            assert!(
+                line.is_some_and(|line| line.contains("at the target")),
+                "{words}"
+            );
+        }
+        assert!(!words.contains("time.step_s"), "{words}");
+        let undamped = talk(&format!("check {scene} --set damping.internal_s=0"));
+        assert!(undamped.contains("time.step_s"), "{undamped}");
+    }
+    // A number without a unit has no prefix.
+    assert!(talk("check elastica-muscles").contains("first, 0 to 1; at the target 0.5"));
+}
