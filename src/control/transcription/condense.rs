@@ -91,9 +91,10 @@ impl Transcription<'_> {
                 }
             }
         }
-        for (variable, y) in self.slack_variables.iter().zip(&multipliers.constraints) {
+        let slacks = self.slack_variables.iter().zip(&self.slack_units);
+        for ((variable, unit), y) in slacks.zip(&multipliers.constraints) {
             if let Some(variable) = *variable {
-                gradient[variable] -= y;
+                gradient[variable] -= unit * y;
             }
         }
         if let (Some(relaxation), Some(along_shortfall)) = (&self.relaxation, gradient.last_mut()) {
@@ -254,7 +255,7 @@ impl Transcription<'_> {
             } else if shortfall == Some(j) {
                 self.relaxed_constraint(i)
             } else if self.slack_variables[i] == Some(j) {
-                -1.0
+                -self.slack_units[i]
             } else {
                 0.0
             }

@@ -46,7 +46,15 @@ pub(crate) struct SceneCheck {
     /// Distance of the target from the initial position of the tip, m.
     pub distance: Option<f64>,
     /// Units of the controls of actuators that are no wrenches.
-    pub own_units: Vec<String>,
+    pub own_units: Vec<ControlUnit>,
+}
+
+/// Unit of the controls of an actuator that is no wrench.
+pub(crate) struct ControlUnit {
+    /// Empty for a number without a unit.
+    pub unit: String,
+    /// Name of an actuator of the rod.
+    pub name: Option<String>,
 }
 
 /// Checks the scene of this name. `until` makes the signal by which work that begins now is given up after a time.
@@ -78,24 +86,27 @@ pub(crate) fn check_scene(
         let size = problem_size(&setup.problem);
         let time = SolveTime::of_problem(&setup.problem);
         concerns.extend(shorter(&setup, &time));
-        plan =
-            Some(Plan {
-                actuators: actuators(&setup.problem),
-                need: need(&setup.problem, scene.staying(), setup.arm.length),
-                cost: SolveCost {
-                    iteration_s: time.iteration,
-                    iterations: time.iterations(),
-                    check_s: time.check,
-                    total_s: time.range(),
-                },
-                distance: distance(&setup.problem),
-                own_units: (setup.problem.acting.iter())
-                    .map(|acting| acting.actuator.named_controls().1.to_string())
-                    .chain(setup.problem.driven().map(|(actuator, _)| {
-                        format!("{} ({})", actuator.input_unit(), actuator.name)
-                    }))
-                    .collect(),
-            });
+        plan = Some(Plan {
+            actuators: actuators(&setup.problem),
+            need: need(&setup.problem, scene.staying(), setup.arm.length),
+            cost: SolveCost {
+                iteration_s: time.iteration,
+                iterations: time.iterations(),
+                check_s: time.check,
+                total_s: time.range(),
+            },
+            distance: distance(&setup.problem),
+            own_units: (setup.problem.acting.iter())
+                .map(|acting| ControlUnit {
+                    unit: acting.actuator.named_controls().1.to_string(),
+                    name: None,
+                })
+                .chain(setup.problem.driven().map(|(actuator, _)| ControlUnit {
+                    unit: actuator.input_unit().to_string(),
+                    name: Some(actuator.name.clone()),
+                }))
+                .collect(),
+        });
         concerns.extend(begins_inside(
             &setup.problem.rod,
             &setup.problem.initial.configuration,
@@ -208,7 +219,7 @@ struct Plan {
     /// Distance of the target from the initial position of the tip, m.
     distance: Option<f64>,
     /// Units of the controls of actuators that are no wrenches.
-    own_units: Vec<String>,
+    own_units: Vec<ControlUnit>,
 }
 
 /// The arm under gravity, with its payload and without loads; and the motions that nothing holds, in words.
@@ -312,7 +323,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             node: Place::Fraction(actuator.from).node(&problem.rod.mesh),
             force: NO_WRENCH.into(),
             moment: NO_WRENCH.into(),
-            controls: Some(format!("{}, {range}", actuator.name)),
+            controls: Some(format!("{}, {}", actuator.name, range.trim_end())),
         }
     });
     (problem.wrench_actuators().iter())
