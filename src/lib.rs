@@ -60,6 +60,8 @@ pub mod mechanics;
 pub mod memory;
 pub mod mpc;
 pub mod output;
+#[cfg(feature = "python")]
+mod python;
 pub mod scene;
 pub mod solve;
 pub mod sqp;
