@@ -55,15 +55,15 @@ fn actuators() -> Vec<StrainActuator> {
     ]
 }
 
-fn problem(
+fn parameters(
     rule: StrainRule,
     model: RodModel,
     scheme: TimeScheme,
     damping: [f64; 2],
-) -> OptimalControlProblem {
+) -> RodParameters {
     let silicone = Material::isotropic(1e5, 0.4, 1070.0);
     let section = SectionProfile::Uniform(Section::circle(&silicone, 0.01));
-    let rod = Rod::new(&RodParameters {
+    RodParameters {
         strain_rule: rule,
         model,
         scheme,
@@ -72,8 +72,11 @@ fn problem(
         internal_damping: damping[1],
         actuators: actuators(),
         ..RodParameters::straight(0.3, 5, section)
-    })
-    .expect("a rod");
+    }
+}
+
+fn problem(parameters: &RodParameters) -> OptimalControlProblem {
+    let rod = Rod::new(parameters).expect("a rod");
     let grid = TimeGrid {
         start: 0.0,
         step: 0.4 * stable_step(&rod),
@@ -119,7 +122,8 @@ fn derivatives_of_efforts_are_derivatives() {
             (RodModel::Standard, Implicit, [0.5, 0.0]),
             (RodModel::Standard, Implicit, [0.5, 2e-3]),
         ] {
-            let report = check(&problem(rule, model, scheme, damping), 7).expect("a motion");
+            let problem = problem(&parameters(rule, model, scheme, damping));
+            let report = check(&problem, 7).expect("a motion");
             let wrong: Vec<_> = (report.blocks.iter())
                 .filter(|block| block.verdict != Verdict::Ok)
                 .map(|block| format!("{}: {:?} {:?}", block.name, block.verdict, block.worst))
@@ -132,6 +136,28 @@ fn derivatives_of_efforts_are_derivatives() {
         }
     }
     assert!(failed.is_empty(), "{}", failed.join("\n"));
+}
+
+/// The same of an arm whose elements are bent by 2.4 rad at rest, further than vector instructions take them.
+#[test]
+fn derivatives_of_efforts_are_derivatives_in_tight_bends() {
+    let straight = parameters(
+        StrainRule::Helical,
+        RodModel::Standard,
+        TimeScheme::Explicit,
+        [0.5, 0.0],
+    );
+    let element = straight.length / straight.n_elements as f64;
+    let problem = problem(&RodParameters {
+        rest_curvature: Vector3::new(0.0, 2.4 / element, 0.0),
+        ..straight
+    });
+    let report = check(&problem, 7).expect("a motion");
+    let wrong: Vec<_> = (report.blocks.iter())
+        .filter(|block| block.verdict != Verdict::Ok)
+        .map(|block| format!("{}: {:?} {:?}", block.name, block.verdict, block.worst))
+        .collect();
+    assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
 /// A soft arm that hangs, with four parallel tendons.
@@ -215,6 +241,59 @@ fn tendons_reach_and_stay() {
         let check = solution.certify().expect("a check");
         assert!(check.is_certified(), "{rule:?} {scheme:?}");
     }
+}
+
+/// Bounds on the rates of tensions hold in a solve: at 0.7 of the fastest rate of the solution without them, tensions change that fast and no
+/// faster, at a higher cost.
+#[test]
+fn rates_of_tensions_are_bounded() {
+    let arm = four_tendons();
+    let discretization = Discretization {
+        blocks: 10,
+        hold: Hold::Linear,
+        ..Discretization::with_elements(5)
+    };
+    let target = tip_under(&arm, &discretization, &[0.3, 0.2, 0.05, 0.05]);
+    let solved = |rate: Option<f64>| {
+        let mut task = Task::reach(target, 1.0, 1.0);
+        task.start.shape = StartShape::Equilibrium;
+        task.actuators.clear();
+        task.efforts = (0..4)
+            .map(|actuator| EffortControl {
+                actuator,
+                bounds: [0.0, 1.0],
+                // Infinite rates bound nothing, and let a tension begin at the pretension as finite ones do.
+                rate: Some([-1.0, 1.0].map(|sign| sign * rate.unwrap_or(f64::INFINITY))),
+                scale: None,
+                lag: None,
+            })
+            .collect();
+        let solution = solve(&arm, &task, &discretization).expect("a solution");
+        let check = solution.certify().expect("a check");
+        assert!(check.is_certified(), "{rate:?}: {:?}", check.kkt);
+        let step = solution.problem.discrete.grid.step;
+        let at = |k: usize| -> Vec<f64> {
+            let wrenches = solution.wrenches_at(k);
+            wrenches.iter().flat_map(|w| w.to_array()).collect()
+        };
+        let fastest = (0..solution.problem.discrete.grid.n_steps)
+            .flat_map(|k| at(k + 1).into_iter().zip(at(k)))
+            .map(|(next, now)| (next - now).abs() / step)
+            .fold(0.0, f64::max);
+        (fastest, solution.objective())
+    };
+    let (free, cheap) = solved(None);
+    let bound = 0.7 * free;
+    let (fastest, dear) = solved(Some(bound));
+    assert!(
+        fastest <= bound * (1.0 + 1e-6),
+        "{fastest} N/s, at most {bound}"
+    );
+    assert!(
+        fastest >= bound * (1.0 - 1e-3),
+        "{fastest} N/s, as fast as {bound}"
+    );
+    assert!(dear > cheap, "{dear} and {cheap}");
 }
 
 /// A parallel tendon written anew as an actuator of one's own: wrenches on all nodes from the derivative of its length, with Jacobians by

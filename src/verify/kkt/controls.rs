@@ -316,16 +316,24 @@ fn rate_slack(
     change: &Vector3<f64>,
     normal: &Vector3<f64>,
 ) -> f64 {
+    // Without a multiplier there is none, however far away the limit is.
+    let of = |normal: f64, slack: f64| if normal == 0.0 { 0.0 } else { slack.abs() };
     match bound {
         None => normal.norm(),
-        Some(Bound::Norm(limit)) => (normal.norm() * (limit * gap) - normal.dot(change)).abs(),
+        Some(Bound::Norm(limit)) => {
+            let size = normal.norm();
+            of(size, size * (limit * gap) - normal.dot(change))
+        }
         Some(Bound::PerAxis(limits)) => (0..3)
-            .map(|i| (normal[i].abs() * (limits[i] * gap) - normal[i] * change[i]).abs())
+            .map(|i| {
+                let slack = normal[i].abs() * (limits[i] * gap) - normal[i] * change[i];
+                of(normal[i], slack)
+            })
             .fold(0.0, super::worse),
         Some(Bound::Between { lower, upper }) => (0..3)
             .map(|i| {
                 let limit = if normal[i] < 0.0 { lower[i] } else { upper[i] };
-                (normal[i] * (limit * gap - change[i])).abs()
+                of(normal[i], normal[i] * (limit * gap - change[i]))
             })
             .fold(0.0, super::worse),
     }
