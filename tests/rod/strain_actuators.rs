@@ -217,3 +217,61 @@ fn an_element_that_is_pressed_together_is_an_error() {
         assert!(is_pressed(found.find_map(Result::err).expect("an error")));
     }
 }
+
+/// A muscle pulls only in its range of stretches, 0.577 to 1.596: beyond either end a step with a large activation is the step without, in
+/// vector instructions and by the check's integrator, and within it is not.
+#[test]
+fn a_muscle_that_is_too_short_or_too_long_exerts_nothing() {
+    for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
+        for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+            let muscle = |activation: f64| StrainActuator {
+                name: String::new(),
+                density: Density::Muscle,
+                scale: 1.0,
+                route: Route::straight([0.0; 2]),
+                effort: vec![(0.0, activation)],
+                winch: None,
+                largest: 0.0,
+            };
+            let arms = [1.0, 0.0].map(|activation| {
+                let section = SectionProfile::Uniform(Section::circle(&silicone(), 0.01));
+                Rod::new(&RodParameters {
+                    strain_rule: rule,
+                    scheme,
+                    actuators: vec![muscle(activation)],
+                    ..RodParameters::straight(LENGTH, 10, section)
+                })
+                .expect("a rod")
+            });
+            // As short as a step of the arm at rest allows, so that the implicit one converges from stretches far from rest.
+            let step = 1e-2 * stable_step(&arms[0]);
+            for (stretch, pulls) in [(0.5, false), (1.0, true), (1.4, true), (1.7, false)] {
+                let moved = |rod: &Rod, check: bool| {
+                    let mut at = State::at_rest(rod.rest.clone());
+                    for x in &mut at.configuration.positions {
+                        *x *= stretch;
+                    }
+                    let state = if check {
+                        let mut stepper = ReferenceStepper::new(rod, step, at);
+                        stepper.advance([NodeWrenches::NONE; 2]).expect("a step");
+                        stepper.state().clone()
+                    } else {
+                        let mut stepper = Stepper::new(rod, step, at);
+                        stepper.advance([NodeWrenches::NONE; 2]).expect("a step");
+                        stepper.state()
+                    };
+                    state.linear_momentum[rod.tip()].z
+                };
+                for check in [false, true] {
+                    let [with, without] = [&arms[0], &arms[1]].map(|rod| moved(rod, check));
+                    let what = format!("{rule:?} {scheme:?} at {stretch}, {with} and {without}");
+                    assert_eq!(
+                        (with - without).abs() > 1e-12 * without.abs().max(step),
+                        pulls,
+                        "{what}"
+                    );
+                }
+            }
+        }
+    }
+}

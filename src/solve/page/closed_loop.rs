@@ -164,7 +164,8 @@ fn path(setup: &ClosedLoopSetup, samples: &[&SampleRow], record: &MotionRecord) 
         let before = next.saturating_sub(1);
         let span = t[next] - t[before];
         let part = if span > 0.0 {
-            ((now - t[before]) / span).clamp(0.0, 1.0)
+            // The last frame is a period after the last sample, and the reference goes on there.
+            ((now - t[before]) / span).max(0.0)
         } else {
             0.0
         };
