@@ -55,6 +55,8 @@ pub mod cli;
 pub mod control;
 #[doc(hidden)]
 pub mod derivatives;
+#[cfg(feature = "cli")]
+pub(crate) mod fit;
 pub mod mechanics;
 #[doc(hidden)]
 pub mod memory;

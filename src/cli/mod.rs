@@ -8,6 +8,7 @@ mod equilibrium;
 mod error;
 mod example;
 mod export;
+mod fit;
 mod memory;
 mod mpc;
 mod progress;
@@ -112,6 +113,8 @@ enum Command {
     Solve(solve::SolveArguments),
     /// Closed-loop model-predictive control in simulation, or of a plant in another process
     Mpc(mpc::MpcArguments),
+    /// Fit numbers of a scene to measured places of markers on its arm
+    Fit(fit::FitArguments),
     /// Error against time over discretizations and settings of a scene, with a recommendation for a tolerance
     Tradeoff(tradeoff::TradeoffArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
@@ -288,6 +291,7 @@ impl Cli {
             Command::Equilibrium(arguments) => equilibrium::run(arguments, &self.global, console),
             Command::Solve(arguments) => solve::run(arguments, &self.global, console),
             Command::Mpc(arguments) => mpc::run(arguments, &self.global, console),
+            Command::Fit(arguments) => fit::run(arguments, &self.global, console),
             Command::Tradeoff(arguments) => tradeoff::run(arguments, &self.global, console),
             Command::Verify(arguments) => verify::run(arguments, &self.global, console),
             Command::Report(arguments) => report::run(arguments, &self.global, console),

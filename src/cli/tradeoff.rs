@@ -232,15 +232,15 @@ fn refused(scene: &Scene, source: &SceneSource, error: SweepError, stop: &StopSi
     }
 }
 
-/// Target of the scene with the recommended setting.
-struct Applied {
-    path: PathBuf,
-    own: Own,
+/// Target of the scene with the recommended setting, or with fitted numbers.
+pub(super) struct Applied {
+    pub path: PathBuf,
+    pub own: Own,
 }
 
 impl Applied {
     /// Returns the target of `--apply`. A file that is SCENE itself may be changed; any other file belongs to the user.
-    fn of(file: Option<&Path>, scene: &str) -> Self {
+    pub fn of(file: Option<&Path>, scene: &str) -> Self {
         let scene_file = Path::new(scene);
         let path = match file {
             Some(file) => file.into(),
