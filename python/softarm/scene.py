@@ -8,7 +8,7 @@ import json
 import logging
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from .control import Controller, Plant
 from .results import Result
 
 Event = Callable[[dict[str, Any]], None]
+VERBS = ("simulate", "solve", "mpc", "equilibrium", "tradeoff", "fit")
 LOG = logging.getLogger("softarm")
 
 
@@ -244,6 +245,30 @@ class Scene:
         """Measures error against time over discretizations, and recommends one for a tolerance (in lengths of the arm)."""
         return self._run("tradeoff", out, _options(tolerance=tolerance, budget=budget, threads=threads), on_event)
 
+    def fit(
+        self,
+        data: Mapping[str, Any] | str | os.PathLike[str],
+        free: Sequence[str] = (),
+        out: str | os.PathLike[str] | None = None,
+        *,
+        robust: bool = False,
+        threads: int | None = None,
+    ) -> Result:
+        """Fits numbers of the scene, named by their dotted keys, to measured places of markers: a file as in docs/fitting.md, or a dictionary
+        with its keys, whose tables are relative to the working directory. `result.scene` has the fitted numbers.
+        """
+        words = _options(threads=threads) + (["--robust"] if robust else [])
+        words += ["--free", ",".join(free)] if free else []
+        if not isinstance(data, Mapping):
+            return self._run("fit", out, ["--data", os.fspath(data), *words], None)
+        keys = _plain(data)
+        for recording in keys.get("recording", []):
+            recording["csv"] = os.path.abspath(recording["csv"])
+        with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
+            path = Path(folder) / "data.toml"
+            path.write_text(_toml(keys), encoding="utf-8")
+            return self._run("fit", out, ["--data", os.fspath(path), *words], None)
+
     def controller(self) -> Controller:
         """Returns the controller of the closed loop, for a plant of one's own."""
         return Controller(_softarm.Controller(self._name, self._text, list(self._overrides)))
@@ -289,8 +314,7 @@ def batch(scene: Scene, n: int, *, threads: int | None = None) -> _softarm.Batch
 def run(task: Mapping[str, Any], folder: str | os.PathLike[str] | None = None) -> dict[str, Any]:
     """Runs one task of a sweep: `{"verb": "solve", "scene": ..., "set": {...}, "options": {...}}`. It is pure and picklable.
 
-    `scene` is a `Scene`, a dictionary or a name, `verb` one of "simulate", "solve", "mpc", "equilibrium" and "tradeoff", and `options` its
-    arguments. Returns `{"key": ..., "exit_code": ..., "summary": ...}`. With a folder the result is kept in `folder/KEY`, where KEY is a hash
+    `scene` is a `Scene`, a dictionary or a name, `verb` one of `VERBS`, and `options` its arguments. Returns `{"key": ..., "exit_code": ..., "summary": ...}`. With a folder the result is kept in `folder/KEY`, where KEY is a hash
     of verb, options and the scene with all defaults, and a result that is there already is not computed again. An exception is returned as
     `"error"`, so that one task does not end a sweep.
     """
@@ -300,8 +324,8 @@ def run(task: Mapping[str, Any], folder: str | os.PathLike[str] | None = None) -
     if unknown:
         raise ValueError(f"a task has verb, scene, set and options, and no {sorted(unknown)}")
     verb = task.get("verb", "solve")
-    if verb not in ("simulate", "solve", "mpc", "equilibrium", "tradeoff"):
-        raise ValueError(f"verb = {verb!r}; expected simulate, solve, mpc, equilibrium or tradeoff")
+    if verb not in VERBS:
+        raise ValueError(f"verb = {verb!r}; expected one of {VERBS}")
     options = dict(task.get("options", {}))
     try:
         given = task["scene"]

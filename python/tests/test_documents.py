@@ -1,19 +1,24 @@
-"""Every program in docs/python.md runs as it stands."""
+"""Every Python program in docs/python.md and docs/fitting.md runs as it stands."""
 
 import re
 from pathlib import Path
 
 import pytest
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "python.md"
-PROGRAMS = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+DOCUMENTS = [Path(__file__).parents[2] / "docs" / name for name in ("python.md", "fitting.md")]
+PROGRAMS = [
+    (document.name, program)
+    for document in DOCUMENTS
+    for program in re.findall(r"```python\n(.*?)```", document.read_text(encoding="utf-8"), re.DOTALL)
+]
 
 
 def test_there_are_programs():
-    assert len(PROGRAMS) >= 6
+    assert len(PROGRAMS) >= 7
 
 
 @pytest.mark.parametrize("number", range(len(PROGRAMS)))
 def test_programs_of_the_document_run(number, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    exec(compile(PROGRAMS[number], f"{DOCUMENT.name}, program {number + 1}", "exec"), {})
+    name, program = PROGRAMS[number]
+    exec(compile(program, f"{name}, program {number + 1}", "exec"), {})

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -317,3 +317,15 @@ def test_memory_of_many_steps():
 
     before = steps(2_000)
     assert steps(20_000) - before < 1024
+
+
+def test_published_shapes_are_fitted():
+    """SoRoMoX' shapes: an independent program fitted 3.745e5 Pa +- 1.3 % and 1162 kg/m^3 +- 2.9 % to them."""
+    data = Path(__file__).parents[2] / "examples" / "data" / "soromox-shapes.toml"
+    keys = ["rod.material.youngs_modulus_pa", "rod.material.density_kg_m3"]
+    result = sa.Scene.load("soromox-tendons").fit(data, keys)
+    modulus, density = (own["value"] for own in result.summary["parameters"])
+    assert modulus == pytest.approx(3.745e5, rel=0.5 * 0.013) and density == pytest.approx(1162, rel=0.5 * 0.029)
+    assert result.scene["rod.material.density_kg_m3"] == density
+    with pytest.raises(sa.ResultError, match="no number"):
+        sa.Scene.load("soromox-tendons").fit(data, ["rod.material.youngs"])

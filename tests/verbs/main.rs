@@ -9,6 +9,7 @@ mod cli;
 mod continued;
 mod export;
 mod files;
+mod fit;
 mod hardware;
 mod mpc_verb;
 mod outcomes;
