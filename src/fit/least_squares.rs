@@ -31,10 +31,13 @@ pub struct Minimum {
     pub converged: bool,
 }
 
+/// Residuals at several points.
+pub type Residuals<E> = Vec<Result<DVector<f64>, E>>;
+
 /// A problem of least squares in parameters of about one.
 pub struct Problem<'a, E> {
     /// Computes the residuals of several points at once.
-    pub residuals: &'a dyn Fn(&[Vec<f64>]) -> Vec<Result<DVector<f64>, E>>,
+    pub residuals: &'a dyn Fn(&[Vec<f64>]) -> Residuals<E>,
     /// Bounds of the parameters.
     pub bounds: Vec<[f64; 2]>,
     /// Groups of residuals, such as the coordinates of a place, which Huber's function weighs together; empty without robust loss.

@@ -90,6 +90,8 @@ impl Controller {
 
     /// Answers a measurement, and prepares the next sample. Arrays have the shapes of `Plant.state`; `more` is a JSON object with the other
     /// fields of a measurement. Returns the lines of the answer as JSON, refusals first.
+    // Each is a keyword of Python.
+    #[allow(clippy::too_many_arguments)]
     #[pyo3(signature = (time=None, positions=None, rotations=None, velocities=None, angular_velocities=None, more=None))]
     fn step(
         &mut self,
