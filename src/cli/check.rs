@@ -14,12 +14,15 @@ use crate::output::quantity::{digits, entry, mass, quantity};
 use crate::output::summary::{ActuatorSummary, CheckSummary, RestSummary, StaticNeedSummary};
 use crate::scene::Scene;
 use crate::solve::scene_check::{
-    ABOVE, CANNOT, NO_WRENCH, SceneCheck, UNSTABLE, WITHIN, check_scene, time_in_words, what_weighs,
+    ABOVE, CANNOT, ControlUnit, NO_WRENCH, SceneCheck, UNSTABLE, WITHIN, check_scene,
+    time_in_words, what_weighs,
 };
 use crate::task::prediction::SolveTime;
 
-/// Actuators that are described one by one.
-const ACTUATORS_SHOWN: usize = 3;
+/// Nodes with a wrench that are described one by one.
+const WRENCHES_SHOWN: usize = 3;
+/// Controls below this fraction of the largest of their unit are rounding: equilibria are accurate to about 1e-6.
+const CONTROL_ROUNDING: f64 = 1e-6;
 
 pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
     let (scene, source) = console.load(scene_argument, global)?;
@@ -91,22 +94,15 @@ fn answer(found: &SceneCheck, scene: &Scene, console: &Console) {
         );
     }
     let acting = |actuator: &&ActuatorSummary| {
-        actuator.controls.is_some()
-            || [&actuator.force, &actuator.moment]
-                .iter()
-                .any(|limit| *limit != NO_WRENCH)
+        [&actuator.force, &actuator.moment]
+            .iter()
+            .any(|limit| *limit != NO_WRENCH)
             || summary.actuators.len() == 1
     };
-    for actuator in summary
-        .actuators
-        .iter()
-        .filter(acting)
-        .take(ACTUATORS_SHOWN)
-    {
-        if let Some(controls) = &actuator.controls {
-            say("along it", controls);
-            continue;
-        }
+    let (along, on_nodes): (Vec<_>, Vec<_>) =
+        (summary.actuators.iter()).partition(|actuator| actuator.controls.is_some());
+    let on_nodes: Vec<_> = on_nodes.into_iter().filter(acting).collect();
+    for actuator in on_nodes.iter().take(WRENCHES_SHOWN) {
         let node = if actuator.node == rod.tip() {
             "tip".to_string()
         } else {
@@ -124,9 +120,20 @@ fn answer(found: &SceneCheck, scene: &Scene, console: &Console) {
         }
         say(&node, &parts.join("; "));
     }
-    if summary.actuators.len() > ACTUATORS_SHOWN {
-        let more = summary.actuators.len() - ACTUATORS_SHOWN;
-        say("", &format!("and {more} actuators more"));
+    if on_nodes.len() > WRENCHES_SHOWN {
+        let more = on_nodes.len() - WRENCHES_SHOWN;
+        say("", &format!("and wrenches on {more} nodes more"));
+    }
+    let needed = summary.static_need.as_ref();
+    let needed = needed.map(|need| efforts(&need.controls, own_units));
+    for (at, actuator) in along.into_iter().enumerate() {
+        let of_target = (needed.as_ref().and_then(|needed| needed.get(at)))
+            .map_or_else(String::new, |effort| format!("; at the target {effort}"));
+        let word = if at == 0 { "along it" } else { "" };
+        say(
+            word,
+            &(actuator.controls.clone().unwrap_or_default() + &of_target),
+        );
     }
     if let Some(need) = &summary.static_need {
         let away = distance.map_or_else(String::new, |d| format!("{} away; ", quantity(d, "m")));
@@ -194,23 +201,47 @@ fn rest_in_words(rest: &RestSummary, rod: &Rod) -> String {
     )
 }
 
+/// The largest control of every actuator that is no wrench, with its unit; zero where it is rounding.
+fn efforts(controls: &[Vec<f64>], units: &[ControlUnit]) -> Vec<String> {
+    let largest = |controls: &[f64]| controls.iter().fold(0.0, |most: f64, u| most.max(u.abs()));
+    let of_unit = |unit: &str| {
+        let same = controls
+            .iter()
+            .zip(units)
+            .filter(|(_, own)| own.unit == unit);
+        same.map(|(controls, _)| largest(controls))
+            .fold(0.0, f64::max)
+    };
+    (controls.iter().zip(units))
+        .map(|(controls, own)| {
+            let size = largest(controls);
+            let is_rounding = size < CONTROL_ROUNDING * of_unit(&own.unit);
+            let size = if is_rounding { 0.0 } else { size };
+            if own.unit.is_empty() {
+                // A prefix without a unit reads as a unit.
+                digits(size)
+            } else {
+                quantity(size, &own.unit)
+            }
+        })
+        .collect()
+}
+
 /// The largest force, moment and controls in words; `units` are those of the controls.
-fn in_parts(wrenches: &[[f64; 6]], controls: &[Vec<f64>], units: &[String]) -> String {
+fn in_parts(wrenches: &[[f64; 6]], controls: &[Vec<f64>], units: &[ControlUnit]) -> String {
     let largest = |from: usize| {
         (wrenches.iter())
             .map(|wrench| Vector3::from_column_slice(&wrench[from..from + 3]).norm())
             .fold(0.0, f64::max)
     };
-    let own = (controls.iter().zip(units)).map(|(controls, unit)| {
-        let largest = controls.iter().fold(0.0, |most: f64, u| most.max(u.abs()));
-        (largest, unit.as_str())
+    let wrenches = [(largest(0), "N"), (largest(3), "N m")].into_iter();
+    let wrenches =
+        (wrenches.filter(|(size, _)| *size > 0.0)).map(|(size, unit)| quantity(size, unit));
+    let own = (efforts(controls, units).into_iter().zip(units)).map(|(effort, own)| {
+        let name = own.name.as_ref();
+        name.map_or(effort.clone(), |name| format!("{effort} ({name})"))
     });
-    let parts: Vec<String> = [(largest(0), "N"), (largest(3), "N m")]
-        .into_iter()
-        .chain(own)
-        .filter(|(size, _)| *size > 0.0)
-        .map(|(size, unit)| quantity(size, unit))
-        .collect();
+    let parts: Vec<String> = wrenches.chain(own).collect();
     if parts.is_empty() {
         "nothing".to_string()
     } else {
@@ -219,8 +250,13 @@ fn in_parts(wrenches: &[[f64; 6]], controls: &[Vec<f64>], units: &[String]) -> S
 }
 
 /// The wrench that holds the tip at its target, in words.
-fn held_by(need: &StaticNeedSummary, units: &[String]) -> String {
-    let parts = in_parts(&need.wrenches, &need.controls, units);
+fn held_by(need: &StaticNeedSummary, units: &[ControlUnit]) -> String {
+    // The controls at the target stand with their actuators.
+    let parts = match need.controls.is_empty() {
+        true => in_parts(&need.wrenches, &[], &[]),
+        false if need.wrenches.iter().flatten().all(|part| *part == 0.0) => "these".to_string(),
+        false => in_parts(&need.wrenches, &[], &[]) + " and these",
+    };
     let nearest = need.nearest.as_ref().map_or_else(String::new, |nearest| {
         let [x, y, z] = nearest.position_m.map(digits);
         format!(
@@ -276,6 +312,9 @@ fn detail(summary: &CheckSummary, console: &Console) {
         "  time   {} step {:.4e} s (explicit: stable below {:.4e} s), {} steps",
         summary.integrator, summary.step_s, summary.stable_step_s, summary.steps
     ));
+    if let Some(contact) = &summary.contact {
+        console.say(&format!("  contact {}", contact.in_words()));
+    }
     let cost = &summary.cost;
     console.say(&format!(
         "  cost   simulation explicit {:.1e} s at {:.4e} s, implicit {:.1e} s at {:.4e} s: {} is cheaper",

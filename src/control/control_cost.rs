@@ -40,7 +40,9 @@ impl ControlCost {
         hessian += spread(problem.objective.rate, &problem.control.rate_matrix());
         for (row, variable) in goal_rows.iter().zip(slack_variables) {
             if let Some(variable) = *variable {
-                hessian[(variable, variable)] = problem.soft_weight(row).unwrap_or(0.0);
+                let unit = problem.slack_unit(row);
+                hessian[(variable, variable)] =
+                    problem.soft_weight(row).unwrap_or(0.0) * unit * unit;
             }
         }
         Self { hessian, shortfall }

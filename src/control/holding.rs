@@ -122,7 +122,10 @@ pub enum NotFound {
     )]
     FreeBase,
     /// The search knows clamped, driven and free bases and free tips.
-    #[error("an end is pinned, or the tip is held, and what holds such an arm is not looked for")]
+    #[error(
+        "an end is pinned, or the tip is held: what holds such an arm at its target follows from the reactions of both ends as well, and is \
+         not looked for"
+    )]
     HeldEnds,
     /// The search would take too long.
     #[error("too many elements or actuators for a search that takes about a second")]
@@ -205,12 +208,15 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         position: problem.final_goals().find_map(|goal| goal.position),
         rotation: problem.final_goals().find_map(|goal| goal.rotation),
     };
+    let rod = &problem.rod;
+    let not_found = |why| Ok(Holding::NotFound { why });
+    if !rod.joints.is_empty() {
+        return not_found(NotFound::HeldEnds);
+    }
     if target.n_equations() == 0 {
         return Err(HoldingError::NoGoal);
     }
-    let rod = &problem.rod;
     let components = problem.actuated_components();
-    let not_found = |why| Ok(Holding::NotFound { why });
     if rod.n_elements() > MOST_ELEMENTS || components.len() > MOST_CONTROLS {
         return not_found(NotFound::TooLarge);
     }
@@ -221,9 +227,6 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         components,
         time,
     };
-    if !rod.joints.is_empty() {
-        return not_found(NotFound::HeldEnds);
-    }
     if rod.base == BaseCondition::Free {
         return Ok(floating(&statics, target));
     }

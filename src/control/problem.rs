@@ -606,6 +606,15 @@ impl OptimalControlProblem {
         self.soft_weight(row).is_some() || self.goal_radius(row.goal, row.part).is_some()
     }
 
+    /// Returns the scaled residual of a goal for one unit of the variable that it equals: `1/√w` for a soft goal of weight `w`, whose
+    /// penalty is then half the square of the variable, and 1 within a tolerance. Curvatures of one size keep the subproblems well
+    /// conditioned at any weight.
+    #[must_use]
+    pub fn slack_unit(&self, row: &GoalRow) -> f64 {
+        (self.soft_weight(row).filter(|weight| *weight > 0.0))
+            .map_or(1.0, |weight| weight.sqrt().recip())
+    }
+
     /// Returns the actuated components, in the order of the variables of one coefficient.
     #[must_use]
     pub fn actuated_components(&self) -> Vec<Component> {

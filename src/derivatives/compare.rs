@@ -35,7 +35,9 @@ const BLUNT: f64 = 1e-3;
 /// Factor on the plateau: the error of the best differences is of its size, and the bound is well above.
 const PLATEAU_MARGIN: f64 = 10.0;
 /// First and last step of a sweep, as powers of two.
-const SWEEP: std::ops::RangeInclusive<i32> = -20..=1;
+const SWEEP: std::ops::RangeInclusive<i32> = -20..=4;
+/// Number of steps at the fine end of the sweep whose differences are rounding alone.
+const FINEST: usize = 6;
 
 /// Groups of quantities, each of which is compared in units of its own largest entry.
 pub type Groups = Vec<Vec<f64>>;
@@ -51,7 +53,7 @@ pub struct Comparison {
     /// Step of the best differences, in units of the direction.
     pub step: Option<f64>,
     /// Largest change of the extrapolated differences around this step, from one of its neighbors to the next, and not less than
-    /// their rounding `ε |f|/s`.
+    /// their rounding, which is `ε |f|/s` or more.
     pub plateau: Option<f64>,
     /// Bound of the deviation, `10 plateau + rounding`.
     pub bound: f64,
@@ -85,8 +87,10 @@ impl Comparison {
 }
 
 /// Compares the derivative `analytic` of a curve at its start with central differences, extrapolated once (error `s⁴`, rounding `1/s`), at
-/// the steps `s = 2, 1, ½, …`. Truncation falls with the step and rounding grows; where they are equal, the change of the differences from
-/// one step to the next (the plateau) is their error. `rounding` is the rounding of the analytic side. Returns the worst group; `None` if
+/// the steps `s = 16, 8, 4, …`. Truncation falls with the step and rounding grows; where they are equal, the change of the differences from
+/// one step to the next (the plateau) is their error. Values that come from equations, such as implicit steps of a stiff arm, are rounded to
+/// far more than `ε`: by as much as the differences at the finest steps show, in which truncation has no part, times the step. `rounding` is
+/// the rounding of the analytic side. Returns the worst group; `None` if
 /// all of them are zero.
 pub fn compare(curve: &mut Curve, analytic: &[Vec<f64>], rounding: f64) -> Option<Comparison> {
     let sides: Vec<_> = (SWEEP.rev().map(|power| f64::powi(2.0, power)))
@@ -122,12 +126,15 @@ fn judge(
     let of = |i: usize| extrapolated.get(i)?.as_ref();
     // Change from the next coarser step.
     let change = |i: usize| Some(distance(of(i)?, of(i.checked_sub(1)?)?));
+    let rounded = (sides.len().saturating_sub(FINEST)..sides.len())
+        .filter_map(|i| Some(change(i)? * sides[i].0))
+        .fold(0.0, f64::max);
     let noise = |i: usize| {
         let (step, values) = &sides[i];
         let ahead = values
             .as_ref()
             .map_or(0.0, |(ahead, _)| largest(&ahead[group]));
-        f64::EPSILON * ahead / step
+        (f64::EPSILON * ahead).max(rounded) / step
     };
     let best = (1..sides.len())
         .filter_map(|i| {

@@ -6,7 +6,7 @@ use faer::{Mat, MatRef};
 use fastrand::Rng;
 
 use super::compare::{Comparison, Groups, compare};
-use super::mechanics::ROUNDING;
+use super::mechanics::{ROUNDING, rounding};
 use super::point::{number, random_state, random_variables, vector};
 use super::{Block, DerivativeError, gather};
 use crate::control::problem::GoalRow;
@@ -179,6 +179,12 @@ fn along_variables(
     compared.collect()
 }
 
+/// Returns the rounding of derivatives through the steps of a program.
+fn rounded(program: &Transcription) -> f64 {
+    let problem = program.problem();
+    rounding(&problem.rod, problem.grid.step)
+}
+
 fn no_multipliers(program: &Transcription) -> Multipliers {
     let n_rows = program.goal_rows().len();
     Multipliers::zeros(n_rows, program.n_path_rows(), program.sets())
@@ -197,7 +203,7 @@ fn objective_block(
     Ok(gather(
         name,
         "gradient with respect to the controls by the adjoint, and simulations",
-        along_variables(program, point, rng, ROUNDING, &slopes, &values),
+        along_variables(program, point, rng, rounded(program), &slopes, &values),
     ))
 }
 
@@ -225,7 +231,7 @@ fn goal_blocks(
         gather(
             format!("{}.{}", goal.name, rows[0].part.name()),
             "residuals by the controls, and simulations",
-            along_variables(program, point, rng, ROUNDING, &slopes, &values),
+            along_variables(program, point, rng, rounded(program), &slopes, &values),
         )
     });
     Ok(blocks.collect())

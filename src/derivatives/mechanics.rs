@@ -10,12 +10,23 @@ use crate::mechanics::element::ElementPose;
 use crate::mechanics::linearization::{Motion, RightHandSide, StateTangent};
 use crate::mechanics::rotation::exp;
 use crate::mechanics::sensitivity::{LinearizedStep, carried, linearized_steps};
+use crate::mechanics::stability::stable_step;
 use crate::mechanics::{
-    ControlSignal, Rod, State, StepError, Stepper, TimeGrid, Trajectory, Wrench,
+    ControlSignal, Rod, State, StepError, Stepper, TimeGrid, TimeScheme, Trajectory, Wrench,
 };
 
 /// Rounding of sums of thousands of products, relative to the largest entry, and of a wire's forces, in which its stretching cancels.
 pub(super) const ROUNDING: f64 = 1e-10;
+
+/// Returns the rounding of a derivative through steps: [`ROUNDING`], or that of the equations of an implicit step, `N ε κ` of its `N`
+/// unknowns with the condition number `κ = (h/h_s)²` of the fastest wave, `h_s` the stable step (Higham 2002, chapter 9).
+pub(super) fn rounding(rod: &Rod, time_step: f64) -> f64 {
+    let condition = match rod.scheme {
+        TimeScheme::Explicit => 0.0,
+        TimeScheme::Implicit => (time_step / stable_step(rod)).powi(2),
+    };
+    ROUNDING.max(6.0 * rod.n_nodes() as f64 * f64::EPSILON * condition)
+}
 
 fn groups<const N: usize>(vectors: [&Vector3<f64>; N]) -> Groups {
     vectors.map(|vector| vector.as_slice().to_vec()).to_vec()
@@ -193,12 +204,19 @@ pub fn step_linearization(
         control: None,
     };
     let free = rod.first_free_node()..rod.n_nodes();
-    // Sizes of position, rotation, linear and angular momentum at which each of them matters: momenta of a motion over some ten steps.
+    // Sizes of position, rotation, linear and angular momentum at which each of them matters: momenta of a motion over some ten steps, or
+    // those that the forces which bend the arm cause in a step. Implicit steps of a stiff arm hardly react to the first.
     let l = rod.shortest_element();
+    let scales = &rod.scales;
     let units = |q: usize| {
         let node = &rod.nodes[q];
-        let momenta = [node.mass * l, node.rotary.max()].map(|size| 0.1 * (size / time_step));
-        [l, 1.0, momenta[0], momenta[1]]
+        let momentum = |inertia: f64, force: f64| {
+            let moving = 0.1 * (inertia / time_step);
+            moving.max(force * time_step)
+        };
+        let linear = momentum(node.mass * l, scales.force);
+        let angular = momentum(node.rotary.max(), scales.moment);
+        [l, 1.0, linear, angular]
     };
     let parts = |tangent: &StateTangent| -> Groups {
         let part = |part: usize| tangent.part(part)[free.clone()].iter().flatten();
@@ -230,7 +248,11 @@ pub fn step_linearization(
             let (_, there) = two_steps(rod, time_step, &moved, &control).ok()?;
             Some(parts(&there.difference(&end)))
         };
-        found.push(compare(&mut stepped, &parts(&slopes), ROUNDING));
+        found.push(compare(
+            &mut stepped,
+            &parts(&slopes),
+            rounding(rod, time_step),
+        ));
     }
     Ok(gather(
         "step.linearization",

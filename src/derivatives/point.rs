@@ -16,6 +16,8 @@ const SPEED: f64 = 0.3;
 const FORCES: f64 = 10.0;
 /// Cap on stretch and shear.
 const STRETCH: f64 = 0.01;
+/// Largest control, in units of its scale.
+const LARGEST_CONTROL: f64 = 0.5;
 
 /// Returns a random number between -1 and 1.
 pub fn number(rng: &mut Rng) -> f64 {
@@ -73,26 +75,44 @@ pub fn random_state(rod: &Rod, size: f64, rng: &mut Rng) -> State {
     state
 }
 
-/// Returns scaled control coefficients of at most half their scale, reduced until they are inside all of `sets`; variables of soft goals
-/// are small.
+/// Returns scaled control coefficients of at most half their scale inside all of `sets`; variables of soft goals are small. Zero is inside
+/// every set, but on the boundary of one-sided ones, where every control would be zero if all were only reduced. Controls `v` are therefore
+/// drawn within their intervals, and while other sets refuse them, `t c + t² (v - c)` with `t = 1/2, 1/4, …` comes nearer to the middle `c`
+/// of the intervals in proportion to its size.
 pub fn random_variables(
     problem: &OptimalControlProblem,
     sets: &[ConvexSet],
     rng: &mut Rng,
 ) -> Vec<f64> {
-    let mut variables: Vec<f64> = (0..problem.n_variables())
-        .map(|_| 0.5 * number(rng))
-        .collect();
     // A fixed variable keeps its value, which is in general position.
     let is_fixed = |set: &&ConvexSet| matches!(set, ConvexSet::Interval { lower, upper, .. } if lower == upper);
     let (fixed, free): (Vec<_>, Vec<_>) = sets.iter().partition(is_fixed);
-    for _ in 0..60 {
+    let mut ranges = vec![[-LARGEST_CONTROL, LARGEST_CONTROL]; problem.n_variables()];
+    for set in &free {
+        if let ConvexSet::Interval {
+            index,
+            lower,
+            upper,
+        } = set
+        {
+            let [least, most] = &mut ranges[*index];
+            (*least, *most) = (least.max(*lower).min(*upper), most.min(*upper).max(*lower));
+        }
+    }
+    let middle: Vec<f64> = ranges.iter().map(|[a, b]| 0.5 * (a + b)).collect();
+    let away: Vec<f64> = (ranges.iter())
+        .map(|[a, b]| 0.5 * (b - a) * number(rng))
+        .collect();
+    let reduced = |t: f64| -> Vec<f64> {
+        let terms = middle.iter().zip(&away);
+        terms.map(|(c, d)| t * (c + t * d)).collect()
+    };
+    let mut variables = reduced(1.0);
+    for halvings in 1..60 {
         if free.iter().all(|set| set.violation(&variables) <= 0.0) {
             break;
         }
-        for v in &mut variables {
-            *v *= 0.5;
-        }
+        variables = reduced(f64::powi(0.5, halvings));
     }
     for set in fixed {
         if let ConvexSet::Interval { index, lower, .. } = set {

@@ -175,9 +175,9 @@ pub fn static_equilibrium_until(
     if !rod.is_held() {
         return Err(EquilibriumError::FreeBase);
     }
-    let mut center = match gap(rod, start, t) > CLOSED {
-        true => led(rod, start, t, spring, stop)?,
-        false => start.clone(),
+    let mut center = match ends_are_held(rod, start, t) {
+        false => led(rod, start, t, spring, stop)?,
+        true => start.clone(),
     };
     let mut statics = Statics::new(rod, t, *spring);
     let mut residual = statics.residual(&center);
@@ -223,10 +223,10 @@ pub fn static_equilibrium_until(
     })
 }
 
-/// Returns by how far the held ends of a shape are from where they are held, in lengths of the arm and in rad.
-fn gap(rod: &Rod, at: &Configuration, t: f64) -> f64 {
+/// Tells whether the held ends of a shape are where they are held.
+pub(crate) fn ends_are_held(rod: &Rod, at: &Configuration, t: f64) -> bool {
     let (distance, angle) = rod.largest_gap(at, t);
-    (distance / rod.scales.length).max(angle)
+    (distance / rod.scales.length).max(angle) <= CLOSED
 }
 
 /// Returns the equilibrium that is reached from the one with the tip where `start` has it when the tip moves to where it is held: its

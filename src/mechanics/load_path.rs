@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::Configuration;
 use super::equilibrium::{
-    EquilibriumError, Passage, TipSpring, followed, static_equilibrium_until,
+    EquilibriumError, Passage, TipSpring, ends_are_held, followed, static_equilibrium_until,
 };
 use super::load::{Load, LoadFrame};
 use super::rod::Rod;
@@ -204,12 +204,17 @@ impl<'a> LoadPath<'a> {
     }
 
     /// Returns the equilibrium at factor 0, which is reached from the stress-free shape while the loads that the factor does not multiply
-    /// grow from zero.
+    /// grow from zero. An arm whose tip is held elsewhere than its stress-free shape ends has several equilibria without loads, of which the
+    /// loads choose: it settles under them at factor 1, and the path leads back from there.
     ///
     /// # Errors
     /// Returns [`EquilibriumError`] if there is none.
     pub fn start(&self) -> Result<LoadedShape, EquilibriumError> {
         let rest = self.rod.carried(self.rod.rest.clone(), self.time);
+        if !ends_are_held(self.rod, &rest, self.time) {
+            let loaded = self.settled(1.0, &rest, false)?;
+            return self.at(&loaded, 0.0);
+        }
         let constant = self.rod_at(0.0);
         let growing = LoadPath {
             rod: &constant,

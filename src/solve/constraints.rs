@@ -22,7 +22,8 @@ pub(super) fn worst_constraints<D>(
     for (i, row) in program.goal_rows().iter().enumerate() {
         let goal = &problem.goals[row.goal];
         let slack = problem.has_slack(row).then(|| slacks.next());
-        let scaled = values.constraints[i] + slack.flatten().copied().unwrap_or(0.0);
+        let slack = slack.flatten().copied().unwrap_or(0.0);
+        let scaled = values.constraints[i] + problem.slack_unit(row) * slack;
         let (off, list) = match problem.goal_radius(row.goal, row.part) {
             Some(radius) => ((scaled.abs() - radius).max(0.0), &mut named),
             None if problem.soft_weight(row).is_some() => (scaled.abs(), &mut soft),

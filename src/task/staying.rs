@@ -4,7 +4,7 @@ use super::arm::StartError;
 use super::definition::Staying;
 use super::error::DiscretizeError;
 use crate::control::{
-    CannotHold, Held, Holding, HoldingError, OptimalControlProblem, Stay, holding,
+    CannotHold, Held, Holding, HoldingError, NotFound, OptimalControlProblem, Stay, holding,
 };
 
 /// Returns the stay from the end of the horizon of `problem` on, for an arm of `length` in m.
@@ -12,7 +12,7 @@ use crate::control::{
 /// `None` if it is unknown whether anything holds the target.
 ///
 /// # Errors
-/// [`DiscretizeError::NotHeld`] if nothing within the bounds can hold the target.
+/// [`DiscretizeError::NotHeld`] if nothing within the bounds can hold the target, or if the ends are such that it is not looked for.
 pub(super) fn stay(
     problem: &OptimalControlProblem,
     staying: Staying,
@@ -22,6 +22,9 @@ pub(super) fn stay(
     let found = holding(problem).map(|found| judged(found, problem, staying, length));
     match found {
         Ok(Ok((_, stay))) => Ok(Some(stay)),
+        Ok(Err(Holding::NotFound {
+            why: why @ NotFound::HeldEnds,
+        })) => refuse(why.to_string()),
         Ok(Err(Holding::NotFound { .. } | Holding::Held(_))) => Ok(None),
         Ok(Err(Holding::CannotBeHeld { why, nearest })) => {
             let nearest = nearest.map_or_else(String::new, |(held, distance)| {

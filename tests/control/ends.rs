@@ -2,6 +2,7 @@
 
 use softarm::scene::Scene;
 use softarm::solve::{Solution, SolveOptions, solve_problem};
+use softarm::task::{DiscretizeError, Staying};
 
 const ARM: &str = "\
 [rod]
@@ -98,7 +99,30 @@ fn held_ends_have_no_task() {
             .unwrap_or_default()
     };
     assert!(refused(&["task.node=tip"]).contains("task.node"));
+    assert!(refused(&["task.at_rest=true"]).contains("the tip is pinned"));
     assert!(refused(&["control.force_max_n=1"]).contains("control.force_max_n"));
     assert!(refused(&["tip.kind=clamped"]).contains("tip.axis"));
     assert!(refused(&["tip.motion.velocity_m_s=[1, 0, 0]"]).contains("tip.motion"));
+}
+
+/// Nothing is known about staying on an arm with a pinned end, and it is refused, not replaced by a stop for an instant: by the scene, and by
+/// the library for a task that comes from elsewhere.
+#[test]
+fn staying_is_refused_between_held_ends() {
+    let text = format!("{ARM}{HANGING}");
+    let staying = ["task.at_rest=true".to_string()];
+    let error = Scene::from_toml("scene.toml", &text, &staying)
+        .err()
+        .unwrap();
+    let words = error.to_string();
+    assert!(
+        words.contains("task.at_rest") && words.contains("the base is pinned"),
+        "{words}"
+    );
+    let (scene, source) = Scene::from_toml("scene.toml", &text, &[]).unwrap();
+    let posed = scene.optimal_control(&source).unwrap();
+    let task = posed.task.staying(Staying::default());
+    let refused = task.discretize(&posed.arm, &posed.discretization);
+    let refused = refused.err().unwrap();
+    assert!(matches!(refused, DiscretizeError::NotHeld(_)), "{refused}");
 }

@@ -11,10 +11,11 @@ use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use softarm::mechanics::linearization::{Motion, StateTangent};
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::sensitivity::{Transition, transition};
-use softarm::mechanics::stability::{automatic_step, stable_step};
+use softarm::mechanics::stability::{automatic_step, bent_step, stable_step};
 use softarm::mechanics::{
-    BaseCondition, Energy, LaneIntegrator, Material, NodeWrenches, Rod, RodModel, RodParameters,
-    Section, SectionProfile, State, StepError, StrainRule, TimeGrid, TimeScheme, Trajectory,
+    BaseCondition, Density, Energy, LaneIntegrator, Load, LoadFrame, Material, NodeWrenches, Rod,
+    RodModel, RodParameters, Route, Section, SectionProfile, State, StepError, StrainActuator,
+    StrainRule, TimeGrid, TimeScheme, Trajectory,
 };
 
 const SCHEMES: [TimeScheme; 2] = [TimeScheme::Explicit, TimeScheme::Implicit];
@@ -542,4 +543,68 @@ fn newton_takes_few_iterations() {
             "{method:?} {work:?}"
         );
     }
+}
+
+/// Steps forty times as long as those up to which a moment that bends an arm leaves implicit steps stable: under the moment, waves grow until
+/// the motion breaks down, though internal damping slows them. Under a tendon that bends the arm as much the motion stays, because the tension
+/// and the bending moment balance in every section (decision 103).
+#[test]
+fn an_arm_that_a_tendon_bends_takes_long_steps() {
+    let material = Material::isotropic(200e9, 0.25, 8000.0);
+    let (radius, length, offset, tension) = (1e-3, 0.5, 0.01506, 15.0);
+    let section = SectionProfile::Uniform(Section::circle(&material, radius));
+    let step = 1e-3;
+    let base = RodParameters {
+        scheme: TimeScheme::Implicit,
+        internal_damping: 2e-4,
+        ..RodParameters::straight(length, 10, section)
+    };
+    let push = Load {
+        node: 10,
+        force: Vector3::new(0.0, 0.01, 0.0),
+        moment: Vector3::zeros(),
+        frame: LoadFrame::Spatial,
+        profile: vec![(0.0, 1.0), (0.1, 1.0), (0.100_001, 0.0)],
+    };
+    let moment = Load {
+        force: Vector3::zeros(),
+        moment: Vector3::new(0.0, tension * offset, 0.0),
+        frame: LoadFrame::Body,
+        profile: Vec::new(),
+        ..push.clone()
+    };
+    let tendon = StrainActuator {
+        name: String::new(),
+        density: Density::Shortening,
+        scale: 1.0,
+        route: Route::straight([offset, 0.0]),
+        effort: vec![(0.0, tension)],
+        winch: None,
+        largest: tension,
+    };
+    let by_tendon = RodParameters {
+        loads: vec![push.clone()],
+        actuators: vec![tendon],
+        ..base.clone()
+    };
+    let by_moment = RodParameters {
+        loads: vec![push, moment],
+        ..base
+    };
+    let ends = [by_tendon, by_moment].map(|parameters| {
+        let rod = Rod::new(parameters).unwrap();
+        assert!(step > 30.0 * bent_step(&rod));
+        let shape = static_equilibrium(&rod, &rod.rest, 1.0, &TipSpring::default()).unwrap();
+        let bend = log(&shape.rotations[10]).norm();
+        assert!((bend - 0.72).abs() < 0.02, "{bend}");
+        let grid = TimeGrid {
+            start: 0.0,
+            step,
+            n_steps: 2000,
+        };
+        let mut stepper = Stepper::new(&rod, grid, State::at_rest(shape));
+        (0..grid.n_steps).try_for_each(|_| stepper.advance([NodeWrenches::NONE; 2]))
+    });
+    assert!(ends[0].is_ok(), "{ends:?}");
+    assert!(ends[1].is_err());
 }

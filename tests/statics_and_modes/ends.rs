@@ -266,3 +266,34 @@ fn clamps_bend_an_arm_into_an_arc() {
     );
     assert!(reaction.force.norm() < 1e-6, "{}", reaction.force);
 }
+
+/// A cable between two ends that are nearer to each other than its length: its load path is that of the shape which hangs, as for a motion that
+/// starts from the equilibrium there, and not that of the arm which was pressed together without weight and stays straight.
+#[test]
+fn a_cable_hangs_along_its_load_path() {
+    let parameters = RodParameters {
+        base: BaseCondition::Pinned { axis: None },
+        base_rotation: exp(&Vector3::new(0.0, std::f64::consts::FRAC_PI_2, 0.0)),
+        tip: EndCondition::Clamped,
+        tip_position: Some(Vector3::new(0.8, 0.0, 0.0)),
+        gravity: Vector3::new(0.0, 0.0, -9.81),
+        ..RodParameters::straight(1.0, 20, section(1e4, [0.3; 3]))
+    };
+    let rod = Rod::new(parameters).unwrap();
+    let stop = StopSignal::default();
+    let path = LoadPath::new(&rod, Varied::All, 0.0, Vector3::zeros(), &stop).unwrap();
+    let start = path.start().unwrap();
+    let own = path.at(&start, 1.0).unwrap();
+    assert!(
+        own.stability
+            .is_some_and(|found| found.growth_rate.is_none()),
+        "{:?}",
+        own.stability
+    );
+    let settled = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
+    for (a, b) in own.shape.positions.iter().zip(&settled.positions) {
+        assert!((a - b).norm() < 1e-8, "{a} {b}");
+    }
+    let sag = own.shape.positions.iter().map(|x| x.z).fold(0.0, f64::min);
+    assert!(sag < -0.1, "{sag}");
+}

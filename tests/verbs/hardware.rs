@@ -8,6 +8,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
+use nalgebra::Vector3;
 use serde_json::Value;
 use softarm::output::{EffortRow, MotionRecord, read_efforts};
 use softarm::scene::Scene;
@@ -261,4 +262,58 @@ fn efforts_are_carried_to_finer_grids() {
     let [a, b] = [&summary, &alone].map(|own| own["objective"].as_f64().unwrap());
     // Both are optima of one grid, of objectives that a solve knows to the square of its tolerance.
     assert!((a - b).abs() < 1e-6 * b.abs(), "{a} {b}");
+}
+
+/// A soft goal is solved at any weight, on grids whose subproblems have many tensions at their bounds: the variables of the goal have a penalty
+/// of unit curvature, whatever the weight is. The distance that is left falls as the inverse of a large weight, to first order in it.
+#[test]
+fn heavy_weights_are_solved() {
+    let desk = Desk::new();
+    let left = |weight: &str| {
+        let set = "--set rod.elements=16 --set solver.max_iterations=40";
+        desk.done(&format!(
+            "solve arm.toml {set} --set task.weight={weight} --out run"
+        ));
+        let (motion, _) = desk.efforts("run");
+        let tip = Vector3::from_column_slice(&motion.x[motion.x.len() - 3..]);
+        (tip - Vector3::new(0.03, 0.0, -0.29)).norm()
+    };
+    let [light, heavy, heaviest] = ["1e2", "1e4", "1e5"].map(left);
+    assert!(
+        heaviest < heavy && heavy < light,
+        "{light:e} {heavy:e} {heaviest:e}"
+    );
+}
+
+/// `check` says of every tendon its bounds and its tension at the target, and of chambers, muscles and magnets likewise. Implicit steps beyond the
+/// limit of an arm that a moment bends are a remark only where something else than actuators along the arm bends it, or nothing damps it.
+#[test]
+fn check_names_every_actuator() {
+    let desk = Desk::new();
+    let talk = |line: &str| {
+        let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(line.split_whitespace())
+            .current_dir(desk.0.path())
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(DONE), "{line}");
+        String::from_utf8_lossy(&output.stderr).into_owned()
+            + &String::from_utf8_lossy(&output.stdout)
+    };
+    for scene in ["till-tendons", "knode-tendons"] {
+        let words = talk(&format!("check {scene}"));
+        for name in ["first", "second", "third", "fourth"] {
+            let mut lines = words.lines();
+            let line = lines.find(|line| line.contains(&format!("{name}, 0 to")));
+            assert!(
+                line.is_some_and(|line| line.contains("at the target")),
+                "{words}"
+            );
+        }
+        assert!(!words.contains("time.step_s"), "{words}");
+        let undamped = talk(&format!("check {scene} --set damping.internal_s=0"));
+        assert!(undamped.contains("time.step_s"), "{undamped}");
+    }
+    // A number without a unit has no prefix.
+    assert!(talk("check elastica-muscles").contains("first, 0 to 1; at the target 0.5"));
 }

@@ -75,9 +75,26 @@ impl Transcription<'_> {
                 gradient[column] += weight * slope;
             });
         }
-        for (variable, y) in self.slack_variables.iter().zip(&multipliers.constraints) {
+        if let Some((pulls, efforts)) = columns.efforts() {
+            let n_nodes = motion.rod.n_nodes();
+            for k in 0..=motion.grid.n_steps {
+                let covectors: Vec<f64> = (0..n_nodes)
+                    .flat_map(|node| costates.wrench(&motion, k, node).to_array())
+                    .collect();
+                for (set, end, share) in pulls.sets_at(k) {
+                    for index in 0..pulls.n_actuators() {
+                        let slope = share * dot(pulls.wrenches(set, end, index), &covectors);
+                        efforts.visit(set, index, &mut |column, derivative| {
+                            gradient[column] += derivative * slope;
+                        });
+                    }
+                }
+            }
+        }
+        let slacks = self.slack_variables.iter().zip(&self.slack_units);
+        for ((variable, unit), y) in slacks.zip(&multipliers.constraints) {
             if let Some(variable) = *variable {
-                gradient[variable] -= y;
+                gradient[variable] -= unit * y;
             }
         }
         if let (Some(relaxation), Some(along_shortfall)) = (&self.relaxation, gradient.last_mut()) {
@@ -238,7 +255,7 @@ impl Transcription<'_> {
             } else if shortfall == Some(j) {
                 self.relaxed_constraint(i)
             } else if self.slack_variables[i] == Some(j) {
-                -1.0
+                -self.slack_units[i]
             } else {
                 0.0
             }

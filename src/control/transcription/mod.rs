@@ -103,6 +103,8 @@ pub struct Transcription<'a> {
     goals: Vec<Residual>,
     /// Variable of every goal row whose residual has one.
     slack_variables: Vec<Option<usize>>,
+    /// [Scaled residual](OptimalControlProblem::slack_unit) for one unit of that variable, row by row.
+    slack_units: Vec<f64>,
     sets: Vec<ConvexSet>,
     /// Places of the bounds on commands among the sets.
     commands: Vec<CommandSet>,
@@ -154,6 +156,7 @@ impl<'a> Transcription<'a> {
                 })
             })
             .collect();
+        let slack_units = (goal_rows.iter().map(|row| problem.slack_unit(row))).collect();
         let path = problem.path.clone();
         let mut path_starts = vec![0];
         for constraint in &path {
@@ -184,6 +187,7 @@ impl<'a> Transcription<'a> {
             components,
             goal_rows,
             slack_variables,
+            slack_units,
             path,
             path_starts,
             path_durations,
@@ -392,7 +396,7 @@ impl<'a> Transcription<'a> {
     /// Residuals of the goals minus the variables that some have for them.
     fn less_slacks(&self, mut residuals: Vec<f64>, variables: &[f64]) -> Vec<f64> {
         for (row, (r, variable)) in residuals.iter_mut().zip(&self.slack_variables).enumerate() {
-            *r -= variable.map_or(0.0, |variable| variables[variable]);
+            *r -= variable.map_or(0.0, |variable| self.slack_units[row] * variables[variable]);
             *r += self.relaxed_constraint(row) * self.shortfall(variables);
         }
         residuals
@@ -677,10 +681,10 @@ impl LiftedProgram for Transcription<'_> {
                 })
                 .collect(),
             constraints: (self.goal_gradients(trajectory).into_iter())
-                .zip(&self.slack_variables)
-                .map(|(gradient, soft)| {
+                .zip(self.slack_variables.iter().zip(&self.slack_units))
+                .map(|(gradient, (soft, unit))| {
                     let mut row = of_forms(gradient);
-                    row.variables.extend(soft.map(|variable| (variable, -1.0)));
+                    row.variables.extend(soft.map(|variable| (variable, -unit)));
                     row
                 })
                 .collect(),

@@ -39,8 +39,9 @@ pub struct Task {
     /// due at `at_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub free_duration: Option<FreeDuration>,
-    /// Motion at `at_s`: with true, the whole arm comes to rest and stays there with the last wrench held; with "tip",
-    /// the tip has neither velocity nor angular velocity at that instant; with false, the tip passes.
+    /// Motion at `at_s`: with true, the whole arm comes to rest and stays there with the last wrench held, which needs
+    /// a base that is not pinned and a free tip; with "tip", the tip has neither velocity nor angular velocity at that
+    /// instant; with false, the tip passes.
     #[serde(default)]
     pub at_rest: AtRest,
     /// Time in s for which the arm stays, positive. Only with `at_rest = true`. Absent: one first period of the held
@@ -208,6 +209,23 @@ impl Keys<'_> {
             return Err(self
                 .source
                 .error_at("task.node", message, Some(help.to_string())));
+        }
+        if task.at_rest == AtRest::Staying {
+            let ends = [("base", scene.base.kind), ("tip", tip)];
+            let held = |&(end, kind): &(&str, EndKind)| {
+                kind == EndKind::Pinned || (end == "tip" && kind != EndKind::Free)
+            };
+            if let Some((end, kind)) = ends.into_iter().find(held) {
+                let message = format!(
+                    "the {end} is {}, and what holds such an arm at its target is not looked for: it follows from the reactions of both \
+                     ends as well",
+                    kind.name()
+                );
+                let help = "let the node stop for an instant: at_rest = \"tip\"";
+                return Err(self
+                    .source
+                    .error_at("task.at_rest", message, Some(help.to_string())));
+            }
         }
         if let Some(position) = &task.position_m {
             self.finite("task.position_m", position)?;

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use nalgebra::Vector3;
 
-use self::concerns::{loose, topples};
+use self::concerns::{begins_inside, contact_facts, loose, topples};
 pub(crate) use self::concerns::{size_warning, warnings, what_weighs};
 use self::forecast::{cost, problem_size, shorter};
 pub(crate) use self::forecast::{expectation, output_size, time_in_words};
@@ -46,7 +46,15 @@ pub(crate) struct SceneCheck {
     /// Distance of the target from the initial position of the tip, m.
     pub distance: Option<f64>,
     /// Units of the controls of actuators that are no wrenches.
-    pub own_units: Vec<String>,
+    pub own_units: Vec<ControlUnit>,
+}
+
+/// Unit of the controls of an actuator that is no wrench.
+pub(crate) struct ControlUnit {
+    /// Empty for a number without a unit.
+    pub unit: String,
+    /// Name of an actuator of the rod.
+    pub name: Option<String>,
 }
 
 /// Checks the scene of this name. `until` makes the signal by which work that begins now is given up after a time.
@@ -78,24 +86,31 @@ pub(crate) fn check_scene(
         let size = problem_size(&setup.problem);
         let time = SolveTime::of_problem(&setup.problem);
         concerns.extend(shorter(&setup, &time));
-        plan =
-            Some(Plan {
-                actuators: actuators(&setup.problem),
-                need: need(&setup.problem, scene.staying(), setup.arm.length),
-                cost: SolveCost {
-                    iteration_s: time.iteration,
-                    iterations: time.iterations(),
-                    check_s: time.check,
-                    total_s: time.range(),
-                },
-                distance: distance(&setup.problem),
-                own_units: (setup.problem.acting.iter())
-                    .map(|acting| acting.actuator.named_controls().1.to_string())
-                    .chain(setup.problem.driven().map(|(actuator, _)| {
-                        format!("{} ({})", actuator.input_unit(), actuator.name)
-                    }))
-                    .collect(),
-            });
+        plan = Some(Plan {
+            actuators: actuators(&setup.problem),
+            need: need(&setup.problem, scene.staying(), setup.arm.length),
+            cost: SolveCost {
+                iteration_s: time.iteration,
+                iterations: time.iterations(),
+                check_s: time.check,
+                total_s: time.range(),
+            },
+            distance: distance(&setup.problem),
+            own_units: (setup.problem.acting.iter())
+                .map(|acting| ControlUnit {
+                    unit: acting.actuator.named_controls().1.to_string(),
+                    name: None,
+                })
+                .chain(setup.problem.driven().map(|(actuator, _)| ControlUnit {
+                    unit: actuator.input_unit().to_string(),
+                    name: Some(actuator.name.clone()),
+                }))
+                .collect(),
+        });
+        concerns.extend(begins_inside(
+            &setup.problem.rod,
+            &setup.problem.initial.configuration,
+        ));
         let memory = of_solve(&setup, 1, n_threads);
         (
             setup.problem.rod,
@@ -108,6 +123,7 @@ pub(crate) fn check_scene(
         let setup = scene.simulation(source)?;
         let output = output_size(&setup);
         concerns.extend(size_warning(&output));
+        concerns.extend(begins_inside(&setup.rod, &setup.initial.configuration));
         by_symmetry = stands_by_symmetry(&setup.rod, &setup.initial, setup.grid.duration());
         let memory = of_simulation(&setup);
         (Arc::new(setup.rod), setup.grid, None, Some(output), memory)
@@ -147,6 +163,7 @@ pub(crate) fn check_scene(
         elements: rod.n_elements(),
         mass_kg: rod.mass(),
         stable_step_s: stable_step(&rod),
+        contact: contact_facts(&rod),
         integrator: rod.scheme.name(),
         rotary_inertia: rod.rotary_inertia.name(),
         cost: cost(&rod, &grid),
@@ -202,7 +219,7 @@ struct Plan {
     /// Distance of the target from the initial position of the tip, m.
     distance: Option<f64>,
     /// Units of the controls of actuators that are no wrenches.
-    own_units: Vec<String>,
+    own_units: Vec<ControlUnit>,
 }
 
 /// The arm under gravity, with its payload and without loads; and the motions that nothing holds, in words.
@@ -306,7 +323,7 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
             node: Place::Fraction(actuator.from).node(&problem.rod.mesh),
             force: NO_WRENCH.into(),
             moment: NO_WRENCH.into(),
-            controls: Some(format!("{}, {range}", actuator.name)),
+            controls: Some(format!("{}, {}", actuator.name, range.trim_end())),
         }
     });
     (problem.wrench_actuators().iter())
