@@ -13,6 +13,7 @@
 //! `H` over a batch of time nodes.
 
 mod active;
+mod along;
 mod arriving;
 mod bent;
 mod columns;
@@ -34,8 +35,9 @@ use std::sync::{Mutex, PoisonError, RwLock};
 use faer::Mat;
 use pulp::Arch;
 
+use self::along::Along;
 use self::conveyor::{Conveyor, PIECE, Sense, parts_of};
-use self::linearize::{Along, Memory};
+use self::linearize::Memory;
 use self::reduction::{Block, Record};
 use self::reverse::ReverseTile;
 use self::team::{lock, read, write};
