@@ -90,13 +90,16 @@ pub trait EffortColumns: Sync {
     fn visit(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64));
 }
 
-/// Calls `visit(column, weight, wrenches)` for the columns that efforts have among `range` and the wrenches of the actuator of each on all
-/// nodes at time node `k`, six numbers for each node.
+/// Visitor of columns with weights and of the wrenches on all nodes, six numbers for each, that they share.
+type SharedVisitor<'a> = dyn FnMut(&[(usize, f64)], &[f64]) + 'a;
+
+/// Calls `visit(columns, wrenches)` for the columns that efforts have among `range` and the wrenches of the actuator of each at time node
+/// `k`.
 fn visit_efforts(
     columns: &dyn ControlColumns,
     k: usize,
     range: Range<usize>,
-    visit: &mut dyn FnMut(&[(usize, f64)], &[f64]),
+    visit: &mut SharedVisitor,
 ) {
     let Some((pulls, efforts)) = columns.efforts() else {
         return;
