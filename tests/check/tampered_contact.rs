@@ -14,7 +14,7 @@ use crate::tool::{DONE, REJECTED};
 const SCENE: &str = r#"
 [rod]
 length_m = 0.4
-elements = 6
+elements = 8
 [rod.material]
 youngs_modulus_pa = 1e6
 poisson_ratio = 0.4
