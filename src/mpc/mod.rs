@@ -4,7 +4,7 @@
 //! positions, rotations and momenta of all nodes, and returns the wrenches to apply until the next sample. The measured state is a
 //! parameter of its linearized model, so that the response to a measurement is one small quadratic program; all slow work is done before
 //! the measurement arrives (the real-time iteration of Diehl, Bock and Schlöder 2005). No sample after the first allocates memory, except
-//! for the slopes of obstacles and limits.
+//! for the slopes of obstacles, limits and contacts.
 //!
 //! A [`Plant`] executes commands and is measured: [`RodPlant`] is an arm with a grid and a material of its own, whose state a [`Transfer`]
 //! carries to the model's nodes; hardware and other simulators implement the trait.
