@@ -312,6 +312,9 @@ fn detail(summary: &CheckSummary, console: &Console) {
         "  time   {} step {:.4e} s (explicit: stable below {:.4e} s), {} steps",
         summary.integrator, summary.step_s, summary.stable_step_s, summary.steps
     ));
+    if let Some(contact) = &summary.contact {
+        console.say(&format!("  contact {}", contact.in_words()));
+    }
     let cost = &summary.cost;
     console.say(&format!(
         "  cost   simulation explicit {:.1e} s at {:.4e} s, implicit {:.1e} s at {:.4e} s: {} is cheaper",

@@ -155,7 +155,7 @@ fn accurate(
     let refused = |error| refused(scene, source, error);
     let Some(accuracy) = scene.accuracy() else {
         let found = statics(arm, &own, options, stop).map_err(refused)?;
-        return Ok((scene.resolved(&own), found));
+        return Ok((scene.resolved(arm, &own), found));
     };
     let (elements, found) =
         accurate_statics(arm, &own, accuracy, options, stop).map_err(refused)?;
@@ -164,7 +164,7 @@ fn accurate(
         step: None,
         ..chosen
     });
-    Ok((scene.resolved(&chosen), found))
+    Ok((scene.resolved(arm, &chosen), found))
 }
 
 fn refused(scene: &Scene, source: &SceneSource, error: StaticsError) -> CliError {

@@ -121,6 +121,16 @@ fn conclude(summary: &SimulateSummary, first_step: usize, console: &Console) {
             ));
         }
     }
+    for contact in &summary.contact {
+        console.say(&contact.in_words());
+        if summary.step_s > contact.allows_step_s {
+            console.warn(&format!(
+                "{}: at that depth it is so stiff that steps are stable up to {:.3e} s alone; give a time.step_s below that, a larger \
+                 penetration_m, or a smaller force_n",
+                contact.contact, contact.allows_step_s
+            ));
+        }
+    }
     let tip = summary.tip.position_m;
     console.say(&format!(
         "tip at ({:.6}, {:.6}, {:.6}) m; energy {:.6e} J at the start, {:.6e} J at the end",

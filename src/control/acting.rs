@@ -1,14 +1,14 @@
 //! User-defined actuators along a point: the columns of their controls, and their part of the Hessian of the Lagrangian.
 
 use faer::Mat;
-use nalgebra::Vector6;
+use nalgebra::{Matrix6, Vector6};
 
 use super::path::RowGradient;
 use super::problem::{Component, OptimalControlProblem};
 use crate::mechanics::actuator::{StateView, flat};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::linearization::{AdjointSweep, Motion};
-use crate::mechanics::sensitivity::{EffortPulls, Sensitivities, interval_share};
+use crate::mechanics::sensitivity::{EffortPulls, Sensitivities};
 use crate::mechanics::signal::EffortTable;
 use crate::mechanics::{
     ControlSignal, EffortLaw, FormTerm, PlacedFunction, Posed, StateForm, TimeScheme, Trajectory,
@@ -130,6 +130,28 @@ impl<'a> ActingAlong<'a> {
             signal,
             jacobians,
         })
+    }
+
+    /// Returns the wrenches of unit efforts of the driven actuators, if some of them act on strains.
+    pub fn pulls(&self) -> Option<&EffortPulls> {
+        self.pulls.as_ref()
+    }
+
+    /// Calls `visit(coefficient, derivative)` for the coefficients of the control on which the effort of a driven actuator depends in a set
+    /// of [pulls](Self::pulls), along the input of the actuator.
+    pub fn visit_efforts(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64)) {
+        let ends = match self.problem.rod.scheme {
+            TimeScheme::Explicit => 1,
+            TimeScheme::Implicit => 2,
+        };
+        for time in set..set + ends {
+            let slope = self.law(time, index).along_input / ends as f64;
+            for (coefficient, weight) in self.problem.control.weights(time) {
+                if weight != 0.0 {
+                    visit(coefficient, weight * slope);
+                }
+            }
+        }
     }
 
     /// Calls `visit(time, node, component, derivative)` for every component of a wrench at time node `k` that one control changes by its
@@ -316,17 +338,7 @@ impl<'a> ActingAlong<'a> {
             );
         }
         self.winch_curvature(motion, trajectory, costates, &mut along_states);
-        if let Some(efforts) = problem.efforts.as_ref().filter(|_| self.pulls.is_some()) {
-            let driven = &efforts.actuators;
-            self.effort_curvature(
-                motion,
-                trajectory,
-                costates,
-                driven,
-                &own,
-                &mut along_controls,
-            );
-        }
+        self.input_curvature(motion, costates, &own, &mut along_controls);
         (along_states, along_controls)
     }
 
@@ -394,6 +406,10 @@ impl<'a> ActingAlong<'a> {
             let bent = own
                 .function
                 .curvature(&own.pose(x, r), &covector, rod.scales.length);
+            // A node that touches nothing.
+            if bent == Matrix6::zeros() {
+                continue;
+            }
             along_states.push(OwnCurvature {
                 time_node: k,
                 rows: (0..6).map(|component| (own.node, component)).collect(),
@@ -439,101 +455,62 @@ impl<'a> ActingAlong<'a> {
         }
     }
 
-    /// Appends the mixed second derivatives of the wrenches of the rod's actuators, along efforts and configuration: one form for every
-    /// effort and time node, or under the implicit scheme for every effort and interval. Those along the configuration alone belong to the
-    /// elements.
-    fn effort_curvature(
+    /// Appends the second derivatives along the inputs of winches that follow from the curvature of their tensions: along two inputs, and
+    /// along an input and the configuration. Steps with winches are explicit. The other mixed ones, of the pulls of efforts, belong to the
+    /// linearized steps, and those along the configuration alone to the elements.
+    fn input_curvature(
         &self,
         motion: &Motion,
-        trajectory: &Trajectory,
         costates: &AdjointSweep,
-        driven: &[usize],
         targets: &[Target],
         out: &mut Vec<ControlCurvature>,
     ) {
+        let Some(pulls) = self.pulls.as_ref().filter(|_| !self.laws.is_empty()) else {
+            return;
+        };
         let problem = self.problem;
-        let n_steps = problem.grid.n_steps;
-        let intervals = problem.rod.scheme == TimeScheme::Implicit;
-        let covector = |set: usize, end: usize, node: usize| {
-            let wrench = costates.wrench(motion, set + end, node);
-            let share = if intervals {
-                interval_share(set + end, n_steps)
-            } else {
-                1.0
-            };
-            Wrench {
-                force: wrench.force * share,
-                moment: wrench.moment * share,
-            }
-        };
-        let pulls = EffortPulls::of(motion, trajectory, driven, Some(&covector));
-        let (n_sets, ends) = if intervals {
-            (n_steps, 2)
-        } else {
-            (n_steps + 1, 1)
-        };
         let n_components = targets.len();
-        // The work of the costates in the pull of a unit effort; of explicit steps, which those with winches are.
-        let work = |set: usize, index: usize| -> f64 {
-            let wrenches = pulls.wrenches(set, 0, index).chunks_exact(6).enumerate();
-            wrenches
-                .map(|(node, wrench)| {
-                    let own = covector(set, 0, node).to_array();
-                    own.iter().zip(wrench).map(|(a, b)| a * b).sum::<f64>()
-                })
-                .sum()
-        };
-        let form = |set: usize, end: usize, index: usize| {
-            let law = self.law(set, index);
-            let mixed = if law.mixed == 0.0 {
-                0.0
-            } else {
-                law.mixed * work(set, index)
-            };
-            let both = pulls.slopes(set, end, index).iter();
-            StateForm {
-                time_node: set + end,
-                terms: (both.zip(pulls.wrenches(set, end, index)).enumerate())
-                    .map(|(at, (slope, pull))| FormTerm {
-                        node: at / 6,
-                        component: at % 6,
-                        coefficient: law.along_input * slope + mixed * pull,
+        for k in 0..=problem.grid.n_steps {
+            for (at, target) in targets.iter().enumerate() {
+                let Target::Effort(index) = *target else {
+                    continue;
+                };
+                let law = self.law(k, index);
+                if law.mixed == 0.0 && law.bend == 0.0 {
+                    continue;
+                }
+                let pull = pulls.wrenches(k, 0, index);
+                // The work of the costates in the pull of a unit effort.
+                let work: f64 = (pull.chunks_exact(6).enumerate())
+                    .map(|(node, wrench)| {
+                        let own = costates.wrench(motion, k, node).to_array();
+                        own.iter().zip(wrench).map(|(a, b)| a * b).sum::<f64>()
                     })
-                    .filter(|term| term.coefficient != 0.0)
-                    .collect(),
+                    .sum();
+                let terms = pull.iter().enumerate().map(|(place, pull)| FormTerm {
+                    node: place / 6,
+                    component: place % 6,
+                    coefficient: law.mixed * work * pull,
+                });
+                let unit = problem.unit_of_effort(index);
+                let weights = problem.control.weights(k).into_iter();
+                out.push(ControlCurvature {
+                    forms: vec![vec![StateForm {
+                        time_node: k,
+                        terms: terms.filter(|term| term.coefficient != 0.0).collect(),
+                    }]],
+                    cross: Mat::identity(1, 1),
+                    own: Mat::from_fn(1, 1, |_, _| law.bend * work),
+                    columns: vec![
+                        weights
+                            .filter(|(_, weight)| *weight != 0.0)
+                            .map(|(coefficient, weight)| {
+                                (coefficient * n_components + at, weight * unit)
+                            })
+                            .collect(),
+                    ],
+                });
             }
-        };
-        for set in 0..n_sets {
-            let columns = (0..driven.len())
-                .map(|index| {
-                    let mut entries = Vec::new();
-                    for time in set..set + ends {
-                        for (coefficient, weight) in problem.control.weights(time) {
-                            for (at, target) in targets.iter().enumerate() {
-                                if *target == Target::Effort(index) && weight != 0.0 {
-                                    let unit = problem.unit_of_effort(index);
-                                    let column = coefficient * n_components + at;
-                                    entries.push((column, weight * unit / ends as f64));
-                                }
-                            }
-                        }
-                    }
-                    entries
-                })
-                .collect();
-            out.push(ControlCurvature {
-                forms: (0..driven.len())
-                    .map(|index| (0..ends).map(|end| form(set, end, index)).collect())
-                    .collect(),
-                cross: Mat::identity(driven.len(), driven.len()),
-                own: Mat::from_fn(driven.len(), driven.len(), |i, j| {
-                    match self.law(set, i).bend {
-                        bend if i == j && bend != 0.0 => bend * work(set, i),
-                        _ => 0.0,
-                    }
-                }),
-                columns,
-            });
         }
     }
 }

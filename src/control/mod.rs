@@ -36,8 +36,6 @@ pub mod hold;
 mod holding;
 mod journal;
 #[doc(hidden)]
-pub mod obstacle;
-#[doc(hidden)]
 pub mod path;
 #[doc(hidden)]
 pub mod problem;
@@ -52,6 +50,7 @@ mod tracking_error;
 pub mod transcription;
 mod turns;
 
+pub use crate::mechanics::solid::{Shape, SignedDistance};
 pub use crate::mechanics::{Actuator, SharedActuator};
 pub use advice::{Observation, observe};
 #[doc(hidden)]
@@ -67,7 +66,6 @@ pub(crate) use holding::ControlsAlong;
 pub use holding::{CannotHold, Holding, HoldingError, NotFound, holding};
 #[doc(hidden)]
 pub use journal::{Listener, SearchEvent};
-pub use obstacle::{Shape, SignedDistance};
 pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, RodView};
 pub(crate) use problem::named_axes;
 pub use problem::{

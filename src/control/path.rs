@@ -7,10 +7,10 @@
 use faer::Mat;
 use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
 
-use super::obstacle::Shape;
 use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::element::{IntervalStress, log_second_derivative};
+use crate::mechanics::solid::Shape;
 use crate::mechanics::{FormTerm, Place, Rod, StateForm, TimeGrid, Trajectory};
 use crate::sqp::Softness;
 

@@ -21,8 +21,6 @@ pub struct NodalForces {
 /// Its forces have the derivative `slope pull pullᵀ`, of rank one.
 #[derive(Clone, Debug)]
 pub(super) struct EffortSlope {
-    /// Index of the actuator.
-    pub actuator: usize,
     /// `∂u/∂y`, negative.
     pub slope: f64,
     /// Forces, spatial frame, and moments, body frame of the node, per effort.
@@ -210,24 +208,64 @@ impl Rod {
         positions: &[Vector3<f64>],
         rotations: &[nalgebra::Matrix3<f64>],
     ) -> Vec<EffortSlope> {
-        if !self.actuators.has_winches() {
-            return Vec::new();
-        }
-        let coordinates = self.actuator_coordinates(positions, rotations);
-        (inputs.iter().zip(coordinates).enumerate())
-            .map(|(i, (input, y))| (i, self.actuators.law(i, *input, y).along_coordinate))
-            .filter(|(_, slope)| *slope != 0.0)
-            .map(|(i, slope)| {
-                let mut unit = vec![0.0; self.actuators.len()];
-                unit[i] = 1.0;
-                let mut pull = NodalForces::zeros(self.n_nodes());
-                pull.add_active(self, positions, rotations, &unit);
-                EffortSlope {
-                    actuator: i,
+        let mut out = Vec::new();
+        let mut memory = SlopeMemory::of(self);
+        memory.visit(self, inputs, (positions, rotations), |_, slope, pull| {
+            if slope != 0.0 {
+                out.push(EffortSlope {
                     slope,
-                    pull,
-                }
-            })
-            .collect()
+                    pull: pull.clone(),
+                });
+            }
+        });
+        out
+    }
+}
+
+/// Memory for the [derivatives](EffortSlope) of the efforts of winches.
+#[derive(Clone, Debug)]
+pub(super) struct SlopeMemory {
+    coordinates: Vec<f64>,
+    unit: Vec<f64>,
+    pull: NodalForces,
+}
+
+impl SlopeMemory {
+    /// Creates memory for a rod.
+    pub fn of(rod: &Rod) -> Self {
+        Self {
+            coordinates: vec![0.0; rod.actuators.len()],
+            unit: vec![0.0; rod.actuators.len()],
+            pull: NodalForces::zeros(rod.n_nodes()),
+        }
+    }
+
+    /// Calls `visit(actuator, slope, pull)` for every winch, for the inputs of all actuators. The slope of a slack tendon is zero, and its
+    /// pull is not evaluated.
+    pub fn visit(
+        &mut self,
+        rod: &Rod,
+        inputs: &[f64],
+        (positions, rotations): (&[Vector3<f64>], &[Matrix3<f64>]),
+        mut visit: impl FnMut(usize, f64, &NodalForces),
+    ) {
+        if !rod.actuators.has_winches() {
+            return;
+        }
+        rod.write_actuator_coordinates(positions, rotations, &mut self.coordinates);
+        for (i, own) in rod.actuators.iter().enumerate() {
+            if own.winch.is_none() {
+                continue;
+            }
+            let law = rod.actuators.law(i, inputs[i], self.coordinates[i]);
+            self.pull.forces.fill(Vector3::zeros());
+            self.pull.moments.fill(Vector3::zeros());
+            if law.along_coordinate != 0.0 {
+                self.unit.fill(0.0);
+                self.unit[i] = 1.0;
+                (self.pull).add_active(rod, positions, rotations, &self.unit);
+            }
+            visit(i, law.along_coordinate, &self.pull);
+        }
     }
 }

@@ -35,6 +35,7 @@ pub(crate) mod block_tridiagonal;
 mod buffer;
 #[doc(hidden)]
 pub mod configuration;
+mod contact;
 #[doc(hidden)]
 pub mod curvature;
 #[doc(hidden)]
@@ -86,6 +87,8 @@ mod shape;
 pub mod signal;
 pub(crate) mod slow_modes;
 #[doc(hidden)]
+pub mod solid;
+#[doc(hidden)]
 pub mod sparse_motion;
 #[doc(hidden)]
 pub mod stability;
@@ -111,6 +114,7 @@ pub use actuator::{Acting, ActingDerivative};
 pub use actuator::{Actuator, SharedActuator, StateView};
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
+pub use contact::{Contact, Deepest, Touch};
 pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
 pub use element::{Density, RodModel, StrainRule};
 pub use ends::{EndCondition, Joint};

@@ -11,6 +11,7 @@ use self::pose_actuator::{OfPose, PoseActuator, Span};
 use self::strain_actuator::{RodActuators, StrainActuator};
 use super::base_motion::BaseState;
 use super::configuration::{Configuration, State};
+use super::contact::Contact;
 use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::ends::{EndCondition, Joint};
@@ -114,6 +115,11 @@ pub struct RodParameters {
     pub pose_actuators: Vec<PoseActuator>,
     /// Potentials of nodes that have no effort, J.
     pub potentials: Vec<(Span, OfPose)>,
+    /// Bodies that the rod touches.
+    pub contacts: Vec<Contact>,
+    /// Radius along the rod, at which it touches, as rows of a fraction of the length and a radius in m, with steps where two rows have the
+    /// same fraction; empty for a line without thickness.
+    pub radii: Vec<(f64, f64)>,
     /// A rigid body on the tip node, with its center of mass there and its principal axes along the node's.
     pub payload: Option<NodeInertia>,
     /// Rigid bodies at fractions of the length, with their centers of mass on the axis of the rod and their principal axes along those of
@@ -153,6 +159,8 @@ impl RodParameters {
             actuators: Vec::new(),
             pose_actuators: Vec::new(),
             potentials: Vec::new(),
+            contacts: Vec::new(),
+            radii: Vec::new(),
             payload: None,
             bodies: Vec::new(),
         }
@@ -168,6 +176,7 @@ impl RodParameters {
         breaks.extend((self.actuators.iter()).flat_map(|own| [own.route.from, own.route.to]));
         let posed = (self.pose_actuators.iter()).flat_map(|own| &own.parts);
         breaks.extend((posed.chain(&self.potentials)).flat_map(|(span, _)| span.breaks()));
+        breaks.extend(self.contacts.iter().flat_map(|contact| contact.part));
         Mesh::new(self.n_elements, &breaks, self.multiple)
     }
 
@@ -267,6 +276,8 @@ pub struct Rod {
     pub loads: Vec<Load>,
     /// Actuators and where they act, and potentials of nodes.
     pub actuators: RodActuators,
+    /// Bodies that the rod touches; their potentials stand among those of the nodes.
+    pub contacts: Vec<Contact>,
     /// Reference magnitudes.
     pub scales: Scales,
 }
@@ -580,7 +591,12 @@ impl Rod {
             "none: give the tensions of its tendons",
         )?;
         let places = (&mesh, p.strain_rule, &elements[..]);
-        let actuators = RodActuators::new(&p.actuators, &p.pose_actuators, &p.potentials, places)?;
+        let mut actuators =
+            RodActuators::new(&p.actuators, &p.pose_actuators, &p.potentials, places)?;
+        for (index, contact) in p.contacts.iter().enumerate() {
+            contact.check()?;
+            actuators.add_contact((index, contact), &p.radii, &mesh)?;
+        }
         Ok(Self {
             strain_rule: p.strain_rule,
             model: p.model,
@@ -602,6 +618,7 @@ impl Rod {
             scheme: p.scheme,
             loads,
             actuators,
+            contacts: p.contacts.clone(),
             scales,
         })
     }

@@ -40,6 +40,11 @@ where
     Some([value(below)?, value(above)?])
 }
 
+/// Returns the larger of the values on both sides of a fraction of the length; `None` without rows.
+pub(crate) fn largest(rows: &[(f64, f64)], at: f64) -> Option<f64> {
+    sides(rows, at).map(|[before, after]| before.max(after))
+}
+
 /// Returns the fractions of the length at which a quantity has a step.
 pub(crate) fn steps<T>(rows: &[(f64, T)]) -> impl Iterator<Item = f64> + '_ {
     let pairs = rows.windows(2);

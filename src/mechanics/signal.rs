@@ -137,16 +137,45 @@ impl EffortTable {
         self.nodes.resize(n * (grid.n_steps + 1), 0.0);
         self.intervals.resize(n * grid.n_steps, 0.0);
         for (k, out) in self.nodes.chunks_exact_mut(n).enumerate() {
-            actuators.write_efforts(&grid.node(k), out);
-            if let Some(control) = control {
-                control.at(k).add_efforts(out);
-            }
+            write_node_efforts(actuators, grid, control, k, out);
         }
         for (k, out) in self.intervals.chunks_exact_mut(n).enumerate() {
-            for (actuator, out) in out.iter_mut().enumerate() {
-                *out = interval_effort(actuators, grid, control, k, actuator);
-            }
+            write_interval_efforts(actuators, grid, control, k, out);
         }
+    }
+}
+
+/// Writes the efforts of all actuators at time node `k`, the mean of both sides where they jump.
+pub(super) fn write_node_efforts(
+    actuators: &RodActuators,
+    grid: &TimeGrid,
+    control: Option<&ControlSignal>,
+    k: usize,
+    out: &mut [f64],
+) {
+    actuators.write_efforts(&grid.node(k), out);
+    if let Some(control) = control {
+        control.at(k).add_efforts(out);
+    }
+}
+
+/// Writes the efforts of all actuators in the interval from time node `k` to the next: the means of those just after its start and just
+/// before its end.
+pub(super) fn write_interval_efforts(
+    actuators: &RodActuators,
+    grid: &TimeGrid,
+    control: Option<&ControlSignal>,
+    k: usize,
+    out: &mut [f64],
+) {
+    let ends = grid.clock().ends_of_step(k);
+    let signals = [k, k + 1].map(|k| control.map(|control| control.at(k)));
+    for (actuator, (own, out)) in actuators.iter().zip(out).enumerate() {
+        let effort = |side: usize| {
+            let controlled = (signals[side].as_ref()).map_or(0.0, |own| own.effort_on(actuator));
+            own.effort_at_node(&ends[side]) + controlled
+        };
+        *out = 0.5 * (effort(0) + effort(1));
     }
 }
 

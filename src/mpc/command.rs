@@ -20,6 +20,11 @@ pub struct Command {
     pub efforts_from: Vec<f64>,
     /// Efforts that it adds at `end`.
     pub efforts_to: Vec<f64>,
+    /// Time constants, s, of the first-order lags with which the efforts follow the command, which is constant where there is one: 0 for an
+    /// effort without a lag, and empty if none has one.
+    pub lags: Vec<f64>,
+    /// Efforts beyond the given ones that act at `start`, in the order of `lags`.
+    pub efforts_acting: Vec<f64>,
 }
 
 impl Clone for Command {
@@ -30,6 +35,8 @@ impl Clone for Command {
             to: self.to.clone(),
             efforts_from: self.efforts_from.clone(),
             efforts_to: self.efforts_to.clone(),
+            lags: self.lags.clone(),
+            efforts_acting: self.efforts_acting.clone(),
             ..*self
         }
     }
@@ -42,11 +49,13 @@ impl Clone for Command {
         self.to.clone_from(&other.to);
         self.efforts_from.clone_from(&other.efforts_from);
         self.efforts_to.clone_from(&other.efforts_to);
+        self.lags.clone_from(&other.lags);
+        self.efforts_acting.clone_from(&other.efforts_acting);
     }
 }
 
 impl Command {
-    /// Adds the wrenches at time `t` to those of all nodes, and the efforts to those after them, in this [order](ControlOrder).
+    /// Adds the wrenches at time `t` to those of all nodes, and the efforts that act to those after them, in this [order](ControlOrder).
     pub(crate) fn add_at(&self, t: f64, all: &mut [Wrench]) {
         let s = self.fraction(t);
         for (node, (from, to)) in self.nodes.iter().zip(self.from.iter().zip(&self.to)) {
@@ -55,8 +64,8 @@ impl Command {
         }
         let n = all.len();
         let carriers = &mut all[n - self.efforts_from.len().div_ceil(6)..];
-        for (place, (from, to)) in (self.efforts_from.iter().zip(&self.efforts_to)).enumerate() {
-            *component_mut(carriers, place) += from * (1.0 - s) + to * s;
+        for place in 0..self.efforts_from.len() {
+            *component_mut(carriers, place) += self.acting_effort(place, t);
         }
     }
 
@@ -69,17 +78,43 @@ impl Command {
         }
     }
 
-    /// Writes the efforts at time `t`, beyond the given ones, to the wrenches that carry them, six to a wrench.
+    /// Writes the efforts that act at time `t`, beyond the given ones, to the wrenches that carry them, six to a wrench.
     pub(super) fn write_efforts_at(&self, t: f64, carriers: &mut [Wrench]) {
+        for place in 0..self.efforts_from.len() {
+            *component_mut(carriers, place) = self.acting_effort(place, t);
+        }
+    }
+
+    /// Writes the commanded efforts at time `t` as [`Self::write_efforts_at`] writes those that act.
+    pub(super) fn write_commanded_at(&self, t: f64, carriers: &mut [Wrench]) {
+        for place in 0..self.efforts_from.len() {
+            *component_mut(carriers, place) = self.commanded_effort(place, t);
+        }
+    }
+
+    fn commanded_effort(&self, place: usize, t: f64) -> f64 {
         let s = self.fraction(t);
-        for (place, (from, to)) in (self.efforts_from.iter().zip(&self.efforts_to)).enumerate() {
-            *component_mut(carriers, place) = from * (1.0 - s) + to * s;
+        self.efforts_from[place] * (1.0 - s) + self.efforts_to[place] * s
+    }
+
+    fn acting_effort(&self, place: usize, t: f64) -> f64 {
+        let commanded = self.commanded_effort(place, t);
+        match self.lags.get(place) {
+            Some(&lag) if lag > 0.0 => {
+                lagging(self.efforts_acting[place], commanded, t - self.start, lag)
+            }
+            _ => commanded,
         }
     }
 
     fn fraction(&self, t: f64) -> f64 {
         ((t - self.start) / (self.end - self.start)).clamp(0.0, 1.0)
     }
+}
+
+/// Returns the effort at a time (s) after one that acted, under a constant command and a lag: `c + (u - c) exp(-t/τ)`.
+pub(super) fn lagging(acting: f64, commanded: f64, after: f64, lag: f64) -> f64 {
+    commanded + (acting - commanded) * (-after.max(0.0) / lag).exp()
 }
 
 /// Returns the number at a place among wrenches, six for each of them.

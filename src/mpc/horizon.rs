@@ -8,8 +8,10 @@
 //! ```
 //!
 //! `J` and `G` come from one reverse sweep: the covectors of the rows, read where the controls act and where the sweep ends. An effort of an
-//! actuator in the arm acts by wrenches that follow from the configuration, so that its columns are evaluated along every roll-out. `C` is
-//! effort and rate, `a` the control that acts when the horizon begins.
+//! actuator of the arm, on its strains or on poses of its nodes, acts by wrenches that follow from the configuration, so that its columns are
+//! evaluated along every roll-out. `C` is effort and rate, `a` the control that acts when the horizon begins.
+
+mod columns;
 
 use std::sync::Arc;
 
@@ -17,6 +19,7 @@ use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
 use nalgebra::{Matrix3, Vector3};
 
+use self::columns::{Columns, WinchSlopes};
 use super::command::{ControlOrder, component_mut};
 use super::error::MpcError;
 use super::estimator::{Disturbance, ModelParameters, Motions};
@@ -27,9 +30,9 @@ use crate::control::path::{PathLimit, RodView};
 use crate::control::{Component, Enforcement, Goal, OptimalControlProblem, Shape, residual};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
-use crate::mechanics::sensitivity::{ControlColumns, EffortPulls, RepeatedReverse};
+use crate::mechanics::sensitivity::{EffortPulls, RepeatedReverse};
 use crate::mechanics::{
-    ControlSignal, Efforts, Rod, State, StepError, TimeGrid, Trajectory, Wrench,
+    ControlSignal, Efforts, Rod, State, StepError, TimeGrid, TimeScheme, Trajectory, Wrench,
 };
 use crate::stop::StopSignal;
 
@@ -72,8 +75,16 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
     Some(components.iter().map(of).collect())
 }
 
+/// Returns the number of time nodes on whose efforts the stress of an actuator depends.
+fn ends(problem: &OptimalControlProblem) -> usize {
+    match problem.rod.scheme {
+        TimeScheme::Explicit => 1,
+        TimeScheme::Implicit => 2,
+    }
+}
+
 /// Returns the actuators in the arm whose efforts are controls.
-fn driven(problem: &OptimalControlProblem) -> &[usize] {
+pub(super) fn driven(problem: &OptimalControlProblem) -> &[usize] {
     (problem.efforts.as_ref()).map_or(&[], |efforts| &efforts.actuators)
 }
 
@@ -87,8 +98,10 @@ pub(super) struct Horizon {
     /// Wrenches of one unit of every component.
     pub effects: Vec<Vec<Effect>>,
     pub knots: Knots,
-    /// Components that are efforts, in the order of the driven actuators.
+    /// Components that are efforts of actuators on strains, in the order in which these are driven.
     of_efforts: Vec<usize>,
+    /// Components that are efforts of actuators on poses, each with the index of a function of its actuator.
+    of_poses: Vec<(usize, usize)>,
     /// The grid of the present horizon; below it, that of the longest horizon, from the first start.
     pub grid: TimeGrid,
     longest: TimeGrid,
@@ -97,9 +110,12 @@ pub(super) struct Horizon {
     pub order: ControlOrder,
     /// Controls at the two ends of a step.
     wrenches: [Vec<Wrench>; 2],
-    /// Efforts of the plan along the last roll-out, and the wrenches of unit efforts there; `None` without actuators in the arm.
+    /// Efforts of the plan along the last roll-out; `None` without actuators of the arm. Below it, the wrenches of unit efforts there of
+    /// those that are driven on strains; `None` if none is.
     efforts: Option<ControlSignal>,
     pulls: Option<EffortPulls>,
+    /// Slopes of the tensions of winches along the last roll-out; `None` without winches.
+    winches: Option<WinchSlopes>,
     /// Indices and shapes of the obstacles among the limits of the problem, at t = 0 by the task.
     obstacles: Vec<(usize, Shape)>,
     /// The model without estimated errors.
@@ -127,84 +143,6 @@ pub(super) struct Horizon {
     pub square: Mat<f64>,
 }
 
-/// The columns of the plan's coefficients.
-struct Columns<'a> {
-    knots: &'a Knots,
-    grid: TimeGrid,
-    effects: &'a [Vec<Effect>],
-    /// Wrenches of unit efforts, and the components that are efforts, in the order of the driven actuators.
-    pulls: Option<&'a EffortPulls>,
-    of_efforts: &'a [usize],
-    n_nodes: usize,
-    scales: &'a [f64],
-    n: usize,
-}
-
-impl Columns<'_> {
-    /// Returns the coefficients that act at some time nodes with the sums of their weights; unused entries have weight 0.
-    fn shares(&self, times: &[usize]) -> [(usize, f64); 4] {
-        let mut out = [(0, 0.0); 4];
-        let mut n = 0;
-        for &time in times {
-            for (coefficient, weight) in self.knots.at_node(&self.grid, time) {
-                match out[..n].iter_mut().find(|(own, _)| *own == coefficient) {
-                    Some((_, sum)) => *sum += weight,
-                    None => {
-                        out[n] = (coefficient, weight);
-                        n += 1;
-                    }
-                }
-            }
-        }
-        out
-    }
-}
-
-impl ControlColumns for Columns<'_> {
-    fn n_columns(&self) -> usize {
-        self.n
-    }
-
-    fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
-        for (coefficient, weight) in self.knots.at_node(&self.grid, k) {
-            if weight == 0.0 {
-                continue;
-            }
-            for (at, (effects, scale)) in self.effects.iter().zip(self.scales).enumerate() {
-                let column = coefficient * self.effects.len() + at;
-                for &(node, component, effect) in effects {
-                    if node < self.n_nodes {
-                        visit(column, node, component, weight * scale * effect);
-                    }
-                }
-            }
-        }
-        let Some(pulls) = self.pulls else {
-            return;
-        };
-        for (index, &at) in self.of_efforts.iter().enumerate() {
-            pulls.visit_sets(k, index, &mut |times, factor, wrenches| {
-                for (coefficient, weight) in self.shares(times) {
-                    let weight = weight * factor * self.scales[at];
-                    if weight == 0.0 {
-                        continue;
-                    }
-                    let column = coefficient * self.effects.len() + at;
-                    for (place, wrench) in wrenches.iter().enumerate() {
-                        if *wrench != 0.0 {
-                            visit(column, place / 6, place % 6, weight * wrench);
-                        }
-                    }
-                }
-            });
-        }
-    }
-
-    fn n_started(&self, _: usize) -> usize {
-        self.n
-    }
-}
-
 impl Horizon {
     /// Creates the horizon. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated limit.
     pub fn new(
@@ -217,16 +155,6 @@ impl Horizon {
         if problem.goals.iter().any(has_tolerance) {
             return Err(MpcError::Unsupported(
                 "the controller's targets are soft; leave out tolerances of targets",
-            ));
-        }
-        if problem.rod.actuators.has_winches() || problem.driven().any(|(_, own)| own.lag != 0.0) {
-            return Err(MpcError::Unsupported(
-                "the controller knows neither winches nor lags of actuators in the arm; leave them out",
-            ));
-        }
-        if !problem.rod.actuators.functions().is_empty() {
-            return Err(MpcError::Unsupported(
-                "the controller does not know actuators on poses (magnets, cables) and potentials of nodes; leave them out",
             ));
         }
         if problem.duration.is_some() {
@@ -267,11 +195,20 @@ impl Horizon {
             }),
             ..ControlSignal::default()
         });
-        let of_efforts = (driven(&problem).iter().enumerate())
-            .filter_map(|(index, _)| {
-                (components.iter()).position(|own| problem.effort(own) == Some(index))
-            })
-            .collect::<Vec<usize>>();
+        let (mut of_efforts, mut on_strains, mut of_poses) = (Vec::new(), Vec::new(), Vec::new());
+        for (index, &actuator) in driven(&problem).iter().enumerate() {
+            let Some(at) = (components.iter()).position(|own| problem.effort(own) == Some(index))
+            else {
+                continue;
+            };
+            if actuator < problem.rod.actuators.strains().len() {
+                of_efforts.push(at);
+                on_strains.push(actuator);
+            }
+            let functions = problem.rod.actuators.functions().iter().enumerate();
+            let own = functions.filter(|(_, own)| own.actuator == Some(actuator));
+            of_poses.extend(own.map(|(function, _)| (at, function)));
+        }
         let mut trajectory = Trajectory::with_capacity(n_nodes, grid.n_steps + 1);
         for _ in 0..=grid.n_steps {
             trajectory.push(&start.configuration);
@@ -280,6 +217,7 @@ impl Horizon {
             let whole = evaluated(&problem, &trajectory, grid, &start);
             Rows::new(&problem, &whole.states, weight, price, n_states)
         };
+        let winches = WinchSlopes::of(&problem.rod, &on_strains, grid);
         let (sweep, pulls) = {
             let motion = Motion {
                 rod: &problem.rod,
@@ -288,15 +226,18 @@ impl Horizon {
                 stop: None,
                 control: efforts.as_ref(),
             };
-            let driven = driven(&problem);
-            let pulls = (!driven.is_empty()).then(|| EffortPulls::new(&motion, driven, false));
+            let pulls = (!on_strains.is_empty()).then(|| EffortPulls::along(&motion, &on_strains));
             let columns = Columns {
                 knots: &knots,
                 grid,
                 effects: &effects,
                 pulls: pulls.as_ref(),
                 of_efforts: &of_efforts,
-                n_nodes,
+                winches: winches.as_ref(),
+                of_poses: &of_poses,
+                rod: &problem.rod,
+                trajectory: &trajectory,
+                ends: ends(&problem),
                 scales: &scales,
                 n,
             };
@@ -310,7 +251,9 @@ impl Horizon {
             order,
             efforts,
             pulls,
+            winches,
             of_efforts,
+            of_poses,
             model,
             stop: StopSignal::default(),
             obstacles: (problem.path.iter().enumerate())
@@ -564,7 +507,10 @@ impl Horizon {
             control: self.efforts.as_ref(),
         };
         if let Some(pulls) = &mut self.pulls {
-            pulls.evaluate(&motion, &self.trajectory, None);
+            pulls.evaluate_along(&motion, &self.trajectory);
+        }
+        if let Some(winches) = &mut self.winches {
+            winches.evaluate(&motion, &self.trajectory);
         }
         let columns = Columns {
             knots: &self.knots,
@@ -572,7 +518,11 @@ impl Horizon {
             effects: &self.effects,
             pulls: self.pulls.as_ref(),
             of_efforts: &self.of_efforts,
-            n_nodes: self.problem.rod.n_nodes(),
+            winches: self.winches.as_ref(),
+            of_poses: &self.of_poses,
+            rod: &self.problem.rod,
+            trajectory: &self.trajectory,
+            ends: ends(&self.problem),
             scales: &self.scales,
             n: self.square.nrows(),
         };

@@ -161,6 +161,8 @@ pub struct SimulatedArm<'a> {
     acting: Vec<Wrench>,
     next: Vec<Wrench>,
     wanted: Vec<Wrench>,
+    /// Commanded efforts in the middle of a step, for actuators with a lag.
+    halfway: Vec<f64>,
 }
 
 impl<'a> SimulatedArm<'a> {
@@ -199,6 +201,7 @@ impl<'a> SimulatedArm<'a> {
             acting: still.clone(),
             next: still.clone(),
             wanted: still,
+            halfway: vec![0.0; rod.actuators.len()],
         })
     }
 
@@ -314,8 +317,14 @@ impl<'a> SimulatedArm<'a> {
     pub fn advance(&mut self, until: f64) -> Result<(), StepError> {
         let last = (until / self.step - EARLY).ceil().max(0.0) as usize;
         while self.n_steps < last {
-            self.want(self.time() + self.step);
             let n = self.order.nodes.len();
+            if self.efforts.iter().any(|(own, _)| own.lag > 0.0) {
+                self.want(self.time() + 0.5 * self.step);
+                for (place, halfway) in self.halfway.iter_mut().enumerate() {
+                    *halfway = *component_mut(&mut self.wanted[n..], place);
+                }
+            }
+            self.want(self.time() + self.step);
             for (next, (acting, wanted)) in
                 (self.next[..n].iter_mut()).zip(self.acting.iter().zip(&self.wanted))
             {
@@ -324,6 +333,12 @@ impl<'a> SimulatedArm<'a> {
             for (place, (dynamics, given)) in self.efforts.iter().enumerate() {
                 let [from, to] = [&mut self.acting, &mut self.wanted]
                     .map(|all| *component_mut(&mut all[n..], place));
+                // A constant command is followed exactly, also one that begins at a time node.
+                let to = if dynamics.lag > 0.0 {
+                    self.halfway[place]
+                } else {
+                    to
+                };
                 *component_mut(&mut self.next[n..], place) =
                     dynamics.follow(*given, from, to, self.step);
             }
@@ -362,6 +377,6 @@ impl<'a> SimulatedArm<'a> {
                 self.wanted[at].moment += from.moment * (1.0 - s) + to.moment * s;
             }
         }
-        command.write_efforts_at(told, &mut self.wanted[self.order.nodes.len()..]);
+        command.write_commanded_at(told, &mut self.wanted[self.order.nodes.len()..]);
     }
 }

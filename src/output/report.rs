@@ -331,7 +331,7 @@ pub struct ReportPath {
     pub off: Vec<f64>,
 }
 
-/// The obstacles, and how near the arm comes to them.
+/// The obstacles and contacts, and how near the arm comes to them.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportObstacles {
     /// `[n]` times in seconds.
@@ -340,7 +340,7 @@ pub struct ReportObstacles {
     pub bodies: Vec<ReportObstacle>,
 }
 
-/// A body that the arm should stay clear of.
+/// A body that the arm should stay clear of, or touches.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportObstacle {
     /// Name in the scene.
@@ -353,6 +353,9 @@ pub struct ReportObstacle {
     pub margin: f64,
     /// `[n]` distances in meters between its surface and that of the arm, negative where they overlap.
     pub clearance: Vec<f32>,
+    /// Tells whether the arm touches it rather than stays clear of it.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub is_touched: bool,
 }
 
 /// A convex body, in meters.

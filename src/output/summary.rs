@@ -32,6 +32,9 @@ pub struct CheckSummary {
     pub mass_kg: f64,
     /// Stable step of the explicit integrator, s.
     pub stable_step_s: f64,
+    /// The bodies that the arm touches; absent where there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contact: Option<ContactFacts>,
     /// `explicit` or `implicit`.
     pub integrator: &'static str,
     /// `section` or `segment`: what the rotary inertia of the nodes is made of.
@@ -302,6 +305,9 @@ pub struct SimulateSummary {
     /// Least distances from the obstacles of the scene, which the motion does not know; absent where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub clearance: Vec<ClearanceSummary>,
+    /// Largest depths in the bodies that the arm touches; absent where there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub contact: Vec<DepthSummary>,
     /// Slack of the tendons on winches; absent where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub slack: Vec<SlackSummary>,
@@ -310,6 +316,47 @@ pub struct SimulateSummary {
     pub accuracy: Option<AccuracySummary>,
     /// The result directory.
     pub directory: String,
+}
+
+/// The bodies that an arm touches, as far as they concern the step.
+#[derive(Clone, Debug, Serialize)]
+pub struct ContactFacts {
+    /// Names, forces, N, and the penetrations at these, m.
+    pub bodies: Vec<ContactFact>,
+    /// Step that the contacts alone allow at their penetrations, s.
+    pub step_s: f64,
+    /// Stable step of the explicit integrator without them, s.
+    pub stable_step_without_s: f64,
+}
+
+/// A body that an arm touches.
+#[derive(Clone, Debug, Serialize)]
+pub struct ContactFact {
+    /// Name of the contact.
+    pub contact: String,
+    /// Force if all of the part that can touch is as deep as the penetration, N.
+    pub force_n: f64,
+    /// The penetration, m.
+    pub penetration_m: f64,
+}
+
+impl ContactFacts {
+    /// One line.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        let bodies: Vec<String> = (self.bodies.iter())
+            .map(|own| {
+                let (force, depth) = (own.force_n, own.penetration_m);
+                format!("{} pushes with {force:.3e} N at {depth:.3e} m", own.contact)
+            })
+            .collect();
+        format!(
+            "{}; it allows steps up to {:.3e} s (explicit without it: {:.3e} s)",
+            bodies.join(", "),
+            self.step_s,
+            self.stable_step_without_s
+        )
+    }
 }
 
 /// Slack of a tendon on a winch.
@@ -376,6 +423,41 @@ impl ClearanceSummary {
         format!(
             "{}: the arm comes as near as {:.4e} m, at t = {:.4} s and {:.2} of its length",
             self.obstacle, self.least_m, self.at_s, self.place
+        )
+    }
+}
+
+/// Largest depth of a simulated arm in a body that it touches, at the times that have a row.
+#[derive(Clone, Debug, Serialize)]
+pub struct DepthSummary {
+    /// Name of the contact.
+    pub contact: String,
+    /// Largest depth of a node, m; negative: the distance that is left.
+    pub penetration_m: f64,
+    /// The same, divided by the penetration of the scene.
+    pub over_penetration: f64,
+    /// Step that the contacts alone allow at this depth, s: less than at the penetration by its root.
+    pub allows_step_s: f64,
+    /// Time, s.
+    pub at_s: f64,
+    /// Place on the arm, as a fraction of its length from the base.
+    pub place: f64,
+}
+
+impl DepthSummary {
+    /// One line.
+    #[must_use]
+    pub fn in_words(&self) -> String {
+        let (at, place) = (self.at_s, self.place);
+        if self.penetration_m <= 0.0 {
+            return format!(
+                "{}: the arm does not touch it, {:.4e} m away",
+                self.contact, -self.penetration_m
+            );
+        }
+        format!(
+            "{}: the arm touches it and is at most {:.4e} m deep in it, {:.2} of its penetration_m, at t = {at:.4} s and {place:.2} of its length",
+            self.contact, self.penetration_m, self.over_penetration
         )
     }
 }

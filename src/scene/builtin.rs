@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 29] = [
+const SCENES: [(&str, &str); 31] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -14,6 +14,10 @@ const SCENES: [(&str, &str); 29] = [
     (
         "reach-obstacle",
         include_str!("../../examples/scenes/reach-obstacle.toml"),
+    ),
+    (
+        "reach-table",
+        include_str!("../../examples/scenes/reach-table.toml"),
     ),
     (
         "reach-tendons",
@@ -80,6 +84,10 @@ const SCENES: [(&str, &str); 29] = [
     (
         "mpc-tendons",
         include_str!("../../examples/scenes/mpc-tendons.toml"),
+    ),
+    (
+        "mpc-guidewire",
+        include_str!("../../examples/scenes/mpc-guidewire.toml"),
     ),
     (
         "mpc-reach",

@@ -42,6 +42,9 @@ impl Scene {
         if let Some(objective) = &self.objective {
             keys.check_objective(objective, self)?;
         }
+        for (index, contact) in self.contact.iter().enumerate() {
+            keys.check_contact(contact, index)?;
+        }
         for (index, obstacle) in self.obstacle.iter().enumerate() {
             keys.check_obstacle(obstacle, index)?;
         }

@@ -178,7 +178,7 @@ impl Scene {
         let model = Arc::clone(&posed.discrete.rod);
 
         let (plant, plant_discretization) = self.plant(&arm, &discretization);
-        let efforts = self.plant_efforts(arm.actuators.len());
+        let efforts = self.plant_efforts(arm.pose_actuators.len());
         let found = passing
             .discretize_until(&plant, &plant_discretization, stop)
             .map_err(|error| {
@@ -201,7 +201,7 @@ impl Scene {
         let counted_from =
             (mpc.counted_from_s).map_or_else(|| followed.fold(period, f64::max), Number::get);
 
-        let mut resolved = self.resolved(&discretization);
+        let mut resolved = self.resolved(&arm, &discretization);
         resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
         let mut objective = self.objective.clone().unwrap_or_default();
         for (track, discrete) in
@@ -306,32 +306,12 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: winches and lags, magnets, cables, waypoints, a free duration and cubic
-    /// blocks.
+    /// Refuses features that the controller does not support: waypoints, a free duration and cubic blocks.
     fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
-        let winch_or_lag = self.winch_or_lag();
         let refusals = [
-            (
-                winch_or_lag.as_deref().unwrap_or_default(),
-                winch_or_lag.is_some(),
-                "a closed loop does not know winches, nor lags of its own actuators, yet",
-                "give bounds on the effort alone, and lags of the plant as plant.tendon.N.lag_s",
-            ),
-            (
-                "magnet",
-                !self.magnet.is_empty(),
-                "a closed loop does not know magnets yet",
-                "leave them out, or use solve and simulate",
-            ),
-            (
-                "cable",
-                !self.cable.is_empty(),
-                "a closed loop does not know cables yet",
-                "leave them out, or use solve and simulate",
-            ),
             (
                 "task.via",
                 task.is_some_and(|task| !task.via.is_empty()),
@@ -426,18 +406,22 @@ impl Scene {
         (plant, own)
     }
 
-    /// Returns the dynamics of the plant's actuators in the arm, of which there are `n`.
-    fn plant_efforts(&self, n: usize) -> Vec<EffortDynamics> {
+    /// Returns the dynamics of the plant's actuators, the last `n_poses` of which are on poses: lags are those of the plant, or else of the
+    /// model.
+    fn plant_efforts(&self, n_poses: usize) -> Vec<EffortDynamics> {
         let keys = self.plant.clone().unwrap_or_default();
-        let lag = keys.actuator.as_ref().map_or(0.0, |own| own.lag_s.get());
-        let like_all = EffortDynamics {
-            lag,
-            ..EffortDynamics::default()
-        };
-        let mut out = vec![like_all; n];
+        let of_all = keys.actuator.as_ref().map_or(0.0, |own| own.lag_s.get());
+        let on_poses = std::iter::repeat_n(None, n_poses);
+        let lags = self.lags().into_iter().chain(on_poses);
+        let mut out: Vec<EffortDynamics> = lags
+            .map(|lag| EffortDynamics {
+                lag: lag.unwrap_or(of_all),
+                ..EffortDynamics::default()
+            })
+            .collect();
         for (section, _, own) in keys.hardware() {
             if let Some((index, ..)) = self.hardware_named(section, &own.name) {
-                out[index] = own.dynamics(lag);
+                out[index] = own.dynamics(out[index].lag);
             }
         }
         out

@@ -5,10 +5,10 @@ use nalgebra::Vector3;
 use super::error::DescribeError;
 use super::model::geometry::wxyz;
 use super::model::{
-    Base, Body, Damping, DistributedLoad, EndKind, Gravity, Initial, Limit, Load, Objective,
-    Obstacle, Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme, TimeStep,
-    Tip, describe_section, described_control, described_end, described_targets, described_task,
-    describing_hardware, describing_poses,
+    Base, Body, Contact, Damping, DistributedLoad, EndKind, Gravity, Initial, Limit, Load,
+    Objective, Obstacle, Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme,
+    TimeStep, Tip, describe_section, described_control, described_end, described_targets,
+    described_task, describing_hardware, describing_poses,
 };
 use super::values::known;
 use crate::mechanics;
@@ -119,6 +119,7 @@ impl Scene {
             muscle,
             magnet,
             cable,
+            contact: arm.contacts.iter().map(Contact::describing).collect(),
             initial: Some(Initial::describing(&task.start)),
             time: Time {
                 end_s: known(task.horizon),

@@ -80,6 +80,9 @@ impl Scene {
             &|scene| scene.rod.strain = StrainRule::Helical,
             &|scene| scene.rod.strain = StrainRule::Trapezoidal,
         );
+        if !self.contact.is_empty() {
+            add("contact", true, &|_| (), &|scene| scene.contact.clear());
+        }
         if !self.obstacle.is_empty() {
             add("obstacles", true, &|_| (), &|scene| scene.obstacle.clear());
         }

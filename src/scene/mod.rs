@@ -164,7 +164,7 @@ impl Scene {
     }
 }
 
-/// Returns the kind and the name of the obstacle or limit that contains a key; the path of the key is given from the innermost key outward.
+/// Returns the kind and the name of the contact, obstacle or limit that contains a key; the path of the key is given from the innermost key outward.
 fn item_name(scene: &toml::Value, path: &[String]) -> Option<(&'static str, String)> {
     let [.., index, list] = path else { return None };
     let index = index.parse::<usize>().ok()?;
@@ -172,6 +172,7 @@ fn item_name(scene: &toml::Value, path: &[String]) -> Option<(&'static str, Stri
     let name = (item.get("name").and_then(toml::Value::as_str)).map(str::to_string);
     match list.as_str() {
         "obstacle" => Some(("obstacle", model::obstacle_name(name.as_deref(), index))),
+        "contact" => Some(("contact", model::contact_name(name.as_deref(), index))),
         "limit" => {
             let is_given = |key: &str| item.get(key).is_some();
             Some(("limit", model::Limit::name_by(name.as_deref(), is_given)))

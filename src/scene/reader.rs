@@ -127,8 +127,8 @@ impl de::Error for Misfit {
     }
 }
 
-/// Parts of words by which a person would look for an actuator, with a sentence that names its sections and the page about it.
-const TOPICS: [(&[&str], &str); 4] = [
+/// Parts of words by which a person would look for an actuator or a contact, with a sentence that names its sections and the page about it.
+const TOPICS: [(&[&str], &str); 5] = [
     (
         &["tendon", "tension", "rope", "string", "winch"],
         "tendons in the arm are [[tendon]] sections: see \"Tendons, chambers and muscles\" in docs/solves.md, and `softarm example reach-tendons`",
@@ -144,6 +144,19 @@ const TOPICS: [(&[&str], &str); 4] = [
     (
         &["magnet", "field_t", "cable"],
         "magnets in a field are [[magnet]] sections and cables to points in space [[cable]] sections: see \"Magnets and cables\" in docs/solves.md",
+    ),
+    (
+        &[
+            "contact",
+            "touch",
+            "floor",
+            "ground",
+            "wall",
+            "collision",
+            "collid",
+            "friction",
+        ],
+        "bodies that the arm touches, without friction, are [[contact]] sections: see \"Contact\" in docs/solves.md",
     ),
 ];
 

@@ -182,6 +182,7 @@ impl Scene {
             ..motion.discretization
         };
         let initial = (self.start().state(&rod, stop)).map_err(|error| refused(error.into()))?;
+        let resolved = self.resolved(&arm, &discretization);
         Ok(Simulation {
             arm,
             discretization,
@@ -190,7 +191,7 @@ impl Scene {
             }),
             diagnostics: output.diagnostics,
             initial,
-            resolved: self.resolved(&discretization),
+            resolved,
             rod,
             grid,
         })
@@ -241,7 +242,7 @@ impl Scene {
             ));
         }
         let resolved = {
-            let mut resolved = self.resolved(&discretization);
+            let mut resolved = self.resolved(&arm, &discretization);
             if let Some(definition) = &mut resolved.task {
                 definition.at_s = Some(known(task.horizon));
                 definition.take_weights(&problem.goals);
@@ -327,8 +328,12 @@ impl Scene {
         let actuators = actuators.flat_map(|own| [own.route.from, own.route.to]);
         let poses = self.pose_actuators().into_iter().flat_map(|own| own.parts);
         let poses = poses.flat_map(|(span, _)| span.breaks());
+        let contacts = self.contact.iter();
+        let contacts = contacts.flat_map(|own| [own.from.get(), own.to.get()]);
         let of_rod = segments.chain(rows::steps(&curvature)).chain(bodies);
-        of_rod.chain(actuators).chain(poses).collect()
+        (of_rod.chain(actuators).chain(poses))
+            .chain(contacts)
+            .collect()
     }
 
     /// The arm that the scene describes.
@@ -349,7 +354,7 @@ impl Scene {
         let base_rotation = rolled(self.base.unit_quaternion());
         let tip = self.tip.clone().unwrap_or_default();
         let tip_rotation = tip.unit_quaternion().map(rolled);
-        Ok(Arm {
+        let mut arm = Arm {
             length: self.rod.length_m.get(),
             section: self.section_profile(source)?,
             model: self.rod.model,
@@ -384,6 +389,7 @@ impl Scene {
             actuators: self.strain_actuators(),
             pose_actuators: self.pose_actuators(),
             potentials: Vec::new(),
+            contacts: Vec::new(),
             gravity: self
                 .gravity
                 .as_ref()
@@ -397,7 +403,17 @@ impl Scene {
             payload: self.payload.as_ref().map(model::Payload::of_arm),
             bodies: self.body.iter().map(model::Body::of_arm).collect(),
             radii: self.radii(),
-        })
+        };
+        if self.contact.is_empty() {
+            return Ok(arm);
+        }
+        let usual = (arm.usual_contact_force())
+            .map_err(|error| self.discretize_error(source, error.into()))?;
+        let contacts = self.contact.iter().enumerate();
+        arm.contacts = contacts
+            .filter_map(|(index, own)| own.of_arm(index, usual))
+            .collect();
+        Ok(arm)
     }
 
     /// The state in which the scene's motion starts.
@@ -537,10 +553,14 @@ impl Scene {
         resolved
     }
 
-    /// Returns this scene with material, integrator, rotary inertia and time step written out as they were chosen.
-    pub(crate) fn resolved(&self, discretization: &Discretization) -> Scene {
+    /// Returns this scene, of this arm, with material, integrator, rotary inertia, time step and the forces of contacts written out as they were
+    /// chosen.
+    pub(crate) fn resolved(&self, arm: &Arm, discretization: &Discretization) -> Scene {
         let mut resolved = self.with_material_resolved();
         resolved.rod.accuracy = None;
+        for (own, contact) in resolved.contact.iter_mut().zip(&arm.contacts) {
+            own.force_n = Some(known(contact.force));
+        }
         if let Some(step) = discretization.step {
             resolved.time.step_s = TimeStep::Seconds(step);
         }

@@ -255,6 +255,7 @@ quantities! {
     Edge: "edge", "meters";
     Width: "width", "meters";
     Clearance: "clearance", "meters";
+    Depth: "penetration", "meters";
     Distance: "tolerance", "meters";
     Angle: "tolerance", "radians";
     Speed: "tolerance", "m/s";

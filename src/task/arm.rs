@@ -10,9 +10,9 @@ use crate::mechanics::rod::append_element;
 use crate::mechanics::rotation::{from_direction, log, log_tangent, quaternion, wxyz};
 use crate::mechanics::rows;
 use crate::mechanics::{
-    BaseCondition, Configuration, DistributedLoad, EndCondition, Load, LoadFrame, Material, Mesh,
-    NodalState, NodeInertia, OfPose, PoseActuator, Rod, RodError, RodModel, RodParameters,
-    RotaryInertia, Section, SectionProfile, Span, State, StrainActuator, TimeScheme,
+    BaseCondition, Configuration, Contact, DistributedLoad, EndCondition, Load, LoadFrame,
+    Material, Mesh, NodalState, NodeInertia, OfPose, PoseActuator, Rod, RodError, RodModel,
+    RodParameters, RotaryInertia, Section, SectionProfile, Span, State, StrainActuator, TimeScheme,
 };
 use crate::stop::StopSignal;
 
@@ -77,6 +77,8 @@ pub struct Arm {
     pub pose_actuators: Vec<PoseActuator>,
     /// Potentials of places of the arm that have no effort, J.
     pub potentials: Vec<(Span, OfPose)>,
+    /// Bodies that the arm touches, its surface at [`Self::radii`].
+    pub contacts: Vec<Contact>,
     /// A rigid body at the tip, with its center of mass there and its principal axes along the tip's.
     pub payload: Option<NodeInertia>,
     /// Rigid bodies at fractions of the length, with their centers of mass on the axis of the arm and their principal axes along those of
@@ -120,6 +122,7 @@ impl Arm {
             actuators: Vec::new(),
             pose_actuators: Vec::new(),
             potentials: Vec::new(),
+            contacts: Vec::new(),
             payload: None,
             bodies: Vec::new(),
             radii,
@@ -167,8 +170,9 @@ impl Arm {
     /// Returns the radius at every node, m, where it has a step the larger one; empty for a line without thickness.
     #[must_use]
     pub fn radii_at_nodes(&self, mesh: &Mesh) -> Vec<f64> {
-        let radius = |s| Some(rows::sides(&self.radii, s)?.into_iter().fold(0.0, f64::max));
-        mesh.fractions().into_iter().filter_map(radius).collect()
+        (mesh.fractions().into_iter())
+            .filter_map(|s| rows::largest(&self.radii, s))
+            .collect()
     }
 
     /// Returns the parameters from which [`Rod::new`] builds the rod of a discretization. An integrator that the discretization leaves open
@@ -222,9 +226,25 @@ impl Arm {
             actuators: self.actuators.clone(),
             pose_actuators: self.pose_actuators.clone(),
             potentials: self.potentials.clone(),
+            contacts: self.contacts.clone(),
+            radii: self.radii.clone(),
             payload: self.payload,
             bodies: self.bodies.clone(),
         }
+    }
+
+    /// Returns the force that a contact of the arm has by default, N ([`Rod::usual_contact_force`]); the same for every discretization.
+    ///
+    /// # Errors
+    /// Those of [`Rod::new`].
+    pub fn usual_contact_force(&self) -> Result<f64, RodError> {
+        // So many that the mean stiffness of a tapered arm is that of its sections to a thousandth.
+        const ELEMENTS: usize = 64;
+        let fixed = Discretization {
+            elements: ELEMENTS,
+            ..Discretization::default()
+        };
+        Ok(self.rod(&fixed)?.usual_contact_force())
     }
 
     /// The rod of a discretization; see [`Self::rod_parameters`].

@@ -24,7 +24,7 @@ use crate::mechanics::{
     Rod, RodError, RodModel, RotaryInertia, State, TimeGrid, TimeScheme, Trajectory,
 };
 use crate::stop::StopSignal;
-use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, forward_check};
+use crate::verify::{CheckError, CheckLimits, ForwardCheck, Solution, Variant, forward_check};
 
 /// Largest number of steps; more would run for days.
 pub(crate) const MOST_STEPS: f64 = 1e10;
@@ -513,7 +513,14 @@ impl Problem {
     /// # Errors
     /// Those of [`Rod::new`].
     pub fn finer(&self, factor: usize) -> Result<(Rod, State), RodError> {
-        let rod = self.arm.rod(&self.discretization.refined(factor))?;
+        self.variant(Variant::finer(factor))
+    }
+
+    fn variant(&self, variant: Variant) -> Result<(Rod, State), RodError> {
+        let mut rod = (self.arm).rod(&self.discretization.refined(variant.elements))?;
+        if variant.contact_force != 1.0 {
+            rod = rod.with_contact_forces_times(variant.contact_force);
+        }
         let start = (self.task.start.state(&rod, &self.discrete.stop))
             .unwrap_or_else(|_| rod.at_rest_on_base(rod.rest.clone()));
         Ok((rod, start))
@@ -530,7 +537,7 @@ impl Problem {
     ) -> Result<ForwardCheck, CheckError> {
         forward_check(
             &self.discrete,
-            &|factor| self.finer(factor),
+            &|variant| self.variant(variant),
             solution,
             limits,
         )

@@ -6,10 +6,10 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::dual;
 use super::interval::{self, Nine, Strained, add_to_nodes, pose};
-use super::limits::slope_at_zero;
+use super::limits::{away, distance, slope_at_zero};
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{
-    NodeWrenches, OfPose, PlacedFunction, Pose, Rod, TimeNode, TimeScheme, Wrench,
+    NodeWrenches, OfPose, PlacedFunction, Pose, Rod, TimeNode, TimeScheme, Touch, Wrench,
 };
 
 /// Returns the given inputs at a side of a time node with those of a control: efforts, or the displacements of winches.
@@ -376,6 +376,10 @@ pub(super) fn add_posed_slopes(
         if size == 0.0 {
             continue;
         }
+        if let OfPose::Touch(touch) = &own.function {
+            cx[node] += touch_slope(touch, &x[node], &lx[node]) * size;
+            continue;
+        }
         let paired = |x: Vector3<f64>, r: Matrix3<f64>| {
             let [force, moment] = pose_gradient(own, &x, &r, length);
             lx[node].dot(&force) + lr[node].dot(&moment)
@@ -388,6 +392,24 @@ pub(super) fn add_posed_slopes(
             ceta[node][axis] += size * slope_at_zero(turned, SHIFT);
         }
     }
+}
+
+/// Returns the derivative along the position of `λ·∇V` of a contact: with the depth `p` and the direction `n` away from the body, the
+/// derivative of `-F/δ² p² (λ·n)`, that of `n` by differences within a thousandth of the penetration.
+fn touch_slope(touch: &Touch, x: &Vector3<f64>, covector: &Vector3<f64>) -> Vector3<f64> {
+    let depth = touch.radius - distance(&touch.shape, x);
+    if !(depth > 0.0) {
+        return Vector3::zeros();
+    }
+    let outward = |x: &Vector3<f64>| away(&touch.shape, x);
+    let turning = Vector3::from_fn(|axis, _| {
+        let shift = SHIFT * touch.penetration;
+        let along = |s: f64| covector.dot(&outward(&(x + Vector3::ith(axis, s))));
+        slope_at_zero(along, shift)
+    });
+    let n = outward(x);
+    (n * (2.0 * depth * n.dot(covector)) - turning * (depth * depth))
+        * (touch.force / (touch.penetration * touch.penetration))
 }
 
 /// Returns `Σ λ·w` of the functions of poses under a unit of one effort.

@@ -29,7 +29,7 @@ impl Pose {
 }
 
 /// Signed distance of a point from a body.
-fn distance(shape: &Shape, x: &Vector3<f64>) -> f64 {
+pub(super) fn distance(shape: &Shape, x: &Vector3<f64>) -> f64 {
     match shape {
         Shape::Sphere { center, radius } => {
             nalgebra::distance(&(*x).into(), &(*center).into()) - radius
@@ -323,7 +323,7 @@ fn unit(v: &Vector3<f64>) -> Vector3<f64> {
 }
 
 /// The direction in which a point leaves a body fastest: away from the nearest point, or to the nearest face.
-fn away(shape: &Shape, x: &Vector3<f64>) -> Vector3<f64> {
+pub(super) fn away(shape: &Shape, x: &Vector3<f64>) -> Vector3<f64> {
     match shape {
         Shape::Sphere { center, .. } => unit(&(x - center)),
         Shape::Capsule { from, to, .. } => unit(&(x - nearest_on_segment(from, to, x))),

@@ -5,6 +5,7 @@
 //! [`ForwardCheck`] is the certificate, [`CheckLimits`] has its limits.
 
 mod acting;
+mod contact;
 mod dual;
 mod duration;
 pub(crate) mod efforts;
@@ -33,6 +34,7 @@ use self::worse::worse;
 use nalgebra::Vector3;
 use serde::Serialize;
 
+pub use self::contact::ContactCheck;
 use self::growth::Growth;
 use self::kkt::KktPart;
 use self::momentum::MomentumBalance;
@@ -162,6 +164,12 @@ impl CheckItem {
                     2.0 * self.value
                 );
             }
+            "stiffer_contact_m" => {
+                let factor = self.limit / (1.5 * self.value);
+                return format!(
+                    "multiply every penetration_m of [[contact]] by {factor:.2}, unless the bodies are as soft as that"
+                );
+            }
             "momentum" => "the motion is not one of this rod: the files do not belong together",
             "second_order" => "solve again from elsewhere: --starts N, or another solver.guess",
             "same_grid_m" | "same_grid_rad" => {
@@ -210,6 +218,9 @@ pub struct ForwardCheck {
     pub objective: f64,
     /// Worst violation of every hard path constraint between nodes and samples, on the finest replay.
     pub between: Vec<Between>,
+    /// The contacts; absent where there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contact: Option<ContactCheck>,
     /// Extremes of the strains.
     pub strains: PeakStrains,
     /// Recomputed optimality conditions.
@@ -326,6 +337,8 @@ pub enum ReplayKind {
     ShorterSteps,
     /// Replay with more elements.
     MoreElements,
+    /// Replay with bodies that are stiffer where the arm touches them.
+    StifferContact,
     /// Replay of slightly perturbed controls or states.
     Perturbed,
     /// Motion after the end of the task under the last wrench.
@@ -337,6 +350,9 @@ impl ReplayKind {
     fn advice(self) -> &'static str {
         match self {
             Self::SameGrid | Self::Perturbed | Self::Held => "",
+            Self::StifferContact => {
+                "; stiffer bodies lead elsewhere: give [[contact]] a smaller penetration_m"
+            }
             Self::ShorterSteps => {
                 "; shorter steps lead elsewhere: solve again with a smaller time.step_s"
             }
@@ -353,6 +369,7 @@ impl std::fmt::Display for ReplayKind {
             Self::SameGrid => "same grid",
             Self::ShorterSteps => "shorter steps",
             Self::MoreElements => "more elements",
+            Self::StifferContact => "stiffer bodies",
             Self::Perturbed => "a small perturbation",
             Self::Held => "with the last wrench held",
         })
@@ -396,13 +413,34 @@ impl CheckError {
     }
 }
 
-/// Checks a solution. `finer` builds the problem's rod with a multiple of the elements, and the state in which it starts.
+/// A rod that differs from that of a problem.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Variant {
+    /// Factor of the number of elements.
+    pub elements: usize,
+    /// Factor of the forces of contacts.
+    pub contact_force: f64,
+}
+
+impl Variant {
+    /// Returns the rod with `factor` times the elements.
+    #[must_use]
+    pub fn finer(factor: usize) -> Self {
+        Self {
+            elements: factor,
+            contact_force: 1.0,
+        }
+    }
+}
+
+/// Checks a solution. `variant` builds the problem's rod with a multiple of the elements or of the stiffness of its contacts, and the state in
+/// which it starts.
 ///
 /// # Errors
 /// Returns [`CheckError`] if a replay breaks down, and for a solution that does not [belong](Solution::validate) to the problem.
 pub fn forward_check(
     problem: &OptimalControlProblem,
-    finer: &dyn Fn(usize) -> Result<(Rod, State), RodError>,
+    variant: &dyn Fn(Variant) -> Result<(Rod, State), RodError>,
     solution: &Solution,
     limits: &CheckLimits,
 ) -> Result<ForwardCheck, CheckError> {
@@ -465,10 +503,11 @@ pub fn forward_check(
     let strains = PeakStrains::of(&problem.rod, &same.trajectory, &problem.stop);
     let momentum = MomentumBalance::of(problem, &same.trajectory, &control);
     problem.stop.check()?;
+    let half = run(2, ReplayKind::ShorterSteps)?;
+    let contact = contact::examine(problem, variant, solution, &same.trajectory, &half.end)?;
     // This trajectory is as large as the solution's, and not needed any more.
     same.trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
-    let half = run(2, ReplayKind::ShorterSteps)?;
-    let refinement = refine(problem, finer, solution, &same.end)?;
+    let refinement = refine(problem, variant, solution, &same.end)?;
     let mut check = ForwardCheck {
         kkt: conditions.residual,
         kkt_parts: conditions.parts,
@@ -480,6 +519,7 @@ pub fn forward_check(
         order_time: refinement.time.order,
         order_space: refinement.space.order,
         between: refinement.between,
+        contact,
         strains,
         tip_error: 0.0,
         tip_angle: 0.0,
@@ -675,6 +715,15 @@ fn items(
             limits.between,
             "",
             "largest violation of a path constraint anywhere on the finest replay, divided by the radius or by the limit",
+        ));
+    }
+    if let Some(contact) = &check.contact {
+        items.push(item(
+            "stiffer_contact_m",
+            contact.stiffer_m,
+            contact::SHOWN * limits.refined * length,
+            "m",
+            "distance of the tip at the end from that with twice the stiffness of all contacts: at most 0.29 of what bodies that are not rigid change",
         ));
     }
     let allowed = |enforcement: &Enforcement, angle: bool| match enforcement {

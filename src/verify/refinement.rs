@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::limits::{Measure, Pose};
 use super::stay::{StayReplay, follow};
 use super::worse::worse;
-use super::{CheckError, ReplayKind, Solution, refined_grid, refined_signal};
+use super::{CheckError, ReplayKind, Solution, Variant, refined_grid, refined_signal};
 use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathEnforcement, PathLimit};
 use crate::mechanics::stability::{bent_step, stable_step};
@@ -111,7 +111,7 @@ fn stable_factor(step: f64, own: &Rod, finer: &Rod, least: usize) -> usize {
 }
 
 /// One of several replays that advance together.
-struct Level<'a> {
+pub(super) struct Level<'a> {
     stepper: Stepper<'a>,
     signal: ControlSignal,
     /// Number of steps per step of the solution.
@@ -123,7 +123,7 @@ struct Level<'a> {
 }
 
 impl<'a> Level<'a> {
-    fn new(
+    pub(super) fn new(
         problem: &OptimalControlProblem,
         solution: &Solution,
         rod: &'a Rod,
@@ -143,7 +143,7 @@ impl<'a> Level<'a> {
     }
 
     /// Advances to the next time node of the solution; `observe` is called at every step.
-    fn advance(&mut self, mut observe: impl FnMut(&Stepper)) -> Result<(), CheckError> {
+    pub(super) fn advance(&mut self, mut observe: impl FnMut(&Stepper)) -> Result<(), CheckError> {
         for _ in 0..self.factor {
             let k = self.stepper.step();
             (self.stepper)
@@ -155,6 +155,11 @@ impl<'a> Level<'a> {
             observe(&self.stepper);
         }
         Ok(())
+    }
+
+    /// Returns the position of a node, m.
+    pub(super) fn position(&self, node: usize) -> Vector3<f64> {
+        self.stepper.position(node)
     }
 
     /// Returns the positions of the solution's nodes.
@@ -185,14 +190,14 @@ fn farthest(
 const IN_TIME: [usize; 3] = [1, 2, 4];
 
 /// Replays the controls with the step halved and quartered, and with the elements doubled and quadrupled (at a common step that is stable
-/// for all); only the latest states are stored. `finer` builds the rod with a multiple of the elements, and its start. If the arm stays, it
+/// for all); only the latest states are stored. `variant` builds the rod with a multiple of the elements, and its start. If the arm stays, it
 /// is followed after the horizon; it arrives in the state `end` on its own grid.
 ///
 /// # Errors
 /// Returns [`CheckError`] if a replay breaks down.
 pub fn refine(
     problem: &OptimalControlProblem,
-    finer: &dyn Fn(usize) -> Result<(Rod, State), RodError>,
+    variant: &dyn Fn(Variant) -> Result<(Rod, State), RodError>,
     solution: &Solution,
     end: &State,
 ) -> Result<Refinement, CheckError> {
@@ -205,8 +210,8 @@ pub fn refine(
     let twice =
         coarse.scheme == TimeScheme::Explicit || 16 * node_steps <= MOST_IMPLICIT_NODE_STEPS;
     let finest_factor = if twice { 4 } else { 2 };
-    let doubled = finer(2)?;
-    let quadrupled = twice.then(|| finer(4)).transpose()?;
+    let doubled = variant(Variant::finer(2))?;
+    let quadrupled = twice.then(|| variant(Variant::finer(4))).transpose()?;
     let finest = &quadrupled.as_ref().unwrap_or(&doubled).0;
     let factor = stable_factor(step, coarse, finest, finest_factor);
     let mut levels: Vec<Level> = (IN_TIME.iter())

@@ -33,12 +33,13 @@ fn samples_allocate_nothing() {
 }
 
 /// The same of an arm with tendons, whose columns are evaluated anew in every sample, in explicit and in implicit steps, with bounds on
-/// rates and with none.
+/// rates, with lags, and with none.
 #[test]
 fn samples_of_tendons_allocate_nothing() {
-    for (is_slow, scheme, hold) in [
-        (false, TimeScheme::Explicit, Hold::Constant),
-        (true, TimeScheme::Implicit, Hold::Linear),
+    for (is_slow, scheme, hold, lag) in [
+        (false, TimeScheme::Explicit, Hold::Constant, None),
+        (true, TimeScheme::Implicit, Hold::Linear, None),
+        (true, TimeScheme::Implicit, Hold::Linear, Some(0.05)),
     ] {
         let settings = MpcSettings::receding(0.3);
         let discretization = Discretization {
@@ -46,7 +47,10 @@ fn samples_of_tendons_allocate_nothing() {
             scheme: Some(scheme),
             ..tracking::discretization()
         };
-        let (arm, task) = (tracking::tendon_arm(3e5), tracking::tendon_task(is_slow));
+        let (arm, mut task) = (tracking::tendon_arm(3e5), tracking::tendon_task(is_slow));
+        for control in &mut task.efforts {
+            control.lag = lag;
+        }
         let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
         let mut state = controller.expected().clone();
         controller.step(&state).unwrap();
@@ -59,6 +63,29 @@ fn samples_of_tendons_allocate_nothing() {
             issued.prepare().unwrap();
             let both = count() - before;
             assert_eq!((feedback, both), (0, 0), "{scheme:?} sample {sample}");
+        }
+    }
+}
+
+/// The same of an arm with a magnet in fields and a cable, whose columns are evaluated at the poses of every sample.
+#[test]
+fn samples_of_fields_and_cables_allocate_nothing() {
+    for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+        let settings = MpcSettings::receding(0.3);
+        let discretization = Discretization {
+            scheme: Some(scheme),
+            ..tracking::discretization()
+        };
+        let (arm, task) = (tracking::posed_arm(3e5), tracking::posed_task());
+        let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
+        let mut state = controller.expected().clone();
+        controller.step(&state).unwrap();
+        for sample in 0..50 {
+            state.clone_from(controller.expected());
+            state.linear_momentum[3] += Vector3::new(1e-5, 0.0, -1e-5);
+            let before = count();
+            controller.feedback(&state).unwrap().prepare().unwrap();
+            assert_eq!(count() - before, 0, "{scheme:?} sample {sample}");
         }
     }
 }

@@ -93,7 +93,7 @@ impl Solved {
         };
         let mut check = forward_check(
             &self.problem,
-            &|factor| finer_at_rest(&self.parameters, factor),
+            &|own| finer_at_rest(&self.parameters, own.elements),
             &solution,
             &common::on_its_own_grid(),
         )

@@ -8,5 +8,6 @@ mod tool;
 
 mod certificate;
 mod second_opinion;
+mod tampered_contact;
 mod tampered_efforts;
 mod tampered_results;

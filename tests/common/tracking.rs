@@ -2,7 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 use softarm::control::{Bound, Hold};
-use softarm::mechanics::{Density, Material, Route, StrainActuator};
+use softarm::mechanics::{
+    Cable, Density, Magnet, Material, OfPose, PoseActuator, Route, Span, StrainActuator,
+};
 use softarm::mpc::{Controller, MpcSettings};
 use softarm::task::{
     Arm, ChannelLimits, Cost, Discretization, EffortControl, Place, Start, StartShape, Task, Track,
@@ -127,6 +129,80 @@ pub fn tendon_task(is_slow: bool) -> Task {
         },
         ..Task::reach(Vector3::zeros(), 1.0, 1.0)
     }
+}
+
+/// The arm of [`tendon_arm`] without tendons: a field along either axis across it turns a magnet at its tip, and a cable in which 0.01 N
+/// acts pulls the tip to a point beside it.
+#[allow(dead_code)]
+pub fn posed_arm(youngs: f64) -> Arm {
+    let field = |name: &str, field: Vector3<f64>| PoseActuator {
+        name: name.into(),
+        unit: "T",
+        parts: vec![(
+            Span::At(Place::Tip),
+            OfPose::Magnet(Magnet {
+                moment: Vector3::new(0.0, 0.0, 0.15),
+                field,
+                gradient: Matrix3::zeros(),
+                center: Vector3::zeros(),
+            }),
+        )],
+        effort: Vec::new(),
+        largest: FIELD,
+    };
+    let cable = PoseActuator {
+        name: "cable".into(),
+        unit: "N",
+        parts: vec![(
+            Span::At(Place::Tip),
+            OfPose::Cable(Cable {
+                offset: Vector3::new(0.01, 0.0, 0.0),
+                anchor: Vector3::new(0.25, 0.05, -0.25),
+            }),
+        )],
+        effort: vec![(0.0, 0.01)],
+        largest: CABLE,
+    };
+    Arm {
+        actuators: Vec::new(),
+        pose_actuators: vec![
+            field("across", Vector3::x()),
+            field("along", Vector3::y()),
+            cable,
+        ],
+        ..tendon_arm(youngs)
+    }
+}
+
+/// Largest field, T, and largest tension, N, of [`posed_task`].
+#[allow(dead_code)]
+pub const FIELD: f64 = 0.1;
+#[allow(dead_code)]
+pub const CABLE: f64 = 0.05;
+
+/// The tip of [`posed_arm`] goes aside and back, along the surface on which an arm that is bent and not compressed has its tip.
+#[allow(dead_code)]
+pub fn posed_task() -> Task {
+    let place = |t: f64| {
+        let x = 0.015 * (1.0 - (2.0 * std::f64::consts::PI * t).cos());
+        Vector3::new(x, -0.4 * x, -0.3015 + 2.4 * x * x)
+    };
+    let corners = (0..=300).map(|i| (0.01 * f64::from(i), place(0.01 * f64::from(i))));
+    let control = |actuator: usize, bounds: [f64; 2]| EffortControl {
+        actuator,
+        bounds,
+        rate: None,
+        scale: None,
+        lag: None,
+    };
+    let mut task = tendon_task(false);
+    task.efforts = vec![
+        control(0, [-FIELD, FIELD]),
+        control(1, [-FIELD, FIELD]),
+        control(2, [0.0, CABLE]),
+    ];
+    task.cost.tracks[0].path = corners.collect();
+    task
 }
 
 /// A controller of six elements for the arm and the task.

@@ -9,6 +9,7 @@ mod actuators;
 mod advice;
 mod analytic_optima;
 mod axes;
+mod contacts;
 mod continuous;
 mod distributed;
 mod ends;

@@ -175,7 +175,7 @@ impl Case {
     fn check(&self, point: &LiftedPoint, multipliers: &[f64]) -> ForwardCheck {
         forward_check(
             &self.problem,
-            &|factor| finer_at_rest(&self.parameters, factor),
+            &|own| finer_at_rest(&self.parameters, own.elements),
             &Solution {
                 trajectory: &point.trajectory,
                 coefficients: &self.problem.wrenches(&point.variables),

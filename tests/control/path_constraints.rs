@@ -250,7 +250,7 @@ fn checked(
     let path = program.path_multipliers(&outcome.multipliers.inequalities);
     forward_check(
         problem,
-        &|factor| finer_at_rest(parameters, factor),
+        &|own| finer_at_rest(parameters, own.elements),
         &Solution {
             trajectory: &outcome.point.trajectory,
             coefficients: &problem.wrenches(&outcome.point.variables),

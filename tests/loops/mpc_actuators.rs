@@ -1,6 +1,7 @@
 //! Loops of arms with tendons and chambers: the tensions of a loop on its own model are those of a solve, bounds and rates hold, estimators
 //! know the efforts, and a wrong arm is followed.
 
+use crate::retracing::retrace;
 use crate::serving::{Desk, Plant, state_line};
 use crate::tracking::{TENSION, TENSION_RATE, discretization, tendon_arm, tendon_task};
 
@@ -16,67 +17,30 @@ use softarm::mpc::{
     RodPlant, Sensing, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
 };
 use softarm::mpc::{Disturbance, Estimator as _};
-use softarm::solve::solve;
 use softarm::task::{ChannelLimits, Discretization, EffortControl, Place, WrenchActuator};
 
-/// Plant = model, no noise, no delay, and a horizon that covers the task: the plan before the first sample is the motion of a solve of the
-/// same problem, and the closed loop retraces it. The solve ends with a relative residual of 1e-6, which moves the tip by less than a
-/// ten-thousandth of its way; the loop is on the same grid and differs by the tolerance of its own subproblems.
+/// A loop of tensions on its own model is the motion of a solve; some tensions are at a bound.
+///
+/// With a lag, the bounds are those of the commands. Between the ends of samples the effort under a constant command differs from the linear
+/// one of the plan by up to an eighth of `period/lag` of its change in a sample, which moves the tip by less than as much of its way.
 #[test]
 fn loops_of_tendons_retrace_a_solve() {
-    for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
-        let settings = MpcSettings {
-            period: 0.02,
-            block: 0.02,
-            due: Some(0.4),
-            jump: 1e9,
-            subproblem_tolerance: 1e-12,
-            subproblem_iterations: 100,
-            ..MpcSettings::receding(0.4)
-        };
-        let (arm, mut task) = (tendon_arm(3e5), tendon_task(false));
-        task.horizon = 0.4;
+    const WAY: f64 = 0.03;
+    for (scheme, lag) in [
+        (TimeScheme::Explicit, None),
+        (TimeScheme::Implicit, None),
+        (TimeScheme::Implicit, Some(0.08)),
+    ] {
+        let mut task = tendon_task(false);
+        for control in &mut task.efforts {
+            control.lag = lag;
+        }
         let asked = Discretization {
             scheme: Some(scheme),
             ..discretization()
         };
-        let mut controller = Controller::new(&arm, &task, &asked, &settings).unwrap();
-        let model = controller.rod().clone();
-        let planned: Vec<(f64, [f64; 3])> = controller.prediction(model.tip()).collect();
-        let found = solve(
-            &arm,
-            &task,
-            &Discretization {
-                blocks: 20,
-                step: Some(controller.model_step()),
-                ..asked
-            },
-        )
-        .unwrap();
-        let trajectory = found.trajectory();
-        assert_eq!(trajectory.n_times(), planned.len());
-        let way = 0.03;
-        for (k, (t, there)) in planned.iter().enumerate() {
-            let gap = (trajectory.positions_at(k)[model.tip()] - Vector3::from(*there)).norm();
-            assert!(gap < 1e-4 * way, "{scheme:?} t = {t}: {gap:e}");
-        }
-        let start = controller.expected().clone();
-        let step = controller.model_step();
-        let mut plant = RodPlant::new(&model, start, settings.period, step, &model);
-        let steps = (settings.period / step).round() as usize;
-        let mut is_bounded = false;
-        for sample in 1..=20 {
-            let command = controller.feedback(&plant.measure()).unwrap();
-            is_bounded |= command.record().subproblem.iterations > 0;
-            plant.apply(&command).unwrap();
-            let here = plant.state().configuration.positions[model.tip()];
-            let gap = (here - Vector3::from(planned[sample * steps].1)).norm();
-            assert!(gap < 1e-6, "{scheme:?} sample {sample}: {gap:e}");
-            if sample < 20 {
-                command.prepare().unwrap();
-            }
-        }
-        assert!(is_bounded);
+        let most = lag.map_or(1e-6, |lag| 0.125 * 0.02 / lag * WAY);
+        assert!(retrace(&tendon_arm(3e5), &task, &asked, WAY, most) > 0);
     }
 }
 
@@ -107,6 +71,85 @@ fn scene(hold: Hold) -> Experiment {
     };
     (scene.duration, scene.counted_from) = (3.0, 1.0);
     scene
+}
+
+/// Without a difference between model and plant, efforts with lags follow their plan: the effort that acts at the end of a sample is that by
+/// which the next command was computed, the constant command in between is within the bounds, and so is the state that the controller expects
+/// that of the plant, all to rounding.
+#[test]
+fn efforts_with_lags_follow_their_plan() {
+    let lag = 0.06;
+    let settings = MpcSettings {
+        block: 0.04,
+        ..MpcSettings::receding(0.4)
+    };
+    let mut task = tendon_task(true);
+    for control in &mut task.efforts {
+        control.lag = Some(lag);
+    }
+    // All steps are equal.
+    let asked = Discretization {
+        scheme: Some(TimeScheme::Explicit),
+        ..discretization()
+    };
+    let mut controller = Controller::new(&tendon_arm(3e5), &task, &asked, &settings).unwrap();
+    let model = controller.rod().clone();
+    let (start, step) = (controller.expected().clone(), controller.model_step());
+    let mut plant = RodPlant::new(&model, start, settings.period, step, &model);
+    let (mut acting, mut n_bounded) = ([0.0f64; 4], 0);
+    for sample in 0..60 {
+        let measured = plant.measure();
+        let gap = (measured.configuration.positions.iter())
+            .zip(&controller.expected().configuration.positions)
+            .map(|(a, b)| (a - b).norm())
+            .fold(0.0, f64::max);
+        assert!(gap < 1e-12, "sample {sample}: {gap:e}");
+        let issued = controller.feedback(&measured).unwrap();
+        let command = Command::clone(&issued);
+        issued.prepare().unwrap();
+        plant.apply(&command).unwrap();
+        for (i, own) in acting.iter_mut().enumerate() {
+            let told = command.efforts_from[i];
+            assert_eq!(told, command.efforts_to[i]);
+            assert!((-1e-12..=TENSION + 1e-12).contains(&(0.4 + told)), "{told}");
+            n_bounded += usize::from(0.4 + told < 0.01 * TENSION);
+            let off = (command.efforts_acting[i] - *own).abs();
+            assert!(off < 1e-12, "sample {sample}, tendon {i}: {off:e}");
+            let next = told + (*own - told) * (-settings.period / lag).exp();
+            let rate = (next - *own) / settings.period;
+            let within = TENSION_RATE[0] - 1e-9..=TENSION_RATE[1] + 1e-9;
+            assert!(within.contains(&rate), "{rate}");
+            *own = next;
+        }
+    }
+    assert!(n_bounded > 0);
+}
+
+/// A wrong arm with lags, noise and a period of delay is followed within half a percent of its length by commands within their bounds, and
+/// the controller knows the efforts that act in the plant, whose lags are those of the model where nothing else is said.
+#[test]
+fn lags_of_wrong_arms_are_known() {
+    let mut scene = scene(Hold::Linear);
+    for control in &mut scene.task.efforts {
+        control.lag = Some(0.05);
+    }
+    let run = scene.run(Contender::Mpc, &mut |_, closed| {
+        let sent = closed.sent();
+        for (_, [from, to]) in closed.controller().efforts(sent) {
+            assert_eq!(from, to);
+            let within = -Watch::ROUNDING..=TENSION + Watch::ROUNDING;
+            assert!(within.contains(&from), "{from}");
+        }
+        // The command acts from the end of the sample on.
+        for (acts, known) in (closed.arm().acting_efforts().iter()).zip(&sent.efforts_acting) {
+            assert!((acts - 0.4 - known).abs() < 1e-9, "{acts} {known}");
+        }
+        ControlFlow::Continue(())
+    });
+    let run = run.unwrap();
+    assert!(run.broke_down.is_none() && run.tally.fallbacks.is_empty());
+    let rms = run.tip_error.rms / scene.arm.length;
+    assert!(rms < 5e-3, "{rms}");
 }
 
 /// Checks bounds and rates of the commands of a run, one after the other.
@@ -255,16 +298,25 @@ fn swinging(model: &Rod) -> (State, Command) {
 }
 
 /// A filter without measurements moves as a plant that is its model, and the derivative of its state along the state at the start is that
-/// of differences: the tensions that were sent are in both.
+/// of differences: the tensions that were sent, or that follow from them with a lag, are in both.
 #[test]
 fn estimators_know_the_efforts() {
-    for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+    for (scheme, lag) in [
+        (TimeScheme::Explicit, 0.0),
+        (TimeScheme::Implicit, 0.0),
+        (TimeScheme::Implicit, 0.02),
+    ] {
         let asked = Discretization {
             scheme: Some(scheme),
             ..discretization()
         };
         let model = tendon_arm(3e5).rod(&asked).unwrap();
-        let (start, command) = swinging(&model);
+        let (start, mut command) = swinging(&model);
+        if lag > 0.0 {
+            command.efforts_to.clone_from(&command.efforts_from);
+            command.lags = vec![lag; 4];
+            command.efforts_acting = vec![-0.2, 0.1, 0.3, 0.0];
+        }
         let settings = KalmanSettings {
             longest_step: match scheme {
                 TimeScheme::Explicit => softarm::mechanics::stable_step(&model),

@@ -4,6 +4,7 @@ use crate::common;
 
 use common::{RULES, busy_arm, shaking};
 use nalgebra::Vector3;
+use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
     BaseCondition, Configuration, EndCondition, Energy, Material, MomentumBalance, NodeWrenches,
@@ -144,18 +145,22 @@ fn energy_changes_by_the_work_of_driven_ends() {
 }
 
 /// A stiff rod that hangs from a pin swings with the period of a compound pendulum, `4 sqrt(I/(m g c)) K(sin(θ/2))` with the complete
-/// elliptic integral `K = π/(2 agm(1, cos(θ/2)))`, from any amplitude; at a ball joint as at a hinge.
+/// elliptic integral `K = π/(2 agm(1, cos(θ/2)))`, from any amplitude; at a ball joint as at a hinge, and however the whole is turned.
 #[test]
 fn a_pinned_rod_is_a_pendulum() {
     let material = Material::isotropic(1e12, 0.3, 1000.0);
     let section = SectionProfile::Uniform(Section::circle(&material, 0.02));
     let amplitude = 2.0f64;
     let axis = Some(Vector3::y());
-    for axis in [axis, None] {
+    let askew = Vector3::new(0.7, -0.4, 1.1);
+    for (axis, turn) in [(axis, Vector3::zeros()), (axis, askew), (None, askew)] {
+        let turn = exp(&turn);
         let rod = Rod::new(&RodParameters {
-            base: EndCondition::Pinned { axis },
-            base_rotation: softarm::mechanics::rotation::exp(&(Vector3::y() * amplitude)),
-            gravity: Vector3::new(0.0, 0.0, 9.81),
+            base: EndCondition::Pinned {
+                axis: axis.map(|axis| turn * axis),
+            },
+            base_rotation: turn * exp(&(Vector3::y() * amplitude)),
+            gravity: turn * Vector3::new(0.0, 0.0, 9.81),
             scheme: TimeScheme::Implicit,
             ..RodParameters::straight(0.5, 4, section.clone())
         })
@@ -175,10 +180,11 @@ fn a_pinned_rod_is_a_pendulum() {
         let quarter = std::f64::consts::FRAC_PI_2 / a * (inertia / weight).sqrt();
         let found = [1e-3, 5e-4].map(|h| {
             let mut stepper = Stepper::new(&rod, h, State::at_rest(rod.rest.clone()));
-            let mut last = stepper.position(rod.tip()).x;
+            let aside = |x: Vector3<f64>| turn.tr_mul(&x).x;
+            let mut last = aside(stepper.position(rod.tip()));
             loop {
                 stepper.advance(NOTHING).expect("a step");
-                let x = stepper.position(rod.tip()).x;
+                let x = aside(stepper.position(rod.tip()));
                 if x <= 0.0 {
                     // The speed is constant there to second order.
                     return stepper.time() - h * x / (x - last);

@@ -4,6 +4,7 @@
 mod common;
 
 mod boundary_conditions;
+mod contacts;
 mod diagnostics;
 mod discrete_action;
 mod discrete_mechanics;

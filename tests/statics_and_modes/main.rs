@@ -3,6 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod contacts;
 mod ends;
 mod pose_actuators;
 mod published_frequencies;

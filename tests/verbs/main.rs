@@ -6,6 +6,7 @@ mod tool;
 
 mod causes;
 mod cli;
+mod contact;
 mod continued;
 mod export;
 mod files;

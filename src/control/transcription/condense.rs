@@ -75,6 +75,22 @@ impl Transcription<'_> {
                 gradient[column] += weight * slope;
             });
         }
+        if let Some((pulls, efforts)) = columns.efforts() {
+            let n_nodes = motion.rod.n_nodes();
+            for k in 0..=motion.grid.n_steps {
+                let covectors: Vec<f64> = (0..n_nodes)
+                    .flat_map(|node| costates.wrench(&motion, k, node).to_array())
+                    .collect();
+                for (set, end, share) in pulls.sets_at(k) {
+                    for index in 0..pulls.n_actuators() {
+                        let slope = share * dot(pulls.wrenches(set, end, index), &covectors);
+                        efforts.visit(set, index, &mut |column, derivative| {
+                            gradient[column] += derivative * slope;
+                        });
+                    }
+                }
+            }
+        }
         let slacks = self.slack_variables.iter().zip(&self.slack_units);
         for ((variable, unit), y) in slacks.zip(&multipliers.constraints) {
             if let Some(variable) = *variable {

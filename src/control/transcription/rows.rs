@@ -5,7 +5,7 @@ use faer::Mat;
 use crate::control::acting::{ActingAlong, Target, targets};
 use crate::control::path::RowGradient;
 use crate::control::problem::{Component, OptimalControlProblem};
-use crate::mechanics::sensitivity::ControlColumns;
+use crate::mechanics::sensitivity::{ControlColumns, EffortColumns, EffortPulls};
 use crate::mechanics::{StateForm, StepError};
 use crate::sqp::Failure;
 
@@ -74,6 +74,8 @@ pub(super) struct Columns<'a> {
     pub(super) acting: Option<&'a ActingAlong<'a>>,
     /// Target of each component.
     pub(super) targets: Vec<Target>,
+    /// Wrenches of unit efforts, if some components are efforts of actuators on strains.
+    pulls: Option<&'a EffortPulls>,
 }
 
 impl<'a> Columns<'a> {
@@ -87,6 +89,25 @@ impl<'a> Columns<'a> {
             components,
             acting,
             targets: targets(problem, components),
+            pulls: acting.and_then(ActingAlong::pulls),
+        }
+    }
+}
+
+impl EffortColumns for Columns<'_> {
+    fn visit(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64)) {
+        let Some(acting) = self.acting else {
+            return;
+        };
+        let n = self.components.len();
+        for (at, component) in self.components.iter().enumerate() {
+            if self.targets[at] != Target::Effort(index) {
+                continue;
+            }
+            let unit = self.problem.channel(component).unit();
+            acting.visit_efforts(set, index, &mut |coefficient, derivative| {
+                visit(coefficient * n + at, unit * derivative);
+            });
         }
     }
 }
@@ -114,6 +135,7 @@ impl ControlColumns for Columns<'_> {
                 }
             };
             match (self.targets[at], self.acting) {
+                (Target::Effort(_), _) => {}
                 (Target::Node, _) => {
                     let node = self.problem.actuators[component.actuator].node;
                     visit_at(k, node, component.axis, 1.0);
@@ -122,6 +144,10 @@ impl ControlColumns for Columns<'_> {
                 (_, None) => {}
             }
         }
+    }
+
+    fn efforts(&self) -> Option<(&EffortPulls, &dyn EffortColumns)> {
+        Some((self.pulls?, self))
     }
 
     fn n_started(&self, k: usize) -> usize {

@@ -120,13 +120,13 @@ impl Density {
     #[inline(always)]
     fn slopes<S: Simd>(self, stretch: Lanes<S>, twist: Lanes<S>) -> Slopes<S> {
         let simd = stretch.simd;
-        let of = |value: f64| Lanes::splat(simd, value);
+        let one = Lanes::splat(simd, 1.0);
         let along_stretch = match self {
-            Self::Shortening => of(-1.0),
-            Self::Lengthening | Self::Volume => of(1.0),
+            Self::Shortening => -one,
+            Self::Lengthening | Self::Volume => one,
             Self::Muscle => -muscle_force(stretch),
             Self::Braid { fibre, turns } => {
-                let inverse = of(1.0) / (twist + std::f64::consts::TAU * turns);
+                let inverse = one / (twist + std::f64::consts::TAU * turns);
                 let area = -(stretch * stretch * 3.0) + fibre * fibre;
                 let square = inverse * inverse;
                 return Slopes {
@@ -140,24 +140,25 @@ impl Density {
         };
         Slopes {
             stretch: along_stretch,
-            twist: of(0.0),
+            twist: Lanes::splat(simd, 0.0),
         }
     }
 
     #[inline(always)]
     fn bends<S: Simd>(self, stretch: Lanes<S>, twist: Lanes<S>) -> Bends<S> {
         let simd = stretch.simd;
-        let of = |value: f64| Lanes::splat(simd, value);
+        let zero = Lanes::splat(simd, 0.0);
         let mut bends = Bends {
-            stretch: of(0.0),
-            mixed: of(0.0),
-            twist: of(0.0),
+            stretch: zero,
+            mixed: zero,
+            twist: zero,
         };
         match self {
             Self::Shortening | Self::Lengthening | Self::Volume => {}
             Self::Muscle => bends.stretch = -muscle_slope(stretch),
             Self::Braid { fibre, turns } => {
-                let inverse = of(1.0) / (twist + std::f64::consts::TAU * turns);
+                let one = Lanes::splat(simd, 1.0);
+                let inverse = one / (twist + std::f64::consts::TAU * turns);
                 let square = inverse * inverse;
                 let cube = square * inverse;
                 let area = -(stretch * stretch * 3.0) + fibre * fibre;
@@ -231,13 +232,6 @@ impl<S: Simd> ActivePoint<S> {
         Vec3::of(second * g.z, -(first * g.z), first * g.y - second * g.x)
     }
 
-    /// `[d]×`
-    #[inline(always)]
-    fn arm(&self) -> Mat3<S> {
-        let [x, y] = self.offset;
-        Mat3::hat(Vec3::of(x, y, Lanes::splat(x.simd, 0.0)))
-    }
-
     /// Returns the derivative of the coordinate along `(l v, ψ)`, with the strain at one end.
     #[inline(always)]
     fn slope(&self, density: Density, linear: Vec3<S>, psi: Vec3<S>) -> (Vec3<S>, Vec3<S>) {
@@ -282,63 +276,103 @@ impl<S: Simd> ActivePoint<S> {
         }
     }
 
-    /// Returns `∂²y` along `(l v, ψ)` with the strain at one end: linear, mixed and angular block.
+    /// Adds `factor` times the first and the second derivative of the coordinate with the strain at one end.
+    ///
+    /// With the derivative `g = (t; d × t)` of `λ` along `(v, κ)`, that of `κ₃`, `e`, and the second derivative `D` of `|p|²/2`, which is
+    /// constant, the second derivative of a density `f(λ, κ₃)` is `f_λ/λ (D - g gᵀ) + f_λλ g gᵀ + f_λκ (g eᵀ + e gᵀ) + f_κκ e eᵀ`.
     #[inline(always)]
-    fn bend(&self, density: Density, linear: Vec3<S>, psi: Vec3<S>) -> [Mat3<S>; 3] {
-        let simd = psi.x.simd;
-        let line = self.tangent_line(linear, psi);
-        let length = (line.dot(line) + LEAST_SQUARE).sqrt();
-        let (stretch, turn) = (length * self.inverse_length, psi.z * self.inverse_length);
-        let slopes = density.slopes(stretch, turn);
-        let bends = density.bends(stretch, turn);
-        let way = line * (Lanes::splat(simd, 1.0) / length);
-        let scale = self.weight * self.inverse_length;
-        // ∂²φ/∂p² = f_λλ t tᵀ + f_λ/λ (I - t tᵀ)
-        let across = slopes.stretch / stretch;
-        let along = Mat3::outer(way, way);
-        let a = (along * bends.stretch
-            + (Mat3::multiple(Lanes::splat(simd, 1.0)) - along) * across)
-            * scale;
-        let arm = self.arm();
-        let b = way * (bends.mixed * scale);
-        let axis = Vec3::of(
-            Lanes::splat(simd, 0.0),
-            Lanes::splat(simd, 0.0),
-            Lanes::splat(simd, 1.0),
-        );
-        // ∂(l p)/∂ψ = -[d]×
-        let mixed = Mat3::outer(b, axis) - a.product(arm);
-        let turned = Mat3::outer(arm.apply(b), axis);
-        let angular = turned + turned.transpose() - arm.product(a.product(arm))
-            + Mat3::outer(axis, axis) * (bends.twist * scale);
-        [a, mixed, angular]
-    }
-
-    /// Returns the second derivative of the coordinate; zero for a [`Density::Volume`].
-    #[inline(always)]
-    pub fn bends<const ENDS: usize>(
+    fn add_at(
         &self,
         density: Density,
-        linear: [Vec3<S>; 2],
-        psi: Vec3<S>,
-    ) -> ActiveTangent<S> {
+        strain: (Vec3<S>, Vec3<S>),
+        factor: Lanes<S>,
+        end: usize,
+        (first, second): (&mut Stress<S>, &mut ActiveTangent<S>),
+    ) {
+        let (linear, psi) = strain;
         let simd = psi.x.simd;
+        let weight = self.weight * factor;
         if density == Density::Volume {
-            return ActiveTangent::zero(simd);
+            let zero = Lanes::splat(simd, 0.0);
+            let g = Vec3::of(zero, zero, weight);
+            first.linear[end] = first.linear[end] + g;
+            first.angular = first.angular + self.moment(g);
+            return;
         }
-        let [a, mixed, angular] = self.bend(density, linear[0], psi);
+        let line = self.tangent_line(linear, psi);
+        let length = (line.dot(line) + LEAST_SQUARE).sqrt();
+        let inverse = Lanes::splat(simd, 1.0) / length;
+        let way = line * inverse;
+        let turn = self.moment(way);
+        let (pull, across, along);
+        if let Some(sign) = density.length_sign() {
+            pull = weight * sign;
+            across = pull * inverse;
+            along = -across;
+        } else {
+            let (stretch, twist) = (length * self.inverse_length, psi.z * self.inverse_length);
+            let slopes = density.slopes(stretch, twist);
+            let bends = density.bends(stretch, twist);
+            let scale = weight * self.inverse_length;
+            pull = slopes.stretch * weight;
+            across = pull * inverse;
+            along = bends.stretch * scale - across;
+            first.angular.z = first.angular.z + slopes.twist * weight;
+            let mixed = bends.mixed * scale;
+            let (way, turn) = (way * mixed, turn * mixed);
+            let [x, y, z] = &mut second.mixed[end].rows;
+            (x.z, y.z, z.z) = (x.z + way.x, y.z + way.y, z.z + way.z);
+            let [x, y, z] = &mut second.angular.rows;
+            (x.z, y.z, z.z) = (x.z + turn.x, y.z + turn.y, z.z + turn.z);
+            *z = *z + turn;
+            z.z = z.z + bends.twist * scale;
+        }
+        first.linear[end] = first.linear[end] + way * pull;
+        first.angular = first.angular + turn * pull;
+        let (from_way, from_turn) = (way * along, turn * along);
+        let [d, e] = self.offset;
+        let (d_across, e_across) = (d * across, e * across);
+        let [x, y, z] = &mut second.linear[end].rows;
+        *x = *x + way * from_way.x;
+        *y = *y + way * from_way.y;
+        *z = *z + way * from_way.z;
+        (x.x, y.y, z.z) = (x.x + across, y.y + across, z.z + across);
+        // D has -[d]× here
+        let [x, y, z] = &mut second.mixed[end].rows;
+        *x = *x + turn * from_way.x;
+        *y = *y + turn * from_way.y;
+        *z = *z + turn * from_way.z;
+        (x.z, y.z) = (x.z - e_across, y.z + d_across);
+        (z.x, z.y) = (z.x + e_across, z.y - d_across);
+        // and -[d]×² here.
+        let [x, y, z] = &mut second.angular.rows;
+        *x = *x + turn * from_turn.x;
+        *y = *y + turn * from_turn.y;
+        *z = *z + turn * from_turn.z;
+        let (dd, ee, de) = (d * d_across, e * e_across, d * e_across);
+        (x.x, x.y) = (x.x + ee, x.y - de);
+        (y.x, y.y) = (y.x - de, y.y + dd);
+        z.z = z.z + (dd + ee);
+    }
+
+    /// Adds `factor` times the first and the second derivative of the coordinate along `(l v_a, l v_b, ψ)`; a rule with one end has them
+    /// in the first one.
+    #[inline(always)]
+    pub fn add_derivatives<const ENDS: usize>(
+        &self,
+        density: Density,
+        (linear, psi): ([Vec3<S>; 2], Vec3<S>),
+        factor: Lanes<S>,
+        first: &mut Stress<S>,
+        second: &mut ActiveTangent<S>,
+    ) {
         if ENDS == 1 {
-            return ActiveTangent {
-                linear: [a, Mat3::zero(simd)],
-                mixed: [mixed, Mat3::zero(simd)],
-                angular,
-            };
-        }
-        let [far, mixed_far, angular_far] = self.bend(density, linear[1], psi);
-        ActiveTangent {
-            linear: [a * 0.5, far * 0.5],
-            mixed: [mixed * 0.5, mixed_far * 0.5],
-            angular: (angular + angular_far) * 0.5,
+            self.add_at(density, (linear[0], psi), factor, 0, (first, second));
+        } else {
+            let half = factor * 0.5;
+            let sums = (&mut *first, &mut *second);
+            self.add_at(density, (linear[0], psi), half, 0, sums);
+            self.add_at(density, (linear[1], psi), half, 1, (first, second));
         }
     }
 }
@@ -376,56 +410,68 @@ impl<S: Simd> ActiveTangent<S> {
         }
     }
 
+    /// Returns a multiple.
     #[inline(always)]
-    pub fn plus(self, other: Self, factor: Lanes<S>) -> Self {
-        let add = |a: Mat3<S>, b: Mat3<S>| a + b * factor;
-        Self {
-            linear: [0, 1].map(|i| add(self.linear[i], other.linear[i])),
-            mixed: [0, 1].map(|i| add(self.mixed[i], other.mixed[i])),
-            angular: add(self.angular, other.angular),
+    pub fn times(mut self, factor: f64) -> Self {
+        for end in 0..2 {
+            self.linear[end] = self.linear[end] * factor;
+            self.mixed[end] = self.mixed[end] * factor;
         }
+        self.angular = self.angular * factor;
+        self
     }
 
-    /// Returns `Lᵀ T R` of two derivatives of the strains of an element by one rule.
+    /// Adds `Lᵀ T R` of two derivatives of the strains of an element by one rule.
     #[inline(always)]
-    pub fn between<R: TangentRule>(&self, left: &Blocks<S>, right: &Blocks<S>) -> Blocks<S> {
+    pub fn add_between<R: TangentRule>(
+        &self,
+        left: &Blocks<S>,
+        right: &Blocks<S>,
+        out: &mut Blocks<S>,
+    ) {
         let part = Between::<S, R> {
             tangent: self,
             left,
             right,
+            out,
             rule: PhantomData,
         };
-        apart(self.angular.rows[0].x.simd, part)
+        apart(self.angular.rows[0].x.simd, part);
     }
 }
 
-/// The arguments of [`ActiveTangent::between`].
+/// The arguments of [`ActiveTangent::add_between`].
 struct Between<'a, S: Simd, R> {
     tangent: &'a ActiveTangent<S>,
     left: &'a Blocks<S>,
     right: &'a Blocks<S>,
+    out: &'a mut Blocks<S>,
     rule: PhantomData<R>,
 }
 
 impl<S: Simd, R: TangentRule> Part for Between<'_, S, R> {
-    type Output = Blocks<S>;
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> Blocks<S> {
+    fn run(self) {
         let Self {
             tangent,
             left,
             right,
+            out,
             ..
         } = self;
         let simd = tangent.angular.rows[0].x.simd;
         let zero = Mat3::zero(simd);
         let ends = if R::END_WEIGHT == 1.0 { 1 } else { 2 };
-        let mut out = [[zero; 3]; 3];
         for j in 0..3 {
             // T R, column j: of the strains at the ends and of the angular one.
-            let turn = R::PATTERN[2][j].then_some(right[2][j]);
-            let mut angular = turn.map_or(zero, |turn| tangent.angular.product(turn));
+            let turn = right[2][j];
+            let mut angular = if R::PATTERN[2][j] {
+                tangent.angular.product(turn)
+            } else {
+                zero
+            };
             let mut linear = [zero; 2];
             for end in 0..ends {
                 if R::PATTERN[end][j] {
@@ -433,21 +479,23 @@ impl<S: Simd, R: TangentRule> Part for Between<'_, S, R> {
                     linear[end] = tangent.linear[end].product(moved);
                     angular = angular + tangent.mixed[end].transposed_product(moved);
                 }
-                if let Some(turn) = turn {
+                if R::PATTERN[2][j] {
                     linear[end] = linear[end] + tangent.mixed[end].product(turn);
                 }
             }
             for i in 0..3 {
+                // Added at once: every sum with the stiffness of the arm itself is rounded by the size of that.
+                let mut block = zero;
                 for end in 0..ends {
                     if R::PATTERN[end][i] {
-                        out[i][j] = out[i][j] + left[end][i].transposed_product(linear[end]);
+                        block = block + left[end][i].transposed_product(linear[end]);
                     }
                 }
                 if R::PATTERN[2][i] {
-                    out[i][j] = out[i][j] + left[2][i].transposed_product(angular);
+                    block = block + left[2][i].transposed_product(angular);
                 }
+                out[i][j] = out[i][j] + block;
             }
         }
-        out
     }
 }

@@ -27,6 +27,14 @@ pub struct Stress<S: Simd> {
 
 impl<S: Simd> Stress<S> {
     #[inline(always)]
+    pub fn zero(simd: S) -> Self {
+        Self {
+            linear: [Vec3::zero(simd); 2],
+            angular: Vec3::zero(simd),
+        }
+    }
+
+    #[inline(always)]
     pub fn plus(self, other: Self) -> Self {
         Self {
             linear: [
@@ -244,21 +252,33 @@ impl<S: Simd> Displacement<S> {
     /// Returns displacements along two covectors at once, by the same step.
     #[inline(always)]
     pub fn along_both(start: [Vec3<S>; 3], end: [Vec3<S>; 3], length: f64) -> [Self; 2] {
-        let [start, end] = [start, end].map(|covector| Self::along(covector, length));
-        // A zero covector has size one, which is no size to compare with.
-        let none = |d: &Self| {
-            let [dx, a, b] = d.covector.map(|v| v.dot(v));
-            dx + a + b
-        };
-        let own = |d: &Self| {
-            let zero = Lanes::splat(d.size.simd, 0.0);
-            none(d).select_below(f64::MIN_POSITIVE, zero, d.size)
-        };
+        let (start, end) = (Self::along(start, length), Self::along(end, length));
         let one = Lanes::splat(start.size.simd, 1.0);
-        let size = own(&start).max(own(&end));
+        let size = start.size_or_zero().max(end.size_or_zero());
         let size = size.select_below(f64::MIN_POSITIVE, one, size);
         let step = one / size * DIFFERENCE_STEP;
-        [start, end].map(|d| Self { size, step, ..d })
+        let (start, end) = (start.covector, end.covector);
+        [
+            Self {
+                covector: start,
+                size,
+                step,
+            },
+            Self {
+                covector: end,
+                size,
+                step,
+            },
+        ]
+    }
+
+    /// Returns the size of the covector; a zero one has size one otherwise, which is no size to compare with.
+    #[inline(always)]
+    fn size_or_zero(&self) -> Lanes<S> {
+        let [dx, a, b] = self.covector;
+        let square = dx.dot(dx) + a.dot(a) + b.dot(b);
+        let zero = Lanes::splat(self.size.simd, 0.0);
+        square.select_below(f64::MIN_POSITIVE, zero, self.size)
     }
 
     /// Returns the pose moved by `sign` steps.
@@ -281,9 +301,11 @@ impl<S: Simd> Displacement<S> {
     #[inline(always)]
     pub fn slope(&self, [here, ahead, behind]: &[[Vec3<S>; 3]; 3]) -> [Vec3<S>; 3] {
         let scale = self.size * (0.5 / DIFFERENCE_STEP);
-        let change = |i: usize| (ahead[i] - behind[i]) * scale;
-        let turned = |i: usize| change(i) + self.covector[i].cross(here[i]);
-        [change(0), turned(1), turned(2)]
+        [
+            (ahead[0] - behind[0]) * scale,
+            (ahead[1] - behind[1]) * scale + self.covector[1].cross(here[1]),
+            (ahead[2] - behind[2]) * scale + self.covector[2].cross(here[2]),
+        ]
     }
 
     /// Returns the block of the curvature with rows along the pose of this displacement and columns along that of another one, which moved

@@ -182,10 +182,12 @@ impl<S: Simd> ActiveBlocks<'_, S> {
     ) -> ActiveTangent<S> {
         let simd = psi.x.simd;
         let mut sum = ActiveTangent::zero(simd);
+        let mut stress = Stress::zero(simd);
         for (i, &(actuator, density)) in self.kinds.iter().enumerate() {
             let point = self.point(simd, block * self.kinds.len() + i);
-            let bends = point.bends::<ENDS>(density, linear, psi);
-            sum = sum.plus(bends, Lanes::splat(simd, -self.efforts[actuator]));
+            let factor = Lanes::splat(simd, -self.efforts[actuator]);
+            let strain = (linear, psi);
+            point.add_derivatives::<ENDS>(density, strain, factor, &mut stress, &mut sum);
         }
         sum
     }
@@ -281,14 +283,19 @@ impl LaneIntegrator<'_> {
             return;
         };
         let is_same = inputs.iter().zip(&active.coming).all(|(a, b)| a == b);
-        let coming = std::mem::take(&mut active.coming);
-        active.coming = if is_same {
-            active.present.clone()
+        let ActiveLanes {
+            coming,
+            present,
+            shape,
+            jump,
+            ..
+        } = active;
+        if is_same {
+            coming.copy_from_slice(present);
         } else {
-            let shape = &mut active.shape;
             self.put_poses(shape);
-            (self.rod).efforts_at(coming, &shape.positions, &shape.rotations)
-        };
+            (self.rod).turn_into_efforts(coming, &shape.positions, &shape.rotations, jump);
+        }
     }
 
     /// Adds the forces of winches at the time node at which an explicit step has arrived.
@@ -306,7 +313,8 @@ impl LaneIntegrator<'_> {
         if let (Some([acting, coming]), TimeScheme::Explicit) = (inputs, self.rod.scheme) {
             self.put_poses(shape);
             acting.copy_from_slice(coming);
-            *present = (self.rod).efforts_at(coming.clone(), &shape.positions, &shape.rotations);
+            present.copy_from_slice(coming);
+            (self.rod).turn_into_efforts(present, &shape.positions, &shape.rotations, jump);
             let own = present.iter().zip(self.rod.actuators.iter());
             for (jump, (effort, actuator)) in jump.iter_mut().zip(own) {
                 *jump = actuator.winch.map_or(0.0, |_| *effort);

@@ -1,12 +1,10 @@
 //! Derivatives of the wrenches of loads and of actuators of one's own along the configuration.
 
-use faer::Mat;
 use nalgebra::Matrix3;
 
 use super::Motion;
 use crate::mechanics::actuator::{ActingDerivative, StateView};
 use crate::mechanics::configuration::Trajectory;
-use crate::mechanics::pose_actuator::Posed;
 
 /// The derivative of a load's wrench along the rotation of its node.
 #[derive(Clone, Copy, Debug)]
@@ -41,7 +39,7 @@ pub(in crate::mechanics) fn load_derivatives(
         .collect()
 }
 
-/// Returns the derivatives of all actuators of one's own and of all functions of nodes.
+/// Returns the derivatives of all actuators of one's own.
 pub(in crate::mechanics) fn acting_derivatives(
     motion: &Motion,
     trajectory: &Trajectory,
@@ -58,19 +56,5 @@ pub(in crate::mechanics) fn acting_derivatives(
             }
         }));
     }
-    if motion.rod.actuators.functions().is_empty() {
-        return out;
-    }
-    let efforts = motion.efforts_at(k);
-    let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
-    out.extend(
-        (motion.rod.posed(Posed::All, &efforts)).map(|(own, factor)| {
-            let tangent = own.function.tangent(&own.pose(x, r)) * factor;
-            ActingDerivative {
-                nodes: vec![own.node],
-                matrix: Mat::from_fn(6, 6, |i, j| tangent[(i, j)]),
-            }
-        }),
-    );
     out
 }

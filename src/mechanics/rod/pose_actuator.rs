@@ -14,6 +14,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::{Rod, RodError, require};
+use crate::mechanics::contact::Touch;
 use crate::mechanics::load::Wrench;
 use crate::mechanics::mesh::Mesh;
 use crate::mechanics::place::Place;
@@ -173,6 +174,8 @@ pub enum OfPose {
     Magnet(Magnet),
     /// A cable to a point in space.
     Cable(Cable),
+    /// A body that the node touches.
+    Touch(Touch),
     /// A function of one's own.
     Own(SharedPoseFunction),
 }
@@ -189,7 +192,17 @@ impl OfPose {
         match self {
             Self::Magnet(magnet) => magnet,
             Self::Cable(cable) => cable,
+            Self::Touch(touch) => touch,
             Self::Own(own) => &*own.0,
+        }
+    }
+
+    /// Returns the contact, if it is one.
+    #[must_use]
+    pub fn touch(&self) -> Option<&Touch> {
+        match self {
+            Self::Touch(touch) => Some(touch),
+            _ => None,
         }
     }
 
@@ -205,11 +218,15 @@ impl OfPose {
     }
 
     /// Returns the second derivative of `λ·∇y` along `(δx, ζ)` for a constant covector `λ` of force and moment, symmetric, from central
-    /// differences of the tangent; `length` (m) is that of the rod.
+    /// differences of the tangent, but for a contact, whose third derivative jumps; `length` (m) is that of the rod.
     #[must_use]
     pub fn curvature(&self, at: &Pose, covector: &Wrench, length: f64) -> Matrix6<f64> {
         /// Half the width of the differences, in lengths of the rod or rad: accurate to about 1e-10 of the second derivative.
         const DIFFERENCE: f64 = 1e-5;
+        if let Self::Touch(touch) = self {
+            let bent = touch.curvature(&at.position, &covector.force);
+            return from_blocks(&bent, &Matrix3::zeros(), &Matrix3::zeros());
+        }
         let covector = Vector6::from(covector.to_array());
         let columns: [Vector6<f64>; 6] = std::array::from_fn(|j| {
             let step = DIFFERENCE * if j < 3 { length } else { 1.0 };
@@ -224,10 +241,15 @@ impl OfPose {
     }
 
     /// Returns a bound of `M^{-½} K M^{-½}` with the stiffness `K` of a unit effort of either sign, 1/s² per effort, positive semidefinite:
-    /// the absolute value at a pose, where a magnet is turned to where it is stiffest, `|m| |B|` about the axes across it. `root` is the
-    /// diagonal of `M^{-½}`.
+    /// the absolute value at a pose, where a magnet is turned to where it is stiffest, `|m| |B|` about the axes across it; of a contact its
+    /// stiffness at its penetration, in any direction. `root` is the diagonal of `M^{-½}`.
     #[must_use]
     pub fn frequency_bound(&self, at: &Pose, root: &Vector6<f64>) -> Matrix6<f64> {
+        if let Self::Touch(touch) = self {
+            let own = Matrix3::identity() * touch.stiffness();
+            let bound = from_blocks(&own, &Matrix3::zeros(), &Matrix3::zeros());
+            return bound.component_mul(&(root * root.transpose()));
+        }
         let mut hessian = self.function().hessian(at);
         let mut across = Matrix3::zeros();
         if let Self::Magnet(magnet) = self {
@@ -267,7 +289,7 @@ impl OfPose {
                 .flatten()
                 .copied()
                 .collect(),
-            Self::Own(_) => Vec::new(),
+            Self::Touch(_) | Self::Own(_) => Vec::new(),
         };
         (numbers.iter()).try_for_each(|number| {
             require("number of a magnet or cable", *number, |_| true, "finite")

@@ -14,12 +14,14 @@ use pulp::{Scalar, Simd};
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
 use super::{Rod, RodError, require};
 use crate::mechanics::configuration::Configuration;
+use crate::mechanics::contact::Contact;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
-    ElementStrain, IntervalStress, StrainRule,
+    ElementStrain, IntervalStress, StrainRule, Stress,
 };
 use crate::mechanics::load::profile;
 use crate::mechanics::mesh::Mesh;
+use crate::mechanics::rows;
 use crate::mechanics::time::TimeNode;
 use crate::mechanics::vector::{Lanes, Vec3};
 
@@ -391,6 +393,36 @@ impl RodActuators {
         Ok(out)
     }
 
+    /// Adds the contact of this index, of a rod with these radii.
+    ///
+    /// # Errors
+    /// Returns [`RodError`] for a part that does not exist.
+    pub(super) fn add_contact(
+        &mut self,
+        (index, contact): (usize, &Contact),
+        radii: &[(f64, f64)],
+        mesh: &Mesh,
+    ) -> Result<(), RodError> {
+        let [from, to] = contact.part;
+        let touch = |radius| OfPose::Touch(contact.on_node(index, radius));
+        let along = (Span::Along(from, to), touch(0.0));
+        let placed = PlacedFunction::placed(&along, None, mesh)?;
+        self.functions.extend(placed.map(|own| PlacedFunction {
+            function: touch(rows::largest(radii, mesh.fraction(own.node)).unwrap_or(0.0)),
+            ..own
+        }));
+        Ok(())
+    }
+
+    /// Multiplies the forces of all contacts.
+    pub(in crate::mechanics) fn multiply_contact_forces(&mut self, factor: f64) {
+        for own in &mut self.functions {
+            if let OfPose::Touch(touch) = &mut own.function {
+                touch.force *= factor;
+            }
+        }
+    }
+
     fn on_strains(actuators: &[StrainActuator], elements: &[Element]) -> Result<Self, RodError> {
         let lengths: Vec<f64> = elements.iter().map(|element| element.length).collect();
         actuators.iter().try_for_each(StrainActuator::check)?;
@@ -447,6 +479,18 @@ impl RodActuators {
         strain: impl Fn(usize) -> ElementStrain,
     ) -> Vec<f64> {
         let mut out = vec![0.0; self.drives.len()];
+        self.add_strain_coordinates(rule, elements, strain, &mut out);
+        out
+    }
+
+    /// Adds the coordinates of all actuators for the strains of the elements.
+    fn add_strain_coordinates(
+        &self,
+        rule: StrainRule,
+        elements: &[Element],
+        strain: impl Fn(usize) -> ElementStrain,
+        out: &mut [f64],
+    ) {
         for (q, element) in elements.iter().enumerate() {
             let points = self.on(q);
             if points.is_empty() {
@@ -462,7 +506,6 @@ impl RodActuators {
                 out[point.actuator] += at.value(point.density, &linear[..ends], psi);
             }
         }
-        out
     }
 
     /// Tells whether the effort of any of them depends on the configuration.
@@ -626,14 +669,19 @@ impl Rod {
     ) -> SMatrix<f64, 9, 9> {
         let length = self.elements[q].length;
         let (linear, psi) = stretched(strain, length);
-        let mut sum = ActiveTangent::zero(Scalar);
+        let (mut sum, mut stress) = (ActiveTangent::zero(Scalar), Stress::zero(Scalar));
         for point in self.actuators.on(q) {
-            let at = point.in_element(Scalar, length);
-            let bends = match self.strain_rule {
-                StrainRule::Helical => at.bends::<1>(point.density, linear, psi),
-                StrainRule::Trapezoidal => at.bends::<2>(point.density, linear, psi),
-            };
-            sum = sum.plus(bends, Lanes::splat(Scalar, -effort(point.actuator)));
+            let at: ActivePoint<Scalar> = point.in_element(Scalar, length);
+            let factor = Lanes::splat(Scalar, -effort(point.actuator));
+            let (density, strain) = (point.density, (linear, psi));
+            match self.strain_rule {
+                StrainRule::Helical => {
+                    at.add_derivatives::<1>(density, strain, factor, &mut stress, &mut sum);
+                }
+                StrainRule::Trapezoidal => {
+                    at.add_derivatives::<2>(density, strain, factor, &mut stress, &mut sum);
+                }
+            }
         }
         let mut out = SMatrix::<f64, 9, 9>::zeros();
         let mut put = |i: usize, j: usize, block: nalgebra::Matrix3<f64>| {
@@ -738,18 +786,32 @@ impl Rod {
         positions: &[Vector3<f64>],
         rotations: &[nalgebra::Matrix3<f64>],
     ) -> Vec<f64> {
-        let mut out = (self.actuators).strain_coordinates(self.strain_rule, &self.elements, |q| {
+        let mut out = vec![0.0; self.actuators.len()];
+        self.write_actuator_coordinates(positions, rotations, &mut out);
+        out
+    }
+
+    /// Writes [`Self::actuator_coordinates`] to existing memory.
+    pub fn write_actuator_coordinates(
+        &self,
+        positions: &[Vector3<f64>],
+        rotations: &[nalgebra::Matrix3<f64>],
+        out: &mut [f64],
+    ) {
+        out.fill(0.0);
+        let strain = |q: usize| {
             let pose = Self::element_pose(q, positions, rotations);
             let length = self.elements[q].length;
             self.strain_rule.strain(length, &pose)
-        });
+        };
+        let (rule, elements) = (self.strain_rule, &self.elements[..]);
+        (self.actuators).add_strain_coordinates(rule, elements, strain, out);
         for own in self.actuators.functions() {
             if let Some(actuator) = own.actuator {
                 let at = own.pose(positions, rotations);
                 out[actuator] += own.weight * own.function.function().value(&at);
             }
         }
-        out
     }
 
     /// Returns the coordinates of the actuators at the mean strains of an interval.
@@ -768,17 +830,29 @@ impl Rod {
     #[must_use]
     pub fn efforts_at(
         &self,
-        inputs: Vec<f64>,
+        mut inputs: Vec<f64>,
         positions: &[Vector3<f64>],
         rotations: &[nalgebra::Matrix3<f64>],
     ) -> Vec<f64> {
-        if !self.actuators.has_winches() {
-            return inputs;
+        if self.actuators.has_winches() {
+            let mut coordinates = vec![0.0; inputs.len()];
+            self.turn_into_efforts(&mut inputs, positions, rotations, &mut coordinates);
         }
-        let coordinates = self.actuator_coordinates(positions, rotations);
-        (inputs.iter().zip(coordinates).enumerate())
-            .map(|(i, (input, y))| self.actuators.law(i, *input, y).effort)
-            .collect()
+        inputs
+    }
+
+    /// Replaces inputs by the [efforts](Self::efforts_at); `coordinates` is memory.
+    pub fn turn_into_efforts(
+        &self,
+        inputs: &mut [f64],
+        positions: &[Vector3<f64>],
+        rotations: &[nalgebra::Matrix3<f64>],
+        coordinates: &mut [f64],
+    ) {
+        self.write_actuator_coordinates(positions, rotations, coordinates);
+        for (i, (input, y)) in inputs.iter_mut().zip(coordinates).enumerate() {
+            *input = self.actuators.law(i, *input, *y).effort;
+        }
     }
 
     /// Returns the potential of the actuators for their inputs, J: `-Σ u y`, and of winches the energy of their tendons, `½ C a T²`.

@@ -1,15 +1,19 @@
 //! Actuators on the strains, at several time nodes at a time: what their stress adds to the elements of the linearized motion.
 
 use std::marker::PhantomData;
+use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
 
+use super::linearize::Along;
+use super::step::WinchKick;
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Blocks, Displacement, Elasticity, Element, Helical, StrainRule,
     Stress, TangentRule, Trapezoidal, Turns, stiffness_under,
 };
+use crate::mechanics::forces::SlopeMemory;
 use crate::mechanics::lanes::curved::{CurvedEnd, StressBlocks};
 use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS, put_pose};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
@@ -18,23 +22,31 @@ use crate::mechanics::linearization::Motion;
 use crate::mechanics::load::Wrench;
 use crate::mechanics::part::{Part, apart};
 use crate::mechanics::rod::Rod;
-use crate::mechanics::signal::{ControlSignal, EffortTable};
+use crate::mechanics::signal::{
+    ControlSignal, Efforts, write_interval_efforts, write_node_efforts,
+};
 use crate::mechanics::strain_actuator::RodActuators;
 use crate::mechanics::time::TimeScheme;
 
-/// Efforts along a motion, and those of a group of time nodes, one in each lane.
+/// Efforts of a group of time nodes of a motion, one time node in each lane.
 #[derive(Debug)]
 pub(super) struct ActiveTimes {
-    /// The inputs: efforts, or the displacements of winches.
-    table: EffortTable,
+    n_actuators: usize,
+    /// Inputs of the time nodes, lane by lane: efforts, or the displacements of winches.
+    inputs: Vec<f64>,
+    /// Efforts of an interval.
+    interval: Vec<f64>,
     /// Efforts of the time nodes, or of the intervals after them and then of those before them.
     lanes: Buffer,
     intervals: bool,
+    /// Memory for the efforts of winches, and for coordinates.
+    efforts: [Vec<f64>; 2],
+    slopes: SlopeMemory,
 }
 
 impl ActiveTimes {
-    /// Returns the efforts along a motion under a control; `None` if the rod has no actuators on its strains.
-    pub fn of(motion: &Motion, control: Option<&ControlSignal>, n_lanes: usize) -> Option<Self> {
+    /// Returns memory for the efforts along motions of a rod; `None` if it has no actuators.
+    pub fn of(motion: &Motion, n_lanes: usize) -> Option<Self> {
         let actuators = &motion.rod.actuators;
         if actuators.is_empty() {
             return None;
@@ -42,59 +54,87 @@ impl ActiveTimes {
         let intervals = motion.rod.scheme == TimeScheme::Implicit;
         let n_rows = actuators.len() * if intervals { 2 } else { 1 };
         Some(Self {
-            table: EffortTable::of(actuators, &motion.grid, control),
+            n_actuators: actuators.len(),
+            inputs: vec![0.0; actuators.len() * n_lanes],
+            interval: vec![0.0; actuators.len()],
             lanes: Buffer::zeros(n_rows * n_lanes),
             intervals,
+            efforts: [(); 2].map(|()| vec![0.0; actuators.len()]),
+            slopes: SlopeMemory::of(motion.rod),
         })
     }
 
-    /// Replaces the efforts by those along another motion of the same rod.
-    pub fn renew(&mut self, motion: &Motion) {
-        self.table
-            .write(&motion.rod.actuators, &motion.grid, motion.control);
+    /// Returns the inputs at the time node of a lane.
+    pub fn inputs(&self, lane: usize) -> &[f64] {
+        &self.inputs[lane * self.n_actuators..][..self.n_actuators]
     }
 
-    /// Returns the inputs at time node `k`.
-    pub fn inputs(&self, k: usize) -> &[f64] {
-        let n = self.table.n_actuators;
-        &self.table.nodes[k * n..][..n]
-    }
-
-    /// Writes the efforts of time node `k` of a trajectory to one lane. Before the first and after the last interval of the grid there is
-    /// none. Winches have steps that are explicit.
+    /// Writes the efforts of time node `k` of a trajectory under a control to one lane. Before the first and after the last interval of the
+    /// grid there is none. Winches have steps that are explicit.
     pub fn put(
         &mut self,
-        (rod, trajectory): (&Rod, &Trajectory),
+        (motion, control, trajectory): (&Motion, Option<&ControlSignal>, &Trajectory),
         k: usize,
-        lane: usize,
-        n_lanes: usize,
+        (lane, n_lanes): (usize, usize),
     ) {
-        let n = self.table.n_actuators;
-        if rod.actuators.has_winches() && !self.intervals {
-            let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
-            let efforts = rod.efforts_at(self.inputs(k).to_vec(), x, r);
-            for (actuator, effort) in efforts.into_iter().enumerate() {
+        let n = self.n_actuators;
+        let Motion { rod, grid, .. } = motion;
+        let inputs = &mut self.inputs[lane * n..][..n];
+        write_node_efforts(&rod.actuators, grid, control, k, inputs);
+        if self.intervals {
+            let ends = [Some(k), k.checked_sub(1)].map(|k| k.filter(|k| *k < grid.n_steps));
+            for (part, k) in ends.into_iter().enumerate() {
+                match k {
+                    Some(k) => {
+                        let out = &mut self.interval;
+                        write_interval_efforts(&rod.actuators, grid, control, k, out);
+                    }
+                    None => self.interval.fill(0.0),
+                }
+                for (actuator, effort) in self.interval.iter().enumerate() {
+                    self.lanes[(part * n + actuator) * n_lanes + lane] = *effort;
+                }
+            }
+            return;
+        }
+        let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+        if rod.actuators.has_winches() {
+            let [efforts, coordinates] = &mut self.efforts;
+            efforts.copy_from_slice(inputs);
+            rod.turn_into_efforts(efforts, x, r, coordinates);
+            for (actuator, &effort) in efforts.iter().enumerate() {
                 self.lanes[actuator * n_lanes + lane] = effort;
             }
             return;
         }
-        for actuator in 0..n {
-            if self.intervals {
-                let of =
-                    |k: Option<usize>| k.and_then(|k| self.table.intervals.get(k * n + actuator));
-                let ends = [Some(k), k.checked_sub(1)].map(|k| of(k).copied().unwrap_or(0.0));
-                for (part, effort) in ends.into_iter().enumerate() {
-                    self.lanes[(part * n + actuator) * n_lanes + lane] = effort;
-                }
-            } else {
-                self.lanes[actuator * n_lanes + lane] = self.table.nodes[k * n + actuator];
-            }
+        for (actuator, effort) in inputs.iter().enumerate() {
+            self.lanes[actuator * n_lanes + lane] = *effort;
         }
+    }
+
+    /// Writes the kicks of winches at time node `k` of a trajectory, which is in a lane; that of a slack tendon is none.
+    pub fn write_winch_kicks(
+        &mut self,
+        (rod, trajectory): (&Rod, &Trajectory),
+        (k, lane): (usize, usize),
+        weight: f64,
+        out: &mut Vec<WinchKick>,
+    ) {
+        let inputs = &self.inputs[lane * self.n_actuators..][..self.n_actuators];
+        let at = (trajectory.positions_at(k), trajectory.rotations_at(k));
+        let mut index = 0;
+        (self.slopes).visit(rod, inputs, at, |actuator, slope, pull| {
+            if index == out.len() {
+                out.push(WinchKick::default());
+            }
+            out[index].renew(rod, actuator, weight * slope, pull);
+            index += 1;
+        });
     }
 
     /// Returns the efforts of the one time node of a group.
     pub fn single(&self) -> &[f64] {
-        &self.lanes[..self.table.n_actuators]
+        &self.lanes[..self.n_actuators]
     }
 
     /// Returns the efforts of the time nodes (`part` 0), or of the intervals after (0) and before (1) them.
@@ -104,7 +144,7 @@ impl ActiveTimes {
         actuators: &'a RodActuators,
         part: usize,
     ) -> ActiveEfforts<'a, S> {
-        let n = self.table.n_actuators;
+        let n = self.n_actuators;
         ActiveEfforts {
             actuators,
             efforts: &rows::<S>(&self.lanes)[part * n..][..n],
@@ -129,18 +169,23 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         )
     }
 
-    /// Returns the derivative of [`Self::stress`] along the strain.
+    /// Adds `factor` times [`Self::stress`], and times its derivative along the strain.
     #[inline(always)]
-    pub fn tangent<R: TangentRule>(
+    pub fn add_derivatives<R: TangentRule>(
         &self,
         q: usize,
         length: f64,
         strain: &Stress<S>,
-    ) -> ActiveTangent<S> {
-        apart(
-            strain.angular.x.simd,
-            Tangent(self.at::<R>(q, length, *strain)),
-        )
+        factor: Lanes<S>,
+        (stress, tangent): (&mut Stress<S>, &mut ActiveTangent<S>),
+    ) {
+        let part = Derivatives {
+            at: self.at::<R>(q, length, *strain),
+            factor,
+            stress,
+            tangent,
+        };
+        apart(factor.simd, part);
     }
 
     #[inline(always)]
@@ -183,17 +228,19 @@ impl<S: Simd> ActiveEfforts<'_, S> {
         a: Mat3<S>,
         b: Mat3<S>,
     ) -> Blocks<S> {
-        let law = Elasticity::of::<R>(dx.x.simd, element);
+        let simd = dx.x.simd;
+        let law = Elasticity::of::<R>(simd, element);
         let pose = R::pose(dx, a, b);
         let strain = R::strain(&pose);
-        let active = self.stress::<R>(q, element.length, &strain);
+        let (mut active, mut tangent) = (Stress::zero(simd), ActiveTangent::zero(simd));
+        let one = Lanes::splat(simd, 1.0);
+        let sums = (&mut active, &mut tangent);
+        self.add_derivatives::<R>(q, element.length, &strain, one, sums);
         let stress = law.stress(strain.minus(law.rest)).plus(active);
+        let mut out = stiffness_under::<S, R>(&law, &pose, &stress);
         let derivative = R::derivative(&pose);
-        let tangent = self.tangent::<R>(q, element.length, &strain);
-        sum(
-            stiffness_under::<S, R>(&law, &pose, &stress),
-            tangent.between::<R>(&derivative, &derivative),
-        )
+        tangent.add_between::<R>(&derivative, &derivative, &mut out);
+        out
     }
 
     /// Returns the second derivatives of the effect of the stress at the mean strain of the interval on element `q`, for the weights of its
@@ -220,7 +267,7 @@ impl<S: Simd> ActiveEfforts<'_, S> {
     }
 }
 
-/// The arguments of [`ActiveEfforts::stress`] and [`ActiveEfforts::tangent`].
+/// The arguments of [`ActiveEfforts::stress`] and [`ActiveEfforts::add_derivatives`].
 struct At<'a, S: Simd, R> {
     efforts: ActiveEfforts<'a, S>,
     q: usize,
@@ -262,32 +309,43 @@ impl<S: Simd, R: TangentRule> Part for Stressed<'_, S, R> {
     }
 }
 
-struct Tangent<'a, S: Simd, R>(At<'a, S, R>);
+struct Derivatives<'a, S: Simd, R> {
+    at: At<'a, S, R>,
+    factor: Lanes<S>,
+    stress: &'a mut Stress<S>,
+    tangent: &'a mut ActiveTangent<S>,
+}
 
-impl<S: Simd, R: TangentRule> Part for Tangent<'_, S, R> {
-    type Output = ActiveTangent<S>;
+impl<S: Simd, R: TangentRule> Part for Derivatives<'_, S, R> {
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> ActiveTangent<S> {
-        let At {
-            efforts,
-            q,
-            length,
-            strain,
-            ..
-        } = self.0;
-        let simd = strain.angular.x.simd;
-        let mut sum = ActiveTangent::zero(simd);
+    fn run(self) {
+        let Self {
+            at:
+                At {
+                    efforts,
+                    q,
+                    length,
+                    strain,
+                    ..
+                },
+            factor,
+            stress,
+            tangent,
+        } = self;
+        let simd = factor.simd;
+        let strain = (strain.linear, strain.angular);
         for point in efforts.actuators.on(q) {
             let at: ActivePoint<S> = point.in_element(simd, length);
-            let bends = if R::END_WEIGHT == 1.0 {
-                at.bends::<1>(point.density, strain.linear, strain.angular)
+            // The potential is minus the coordinate.
+            let factor = -efforts.effort(simd, point.actuator) * factor;
+            if R::END_WEIGHT == 1.0 {
+                at.add_derivatives::<1>(point.density, strain, factor, stress, tangent);
             } else {
-                at.bends::<2>(point.density, strain.linear, strain.angular)
-            };
-            sum = sum.plus(bends, -efforts.effort(simd, point.actuator));
+                at.add_derivatives::<2>(point.density, strain, factor, stress, tangent);
+            }
         }
-        sum
     }
 }
 
@@ -315,6 +373,7 @@ impl<S: Simd, R: TangentRule, P: Turns<S>> Part for Curvature<'_, S, R, P> {
         let length = element.length;
         let simd = ends[0].dx.x.simd;
         let none = Elasticity::of::<R>(simd, element).times(Lanes::splat(simd, 0.0));
+        let half = Lanes::splat(simd, 0.5);
         let both = Displacement::along_both(ends[0].covector, ends[1].covector, length);
         // Own at the start, mixed, own at the end; each here, ahead and behind.
         let mut found = [[[[Mat3::zero(simd); 3]; 3]; 3]; 3];
@@ -323,20 +382,19 @@ impl<S: Simd, R: TangentRule, P: Turns<S>> Part for Curvature<'_, S, R, P> {
             let start = P::pose::<R>(dx, a, b);
             let (dx, [a, b]) = both[1].moved(ends[1].dx, ends[1].rotations, sign);
             let end = P::pose::<R>(dx, a, b);
-            let mean = R::strain(&start)
-                .plus(R::strain(&end))
-                .times(Lanes::splat(simd, 0.5));
-            let stress = efforts.stress::<R>(q, length, &mean);
-            let tangent = efforts.tangent::<R>(q, length, &mean);
+            let mean = R::strain(&start).plus(R::strain(&end)).times(half);
+            let mut stress = Stress::zero(simd);
+            let mut tangent = ActiveTangent::zero(simd);
+            let sums = (&mut stress, &mut tangent);
+            efforts.add_derivatives::<R>(q, length, &mean, half, sums);
             let [left, right] = [R::derivative(&start), R::derivative(&end)];
             // The weight of a strain in the mean is one half.
-            let bent = times(stiffness_under::<S, R>(&none, &start, &stress), 0.5);
-            let half = times(tangent.between::<R>(&left, &left), 0.25);
-            found[0][at] = sum(bent, half);
-            found[1][at] = times(tangent.between::<R>(&left, &right), 0.25);
-            let bent = times(stiffness_under::<S, R>(&none, &end, &stress), 0.5);
-            let half = times(tangent.between::<R>(&right, &right), 0.25);
-            found[2][at] = sum(bent, half);
+            let tangent = tangent.times(0.5);
+            found[0][at] = stiffness_under::<S, R>(&none, &start, &stress);
+            tangent.add_between::<R>(&left, &left, &mut found[0][at]);
+            tangent.add_between::<R>(&left, &right, &mut found[1][at]);
+            found[2][at] = stiffness_under::<S, R>(&none, &end, &stress);
+            tangent.add_between::<R>(&right, &right, &mut found[2][at]);
         }
         // The covectors have the weights of the impulses, which are twice the derivative along one of both strains.
         StressBlocks {
@@ -381,6 +439,8 @@ pub struct EffortPulls {
     n_actuators: usize,
     /// Number of sets of the present motion.
     n_sets: usize,
+    /// First of the sets that are evaluated.
+    first: usize,
     /// Number of ends: 1 explicit, 2 implicit.
     ends: usize,
     /// Place of every actuator of the rod among those that are evaluated.
@@ -393,9 +453,6 @@ pub struct EffortPulls {
     /// The derivative of the covectors' product with the wrenches, `(δx, ζ)` of every node, in the same order; empty without covectors.
     slopes: Vec<f64>,
 }
-
-/// Visitor of time nodes, a weight, and the wrenches on all nodes, six numbers for each.
-pub type SetVisitor<'a> = dyn FnMut(&[usize], f64, &[f64]) + 'a;
 
 /// Covector of the wrench on a node at one end of a set: of its force (spatial) and of its moment (body frame).
 pub type Covectors<'a> = dyn Fn(usize, usize, usize) -> Wrench + 'a;
@@ -410,19 +467,16 @@ impl EffortPulls {
         actuators: &[usize],
         covectors: Option<&Covectors>,
     ) -> Self {
-        let mut out = Self::new(motion, actuators, covectors.is_some());
-        out.evaluate(motion, trajectory, covectors);
+        let n_sets = n_sets(motion);
+        let mut out = Self::new(motion, n_sets, actuators, covectors.is_some());
+        out.evaluate(motion, trajectory, 0..n_sets, covectors);
         out
     }
 
-    /// Creates memory for motions of this rod of at most this duration.
-    #[must_use]
-    pub fn new(motion: &Motion, actuators: &[usize], with_slopes: bool) -> Self {
+    /// Creates memory for so many sets of motions of this rod.
+    fn new(motion: &Motion, n_sets: usize, actuators: &[usize], with_slopes: bool) -> Self {
         let rod = motion.rod;
-        let ends = match rod.scheme {
-            TimeScheme::Explicit => 1,
-            TimeScheme::Implicit => 2,
-        };
+        let ends = ends(rod);
         let mut index = vec![None; rod.actuators.len()];
         for (own, &actuator) in actuators.iter().enumerate() {
             index[actuator] = Some(own);
@@ -436,7 +490,8 @@ impl EffortPulls {
         let mut out = Self {
             n_nodes: rod.n_nodes(),
             n_actuators: actuators.len(),
-            n_sets: motion.grid.n_steps + 2 - ends,
+            n_sets,
+            first: 0,
             ends,
             index,
             poses: [0, 1].map(|_| Buffer::zeros(rod.n_nodes() * POSE_ROWS * n_lanes)),
@@ -444,24 +499,37 @@ impl EffortPulls {
             wrenches: Vec::new(),
             slopes: Vec::new(),
         };
-        let n = out.at(out.n_sets, 0, 0);
+        let n = out.at(n_sets, 0, 0);
         out.wrenches = vec![0.0; n];
         out.slopes = vec![0.0; if with_slopes { n } else { 0 }];
         out
     }
 
-    /// Evaluates the unit efforts along another motion of the same rod. `covectors` are given if the memory is to have slopes.
-    pub fn evaluate(
+    /// Creates memory for motions of this rod of at most this duration.
+    #[must_use]
+    pub fn along(motion: &Motion, actuators: &[usize]) -> Self {
+        Self::new(motion, n_sets(motion), actuators, false)
+    }
+
+    /// Evaluates the unit efforts along another motion of the same rod.
+    pub fn evaluate_along(&mut self, motion: &Motion, trajectory: &Trajectory) {
+        self.evaluate(motion, trajectory, 0..n_sets(motion), None);
+    }
+
+    /// Evaluates the unit efforts in some sets of another motion of the same rod. `covectors` are given if the memory is to have slopes.
+    fn evaluate(
         &mut self,
         motion: &Motion,
         trajectory: &Trajectory,
+        sets: Range<usize>,
         covectors: Option<&Covectors>,
     ) {
         let rod = motion.rod;
-        self.n_sets = motion.grid.n_steps + 2 - self.ends;
+        self.n_sets = n_sets(motion);
+        self.first = sets.start;
         self.wrenches.fill(0.0);
         self.slopes.fill(0.0);
-        let (n_sets, ends) = (self.n_sets, self.ends);
+        let ends = self.ends;
         let arch = Arch::new();
         let n_lanes = dispatch(arch, CountLanes);
         let Self {
@@ -473,9 +541,9 @@ impl EffortPulls {
             ..
         } = self;
         let n_actuators = self.n_actuators;
-        for first in (0..n_sets).step_by(n_lanes) {
+        for first in sets.clone().step_by(n_lanes) {
             for lane in 0..n_lanes {
-                let set = (first + lane).min(n_sets - 1);
+                let set = (first + lane).min(sets.end - 1);
                 for (end, poses) in poses.iter_mut().enumerate().take(ends) {
                     let x = trajectory.positions_at(set + end);
                     let r = trajectory.rotations_at(set + end);
@@ -498,8 +566,8 @@ impl EffortPulls {
             let work = PullGroup {
                 rod,
                 index,
-                first,
-                n_sets: n_sets.min(first + n_lanes) - first,
+                first: first - sets.start,
+                n_sets: sets.end.min(first + n_lanes) - first,
                 ends,
                 n_actuators,
                 poses,
@@ -517,7 +585,27 @@ impl EffortPulls {
     }
 
     fn at(&self, set: usize, end: usize, actuator: usize) -> usize {
+        let set = set - self.first;
         ((set * self.ends + end) * self.n_actuators + actuator) * self.n_nodes * 6
+    }
+
+    /// Returns the number of actuators whose unit efforts are evaluated.
+    #[must_use]
+    pub fn n_actuators(&self) -> usize {
+        self.n_actuators
+    }
+
+    /// Returns the sets whose wrenches act at time node `k`, with the end at which they do, and the part that their mean effort has there.
+    /// Under the implicit scheme these are the intervals beside it; the only one beside an end of the grid counts whole.
+    pub fn sets_at(&self, k: usize) -> impl Iterator<Item = (usize, usize, f64)> + use<> {
+        let n_sets = self.n_sets;
+        let (share, before) = if self.ends == 1 {
+            (1.0, None)
+        } else {
+            (interval_share(k, n_sets), k.checked_sub(1))
+        };
+        let at = (k < n_sets).then_some((k, 0, share));
+        at.into_iter().chain(before.map(|set| (set, 1, share)))
     }
 
     /// Returns the six numbers of every node's wrench in a set, at one of its ends.
@@ -533,46 +621,89 @@ impl EffortPulls {
     }
 
     /// Calls `visit(time, node, component, wrench)` for the wrench on a node at time node `k` that follows from a unit effort at time node
-    /// `time`: at `k` itself, and under the implicit scheme at its neighbors too. Before the first and after the last interval there is no
-    /// other one, so that the only interval beside an end of the grid counts whole.
+    /// `time`: at `k` itself, and under the implicit scheme at its neighbors too.
     pub fn visit(
         &self,
         k: usize,
         actuator: usize,
         visit: &mut dyn FnMut(usize, usize, usize, f64),
     ) {
-        self.visit_sets(k, actuator, &mut |times, weight, wrenches| {
-            for (at, wrench) in wrenches.iter().enumerate() {
-                if *wrench != 0.0 {
-                    for &time in times {
-                        visit(time, at / 6, at % 6, weight * wrench);
-                    }
+        let weight = 1.0 / self.ends as f64;
+        for (set, end, share) in self.sets_at(k) {
+            let wrenches = self.wrenches(set, end, actuator).iter().enumerate();
+            for (at, wrench) in wrenches.filter(|(_, wrench)| **wrench != 0.0) {
+                for time in set..set + self.ends {
+                    visit(time, at / 6, at % 6, weight * share * wrench);
                 }
             }
-        });
-    }
-
-    /// Calls `visit(times, weight, wrenches)` for the wrenches on all nodes at time node `k`, six numbers for each, that follow from a unit
-    /// effort at each of some time nodes, up to a weight.
-    pub fn visit_sets(&self, k: usize, actuator: usize, visit: &mut SetVisitor) {
-        if self.ends == 1 {
-            visit(&[k], 1.0, self.wrenches(k, 0, actuator));
-            return;
-        }
-        let n_sets = self.n_sets;
-        let weight = 0.5 * interval_share(k, n_sets);
-        if k < n_sets {
-            visit(&[k, k + 1], weight, self.wrenches(k, 0, actuator));
-        }
-        if k > 0 {
-            visit(&[k - 1, k], weight, self.wrenches(k - 1, 1, actuator));
         }
     }
 }
 
+/// Unit efforts of the actuators that a control drives, at the time nodes of a piece, with the slopes of their wrenches.
+#[derive(Debug)]
+pub(super) struct MixedSlopes(Option<EffortPulls>);
+
+impl MixedSlopes {
+    /// Evaluates the mixed second derivatives along efforts and configuration at `n` time nodes from `first` on.
+    pub fn of(along: &Along, first: usize, n: usize) -> Self {
+        let motion = along.motion;
+        let n_strains = motion.rod.actuators.strains().len();
+        let driven = (motion.control).and_then(|control| control.efforts.as_ref());
+        let on_strains = |own: &&Efforts| own.actuators.iter().any(|i| *i < n_strains);
+        let (Some(multipliers), Some(driven)) = (along.multipliers, driven.filter(on_strains))
+        else {
+            return Self(None);
+        };
+        let ends = ends(motion.rod);
+        let sets = (first + 1).saturating_sub(ends)..n_sets(motion).min(first + n);
+        let n_steps = motion.grid.n_steps;
+        let covectors = |set: usize, end: usize, node: usize| {
+            let wrench = multipliers.adjoint.wrench(motion, set + end, node);
+            let share = if ends == 1 {
+                1.0
+            } else {
+                interval_share(set + end, n_steps)
+            };
+            Wrench {
+                force: wrench.force * share,
+                moment: wrench.moment * share,
+            }
+        };
+        let mut pulls = EffortPulls::new(motion, sets.len(), &driven.actuators, true);
+        pulls.evaluate(motion, along.trajectory, sets, Some(&covectors));
+        Self(Some(pulls))
+    }
+
+    /// Writes those of time node `k`.
+    pub fn write(&self, k: usize, out: &mut Vec<f64>) {
+        out.clear();
+        let Some(pulls) = &self.0 else {
+            return;
+        };
+        for (set, end, _) in pulls.sets_at(k) {
+            for actuator in 0..pulls.n_actuators {
+                out.extend_from_slice(pulls.slopes(set, end, actuator));
+            }
+        }
+    }
+}
+
+/// Returns the number of ends of a set.
+fn ends(rod: &Rod) -> usize {
+    match rod.scheme {
+        TimeScheme::Explicit => 1,
+        TimeScheme::Implicit => 2,
+    }
+}
+
+/// Returns the number of sets of a motion.
+fn n_sets(motion: &Motion) -> usize {
+    motion.grid.n_steps + 2 - ends(motion.rod)
+}
+
 /// Returns the part that each interval beside time node `k` of `n_steps + 1` has in the mean force there.
-#[must_use]
-pub fn interval_share(k: usize, n_steps: usize) -> f64 {
+fn interval_share(k: usize, n_steps: usize) -> f64 {
     if k == 0 || k == n_steps { 1.0 } else { 0.5 }
 }
 
@@ -603,16 +734,32 @@ impl<R: TangentRule> WithSimd for RuledPulls<'_, R> {
 }
 
 impl PullGroup<'_> {
+    /// Returns the pose of element `q` at one end of the sets, and the covector of its pull.
+    #[inline(always)]
+    fn end_of<S: Simd>(&self, simd: S, q: usize, end: usize) -> CurvedEnd<S> {
+        let poses = rows::<S>(&self.poses[end]);
+        let a = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]);
+        let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
+        let mut covector = [Vec3::zero(simd); 3];
+        if let Some(numbers) = self.covectors {
+            let numbers = &rows::<S>(numbers)[(end * self.rod.n_nodes() + q) * 6..][..12];
+            // The element pulls a with +F and b with -F, and turns them with -M.
+            covector = [
+                Vec3::load(simd, numbers, 0) - Vec3::load(simd, numbers, 6),
+                -Vec3::load(simd, numbers, 3),
+                -Vec3::load(simd, numbers, 9),
+            ];
+        }
+        CurvedEnd {
+            dx: b.position - a.position,
+            rotations: [a.rotation, b.rotation],
+            covector,
+        }
+    }
+
     #[inline(always)]
     fn run<S: Simd, R: TangentRule>(self, simd: S) {
-        let Self {
-            rod,
-            ends,
-            n_actuators,
-            wrenches,
-            slopes,
-            ..
-        } = self;
+        let (rod, ends, n_actuators) = (self.rod, self.ends, self.n_actuators);
         let at = |set: usize, end: usize, actuator: usize| {
             ((set * ends + end) * n_actuators + actuator) * rod.n_nodes() * 6
         };
@@ -623,27 +770,12 @@ impl PullGroup<'_> {
             if points.is_empty() {
                 continue;
             }
-            let end_of = |end: usize| {
-                let poses = rows::<S>(&self.poses[end]);
-                let a = NodePose::<S>::load(simd, &poses[q * POSE_ROWS..]);
-                let b = NodePose::<S>::load(simd, &poses[(q + 1) * POSE_ROWS..]);
-                let zero = Vec3::zero(simd);
-                let covector = self.covectors.map_or([zero; 3], |numbers| {
-                    let numbers = rows::<S>(numbers);
-                    let of = |node: usize, at: usize| {
-                        Vec3::load(simd, &numbers[(end * rod.n_nodes() + node) * 6..], at)
-                    };
-                    // The element pulls a with +F and b with -F, and turns them with -M.
-                    [of(q, 0) - of(q + 1, 0), -of(q, 3), -of(q + 1, 3)]
-                });
-                CurvedEnd {
-                    dx: b.position - a.position,
-                    rotations: [a.rotation, b.rotation],
-                    covector,
-                }
+            let near = self.end_of::<S>(simd, q, 0);
+            let far = if ends == 2 {
+                self.end_of::<S>(simd, q, 1)
+            } else {
+                near
             };
-            let near = end_of(0);
-            let far = if ends == 2 { end_of(1) } else { near };
             let both = if ends == 2 {
                 Displacement::along_both(near.covector, far.covector, element.length)
             } else {
@@ -699,11 +831,11 @@ impl PullGroup<'_> {
                     let set = at(1, 0, 0);
                     let place = (base + q * 6, set, self.n_sets);
                     let [force, a, b] = pulls[0][end];
-                    add(wrenches, place, [force, -a, -force, -b], numbers);
+                    add(self.wrenches, place, [force, -a, -force, -b], numbers);
                     if self.covectors.is_some() {
-                        let found = [0, 1, 2].map(|i: usize| pulls[i][end]);
+                        let found = [pulls[0][end], pulls[1][end], pulls[2][end]];
                         let [dx, a, b] = both[end].slope(&found);
-                        add(slopes, place, [-dx, a, dx, b], numbers);
+                        add(self.slopes, place, [-dx, a, dx, b], numbers);
                     }
                 }
             }

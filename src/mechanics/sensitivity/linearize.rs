@@ -11,10 +11,10 @@ use pulp::{Arch, Scalar, Simd, WithSimd};
 
 use self::solved::SolveRows;
 pub(super) use self::solved::{Weights, element_at};
-use super::active::ActiveTimes;
+use super::active::{ActiveTimes, MixedSlopes};
 use super::dilated::element_drifts;
 use super::step::{
-    LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_acting, pack_loads,
+    ActingKick, LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_loads,
     square,
 };
 use crate::mechanics::buffer::Buffer;
@@ -37,7 +37,6 @@ use crate::mechanics::lanes::{CountLanes, dispatch};
 use crate::mechanics::linearization::{Kick, Motion, acting_derivatives, load_derivatives};
 use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::cay_inverse;
-use crate::mechanics::signal::ControlSignal;
 use crate::mechanics::step_error::StepError;
 use crate::mechanics::time::TimeScheme;
 
@@ -66,17 +65,8 @@ impl Memory {
         let n_lanes = dispatch(arch, CountLanes);
         let possible = is_possible(motion);
         Self {
-            many: possible.then(|| Workspace::new(motion, motion.control, n_lanes)),
-            single: (!possible).then(|| Workspace::new(motion, motion.control, 1)),
-        }
-    }
-
-    /// Prepares for another motion of the same rod.
-    pub fn renew(&mut self, motion: &Motion) {
-        for workspace in [&mut self.many, &mut self.single].into_iter().flatten() {
-            if let Some(active) = &mut workspace.active {
-                active.renew(motion);
-            }
+            many: possible.then(|| Workspace::new(motion, n_lanes)),
+            single: (!possible).then(|| Workspace::new(motion, 1)),
         }
     }
 
@@ -98,6 +88,7 @@ impl Memory {
         if let (Some(k), Some(_)) = (first.checked_sub(1), along.multipliers) {
             before = self.interval(arch, along, k)?;
         }
+        let mixed = MixedSlopes::of(along, first, steps.len());
         for (steps, first) in steps.chunks_mut(n_lanes).zip((first..).step_by(n_lanes)) {
             let regular = (self.many.as_mut()).map_or(Regular::default(), |workspace| {
                 many(arch, along, first, steps, workspace, Scope::All)
@@ -118,6 +109,7 @@ impl Memory {
                     for winch in &step.winches {
                         winch.add_curvature(along, multipliers, k, curvature);
                     }
+                    mixed.write(k, &mut curvature.mixed);
                     let loads = load_curvatures(along.motion, along.trajectory, multipliers, k);
                     curvature.add_neighbors(along.motion.rod, &before, &loads, next);
                     std::mem::swap(&mut before, next);
@@ -146,8 +138,7 @@ impl Memory {
     }
 
     fn single(&mut self, motion: &Motion) -> &mut Workspace {
-        self.single
-            .get_or_insert_with(|| Workspace::new(motion, motion.control, 1))
+        self.single.get_or_insert_with(|| Workspace::new(motion, 1))
     }
 }
 
@@ -236,23 +227,27 @@ pub(super) fn turn_error(motion: &Motion, trajectory: &Trajectory, k: usize) -> 
         })
 }
 
-/// Returns the kicks of winches with tension at time node `k`.
-fn winch_kicks(
+/// Writes the kicks of actuators of one's own and of functions of nodes at time node `k`, which is in a lane.
+fn write_acting_kicks(
     along: &Along,
     active: Option<&ActiveTimes>,
-    k: usize,
+    (k, lane): (usize, usize),
     weight: f64,
-) -> Vec<WinchKick> {
-    let (Some(active), rod) = (active, along.motion.rod) else {
-        return Vec::new();
-    };
-    let (x, r) = (
-        along.trajectory.positions_at(k),
-        along.trajectory.rotations_at(k),
-    );
-    (rod.effort_slopes(active.inputs(k), x, r).iter())
-        .map(|slope| WinchKick::new(rod, slope, weight))
-        .collect()
+    out: &mut Vec<ActingKick>,
+) {
+    let (rod, trajectory) = (along.motion.rod, along.trajectory);
+    let own = acting_derivatives(along.motion, trajectory, k);
+    let functions = rod.actuators.functions();
+    out.resize_with(own.len() + functions.len(), ActingKick::default);
+    for (kick, acting) in out.iter_mut().zip(&own) {
+        *kick = ActingKick::new(acting, weight);
+    }
+    let efforts = active.map_or(&[][..], |active| active.inputs(lane));
+    let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
+    for (kick, function) in out[own.len()..].iter_mut().zip(functions) {
+        let tangent = function.function.tangent(&function.pose(x, r)) * function.factor(efforts);
+        kick.renew(function.node, &tangent, weight);
+    }
 }
 
 impl WinchKick {
@@ -384,7 +379,7 @@ pub(super) const MULTIPLIER_ROWS: usize = 18;
 const OUT_ROWS: usize = 108;
 
 impl Workspace {
-    pub fn new(motion: &Motion, control: Option<&ControlSignal>, n_lanes: usize) -> Self {
+    pub fn new(motion: &Motion, n_lanes: usize) -> Self {
         let n_nodes = motion.rod.n_nodes();
         let solve = SolveRows::of(motion, n_lanes);
         let poses = || Buffer::zeros(n_nodes * POSE_ROWS * n_lanes);
@@ -402,7 +397,7 @@ impl Workspace {
             out: Buffer::zeros(OUT_ROWS * n_lanes),
             intervals: vec![IntervalCurvature::default(); n_lanes],
             rotary: None,
-            active: ActiveTimes::of(motion, control, n_lanes),
+            active: ActiveTimes::of(motion, n_lanes),
         }
     }
 
@@ -587,8 +582,9 @@ impl Group<'_> {
             self.workspace.weights[lane] = self.kick(k).weight;
             let workspace = &mut *self.workspace;
             if let Some(active) = &mut workspace.active {
-                let along = (self.along.motion.rod, self.along.trajectory);
-                active.put(along, k, lane, n_lanes);
+                let motion = self.along.motion;
+                let along = (motion, motion.control, self.along.trajectory);
+                active.put(along, k, (lane, n_lanes));
             }
             let Some(multipliers) = self.along.multipliers else {
                 continue;
@@ -620,7 +616,7 @@ impl Group<'_> {
         let (motion, stretch) = (self.along.motion, &self.along.stretch);
         let solved = self.workspace.solve.is_some();
         let n_drifts = |k: usize| if k < *stretch.end() { rod.n_nodes() } else { 0 };
-        for (step, k) in self.steps.iter_mut().zip(self.first..) {
+        for (lane, (step, k)) in self.steps.iter_mut().zip(self.first..).enumerate() {
             let kick = kick(motion, stretch, k);
             step.decay = kick.decay;
             step.weight = kick.weight;
@@ -628,11 +624,12 @@ impl Group<'_> {
                 &load_derivatives(self.along.motion, self.along.trajectory, k),
                 kick.weight,
             );
-            step.acting = pack_acting(
-                &acting_derivatives(self.along.motion, self.along.trajectory, k),
-                kick.weight,
-            );
-            step.winches = winch_kicks(self.along, self.workspace.active.as_ref(), k, kick.weight);
+            let active = self.workspace.active.as_ref();
+            write_acting_kicks(self.along, active, (k, lane), kick.weight, &mut step.acting);
+            if let Some(active) = &mut self.workspace.active {
+                let at = (self.along.motion.rod, self.along.trajectory);
+                active.write_winch_kicks(at, (k, lane), kick.weight, &mut step.winches);
+            }
             step.first_free_node = rod.first_free_node();
             step.joints.clone_from(&rod.joints);
             step.element_drifts.clear();

@@ -16,6 +16,7 @@ mod active;
 mod arriving;
 mod bent;
 mod columns;
+mod combined;
 mod conveyor;
 mod dilated;
 mod linearize;
@@ -48,7 +49,7 @@ use super::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use super::signal::ControlSignal;
 use super::step_error::StepError;
 
-pub use self::active::{Covectors, EffortPulls, interval_share};
+pub use self::active::{Covectors, EffortPulls};
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;
 pub use self::step::{
@@ -69,11 +70,55 @@ const SHARED_ROUND: usize = 8;
 pub trait ControlColumns: Sync {
     /// Number of columns.
     fn n_columns(&self) -> usize;
-    /// Calls `visit(column, node, component, weight)` for what acts at time node `k`; components are 0..3 force (spatial, N)
-    /// and 3..6 moment (body, N m).
+    /// Calls `visit(column, node, component, weight)` for what acts at time node `k`, but for [efforts](Self::efforts); components are 0..3
+    /// force (spatial, N) and 3..6 moment (body, N m).
     fn visit(&self, k: usize, visit: &mut dyn FnMut(usize, usize, usize, f64));
+    /// Returns the wrenches of unit efforts of actuators on the strains and the columns of these efforts; `None` if there are none.
+    fn efforts(&self) -> Option<(&EffortPulls, &dyn EffortColumns)> {
+        None
+    }
     /// Number of leading columns that act at time node `k` or earlier; the others are still zero.
     fn n_started(&self, k: usize) -> usize;
+}
+
+/// Columns that change efforts of actuators on the strains, each of which pulls on many nodes.
+pub trait EffortColumns: Sync {
+    /// Calls `visit(column, derivative)` for the columns on which the effort of the actuator `index` of the [pulls](EffortPulls) in a set
+    /// depends: that at a time node, or the mean of those at both ends of an interval.
+    fn visit(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64));
+}
+
+/// Calls `visit(column, weight, wrenches)` for the columns that efforts have among `range` and the wrenches of the actuator of each on all
+/// nodes at time node `k`, six numbers for each node.
+fn visit_efforts(
+    columns: &dyn ControlColumns,
+    k: usize,
+    range: Range<usize>,
+    visit: &mut dyn FnMut(&[(usize, f64)], &[f64]),
+) {
+    let Some((pulls, efforts)) = columns.efforts() else {
+        return;
+    };
+    let mut own = [(0, 0.0); TILE];
+    for (set, end, share) in pulls.sets_at(k) {
+        for index in 0..pulls.n_actuators() {
+            let mut n = 0;
+            let wrenches = pulls.wrenches(set, end, index);
+            efforts.visit(set, index, &mut |column, derivative| {
+                if range.contains(&column) && derivative != 0.0 {
+                    if n == TILE {
+                        visit(&own, wrenches);
+                        n = 0;
+                    }
+                    own[n] = (column, share * derivative);
+                    n += 1;
+                }
+            });
+            if n > 0 {
+                visit(&own[..n], wrenches);
+            }
+        }
+    }
 }
 
 /// The way from columns to forms.
@@ -560,7 +605,18 @@ impl Task<'_> {
         let of =
             |form: usize, column: usize| tiles[column / TILE].values[form * TILE + column % TILE];
         let (n_forms, n_columns) = (self.forms.len(), self.columns.n_columns());
-        let all = multipliers.map(|_| reduction::assemble(&blocks, self.n_all()));
+        let mut all = multipliers.map(|_| reduction::assemble(&blocks, self.n_all()));
+        if let Some(all) = &mut all {
+            for (index, tile) in tiles.iter().enumerate() {
+                for (at, value) in tile.mixed.iter().enumerate() {
+                    let (row, column) = (n_sources + at / TILE, index * TILE + at % TILE);
+                    if column < self.n_all() {
+                        all[(row, column)] += value;
+                        all[(column, row)] += value;
+                    }
+                }
+            }
+        }
         let part = |rows: Range<usize>, columns: Range<usize>| {
             let part =
                 all.as_ref()?

@@ -411,6 +411,7 @@ mod tests {
         let mut next = coefficients.into_iter().cycle();
         let mut take = || next.next().unwrap_or_default();
         let curvature = StepCurvature {
+            mixed: Vec::new(),
             elements: (0..n_nodes - 1)
                 .map(|_| std::array::from_fn(|_| std::array::from_fn(|_| take())))
                 .collect(),

@@ -66,7 +66,6 @@ impl RepeatedReverse {
         }
         let n_times = task.n_times();
         let along = whole(motion, trajectory);
-        self.memory.renew(motion);
         for piece in (0..n_times.div_ceil(PIECE)).rev() {
             let range = piece * PIECE..n_times.min((piece + 1) * PIECE);
             if let Some(stop) = motion.stop {
@@ -158,7 +157,6 @@ impl RepeatedForward {
         }
         let n_times = motion.grid.n_steps + 1;
         let along = whole(motion, trajectory);
-        self.memory.renew(motion);
         for start in (0..n_times).step_by(PIECE) {
             if let Some(stop) = motion.stop {
                 stop.check_at(start)?;

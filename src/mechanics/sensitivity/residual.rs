@@ -176,7 +176,8 @@ pub(super) fn defects_on(
 }
 
 /// Time nodes, one in each lane, and what is found of them.
-struct Memory {
+struct Memory<'a> {
+    control: &'a ControlSignal,
     workspace: Workspace,
     out: Buffer,
     n_lanes: usize,
@@ -184,10 +185,11 @@ struct Memory {
     turns: Vec<Vector3<f64>>,
 }
 
-impl Memory {
-    fn new(motion: &Motion, control: &ControlSignal, n_lanes: usize) -> Self {
+impl<'a> Memory<'a> {
+    fn new(motion: &Motion, control: &'a ControlSignal, n_lanes: usize) -> Self {
         Self {
-            workspace: Workspace::new(motion, Some(control), n_lanes),
+            control,
+            workspace: Workspace::new(motion, n_lanes),
             out: Buffer::zeros((motion.rod.n_nodes() * OUT_ROWS + 1) * n_lanes),
             n_lanes,
             turns: Vec::new(),
@@ -210,12 +212,8 @@ impl Memory {
         self.workspace.put_poses(trajectory, start, end, n_lanes);
         if let Some(active) = &mut self.workspace.active {
             for lane in 0..n_lanes {
-                active.put(
-                    (motion.rod, trajectory),
-                    (start + lane).min(n_steps),
-                    lane,
-                    n_lanes,
-                );
+                let along = (motion, Some(self.control), trajectory);
+                active.put(along, (start + lane).min(n_steps), (lane, n_lanes));
             }
         }
         if let Some(solve) = &mut self.workspace.solve {
@@ -272,7 +270,7 @@ impl Memory {
         error.flatten().map_or(Ok(()), Err)
     }
 
-    fn group<'a>(&'a mut self, motion: &'a Motion<'a>, first: usize) -> Group<'a> {
+    fn group<'b>(&'b mut self, motion: &'b Motion<'b>, first: usize) -> Group<'b> {
         Group {
             rod: motion.rod,
             h: motion.grid.step,

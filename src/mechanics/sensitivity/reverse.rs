@@ -5,8 +5,9 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::arriving::arriving_terms;
 use super::columns::{Columns, Wide, for_all_vectors};
+use super::combined::Combined;
 use super::step::{LinearizedStep, SolvedDrift, hold};
-use super::{TILE, Task, step_flops};
+use super::{TILE, Task, step_flops, visit_efforts};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::forms::{NODE_COMPONENTS, StateForm, forms_at};
 use crate::mechanics::linearization::{AdjointSweep, StateTangent};
@@ -98,7 +99,7 @@ impl ReverseTile {
             first_places(&self.data, 9, &mut sum.angular[first_row..]);
         }
         if k < self.last || at_end {
-            self.read(step, k, task);
+            self.read(arch, step, k, task);
             for acting in &step.acting {
                 acting.kick_transposed(&mut self.data);
             }
@@ -191,7 +192,7 @@ impl ReverseTile {
     }
 
     /// Values of the forms along sources and control columns.
-    fn read(&mut self, step: &LinearizedStep, k: usize, task: &Task) {
+    fn read(&mut self, arch: Arch, step: &LinearizedStep, k: usize, task: &Task) {
         let n_nodes = task.motion.rod.n_nodes();
         let (data, values) = (&self.data, &mut self.values);
         let mut add = |column: usize, node: usize, component: usize, factor: f64| {
@@ -213,6 +214,21 @@ impl ReverseTile {
         let n_sources = task.sources.len();
         (task.columns).visit(k, &mut |column, node, component, weight| {
             add(n_sources + column, node, component, step.weight * weight);
+        });
+        let own = 0..task.columns.n_columns();
+        visit_efforts(task.columns, k, own, &mut |columns, wrenches| {
+            let sums = arch.dispatch(Combined {
+                data,
+                part: 6,
+                coefficients: wrenches,
+            });
+            for &(column, weight) in columns {
+                let weight = step.weight * weight;
+                let values = &mut values[(n_sources + column) * TILE..][..TILE];
+                for (value, sum) in values.iter_mut().zip(&sums) {
+                    *value += weight * sum;
+                }
+            }
         });
     }
 }

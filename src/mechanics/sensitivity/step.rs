@@ -1,12 +1,12 @@
 //! Linearized steps, in the memory layout of the sweeps.
 
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 
 use super::TILE;
 use crate::mechanics::actuator::ActingDerivative;
 use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature};
 use crate::mechanics::ends::Joint;
-use crate::mechanics::forces::EffortSlope;
+use crate::mechanics::forces::NodalForces;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::LoadDerivative;
 use crate::mechanics::rod::Rod;
@@ -164,7 +164,7 @@ pub(super) fn pack_loads(loads: &[LoadDerivative], weight: f64) -> Vec<(usize, [
         .collect()
 }
 
-/// An [`ActingDerivative`] with the kick's weight multiplied in: the terms `(momentum row, configuration row, coefficient)` of a
+/// The derivative of the wrenches of an actuator of one's own, or of a function of a node, with the kick's weight multiplied in: the terms `(momentum row, configuration row, coefficient)` of a
 /// tile that are not zero.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ActingKick {
@@ -174,7 +174,7 @@ pub(super) struct ActingKick {
 }
 
 impl ActingKick {
-    fn new(acting: &ActingDerivative, weight: f64) -> Self {
+    pub fn new(acting: &ActingDerivative, weight: f64) -> Self {
         let mut terms = Vec::new();
         for (i, node) in acting.nodes.iter().enumerate() {
             for (j, other) in acting.nodes.iter().enumerate() {
@@ -193,6 +193,23 @@ impl ActingKick {
         Self {
             nodes: acting.nodes.clone(),
             terms,
+        }
+    }
+
+    /// Replaces the kick by that of a function of a node, whose wrench has this derivative along the pose, in the same memory.
+    pub fn renew(&mut self, node: usize, tangent: &Matrix6<f64>, weight: f64) {
+        self.nodes.clear();
+        self.nodes.push(node);
+        self.terms.clear();
+        self.terms.reserve(36);
+        let at = node * NODE_COMPONENTS;
+        for row in 0..6 {
+            for column in 0..6 {
+                let coefficient = weight * tangent[(row, column)];
+                if coefficient != 0.0 {
+                    self.terms.push((at + 6 + row, at + column, coefficient));
+                }
+            }
         }
     }
 
@@ -231,27 +248,26 @@ pub(super) fn hold(data: &mut [f64], joint: &Joint, part: usize) {
 pub(super) struct WinchKick {
     /// Index of the actuator.
     pub actuator: usize,
-    /// `∂u/∂y`, negative, times the weight.
+    /// `∂u/∂y`, negative, times the weight; zero of a slack tendon.
     pub factor: f64,
     /// `6 node + component` and the pull, where it is not zero.
     pull: Vec<(usize, f64)>,
 }
 
 impl WinchKick {
-    pub fn new(rod: &Rod, slope: &EffortSlope, weight: f64) -> Self {
-        let mut pull = Vec::new();
+    /// Replaces the kick in the same memory by that of an actuator with the derivative `slope` of its effort along the coordinate, whose unit
+    /// effort has the given pull.
+    pub fn renew(&mut self, rod: &Rod, actuator: usize, factor: f64, forces: &NodalForces) {
+        (self.actuator, self.factor) = (actuator, factor);
+        self.pull.clear();
+        self.pull.reserve(6 * rod.n_nodes());
         for node in rod.first_free_node()..rod.n_nodes() {
-            let parts = [slope.pull.forces[node], slope.pull.moments[node]];
+            let parts = [forces.forces[node], forces.moments[node]];
             for (component, value) in parts.iter().flat_map(|part| part.iter()).enumerate() {
                 if *value != 0.0 {
-                    pull.push((6 * node + component, *value));
+                    self.pull.push((6 * node + component, *value));
                 }
             }
-        }
-        Self {
-            actuator: slope.actuator,
-            factor: weight * slope.slope,
-            pull,
         }
     }
 
@@ -296,12 +312,6 @@ fn add_row(data: &mut [f64], to: usize, from: usize, factor: f64) {
     }
 }
 
-pub(super) fn pack_acting(acting: &[ActingDerivative], weight: f64) -> Vec<ActingKick> {
-    (acting.iter())
-        .map(|acting| ActingKick::new(acting, weight))
-        .collect()
-}
-
 impl LinearizedStep {
     /// Tells whether it is the last of its stretch, which has a kick and no drift.
     pub(super) fn is_last(&self) -> bool {
@@ -320,6 +330,9 @@ pub(super) struct StepCurvature {
     pub couplings: Vec<[[[f64; 3]; 3]; 2]>,
     /// Couplings of an element with itself at `k - 1` and `k + 1`, in the order of `elements`; zero likewise, or absent.
     pub stresses: Vec<[[[f64; 9]; 9]; 2]>,
+    /// Mixed second derivatives along the efforts of a control and the configuration at `k`: `(δx, ζ)` of every node, for all driven
+    /// actuators of every set of [`EffortPulls::sets_at`](super::EffortPulls::sets_at).
+    pub mixed: Vec<f64>,
 }
 
 /// A matrix over `(dx, ζ_a, ζ_b)` added to one in the order `ζ_a, dx, ζ_b`.
@@ -345,6 +358,7 @@ impl StepCurvature {
             elements,
             couplings,
             stresses,
+            ..
         } = self;
         let stressed = !(last.stress.is_empty() && next.stress.is_empty());
         stresses.clear();

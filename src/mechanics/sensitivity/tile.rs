@@ -7,9 +7,10 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::arriving::arriving_terms;
 use super::columns::{Columns, Wide, for_all_vectors};
+use super::combined::Combined;
 use super::reduction::Record;
 use super::step::{LinearizedStep, SolvedDrift, hold};
-use super::{INCREMENT_ROWS, TILE, Task, step_flops};
+use super::{INCREMENT_ROWS, TILE, Task, step_flops, visit_efforts};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::ends::Joint;
 use crate::mechanics::forms::{NODE_COMPONENTS, forms_at};
@@ -28,12 +29,22 @@ pub(super) struct Tile<'a> {
     /// Values of the forms, column fastest.
     pub values: Vec<f64>,
     pub record: Option<Record<'a>>,
+    /// Mixed second derivatives along the efforts of all columns and along the configuration in the columns of the tile: a row for every
+    /// column that changes an effort, column of the tile fastest. Empty if none are asked for.
+    pub mixed: Vec<f64>,
     pub flops: u64,
 }
 
 impl<'a> Tile<'a> {
     pub fn new(task: &Task, first_column: usize, record: Option<Record<'a>>) -> Self {
+        let has_mixed = record.is_some() && task.columns.efforts().is_some();
+        let n_mixed = if has_mixed {
+            task.columns.n_columns() * TILE
+        } else {
+            0
+        };
         let mut tile = Self {
+            mixed: vec![0.0; n_mixed],
             first_column,
             n_used: (task.n_all() - first_column).min(TILE),
             data: Buffer::zeros(task.node_size()),
@@ -92,6 +103,9 @@ impl<'a> Tile<'a> {
             if let Some(record) = &mut self.record {
                 record.keep_own(&self.data, k);
             }
+            if !self.mixed.is_empty() {
+                self.add_mixed(arch, step, k, task);
+            }
             if started {
                 self.advance(arch, step, k, task);
             }
@@ -102,6 +116,31 @@ impl<'a> Tile<'a> {
         }
         if let Some(record) = &mut self.record {
             record.carry(steps.len());
+        }
+    }
+
+    /// Adds the mixed second derivatives along efforts and the configuration at time node `k`.
+    fn add_mixed(&mut self, arch: Arch, step: &LinearizedStep, k: usize, task: &Task) {
+        let (Some(curvature), Some((pulls, efforts))) = (&step.curvature, task.columns.efforts())
+        else {
+            return;
+        };
+        let n_numbers = 6 * task.motion.rod.n_nodes();
+        let mut forms = curvature.mixed.chunks_exact(n_numbers);
+        for (set, _, _) in pulls.sets_at(k) {
+            for (index, coefficients) in (0..pulls.n_actuators()).zip(&mut forms) {
+                let values = arch.dispatch(Combined {
+                    data: &self.data,
+                    part: 0,
+                    coefficients,
+                });
+                efforts.visit(set, index, &mut |column, derivative| {
+                    let row = &mut self.mixed[column * TILE..][..TILE];
+                    for (sum, value) in row.iter_mut().zip(&values) {
+                        *sum += derivative * value;
+                    }
+                });
+            }
         }
     }
 
@@ -228,6 +267,20 @@ impl<'a> Tile<'a> {
                         step.weight * weight;
                 }
             });
+        let start = first.saturating_sub(n_sources);
+        let own = start..(first + TILE).saturating_sub(n_sources);
+        visit_efforts(task.columns, k, own, &mut |columns, wrenches| {
+            *reach = 0..n_nodes;
+            for &(column, weight) in columns {
+                let (column, weight) = (column + n_sources - first, step.weight * weight);
+                let nodes = data.chunks_exact_mut(NODE_COMPONENTS * TILE);
+                for (node, wrench) in nodes.zip(wrenches.chunks_exact(6)) {
+                    for (row, number) in node[6 * TILE..].chunks_exact_mut(TILE).zip(wrench) {
+                        row[column] += weight * number;
+                    }
+                }
+            }
+        });
     }
 
     fn read_forms(&mut self, k: usize, task: &Task) {

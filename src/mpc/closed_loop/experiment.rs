@@ -39,7 +39,7 @@ pub struct Experiment {
     pub adjust: Option<fn(&mut Rod)>,
     /// Dynamics of the actuators between commands and wrenches.
     pub actuators: ActuatorDynamics,
-    /// Dynamics of the plant's actuators in the arm, in their order; those that are left have none.
+    /// Dynamics of the plant's actuators in the arm, in their order; those that are left have the lags of the task.
     pub efforts: Vec<EffortDynamics>,
     /// Sensing of the state.
     pub sensing: Sensing,
@@ -425,6 +425,12 @@ impl Experiment {
         }
         let knowledge = self.knowledge(&controller, &rod)?;
         let period = self.mpc.period;
+        let mut efforts = self.efforts.clone();
+        let of_model = controller.command().lags.iter().skip(efforts.len());
+        efforts.extend(of_model.map(|&lag| EffortDynamics {
+            lag,
+            ..EffortDynamics::default()
+        }));
         let arm = SimulatedArm::new(
             &rod,
             start,
@@ -433,7 +439,7 @@ impl Experiment {
             &controller.command().nodes,
             self.actuators,
         )?
-        .with_efforts(&self.efforts)?;
+        .with_efforts(&efforts)?;
         let mut closed = ClosedLoop::new(controller, arm, knowledge, self.settings)?;
         self.stop.check()?;
         let n = (self.duration / period).round().max(1.0) as usize;

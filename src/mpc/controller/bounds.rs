@@ -4,6 +4,9 @@
 //! A rate is measured from the command that acts. A linear course does not jump, so that its first coefficient equals the control that
 //! acts; the first coefficient of a constant course differs from it by at most the rate times a period, as one command differs from the
 //! next.
+//!
+//! The bounds of an effort with a lag `τ` hold for its command `u + τ u̇`. In a block of a linear course this is linear, so that its values at
+//! both ends of every block bound it; the effort, which begins at the one that acts, is a mean of commands and so within the bounds too.
 
 use std::ops::Range;
 
@@ -65,6 +68,12 @@ pub(super) fn is_slow(channel: &Channel) -> bool {
     }
 }
 
+/// Tells whether the first coefficient of a channel is the control that acts: no course but a constant one jumps if its rate is bounded, if
+/// it follows its command with a lag, or if it is that of a winch.
+fn begins_at_acting(channel: &Channel, is_constant: bool) -> bool {
+    !is_constant && (is_slow(channel) || channel.from_rest)
+}
+
 /// Returns the largest fraction of the step `change` that is within `limit` times `factor`.
 pub(super) fn part_within(limit: &Bound, factor: f64, change: &Vector3<f64>) -> f64 {
     let part = |size: f64, most: f64| {
@@ -110,13 +119,27 @@ impl Controller {
             for (range, channel) in channels(horizon) {
                 let unit = 1.0 / channel.scale;
                 let own = |c: usize| [(base + c, 1.0), (base + c, 0.0)];
-                if coefficient == 0 && !is_constant && is_slow(&channel) {
+                if coefficient == 0 && begins_at_acting(&channel, is_constant) {
                     for c in range {
                         subproblem.fixed[c] = true;
                     }
                     continue;
                 }
-                bounded(subproblem, horizon, &range, channel.bound, unit, own);
+                if channel.lag > 0.0 {
+                    let before = coefficient - 1;
+                    let (gap, lag) = (horizon.knots.gap(before), channel.lag);
+                    // Rows of size one however short the block is.
+                    let part = 1.0 / (gap + lag);
+                    let before = before * n_components;
+                    for [first, second] in [[gap - lag, lag], [-lag, gap + lag]] {
+                        let unit = unit * gap * part;
+                        bounded(subproblem, horizon, &range, channel.bound, unit, |c| {
+                            [(base + c, second * part), (before + c, first * part)]
+                        });
+                    }
+                } else {
+                    bounded(subproblem, horizon, &range, channel.bound, unit, own);
+                }
                 if !is_slow(&channel) {
                     continue;
                 }
@@ -156,7 +179,7 @@ impl Controller {
     }
 
     /// Writes the step from the present plan to one that is strictly within all bounds: a ramp from the control that acts to zero at half
-    /// of the rates; zero if only magnitudes are bounded, and the present plan if nothing is. For an effort whose bounds are near zero, the
+    /// of the rates, or as fast as a lag follows; zero if only magnitudes are bounded, and the present plan if nothing is. For an effort whose bounds are near zero, the
     /// nearest value that is some way within them takes the place of zero.
     pub(super) fn write_inside(&mut self) {
         let Self {
@@ -172,11 +195,12 @@ impl Controller {
         inside.fill(0.0);
         for (range, channel) in channels(horizon) {
             let is_slow = is_slow(&channel);
-            if channel.bound.is_none() && !is_slow {
+            let begins = begins_at_acting(&channel, is_constant);
+            if channel.bound.is_none() && !is_slow && !begins {
                 continue;
             }
             let inner = inner(&channel);
-            let mut at = if is_slow {
+            let mut at = if is_slow || begins {
                 vector(horizon, &range, &channel, acting)
             } else {
                 inner
@@ -189,7 +213,15 @@ impl Controller {
                 };
                 // Fixed coefficients keep their value.
                 let rate = channel.rate_bound.filter(|_| is_slow && time > 0.0);
+                // With a lag, the command at the end of the block is the inner control, unless the rate is too slow.
+                let all = inner - at;
+                let all = if channel.lag > 0.0 {
+                    all * (time / (time + channel.lag))
+                } else {
+                    all
+                };
                 at = match rate {
+                    None if begins && time > 0.0 => at + all,
                     None => at,
                     Some(bound @ Bound::Norm(_)) => {
                         at * (1.0 - part_within(&bound, SLOWER * time, &at))
@@ -200,7 +232,7 @@ impl Controller {
                         at - at.clamp(-most, most)
                     }),
                     Some(Bound::Between { lower, upper }) => {
-                        let way = (inner - at).sup(&(lower * (SLOWER * time)));
+                        let way = all.sup(&(lower * (SLOWER * time)));
                         at + way.inf(&(upper * (SLOWER * time)))
                     }
                 };

@@ -10,6 +10,7 @@ use crate::mechanics::{
     Density, Material, Rod, Route, StrainActuator, StrainRule, TimeScheme, TipSpring,
     static_equilibrium,
 };
+use crate::mpc::estimator::Disturbance;
 use crate::mpc::soft_rows::SoftRows;
 use crate::task::{
     ChannelLimits, Cost, EffortControl, Limit, PathLimit, Place, Target, Track, WrenchActuator,

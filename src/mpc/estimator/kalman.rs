@@ -766,6 +766,12 @@ impl Acting {
         let (own, out) = (&self.command, &mut self.later);
         out.clone_from(own);
         for (i, before) in self.efforts_before.iter().enumerate() {
+            if let Some(&lag) = own.lags.get(i).filter(|lag| **lag > 0.0) {
+                // The course u(t - delay), which has no jump.
+                let off = own.efforts_acting[i] - own.efforts_from[i];
+                out.efforts_acting[i] = own.efforts_from[i] + off * (delay / lag).exp();
+                continue;
+            }
             let change = (own.efforts_to[i] - before) * part;
             out.efforts_from[i] -= change;
             out.efforts_to[i] -= change;

@@ -142,7 +142,12 @@ impl Predictor {
             let what = "a wrench of the command".into();
             return Err(EstimateError::NotFinite { what });
         }
-        let efforts = [&command.efforts_from, &command.efforts_to];
+        let efforts = [
+            &command.efforts_from,
+            &command.efforts_to,
+            &command.efforts_acting,
+            &command.lags,
+        ];
         if efforts
             .into_iter()
             .flatten()

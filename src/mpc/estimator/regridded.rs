@@ -76,6 +76,8 @@ impl Regridded {
         own.to.clear();
         own.efforts_from.clone_from(&command.efforts_from);
         own.efforts_to.clone_from(&command.efforts_to);
+        own.lags.clone_from(&command.lags);
+        own.efforts_acting.clone_from(&command.efforts_acting);
         for (&node, (from, to)) in (command.nodes.iter()).zip(command.from.iter().zip(&command.to))
         {
             let n_nodes = self.model.n_nodes();

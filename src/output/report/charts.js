@@ -307,7 +307,8 @@ function timeCharts() {
     const near = bodies.filter((body) => nearest.has(body));
     const kept = near.filter((body) => body.margin > 0);
     specs.push({
-      title: near.length < bodies.length ? `Clearance of the nearest ${near.length} of ${bodies.length} obstacles` : 'Clearance of the obstacles',
+      title: bodies.some((body) => body.is_touched) ? 'Distance from bodies, negative where the arm presses into them'
+        : near.length < bodies.length ? `Clearance of the nearest ${near.length} of ${bodies.length} obstacles` : 'Clearance of the obstacles',
       unit: 'm', x: TIME, synchronized: true, zero: true,
       series: near.map((body) => ({ name: body.name, color: `rgb(var(--${body.color}))`, x: body.t, y: body.clearance, wide: true })),
       bounds: [{ name: 'touching', color: 'var(--bad)', values: [0] }, ...kept.map((body) =>

@@ -129,6 +129,7 @@ mod tests {
                 velocity: [0.0; 3],
                 margin: 0.0,
                 clearance: vec![0.5],
+                is_touched: false,
             }],
         });
         let page = render_report(&spoiled);

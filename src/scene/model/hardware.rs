@@ -400,16 +400,9 @@ impl Scene {
         Some((index, own.bounds.1.is_some(), own.rest.1))
     }
 
-    /// Returns a key of the first actuator on a winch, or with a lag, which closed loops do not know.
-    pub(in crate::scene) fn winch_or_lag(&self) -> Option<String> {
-        self.hardware().iter().find_map(|own| {
-            let own = &own.effort;
-            let key = match own.winch {
-                Some(_) => "compliance_1_n",
-                None => own.lag.map(|_| "lag_s")?,
-            };
-            Some(format!("{}.{}.{key}", own.section, own.index))
-        })
+    /// Returns the lags of the actuators on strains, s.
+    pub(in crate::scene) fn lags(&self) -> Vec<Option<f64>> {
+        self.hardware().iter().map(|own| own.effort.lag).collect()
     }
 
     /// Returns the names of the actuators of a section.

@@ -297,12 +297,21 @@ impl Obstacle {
         obstacle_name(self.name.as_deref(), index)
     }
 
+    fn bodies(&self) -> Bodies<'_> {
+        Bodies {
+            sphere: self.sphere.as_ref(),
+            capsule: self.capsule.as_ref(),
+            half_space: self.half_space.as_ref(),
+            cuboid: self.cuboid.as_ref(),
+        }
+    }
+
     /// The limit of a task that keeps the arm clear of it; `None` without a shape.
     pub(in crate::scene) fn of_task(&self, index: usize) -> Option<task::Limit> {
         Some(task::Limit {
             name: self.name(index),
             kind: PathLimit::Clearance {
-                shape: shape(self)?,
+                shape: self.bodies().shape()?,
                 velocity: (self.velocity_m_s).map_or_else(Vector3::zeros, Vector3::from),
                 margin: self.margin_m.get(),
                 points: None,
@@ -334,70 +343,95 @@ impl Obstacle {
         {
             out.margin_m = known(margin);
             out.velocity_m_s = (velocity != Vector3::zeros()).then(|| velocity.into());
-            match shape {
-                Shape::Sphere { center, radius } => {
-                    out.sphere = Some(Sphere {
-                        center_m: center.into(),
-                        radius_m: known(radius),
-                    });
-                }
-                Shape::Capsule { from, to, radius } => {
-                    out.capsule = Some(Capsule {
-                        from_m: from.into(),
-                        to_m: to.into(),
-                        radius_m: known(radius),
-                    });
-                }
-                Shape::HalfSpace { point, normal } => {
-                    out.half_space = Some(HalfSpace {
-                        point_m: point.into(),
-                        normal: normal.into(),
-                    });
-                }
-                Shape::Cuboid {
-                    center,
-                    rotation,
-                    half_size,
-                } => {
-                    out.cuboid = Some(Cuboid {
-                        center_m: center.into(),
-                        size_m: <[f64; 3]>::from(half_size * 2.0).map(known),
-                        orientation_wxyz: Some(wxyz(&rotation)),
-                    });
-                }
-            }
+            (out.sphere, out.capsule, out.half_space, out.cuboid) = Bodies::describing(&shape);
         }
         out
     }
 }
 
-fn shape(obstacle: &Obstacle) -> Option<Shape> {
-    if let Some(sphere) = &obstacle.sphere {
-        return Some(Shape::Sphere {
-            center: sphere.center_m.into(),
-            radius: sphere.radius_m.get(),
-        });
+/// The bodies that a section gives, of which it has exactly one.
+pub(super) struct Bodies<'a> {
+    pub(super) sphere: Option<&'a Sphere>,
+    pub(super) capsule: Option<&'a Capsule>,
+    pub(super) half_space: Option<&'a HalfSpace>,
+    pub(super) cuboid: Option<&'a Cuboid>,
+}
+
+impl Bodies<'_> {
+    /// Returns the body; `None` if there is none.
+    pub(super) fn shape(&self) -> Option<Shape> {
+        if let Some(sphere) = self.sphere {
+            return Some(Shape::Sphere {
+                center: sphere.center_m.into(),
+                radius: sphere.radius_m.get(),
+            });
+        }
+        if let Some(capsule) = self.capsule {
+            return Some(Shape::Capsule {
+                from: capsule.from_m.into(),
+                to: capsule.to_m.into(),
+                radius: capsule.radius_m.get(),
+            });
+        }
+        if let Some(half_space) = self.half_space {
+            return Some(Shape::HalfSpace {
+                point: half_space.point_m.into(),
+                normal: Vector3::from(unit(half_space.normal)),
+            });
+        }
+        self.cuboid.map(|cuboid| Shape::Cuboid {
+            center: cuboid.center_m.into(),
+            rotation: cuboid
+                .orientation_wxyz
+                .map_or_else(Matrix3::identity, from_quaternion),
+            half_size: Vector3::from(cuboid.size_m.map(Number::get)) * 0.5,
+        })
     }
-    if let Some(capsule) = &obstacle.capsule {
-        return Some(Shape::Capsule {
-            from: capsule.from_m.into(),
-            to: capsule.to_m.into(),
-            radius: capsule.radius_m.get(),
-        });
+
+    /// Returns the keys of a body.
+    pub(super) fn describing(
+        shape: &Shape,
+    ) -> (
+        Option<Sphere>,
+        Option<Capsule>,
+        Option<HalfSpace>,
+        Option<Cuboid>,
+    ) {
+        let mut out = (None, None, None, None);
+        match *shape {
+            Shape::Sphere { center, radius } => {
+                out.0 = Some(Sphere {
+                    center_m: center.into(),
+                    radius_m: known(radius),
+                });
+            }
+            Shape::Capsule { from, to, radius } => {
+                out.1 = Some(Capsule {
+                    from_m: from.into(),
+                    to_m: to.into(),
+                    radius_m: known(radius),
+                });
+            }
+            Shape::HalfSpace { point, normal } => {
+                out.2 = Some(HalfSpace {
+                    point_m: point.into(),
+                    normal: normal.into(),
+                });
+            }
+            Shape::Cuboid {
+                center,
+                rotation,
+                half_size,
+            } => {
+                out.3 = Some(Cuboid {
+                    center_m: center.into(),
+                    size_m: <[f64; 3]>::from(half_size * 2.0).map(known),
+                    orientation_wxyz: Some(wxyz(&rotation)),
+                });
+            }
+        }
+        out
     }
-    if let Some(half_space) = &obstacle.half_space {
-        return Some(Shape::HalfSpace {
-            point: half_space.point_m.into(),
-            normal: Vector3::from(unit(half_space.normal)),
-        });
-    }
-    obstacle.cuboid.as_ref().map(|cuboid| Shape::Cuboid {
-        center: cuboid.center_m.into(),
-        rotation: cuboid
-            .orientation_wxyz
-            .map_or_else(Matrix3::identity, from_quaternion),
-        half_size: Vector3::from(cuboid.size_m.map(Number::get)) * 0.5,
-    })
 }
 
 impl Keys<'_> {
@@ -408,34 +442,41 @@ impl Keys<'_> {
 
     fn check_numbers_of_obstacle(&self, obstacle: &Obstacle, index: usize) -> Checked {
         let key = |name: &str| format!("obstacle.{index}.{name}");
-        let shapes = [
-            ("sphere", obstacle.sphere.is_some()),
-            ("capsule", obstacle.capsule.is_some()),
-            ("half_space", obstacle.half_space.is_some()),
-            ("box", obstacle.cuboid.is_some()),
-        ];
-        self.exactly_one(&format!("obstacle.{index}"), &shapes)?;
+        self.check_bodies(&format!("obstacle.{index}"), &obstacle.bodies())?;
         if let Some(velocity) = &obstacle.velocity_m_s {
             self.finite(&key("velocity_m_s"), velocity)?;
         }
-        if let Some(sphere) = &obstacle.sphere {
+        self.check_price(&key("soft"), obstacle.soft)
+    }
+
+    /// Checks that a section has exactly one body, and its numbers.
+    pub(super) fn check_bodies(&self, section: &str, bodies: &Bodies) -> Checked {
+        let key = |name: &str| format!("{section}.{name}");
+        let shapes = [
+            ("sphere", bodies.sphere.is_some()),
+            ("capsule", bodies.capsule.is_some()),
+            ("half_space", bodies.half_space.is_some()),
+            ("box", bodies.cuboid.is_some()),
+        ];
+        self.exactly_one(section, &shapes)?;
+        if let Some(sphere) = bodies.sphere {
             self.finite(&key("sphere.center_m"), &sphere.center_m)?;
         }
-        if let Some(capsule) = &obstacle.capsule {
+        if let Some(capsule) = bodies.capsule {
             self.finite(&key("capsule.from_m"), &capsule.from_m)?;
             self.finite(&key("capsule.to_m"), &capsule.to_m)?;
         }
-        if let Some(half_space) = &obstacle.half_space {
+        if let Some(half_space) = bodies.half_space {
             self.finite(&key("half_space.point_m"), &half_space.point_m)?;
             self.nonzero(&key("half_space.normal"), &half_space.normal)?;
         }
-        if let Some(cuboid) = &obstacle.cuboid {
+        if let Some(cuboid) = bodies.cuboid {
             self.finite(&key("box.center_m"), &cuboid.center_m)?;
             if let Some(orientation) = &cuboid.orientation_wxyz {
                 self.nonzero(&key("box.orientation_wxyz"), orientation)?;
             }
         }
-        self.check_price(&key("soft"), obstacle.soft)
+        Ok(())
     }
 
     /// Checks a limit; errors name it as well, since indices count from 0 and readers from 1.

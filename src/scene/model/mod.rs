@@ -1,6 +1,7 @@
 //! The sections and keys of a scene. Doc comments are the descriptions in the JSON Schema.
 
 mod base;
+mod contact;
 mod control;
 mod estimator;
 mod field;
@@ -20,6 +21,7 @@ mod task;
 mod time;
 
 pub use self::base::*;
+pub use self::contact::*;
 pub use self::control::*;
 pub use self::estimator::*;
 pub use self::field::*;
@@ -87,6 +89,9 @@ pub struct Scene {
     /// Cables from the arm to points in space.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cable: Vec<Cable>,
+    /// Bodies that the arm touches: contact with a floor, a wall, a ball, a box, in every motion, simulated or optimized.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub contact: Vec<Contact>,
     /// State at t = 0. Absent: the stress-free shape, at rest or moving with a driven base.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub initial: Option<Initial>,

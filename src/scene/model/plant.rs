@@ -70,7 +70,7 @@ pub struct PlantHardware {
     /// Factor on the effort, of the pretension too: what friction leaves of a tension, or another area of a chamber; positive, default 1.
     #[serde(default = "one")]
     pub effort_factor: Positive<values::Factor>,
-    /// Time constant in s of a first-order lag of the effort, not negative. Absent: `plant.actuator.lag_s`.
+    /// Time constant in s of a first-order lag of the effort, not negative. Absent: the model's `lag_s`, or else `plant.actuator.lag_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_s: Option<NonNegative<values::Time>>,
     /// Least and largest effort that the actuator reaches, in the unit of the command, before `effort_factor`; `inf` and `-inf` are no

@@ -238,7 +238,7 @@ impl Recording {
         let record = self.thinned.clone().finish(&self.row);
         let rows: Vec<SampleRow> = samples.iter().map(SampleRow::of).collect();
         let value = json_value(summary);
-        let page = closed_loop_page(setup, &rows, &record, &value);
+        let page = closed_loop_page(setup, &rows, &record, &self.efforts, &value);
         result.write_text("report.html", &render_report(&page?))?;
         result.write_json("summary.json", summary)
     }

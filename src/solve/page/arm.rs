@@ -44,6 +44,9 @@ pub(super) fn arm(arm: &Arm, rod: &Rod, known: [usize; 2]) -> Value {
         "mass": rod.mass(),
         "segments": segments(&arm.section),
         "bodies": arm.bodies.iter().map(|(at, body)| json!({ "at": at, "mass": body.mass })).collect::<Vec<_>>(),
+        "contacts": (arm.contacts.iter())
+            .map(|own| json!({ "name": own.name, "force": own.force, "penetration": own.penetration, "part": own.part }))
+            .collect::<Vec<_>>(),
         "payload": arm.payload.map_or(0.0, |payload| payload.mass),
         "rest_curvature": triple(arm.rest_curvature),
         "is_curved_unevenly": !arm.curvature_rows.is_empty(),

@@ -4,11 +4,13 @@ use serde_json::{Value, json};
 
 use super::obstacles::obstacles;
 use super::solve::drawn_bound;
-use super::{FRAMES, ROWS, add_components, arm, arrows, drawn_arm, fields, reaction, words};
+use super::{
+    FRAMES, ROWS, add_components, arm, arrows, drawn_arm, efforts, fields, reaction, words,
+};
 use crate::control::Hold;
 use crate::output::closed_loop::SampleRow;
 use crate::output::{
-    self, Columns, MotionRecord, OutputError, ReportCommand, ReportControls, ReportData,
+    self, Columns, EffortRow, MotionRecord, OutputError, ReportCommand, ReportControls, ReportData,
     ReportEnergy, ReportMotion, ReportPath, ReportTarget, ReportVia,
 };
 use crate::scene::ClosedLoopSetup;
@@ -19,11 +21,12 @@ const POINTS: usize = 1000;
 /// Bins of the histogram of sample times; the last one has all that took longer.
 const BINS: usize = 60;
 
-/// The page of samples that `setup` ran; `summary` is the contents of `summary.json`.
+/// The page of samples that `setup` ran; `acting` is the contents of `efforts.csv`, if there is one, and `summary` that of `summary.json`.
 pub(crate) fn closed_loop_page(
     setup: &ClosedLoopSetup,
     samples: &[SampleRow],
     record: &MotionRecord,
+    acting: &[EffortRow],
     summary: &Value,
 ) -> Result<ReportData, OutputError> {
     let stride = samples.len().div_ceil(POINTS).max(1);
@@ -35,13 +38,22 @@ pub(crate) fn closed_loop_page(
     let mut columns = columns(&thin, own.mpc.period);
     columns.extend(histogram(samples, own.mpc.period));
     columns.extend(reaction::nearest_to_base(&setup.plant, record));
+    let n_actuators = setup.plant.actuators.len();
+    let instants: Vec<&[EffortRow]> = acting.chunks(n_actuators.max(1)).collect();
+    let shown = efforts::shown(&setup.plant, record, &task.efforts, &|row| {
+        let at = instants.partition_point(|rows| rows[0].t < record.t[row]);
+        let rows = instants.get(at).or(instants.last());
+        let of_rows = rows.map(|rows| rows.iter().map(|row| row.effort).collect());
+        of_rows.unwrap_or_else(|| vec![0.0; n_actuators])
+    });
+    columns.extend(shown.columns);
     let (last, earlier) = match task.targets.split_last() {
         Some((last, earlier)) => (Some(last), earlier),
         None => (None, &[][..]),
     };
     let words = words(
         "closed_loop.jinja",
-        &context(setup, samples, summary, follows),
+        &context(setup, samples, summary, follows, &shown.groups),
         &columns,
     )?;
     let motion = ReportMotion::thinned(record, FRAMES);
@@ -68,6 +80,7 @@ pub(crate) fn closed_loop_page(
         arrows: (arrows::on_tip(record).into_iter())
             .chain(arrows::given(&setup.plant, record, |i| load_name(setup, i)))
             .collect(),
+        routes: shown.routes,
         fields: fields::fields(&setup.plant, record),
         obstacles: obstacles(
             &task.limits,
@@ -93,6 +106,7 @@ fn context(
     samples: &[SampleRow],
     summary: &Value,
     follows: bool,
+    efforts: &Value,
 ) -> Value {
     let own = &setup.experiment;
     let peak = |of: fn(&SampleRow) -> &[f64; 3]| {
@@ -109,6 +123,7 @@ fn context(
     let all = [usize::MAX; 2];
     json!({
         "summary": summary,
+        "efforts": efforts,
         "scene": setup.resolved,
         "plant": arm::arm(&own.plant, &setup.plant, known),
         "plant_as_loaded": arm::arm(&own.plant, &setup.plant, all),

@@ -23,13 +23,24 @@ pub(super) struct Shown {
     pub columns: Columns,
 }
 
-/// Returns the actuators on the strains of `rod` along a motion; `inputs` gives those of all in a row of the record, `controls` are those with bounds. Of a
-/// winch, whose input is a displacement, the tension is shown, without bounds.
+/// Returns the efforts of all actuators of a rod for their inputs in a row of a record.
+pub(super) fn of_inputs(
+    rod: &Rod,
+    record: &MotionRecord,
+    row: usize,
+    inputs: Vec<f64>,
+) -> Vec<f64> {
+    let shape = shape_of(record, row);
+    rod.efforts_at(inputs, &shape.positions, &shape.rotations)
+}
+
+/// Returns the actuators on the strains of `rod` along a motion; `efforts` gives those of all in a row of the record, `controls` are those
+/// with bounds. Of a winch, whose input is a displacement, the tension is shown, without bounds.
 pub(super) fn shown(
     rod: &Rod,
     record: &MotionRecord,
     controls: &[EffortControl],
-    inputs: &dyn Fn(usize) -> Vec<f64>,
+    efforts: &dyn Fn(usize) -> Vec<f64>,
 ) -> Shown {
     let mut columns = Columns::new();
     if rod.actuators.strains().is_empty() {
@@ -39,10 +50,6 @@ pub(super) fn shown(
             columns,
         };
     }
-    let efforts = |row: usize| {
-        let shape = shape_of(record, row);
-        rod.efforts_at(inputs(row), &shape.positions, &shape.rotations)
-    };
     let largest = rod.largest_efforts();
     let frames: Vec<Vec<f64>> = (record.thinned_rows(FRAMES).into_iter())
         .map(efforts)

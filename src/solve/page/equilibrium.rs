@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 
 use super::fields::pose;
+use super::obstacles::obstacles;
 use super::{FRAMES, ROWS, add_components, arm, arrows, drawn_arm, fields, sizes, words};
 use crate::mechanics::diagnostics::ElementStress;
 use crate::mechanics::{Rod, Varied};
@@ -55,6 +56,7 @@ pub(crate) fn equilibrium_page(
     Ok(ReportData {
         arrows: forces,
         fields: images,
+        obstacles: obstacles(&[], rod, &[], record),
         energy: Some(ReportEnergy::thinned(record, ROWS)),
         ..ReportData::of(
             ReportCommand::Equilibrium,

@@ -1,8 +1,8 @@
 //! Findings of a check beside its criteria, in sentences for the console.
 
-use crate::verify::ForwardCheck;
 use crate::verify::growth::Growth;
 use crate::verify::second_order::Extremum;
+use crate::verify::{ContactCheck, ForwardCheck};
 
 /// Returns the findings of a check beside its criteria: the worst row of every part of the conditions by name, the kind of extremum, and the
 /// growth of disturbances.
@@ -40,6 +40,26 @@ pub(crate) fn findings(check: &ForwardCheck) -> Vec<String> {
             held.node_speed, held.bound
         )
     });
+    let contact = check.contact.as_ref().map(contact);
     let growth = check.growth.as_ref().map(Growth::sentence);
-    rows.chain(stays).chain(second).chain(growth).collect()
+    (rows.chain(contact).chain(stays))
+        .chain(second)
+        .chain(growth)
+        .collect()
+}
+
+/// Returns the largest depth in the bodies that the arm touches, in words.
+fn contact(found: &ContactCheck) -> String {
+    let depth = found.penetration_m;
+    if depth <= 0.0 {
+        return format!(
+            "contact: the arm touches nothing, {} is {:.2e} m away",
+            found.contact, -depth
+        );
+    }
+    format!(
+        "contact: at most {depth:.2e} m deep in {}, {:.2} of its penetration_m, at t = {:.5} s and {:.2} of the length; twice as stiff, it moves the \
+         tip at the end by {:.2e} m",
+        found.contact, found.over_penetration, found.at_s, found.place, found.stiffer_m
+    )
 }

@@ -10,7 +10,7 @@ use crate::mechanics::Wrench;
 use crate::output::closed_loop::read_samples;
 use crate::output::{
     BaseReaction, MotionRecord, OutputError, ReportData, ReportIteration, ResultKind,
-    ThinnedMotion, read_controls, read_sensitivity, read_text,
+    ThinnedMotion, read_controls, read_efforts, read_sensitivity, read_text,
 };
 use crate::scene::{LARGEST_SCENE, Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
@@ -134,7 +134,22 @@ impl Files<'_> {
         let nodes = setup.plant.n_nodes();
         let record = self.motion(n_samples + 1, nodes, ThinnedMotion::rows_of)?;
         let samples = read_samples(&self.directory.join("samples.csv"), n_samples)?;
-        Ok(closed_loop_page(&setup, &samples, &record, self.summary)?)
+        let actuators = &setup.plant.actuators;
+        let acting = if actuators.is_empty() {
+            Vec::new()
+        } else {
+            let longest = actuators.iter().map(|own| own.name.len()).max();
+            let n_rows = actuators.len() * (samples.len() + 1);
+            let file = self.directory.join("efforts.csv");
+            read_efforts(&file, n_rows, longest.unwrap_or(0))?
+        };
+        Ok(closed_loop_page(
+            &setup,
+            &samples,
+            &record,
+            &acting,
+            self.summary,
+        )?)
     }
 
     fn equilibrium(&self) -> Result<ReportData, SavedError> {

@@ -25,7 +25,10 @@ pub(crate) fn simulation_page(
         Some(base) if rod.base != BaseCondition::Free => reaction::saved(base),
         _ => reaction::nearest_to_base(rod, record),
     };
-    let efforts = |row: usize| rod.actuators.efforts(record.t[row]);
+    let efforts = |row: usize| {
+        let inputs = rod.actuators.efforts(record.t[row]);
+        efforts::of_inputs(rod, record, row, inputs)
+    };
     let shown = efforts::shown(rod, record, &scene.effort_controls(), &efforts);
     columns.extend(shown.columns);
     let context = json!({

@@ -53,7 +53,8 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, Output
     let shown = efforts::shown(rod, record, &task.efforts, &|row| {
         // A motion that is thinned has rows at some time nodes.
         let k = ((record.t[row] - grid.start) / grid.step).round() as usize;
-        table.nodes[k.min(grid.n_steps) * table.n_actuators..][..table.n_actuators].to_vec()
+        let inputs = &table.nodes[k.min(grid.n_steps) * table.n_actuators..][..table.n_actuators];
+        efforts::of_inputs(rod, record, row, inputs.to_vec())
     });
     columns.extend(shown.columns);
     let context = json!({
@@ -63,7 +64,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, Output
         "actuators": arm::actuators(&task.actuators),
         "limits": arm::names(&task.limits),
         "posed": posed(discrete, page.coefficients),
-        "obstacles": obstacles.as_ref().map(nearest),
+        "obstacles": obstacles.as_ref().and_then(nearest),
     });
     let words = words("solve.jinja", &context, &columns)?;
     let motion = ReportMotion::thinned(record, FRAMES);
@@ -139,10 +140,13 @@ fn posed(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Value {
 }
 
 /// The number of obstacles, and the least distance of the arm from any, m.
-fn nearest(obstacles: &ReportObstacles) -> Value {
-    let nearest = (obstacles.bodies.iter().flat_map(|body| &body.clearance))
+fn nearest(obstacles: &ReportObstacles) -> Option<Value> {
+    let avoided: Vec<_> = (obstacles.bodies.iter())
+        .filter(|body| !body.is_touched)
+        .collect();
+    let nearest = (avoided.iter().flat_map(|body| &body.clearance))
         .fold(f64::INFINITY, |nearest, c| nearest.min(f64::from(*c)));
-    json!({ "n": obstacles.bodies.len(), "nearest": nearest })
+    (!avoided.is_empty()).then(|| json!({ "n": avoided.len(), "nearest": nearest }))
 }
 
 /// Describes the target of the tip at the end; `None` without one.

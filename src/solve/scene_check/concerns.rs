@@ -4,13 +4,13 @@ use nalgebra::Vector3;
 
 use super::super::causes::SAME;
 use super::hardly_meant::hardly_meant;
-use crate::mechanics::stability::{bent_step, posed_step, stable_step};
+use crate::mechanics::stability::{bent_step, posed_step, resolving_step, stable_step};
 use crate::mechanics::tangent::{Tangent, own_squared_frequency};
 use crate::mechanics::vibration::{weight_in_words, weight_number};
 use crate::mechanics::{
     Configuration, Density, EndCondition, Rod, RodModel, RotaryInertia, StrainRule, TimeScheme,
 };
-use crate::output::summary::{OutputSize, RestSummary};
+use crate::output::summary::{ContactFact, ContactFacts, OutputSize, RestSummary};
 use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
 
 /// Fraction by which the trapezoidal rule stiffens bending from which on it is said: more than the accuracy that scenes ask for.
@@ -131,9 +131,64 @@ fn is_bent_from_within(scene: &Scene, rod: &Rod) -> bool {
             || !control.actuator.is_empty()
             || control.distributed.is_some()
     });
-    let is_pushed = has_wrenches || !rod.loads.is_empty() || !rod.actuators.functions().is_empty();
+    let is_pushed = has_wrenches
+        || !rod.loads.is_empty()
+        || !rod.actuators.functions().is_empty()
+        || !rod.contacts.is_empty();
     !rod.actuators.is_empty() && !is_pushed && rod.internal_damping > 0.0
 }
+
+/// Returns the bodies that a rod touches, and the steps that they allow; `None` without any.
+pub(super) fn contact_facts(rod: &Rod) -> Option<ContactFacts> {
+    (!rod.contacts.is_empty()).then(|| ContactFacts {
+        bodies: (rod.contacts.iter())
+            .map(|own| ContactFact {
+                contact: own.name.clone(),
+                force_n: own.force,
+                penetration_m: own.penetration,
+            })
+            .collect(),
+        step_s: rod.contact_step(),
+        stable_step_without_s: stable_step(&rod.with_contact_forces_times(0.0)),
+    })
+}
+
+/// Contacts so stiff that they shorten the step below that of the arm alone.
+fn stiff_contact(rod: &Rod) -> Option<String> {
+    let facts = contact_facts(rod)?;
+    let alone = match rod.scheme {
+        TimeScheme::Explicit => facts.stable_step_without_s,
+        TimeScheme::Implicit => resolving_step(rod).min(bent_step(rod)),
+    };
+    // The step grows with the root of the penetration.
+    let factor = (alone / facts.step_s).powi(2);
+    (factor > 1.0).then(|| {
+        format!(
+            "contact.penetration_m: the bodies that the arm touches are so stiff that they allow steps up to {:.3e} s alone, the arm {alone:.3e} s; \
+             {factor:.2} times the penetration_m, or a force_n divided by as much, would not shorten the step",
+            facts.step_s
+        )
+    })
+}
+
+/// An arm that begins deeper in a body than its weight presses it.
+pub(super) fn begins_inside(rod: &Rod, at: &Configuration) -> Option<String> {
+    let deepest = (rod.depths(&at.positions).into_iter())
+        .find(|own| own.depth > FLUNG * rod.contacts[own.contact].penetration)?;
+    let contact = &rod.contacts[deepest.contact];
+    Some(format!(
+        "contact: at t = 0 the arm is {:.3e} m deep in {}, {:.0} times its penetration_m, at {:.2} of its length, and is flung out of it; move the \
+         body, let it begin to touch farther from the base (from), or begin elsewhere (initial)",
+        deepest.depth,
+        contact.name,
+        deepest.depth / contact.penetration,
+        rod.mesh.fraction(deepest.node)
+    ))
+}
+
+/// Depth at the start, in penetrations, from which on a remark is made: the force there is a hundred times that of the contact, by default
+/// of all the weight. It decides about a sentence alone.
+const FLUNG: f64 = 10.0;
 
 /// Returns the remarks that a user should see before a run.
 pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
@@ -179,11 +234,12 @@ pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
     let posed = posed_step(rod);
     if rod.scheme == TimeScheme::Implicit && step > posed {
         out.push(format!(
-            "time.step_s: {step:.3e} s is longer than {posed:.3e} s, up to which the forces of magnets and cables are stable on their \
-             nodes (2 sqrt(M/K)) under either integrator; give a step_s of at most {posed:.3e} s, or \"auto\", and the magnet its \
+            "time.step_s: {step:.3e} s is longer than {posed:.3e} s, up to which the forces of magnets, cables and contacts are stable on \
+             their nodes (2 sqrt(M/K)) under either integrator; give a step_s of at most {posed:.3e} s, or \"auto\", and a magnet its \
              mass and inertia by [payload] or [[body]]"
         ));
     }
+    out.extend(stiff_contact(rod));
     let damping = rod.viscous_damping * step;
     if damping >= 2.0 {
         out.push(format!(

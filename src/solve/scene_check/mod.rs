@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use nalgebra::Vector3;
 
-use self::concerns::{loose, topples};
+use self::concerns::{begins_inside, contact_facts, loose, topples};
 pub(crate) use self::concerns::{size_warning, warnings, what_weighs};
 use self::forecast::{cost, problem_size, shorter};
 pub(crate) use self::forecast::{expectation, output_size, time_in_words};
@@ -107,6 +107,10 @@ pub(crate) fn check_scene(
                 }))
                 .collect(),
         });
+        concerns.extend(begins_inside(
+            &setup.problem.rod,
+            &setup.problem.initial.configuration,
+        ));
         let memory = of_solve(&setup, 1, n_threads);
         (
             setup.problem.rod,
@@ -119,6 +123,7 @@ pub(crate) fn check_scene(
         let setup = scene.simulation(source)?;
         let output = output_size(&setup);
         concerns.extend(size_warning(&output));
+        concerns.extend(begins_inside(&setup.rod, &setup.initial.configuration));
         by_symmetry = stands_by_symmetry(&setup.rod, &setup.initial, setup.grid.duration());
         let memory = of_simulation(&setup);
         (Arc::new(setup.rod), setup.grid, None, Some(output), memory)
@@ -158,6 +163,7 @@ pub(crate) fn check_scene(
         elements: rod.n_elements(),
         mass_kg: rod.mass(),
         stable_step_s: stable_step(&rod),
+        contact: contact_facts(&rod),
         integrator: rod.scheme.name(),
         rotary_inertia: rod.rotary_inertia.name(),
         cost: cost(&rod, &grid),

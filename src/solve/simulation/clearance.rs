@@ -1,14 +1,16 @@
-//! Distances of a simulated arm from the obstacles of its scene, which the simulation itself does not use.
+//! Distances of a simulated arm from the obstacles of its scene, which the simulation itself does not use, and depths in what it touches.
 
 use nalgebra::Vector3;
 
 use crate::control::{PathLimit, Shape};
+use crate::mechanics::Rod;
 use crate::output::MotionRecord;
-use crate::output::summary::ClearanceSummary;
+use crate::output::summary::{ClearanceSummary, DepthSummary};
 use crate::scene::Simulation;
 
-/// The obstacles, and the smallest distances so far.
+/// The obstacles with the smallest distances so far, and the contacts with the largest depths.
 pub(super) struct Clearances {
+    contacts: Vec<DepthSummary>,
     obstacles: Vec<Obstacle>,
     radii: Vec<f64>,
 }
@@ -51,12 +53,42 @@ impl Clearances {
                 })
             })
             .collect();
-        Self { obstacles, radii }
+        let contacts = (rod.contacts.iter())
+            .map(|contact| DepthSummary {
+                contact: contact.name.clone(),
+                penetration_m: f64::NEG_INFINITY,
+                over_penetration: f64::NEG_INFINITY,
+                allows_step_s: rod.contact_step(),
+                at_s: 0.0,
+                place: 0.0,
+            })
+            .collect();
+        Self {
+            contacts,
+            obstacles,
+            radii,
+        }
     }
 
-    /// Updates the distances with the one row of a record.
-    pub(super) fn include(&mut self, row: &MotionRecord) {
+    /// Updates distances and depths with the one row of a record of a rod.
+    pub(super) fn include(&mut self, row: &MotionRecord, rod: &Rod) {
         let t = row.t.last().copied().unwrap_or(0.0);
+        if !self.contacts.is_empty() {
+            let positions: Vec<_> = (row.x.chunks_exact(3))
+                .map(Vector3::from_column_slice)
+                .collect();
+            for (deepest, own) in self.contacts.iter_mut().zip(rod.depths(&positions)) {
+                if own.depth > deepest.penetration_m {
+                    let contact = &rod.contacts[own.contact];
+                    deepest.penetration_m = own.depth;
+                    deepest.over_penetration = own.depth / contact.penetration;
+                    let deeper = deepest.over_penetration.max(1.0);
+                    deepest.allows_step_s = rod.contact_step() / deeper.sqrt();
+                    deepest.at_s = t;
+                    deepest.place = rod.mesh.fraction(own.node);
+                }
+            }
+        }
         let n = row.n_nodes;
         let node = |q: usize| {
             let radius = self.radii.get(q).copied().unwrap_or(0.0);
@@ -81,6 +113,10 @@ impl Clearances {
                 }
             }
         }
+    }
+
+    pub(super) fn depths(&self) -> Vec<DepthSummary> {
+        self.contacts.clone()
     }
 
     pub(super) fn summary(&self) -> Vec<ClearanceSummary> {

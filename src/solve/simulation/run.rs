@@ -411,6 +411,7 @@ impl<'a> Run<'a> {
             dilatation: extremes.dilatation,
             length_m: extremes.length,
             clearance: self.tally.clearance.summary(),
+            contact: self.tally.clearance.depths(),
             slack: Vec::new(),
             accuracy: None,
             directory: target.display().to_string(),

@@ -28,7 +28,7 @@ impl Tally {
     /// A row, and whether its energy is among those that count as extremes: these do not depend on what has a row.
     pub(super) fn include(&mut self, row: &MotionRecord, rod: &Rod, counts: bool) {
         let energy = row.energy[0] + row.energy[1] + row.energy[2];
-        self.clearance.include(row);
+        self.clearance.include(row, rod);
         if self.n_rows == 0 {
             self.initial = energy;
         }

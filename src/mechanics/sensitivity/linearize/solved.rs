@@ -27,7 +27,7 @@ use crate::mechanics::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, 
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::mechanics::linearization::{Kick, Motion};
 use crate::mechanics::rod::Rod;
-use crate::mechanics::sensitivity::active::{ActiveTimes, sum, times};
+use crate::mechanics::sensitivity::active::{ActiveTimes, times};
 use crate::mechanics::time::TimeScheme;
 
 /// Rows of a node: `Fᵀ` and `Θ⁻¹`.
@@ -171,31 +171,35 @@ impl<S: Simd> Weights<S> {
         ]
     }
 
-    /// Returns the derivatives of [`Self::active`] along the strain at the time node, and along that at the next one.
+    /// Adds [`Self::active`] to a stress, and returns its derivatives along the strain at the time node and along that at the next one.
     #[inline(always)]
-    pub fn active_tangents<R: TangentRule>(
+    pub fn add_active<R: TangentRule>(
         &self,
         active: &ActiveTimes,
         rod: &Rod,
         q: usize,
         poses: [&R::Pose<S>; 3],
+        stress: &mut Stress<S>,
     ) -> [ActiveTangent<S>; 2] {
-        let simd = self.elastic.simd;
         let length = rod.elements[q].length;
-        let none = ActiveTangent::zero(simd);
+        let mut after = ActiveTangent::zero(self.elastic.simd);
         let efforts = active.part::<S>(&rod.actuators, 0);
         let here = R::strain(poses[0]);
         if rod.scheme == TimeScheme::Explicit {
-            let own = efforts.tangent::<R>(q, length, &here);
-            return [none.plus(own, self.elastic), none];
+            let mut own = after;
+            let sums = (stress, &mut own);
+            efforts.add_derivatives::<R>(q, length, &here, self.elastic, sums);
+            return [own, after];
         }
-        let [after, before] = self.means::<R>(here, poses);
+        let [there, before] = self.means::<R>(here, poses);
         let past = active.part::<S>(&rod.actuators, 1);
-        let after = efforts.tangent::<R>(q, length, &after);
-        let after = none.plus(after, self.impulses[0] * 0.5);
-        let before = past.tangent::<R>(q, length, &before);
-        let before = none.plus(before, self.impulses[1] * 0.5);
-        [after.plus(before, Lanes::splat(simd, 1.0)), after]
+        let sums = (&mut *stress, &mut after);
+        efforts.add_derivatives::<R>(q, length, &there, self.impulses[0], sums);
+        let mut own = after;
+        let sums = (stress, &mut own);
+        past.add_derivatives::<R>(q, length, &before, self.impulses[1], sums);
+        // The weight of a strain in a mean is one half.
+        [own.times(0.5), after.times(0.5)]
     }
 
     /// Returns the derivative of that strain along the strain here.
@@ -307,23 +311,29 @@ impl Group<'_> {
             let strain = weights.strain::<R>(&law, &here, &there, &last);
             let scaled = law.times(weights.scale());
             let mut stress = law.stress(strain);
+            let mut tangents = None;
             if let Some(active) = active {
                 let poses = [&here, &there, &last];
-                stress = stress.plus(weights.active::<R>(active, rod, q, poses));
+                let mut own = Stress::zero(simd);
+                tangents = Some(weights.add_active::<R>(active, rod, q, poses, &mut own));
+                stress = stress.plus(own);
             }
             let mut kicked = stiffness_under::<S, R>(&scaled, &here, &stress);
             let mut coupling = R::coupling(&law.times(weights.after), &here, &there);
             let mut arriving = None;
-            if let Some(active) = active {
-                let poses = [&here, &there, &last];
-                let [own, after] = weights.active_tangents::<R>(active, rod, q, poses);
+            if let Some([own, after]) = &tangents {
                 let derivative = R::derivative(&here);
-                let after = after.between::<R>(&derivative, &R::derivative(&there));
-                kicked = sum(kicked, own.between::<R>(&derivative, &derivative));
-                if ratios[0] != ratios[1] {
-                    arriving = Some(sum(times(coupling, ratios[0]), times(after, ratios[1])));
+                own.add_between::<R>(&derivative, &derivative, &mut kicked);
+                if rod.scheme == TimeScheme::Implicit {
+                    let there = R::derivative(&there);
+                    if ratios[0] != ratios[1] {
+                        let mut total = times(coupling, ratios[0]);
+                        let after = after.times(ratios[1]);
+                        after.add_between::<R>(&derivative, &there, &mut total);
+                        arriving = Some(total);
+                    }
+                    after.add_between::<R>(&derivative, &there, &mut coupling);
                 }
-                coupling = sum(coupling, after);
             }
             // What the step carries to its end.
             let turned = rows::<S>(&solve.spins);

@@ -1,8 +1,8 @@
-//! Obstacles: convex bodies, their signed distance and its first and second derivative.
+//! Convex bodies, which an arm avoids (obstacles) or touches (contacts): their signed distance with its first and second derivative.
 
 use nalgebra::{Matrix3, Vector3};
 
-/// A convex body that the arm must avoid.
+/// A convex body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// All points within `radius` of `center`.
@@ -25,7 +25,7 @@ pub enum Shape {
     HalfSpace {
         /// A point of the plane, m.
         point: Vector3<f64>,
-        /// Unit normal, out of the obstacle.
+        /// Unit normal, out of the body.
         normal: Vector3<f64>,
     },
     /// A box.
@@ -49,6 +49,8 @@ pub struct SignedDistance {
     /// Second derivative, 1/m. Zero inside a box, and where the gradient jumps: on the axis of a capsule, at the center of a
     /// sphere, on the planes inside a box from which two faces are equally near.
     pub curvature: Matrix3<f64>,
+    /// Largest eigenvalue of the curvature, 1/m: one over the distance from the core of a round body, or from the edge of a box.
+    pub bend: f64,
 }
 
 impl SignedDistance {
@@ -72,7 +74,17 @@ impl SignedDistance {
             } else {
                 Matrix3::zeros()
             },
+            bend: if norm > 0.0 { norm.recip() } else { 0.0 },
         }
+    }
+
+    /// Returns the third derivative with a covector `λ` in one place: with the gradient `n`, the curvature `C` and its eigenvalue `1/r` it is
+    /// `-((n·λ) C + (Cλ) nᵀ + n (Cλ)ᵀ)/r`.
+    #[must_use]
+    pub fn third_derivative(&self, covector: &Vector3<f64>) -> Matrix3<f64> {
+        let turned = (self.curvature * covector) * self.gradient.transpose();
+        let sum = self.curvature * self.gradient.dot(covector) + turned + turned.transpose();
+        sum * -self.bend
     }
 }
 
@@ -119,6 +131,7 @@ impl Shape {
                 value: (x - point).dot(normal),
                 gradient: *normal,
                 curvature: Matrix3::zeros(),
+                bend: 0.0,
             },
             Self::Cuboid {
                 center,
@@ -134,17 +147,20 @@ impl Shape {
                         value: beyond[nearest],
                         gradient: rotation.column(nearest) * side[nearest],
                         curvature: Matrix3::zeros(),
+                        bend: 0.0,
                     };
                 }
                 let outside = beyond.map(|c| c.max(0.0));
                 let value = outside.norm();
                 let gradient = outside.component_mul(&side) / value;
                 let free = Matrix3::from_diagonal(&outside.map(|c| f64::from(u8::from(c > 0.0))));
+                let edges = free.diagonal().sum() > 1.0;
                 let curvature = (free - gradient * gradient.transpose()) / value;
                 SignedDistance {
                     value,
                     gradient: rotation * gradient,
                     curvature: rotation * curvature * rotation.transpose(),
+                    bend: if edges { value.recip() } else { 0.0 },
                 }
             }
         }
@@ -245,6 +261,10 @@ mod tests {
                     prop_assert!((slope - found.gradient[i]).abs() < 1e-6);
                     let bend = (near(i, 1.0).gradient - near(i, -1.0).gradient) / (2.0 * h);
                     prop_assert!((bend - found.curvature.column(i)).norm() < 1e-4 * (1.0 + found.curvature.norm().powi(3)));
+                    // Third derivative: that of the curvature, off by its own next derivative but one times h²/6.
+                    let turn = (near(i, 1.0).curvature - near(i, -1.0).curvature) / (2.0 * h);
+                    let third = found.third_derivative(&Vector3::ith(i, 1.0));
+                    prop_assert!((turn - third).norm() < 1e-4 * (1.0 + found.bend.powi(4)));
                 }
             }
         }

@@ -1,0 +1,118 @@
+//! Contacts: bodies that the arm touches, their keys, the contact of an arm that they mean, and the keys that describe such a contact.
+
+#[cfg(feature = "schema")]
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::keys::{Checked, Keys};
+use super::super::values::{self, Fraction, Number, Positive, digits, known};
+use super::limit::Bodies;
+use super::{Capsule, Cuboid, HalfSpace, Sphere};
+use crate::mechanics;
+
+/// A body that the arm touches without friction, with its own radius around its center line at every node: exactly one of the four shapes. A
+/// node as deep as p in the body is pushed out by its share of the force `force_n` (p/`penetration_m`)², its share of the length of the part that
+/// can touch. The arm does not touch itself, nothing sticks, and nothing is grasped; the arm may be led into a body, but a fast or thin one
+/// passes through between two nodes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Contact {
+    /// Name in results. Default: "contact" and its number, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// All points within a distance of a center.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sphere: Option<Sphere>,
+    /// All points within a distance of a segment.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub capsule: Option<Capsule>,
+    /// All points behind a plane.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub half_space: Option<HalfSpace>,
+    /// A box.
+    #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
+    pub cuboid: Option<Cuboid>,
+    /// Depth in m at which the body pushes with `force_n`, positive: as deep an arm sinks that lies on a floor with its whole weight. Results
+    /// differ from those of a rigid body in proportion to it, or to its root where a short piece touches.
+    pub penetration_m: Positive<values::Depth>,
+    /// Force in N if all of the part that can touch is as deep as `penetration_m`, positive. Absent: the weight of the arm with payload and
+    /// bodies, or EI/L² if that is larger.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_n: Option<Positive<values::Force>>,
+    /// Start of the part that can touch, as a fraction of `rod.length_m` from the base. An element ends there. Default: 0, the base.
+    #[serde(default)]
+    pub from: Fraction,
+    /// End of the part that can touch, as a fraction, after `from`. An element ends there. Default: 1, the tip.
+    #[serde(default = "Fraction::one")]
+    pub to: Fraction,
+}
+
+impl Contact {
+    /// Name in results and errors: its own, or its place in the list.
+    #[must_use]
+    pub fn name(&self, index: usize) -> String {
+        contact_name(self.name.as_deref(), index)
+    }
+
+    fn bodies(&self) -> Bodies<'_> {
+        Bodies {
+            sphere: self.sphere.as_ref(),
+            capsule: self.capsule.as_ref(),
+            half_space: self.half_space.as_ref(),
+            cuboid: self.cuboid.as_ref(),
+        }
+    }
+
+    /// Returns the contact of an arm, with this force, N, if it has none of its own; `None` without a shape.
+    pub(in crate::scene) fn of_arm(&self, index: usize, usual: f64) -> Option<mechanics::Contact> {
+        Some(mechanics::Contact {
+            name: self.name(index),
+            shape: self.bodies().shape()?,
+            part: [self.from.get(), self.to.get()],
+            force: self.force_n.map_or(usual, Number::get),
+            penetration: self.penetration_m.get(),
+        })
+    }
+
+    /// Returns the keys of a contact.
+    pub(in crate::scene) fn describing(contact: &mechanics::Contact) -> Self {
+        let (sphere, capsule, half_space, cuboid) = Bodies::describing(&contact.shape);
+        let [from, to] = contact.part;
+        Self {
+            name: Some(contact.name.clone()),
+            sphere,
+            capsule,
+            half_space,
+            cuboid,
+            penetration_m: known(contact.penetration),
+            force_n: Some(known(contact.force)),
+            from: known(from),
+            to: known(to),
+        }
+    }
+}
+
+/// Name of a contact: its own, or its place in the list.
+pub(in crate::scene) fn contact_name(own: Option<&str>, index: usize) -> String {
+    own.map_or_else(|| format!("contact {index}"), str::to_string)
+}
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_contact(&self, contact: &Contact, index: usize) -> Checked {
+        let section = format!("contact.{index}");
+        let (from, to) = (contact.from.get(), contact.to.get());
+        (self.check_bodies(&section, &contact.bodies()))
+            .and_then(|()| match to > from {
+                true => Ok(()),
+                false => Err((self.source)
+                    .error_at(
+                        &format!("{section}.to"),
+                        format!("{} does not come after from, {}", digits(to), digits(from)),
+                        None,
+                    )
+                    .expecting("expected a fraction above from, up to 1")),
+            })
+            .map_err(|error| error.of_item("contact", &contact.name(index)))
+    }
+}

@@ -1,0 +1,261 @@
+//! Arms that touch bodies, through the verbs: figures of the check, a simulation, the statics, a solve of the built-in scene, a loop.
+
+#![cfg(feature = "cli")]
+
+use crate::tool;
+
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+
+use serde_json::Value;
+use tempfile::TempDir;
+use tool::{DONE, USAGE};
+
+/// An arm that begins straight above a table and falls onto it and a ball.
+const FALL: &str = "\
+[rod]
+length_m = 0.4
+elements = 10
+[rod.material]
+youngs_modulus_pa = 2e5
+poisson_ratio = 0.4
+density_kg_m3 = 1070.0
+[rod.section]
+radius_m = 0.01
+[base]
+direction = [1.0, 0.0, 0.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[damping]
+viscous_1_s = 10.0
+[[contact]]
+name = \"table\"
+half_space = { point_m = [0.0, 0.0, -0.06], normal = [0.0, 0.0, 2.0] }
+penetration_m = 1e-3
+[[contact]]
+sphere = { center_m = [0.2, 0.0, -0.08], radius_m = 0.05 }
+penetration_m = 2e-3
+force_n = 2.0
+[time]
+end_s = 2.0
+";
+
+struct Desk(TempDir);
+
+impl Desk {
+    fn with(scene: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("scene.toml"), scene).unwrap();
+        Self(folder)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// Returns exit code, summary, and words of a run.
+    fn run(&self, arguments: &[&str]) -> (i32, Value, String) {
+        let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
+            .args(arguments)
+            .args(["--threads", "1"])
+            .current_dir(self.0.path())
+            .env("NO_COLOR", "1")
+            .output()
+            .unwrap();
+        let words = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!words.contains("panicked"), "{words}");
+        let summary = serde_json::from_slice(&output.stdout).unwrap_or_default();
+        (output.status.code().unwrap(), summary, words)
+    }
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap()
+}
+
+/// A damped arm that fell comes to rest as its statics say, on both bodies, hardly deeper than their penetrations; its scene has the forces
+/// written out, of a body without one the weight.
+#[test]
+fn an_arm_falls_and_lies() {
+    let desk = Desk::with(FALL);
+    let (code, summary, words) = desk.run(&["simulate", "scene.toml", "--out", "run", "--json"]);
+    assert_eq!(code, DONE, "{words}");
+    let names: Vec<_> = (0..2)
+        .map(|i| summary["contact"][i]["contact"].clone())
+        .collect();
+    assert_eq!(names, ["table", "contact 1"]);
+    for i in 0..2 {
+        assert!(
+            number(&summary["contact"][i]["penetration_m"]) > 1e-4,
+            "{summary}"
+        );
+    }
+    let (code, at_rest, words) =
+        desk.run(&["equilibrium", "scene.toml", "--out", "rest", "--json"]);
+    assert_eq!(code, DONE, "{words}");
+    let tips = [&summary["tip"]["position_m"], &at_rest["tip"]["position_m"]];
+    for axis in 0..3 {
+        let [moved, rest] = tips.map(|tip| number(&tip[axis]));
+        // What e^(-10/s 2 s/2) leaves of the fall, a twentieth of its height of 5 cm at most, is damped further by every bounce.
+        assert!((moved - rest).abs() < 1e-3, "{axis}: {moved} {rest}");
+    }
+    let scene = fs::read_to_string(desk.path("run/scene.toml")).unwrap();
+    let forces: Vec<f64> = (scene
+        .lines()
+        .filter_map(|line| line.strip_prefix("force_n = ")))
+    .map(|number| number.parse().unwrap())
+    .collect();
+    let mass = 1070.0 * std::f64::consts::PI * 1e-4 * 0.4;
+    assert_eq!(forces.len(), 2);
+    assert!(
+        (forces[0] / (mass * 9.81) - 1.0).abs() < 1e-12,
+        "{forces:?}"
+    );
+    assert_eq!(forces[1], 2.0);
+    let page = fs::read_to_string(desk.path("run/report.html")).unwrap();
+    assert!(page.contains("\"is_touched\":true") && page.contains("contact 1"));
+    assert!(page.contains("without friction"));
+}
+
+/// The check prints what contacts do to the step; one that shortens it has a remedy, which works; an arm that begins inside is named.
+#[test]
+fn the_check_knows_the_step() {
+    let desk = Desk::with(FALL);
+    let check = |more: &[&str]| {
+        let mut arguments = vec!["check", "scene.toml", "--json"];
+        arguments.extend(more);
+        let (code, summary, words) = desk.run(&arguments);
+        assert_eq!(code, DONE, "{words}");
+        let warnings = summary["warnings"].to_string();
+        (summary, warnings)
+    };
+    let (usual, warnings) = check(&[]);
+    assert!(!warnings.contains("penetration_m"), "{warnings}");
+    let contact = &usual["contact"];
+    // 2/ω, ω² = 2 Σ F/δ over the mass: one node has both.
+    let mass = 1070.0 * std::f64::consts::PI * 1e-4 * 0.4;
+    let omega = (2.0 * (9.81 / 1e-3 + 2.0 / (2e-3 * mass))).sqrt();
+    assert!((number(&contact["step_s"]) * omega / 2.0 - 1.0).abs() < 1e-9);
+    let explicit = "time.integrator='explicit'";
+    let stiff = [
+        "--set",
+        explicit,
+        "--set",
+        "contact.0.penetration_m=1e-7",
+        "--set",
+        "contact.1.penetration_m=1e-7",
+    ];
+    let (short, warnings) = check(&stiff);
+    assert!(warnings.contains("contact.penetration_m"), "{warnings}");
+    assert!(
+        number(&short["stable_step_s"]) < 0.5 * number(&short["contact"]["stable_step_without_s"])
+    );
+    let factor = (warnings.split(" times the penetration_m").next().unwrap())
+        .rsplit(' ')
+        .next()
+        .unwrap()
+        .parse::<f64>()
+        .unwrap();
+    let remedy = format!("{:e}", 1e-7 * factor * 1.01);
+    let [a, b] = [0, 1].map(|i| format!("contact.{i}.penetration_m={remedy}"));
+    let (_, warnings) = check(&["--set", explicit, "--set", &a, "--set", &b]);
+    assert!(!warnings.contains("contact.penetration_m"), "{warnings}");
+    let (_, warnings) = check(&["--set", "contact.0.half_space.point_m=[0.0, 0.0, 0.02]"]);
+    assert!(
+        warnings.contains("deep in table") && warnings.contains("flung"),
+        "{warnings}"
+    );
+}
+
+/// Bad keys are errors that name the contact and the remedy; a word for contact finds its page.
+#[test]
+fn errors_name_the_contact() {
+    let desk = Desk::with(FALL);
+    for (set, expected) in [
+        ("contact.0.penetration_m=0.0", "penetration"),
+        ("contact.0.penetration_m=-1e-3", "table"),
+        ("contact.0.force_n=nan", "table"),
+        ("contact.1.from=1.0", "does not come after from"),
+        (
+            "contact.1.box={center_m=[0.0, 0.0, 0.0], size_m=[1.0, 1.0, 1.0]}",
+            "contact 1",
+        ),
+        ("contact.0.half_space.normal=[0.0, 0.0, 0.0]", "table"),
+        ("contact.0.friction=0.3", "without friction"),
+        ("floor.height_m=0.0", "\"Contact\" in docs/solves.md"),
+        ("collision.enabled=true", "[[contact]]"),
+    ] {
+        let (code, _, words) = desk.run(&["check", "scene.toml", "--set", set]);
+        assert_eq!(code, USAGE, "{set}: {words}");
+        assert!(words.contains(expected), "{set}: {words}");
+    }
+    let without = FALL.replace("penetration_m = 1e-3\n", "");
+    let (code, _, words) = Desk::with(&without).run(&["check", "scene.toml"]);
+    assert_eq!(code, USAGE);
+    assert!(words.contains("penetration_m"), "{words}");
+}
+
+/// The built-in scene is certified with its contact, and stays; every analytic derivative of it agrees with differences.
+#[test]
+fn an_arm_slides_along_a_table() {
+    let desk = Desk::with("");
+    let (code, summary, words) = desk.run(&["solve", "reach-table", "--out", "run", "--json"]);
+    assert_eq!(code, DONE, "{words}");
+    assert_eq!(summary["stays"]["verdict"], "stays");
+    let contact = &summary["check"]["contact"];
+    let depth = number(&contact["penetration_m"]);
+    assert!(depth > 1e-4 && depth < 5e-3, "{depth}");
+    let (code, _, words) = desk.run(&["derivatives", "reach-table", "--json"]);
+    assert_eq!(code, DONE, "{words}");
+}
+
+/// A loop whose model and plant lie on the same table follows a path across it, with a plant that is softer; the page has the table.
+#[test]
+fn a_loop_slides_along_a_table() {
+    let scene = "\
+[rod]
+length_m = 0.4
+elements = 6
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.4
+density_kg_m3 = 1070.0
+[rod.section]
+radius_m = 0.01
+[base]
+direction = [1.0, 0.0, 0.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[damping]
+viscous_1_s = 4.0
+[[contact]]
+name = \"table\"
+half_space = { point_m = [0.0, 0.0, -0.06], normal = [0.0, 0.0, 1.0] }
+penetration_m = 1e-3
+[initial]
+shape = \"equilibrium\"
+[time]
+end_s = 1.0
+[control]
+force_max_n = 0.5
+[[objective.track]]
+weight = 3e4
+path_m = [[0.0, 0.382, 0.0, -0.051], [0.5, 0.37, 0.06, -0.051], [0.8, 0.37, 0.06, -0.051]]
+[mpc]
+period_s = 0.02
+horizon_s = 0.2
+computing = \"fixed\"
+counted_from_s = 0.8
+[plant]
+elements = 12
+stiffness_factor = 0.9
+";
+    let desk = Desk::with(scene);
+    let (code, summary, words) = desk.run(&["mpc", "scene.toml", "--out", "run", "--json"]);
+    assert_eq!(code, DONE, "{words}");
+    let error = number(&summary["tip_error_over_length"]["rms"]);
+    assert!(error < 0.02, "{error}");
+    let page = fs::read_to_string(desk.path("run/report.html")).unwrap();
+    assert!(page.contains("\"is_touched\":true"));
+}
