@@ -55,11 +55,15 @@ pub mod cli;
 pub mod control;
 #[doc(hidden)]
 pub mod derivatives;
+#[cfg(feature = "cli")]
+pub(crate) mod fit;
 pub mod mechanics;
 #[doc(hidden)]
 pub mod memory;
 pub mod mpc;
 pub mod output;
+#[cfg(feature = "python")]
+mod python;
 pub mod scene;
 pub mod solve;
 pub mod sqp;

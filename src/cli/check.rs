@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use nalgebra::Vector3;
 
-use super::console::{Console, stop_signal};
+use super::console::Console;
 use super::{Global, Outcome, exit, scene_name};
 use crate::mechanics::Rod;
 use crate::memory::in_words;
@@ -25,9 +25,9 @@ const WRENCHES_SHOWN: usize = 3;
 const CONTROL_ROUNDING: f64 = 1e-6;
 
 pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
-    let (scene, source) = Scene::load(scene_argument, &global.set)?;
+    let (scene, source) = console.load(scene_argument, global)?;
     let name = scene_name(scene_argument);
-    let until = |time| stop_signal(Some(Instant::now() + time));
+    let until = |time| console.stop_signal(Some(Instant::now() + time));
     let found = check_scene(&scene, &source, &name, global.n_threads(), &until)?;
     answer(&found, &scene, console);
     let summary = &found.summary;

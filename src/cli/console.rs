@@ -1,4 +1,5 @@
-//! The console: messages on stderr, data on stdout, and the signals that interrupt a command.
+//! The console: messages on stderr, data on stdout, and the signals that interrupt a command; or a program that calls a verb, which has
+//! them instead.
 
 use std::io::{self, IsTerminal as _, Write as _};
 use std::path::Path;
@@ -16,13 +17,38 @@ use signal_hook::flag;
 use super::error::CliError;
 use super::{Global, exit};
 use crate::output::OutputError;
+use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
 
 /// Flag that Ctrl-C and similar signals set, and that long work reads.
 static INTERRUPTED: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
+/// A program that calls a verb in its own process, in the place of a terminal.
+pub struct Caller {
+    /// Name and text of the scene, which the argument for it only names; `None`: the scene is loaded.
+    pub scene: Option<(String, String)>,
+    /// Flag by which the caller asks the running work to stop.
+    pub interrupted: Arc<AtomicBool>,
+    /// Hears what the verb would print.
+    pub hears: Box<dyn Fn(Told) + Send + Sync>,
+}
+
+/// A line that a verb tells its [`Caller`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Told {
+    /// A message.
+    Message(String),
+    /// A warning.
+    Warning(String),
+    /// The reason for an exit code other than zero.
+    Reason(String),
+    /// Data that a terminal would have on stdout.
+    Data(String),
+}
+
 /// The console of a verb.
 pub(super) struct Console {
+    caller: Option<Caller>,
     json: bool,
     json_lines: bool,
     quiet: bool,
@@ -33,10 +59,11 @@ pub(super) struct Console {
 }
 
 impl Console {
-    pub(super) fn new(global: &Global) -> Self {
-        let terminal = io::stderr().is_terminal();
+    pub(super) fn new(global: &Global, caller: Option<Caller>) -> Self {
+        let terminal = caller.is_none() && io::stderr().is_terminal();
         let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
         Self {
+            caller,
             json: global.json,
             json_lines: global.json_lines,
             quiet: global.quiet,
@@ -46,12 +73,46 @@ impl Console {
         }
     }
 
+    /// Loads the scene that an argument names, or reads that of the caller.
+    ///
+    /// # Errors
+    /// Returns [`SceneError`] as [`Scene::load`] does.
+    pub(super) fn load(
+        &self,
+        argument: &str,
+        global: &Global,
+    ) -> Result<(Scene, SceneSource), SceneError> {
+        match self
+            .caller
+            .as_ref()
+            .and_then(|caller| caller.scene.as_ref())
+        {
+            Some((name, text)) => Scene::from_toml(name, text, &global.set),
+            None => Scene::load(argument, &global.set),
+        }
+    }
+
+    /// Tells the caller a line, or prints it on stderr. A closed stderr is no reason to fail.
+    fn tell(&self, kind: impl Fn(String) -> Told, text: &str) {
+        match &self.caller {
+            Some(caller) => (caller.hears)(kind(text.into())),
+            None => {
+                let _ = writeln!(io::stderr(), "{text}");
+            }
+        }
+    }
+
     /// Prints a line of messages on stderr.
     pub(super) fn say(&self, text: &str) {
         if !self.quiet {
-            // A closed stderr is no reason to fail.
-            let _ = writeln!(io::stderr(), "{text}");
+            self.tell(Told::Message, text);
         }
+    }
+
+    /// Returns a signal that is raised by [interrupts](Self::catch_interrupts) or by the caller, and by a deadline if there is one.
+    pub(super) fn stop_signal(&self, deadline: Option<Instant>) -> StopSignal {
+        let caller = self.caller.as_ref().map(|caller| &caller.interrupted);
+        StopSignal::new(deadline, Some(Arc::clone(caller.unwrap_or(&INTERRUPTED))))
     }
 
     /// Tells whether only messages of [`Self::always`] are printed.
@@ -71,7 +132,9 @@ impl Console {
 
     /// Prints a warning on stderr.
     pub(super) fn warn(&self, text: &str) {
-        if self.color {
+        if self.caller.is_some() {
+            self.tell(Told::Warning, text);
+        } else if self.color {
             self.say(&format!("\u{1b}[33mwarning:\u{1b}[0m {text}"));
         } else {
             self.say(&format!("warning: {text}"));
@@ -80,12 +143,12 @@ impl Console {
 
     /// Prints a line on stderr, also when quiet: the reason for an exit code other than zero.
     pub(super) fn always(&self, text: &str) {
-        let _ = writeln!(io::stderr(), "{text}");
+        self.tell(Told::Reason, text);
     }
 
     /// Prints an error on stderr, also when quiet.
     pub(super) fn error(&self, error: &CliError) {
-        let _ = writeln!(io::stderr(), "{error}");
+        self.tell(Told::Reason, &error.to_string());
     }
 
     /// Prints an event as a line of JSON on stdout, if requested.
@@ -120,6 +183,9 @@ impl Console {
 
     /// Prints a line of data on stdout.
     pub(super) fn print(&self, text: &str) {
+        if let Some(caller) = &self.caller {
+            return (caller.hears)(Told::Data(text.into()));
+        }
         let mut stdout = io::stdout();
         let written = writeln!(stdout, "{text}").and_then(|()| stdout.flush());
         if let Err(error) = written {
@@ -162,8 +228,12 @@ impl Console {
     /// Installs handlers: from here on Ctrl-C, SIGTERM and SIGHUP ask the running work to stop; a second Ctrl-C or SIGTERM ends the process
     /// at once.
     ///
-    /// A second SIGHUP does not, because a terminal that closes may send it twice. An ignored SIGHUP stays ignored, as under `nohup`.
+    /// A second SIGHUP does not, because a terminal that closes may send it twice. An ignored SIGHUP stays ignored, as under `nohup`. The
+    /// signals of a caller's process are its own.
     pub(super) fn catch_interrupts(&self) {
+        if self.caller.is_some() {
+            return;
+        }
         let catch = |signal| {
             // The order matters: only the second signal finds the flag set.
             flag::register_conditional_shutdown(
@@ -185,11 +255,6 @@ impl Console {
             self.warn("Ctrl-C will end the run without writing its best result");
         }
     }
-}
-
-/// Returns a signal that is raised by [interrupts](Console::catch_interrupts), and by a deadline if there is one.
-pub(super) fn stop_signal(deadline: Option<Instant>) -> StopSignal {
-    StopSignal::new(deadline, Some(Arc::clone(&INTERRUPTED)))
 }
 
 /// Tells whether this process was started with SIGHUP ignored; `false` if the system does not tell.

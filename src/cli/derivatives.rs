@@ -7,7 +7,6 @@ use super::progress::Awaited;
 use super::{Global, Outcome, exit, scene_name};
 use crate::derivatives::{Report, Verdict, check, check_motion};
 use crate::output::summary::SCHEMA_VERSION;
-use crate::scene::Scene;
 use crate::task::prediction::SolveTime;
 
 /// Output of `--json`.
@@ -22,7 +21,7 @@ struct DerivativesSummary {
 }
 
 pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
-    let (scene, source) = Scene::load(scene_argument, &global.set)?;
+    let (scene, source) = console.load(scene_argument, global)?;
     let report = if scene.task.is_some() || scene.control.is_some() {
         let problem = scene.optimal_control(&source)?.problem;
         let predicted = SolveTime::of_problem(&problem).derivatives();

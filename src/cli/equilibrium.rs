@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::console::{Console, stop_signal};
+use super::console::Console;
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::mechanics::equilibrium::EquilibriumError;
@@ -90,8 +90,8 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
     let began = Instant::now();
     console.catch_interrupts();
     let options = arguments.options()?;
-    let (scene, source) = Scene::load(&arguments.scene.scene, &global.set)?;
-    let stop = stop_signal(scene.deadline(began));
+    let (scene, source) = console.load(&arguments.scene.scene, global)?;
+    let stop = console.stop_signal(scene.deadline(began));
     let target = arguments.scene.directory("equilibrium");
     let arm = scene.arm(&source)?;
     let directory = RunDirectory::open(&target, ResultKind::Equilibrium)?;

@@ -8,6 +8,7 @@ mod equilibrium;
 mod error;
 mod example;
 mod export;
+mod fit;
 mod memory;
 mod mpc;
 mod progress;
@@ -19,13 +20,16 @@ mod solve;
 mod tradeoff;
 mod verify;
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
 
-use console::Console;
-use error::CliError;
+use self::console::Console;
+pub use self::console::{Caller, Told};
+use self::error::CliError;
+use crate::scene::SceneError;
 
 /// Exit codes of the process, on which scripts rely.
 mod exit {
@@ -109,6 +113,8 @@ enum Command {
     Solve(solve::SolveArguments),
     /// Closed-loop model-predictive control in simulation, or of a plant in another process
     Mpc(mpc::MpcArguments),
+    /// Fit numbers of a scene to measured places of markers on its arm
+    Fit(fit::FitArguments),
     /// Error against time over discretizations and settings of a scene, with a recommendation for a tolerance
     Tradeoff(tradeoff::TradeoffArguments),
     /// Re-check a saved solution by code that does not share the solver's assembly
@@ -187,10 +193,16 @@ impl Global {
     }
 }
 
-/// Runs the command line and returns its exit code.
+/// Runs the command line of this process and returns its exit code.
 #[must_use]
 pub fn run() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    ExitCode::from(run_with(std::env::args_os()))
+}
+
+/// Runs a command line, whose first word is the name of the program, and returns its exit code.
+#[must_use]
+pub fn run_with(words: impl IntoIterator<Item = OsString>) -> u8 {
+    let cli = match Cli::try_parse_from(words) {
         Ok(cli) => cli,
         Err(error) => {
             // Help and version go to stdout and succeed; a usage error goes to stderr. A closed pipe is not an error.
@@ -199,45 +211,103 @@ pub fn run() -> ExitCode {
             } else {
                 exit::DONE
             };
-            return ExitCode::from(match error.print() {
+            return match error.print() {
                 Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => exit::UNWRITTEN,
                 _ => code,
-            });
+            };
         }
     };
-    let mut cli = cli;
-    if let Some(accuracy) = cli.global.accuracy {
-        cli.global.set.push(format!("rod.accuracy={accuracy:e}"));
+    let (outcome, console) = cli.run(None);
+    outcome.unwrap_or_else(|error| {
+        console.error(&error);
+        error.exit_code()
+    })
+}
+
+/// Runs a verb for a program that calls it: the words of a command line after the name of the program. Returns the exit code.
+///
+/// # Errors
+/// Returns [`CallError`] for a command line that cannot be read, and where the verb ends without a result.
+pub fn call(words: &[String], caller: Caller) -> Result<u8, CallError> {
+    let words = ["softarm"]
+        .into_iter()
+        .chain(words.iter().map(String::as_str));
+    let cli = Cli::try_parse_from(words).map_err(|error| CallError::Usage(error.to_string()))?;
+    let (outcome, _) = cli.run(Some(caller));
+    outcome.map_err(CallError::from)
+}
+
+/// The reason why a [call] has no result.
+#[derive(Debug, thiserror::Error)]
+pub enum CallError {
+    /// The command line cannot be read.
+    #[error("{0}")]
+    Usage(String),
+    /// The scene is invalid.
+    #[error(transparent)]
+    Scene(SceneError),
+    /// The caller, or a deadline, stopped the work before there was a result.
+    #[error("{0}")]
+    Stopped(String),
+    /// A file or a directory cannot be used, or is not written.
+    #[error("{0}")]
+    Files(String),
+    /// The model, the solver or the check broke down.
+    #[error("{0}")]
+    Numerical(String),
+}
+
+impl From<CliError> for CallError {
+    fn from(error: CliError) -> Self {
+        let (code, words) = (error.exit_code(), error.to_string());
+        let words = words.strip_prefix("error: ").unwrap_or(&words).to_string();
+        match error {
+            CliError::Scene(error) => Self::Scene(error),
+            _ if code == exit::STOPPED => Self::Stopped(words),
+            _ if code == exit::NUMERICAL => Self::Numerical(words),
+            _ => Self::Files(words),
+        }
     }
-    let console = Console::new(&cli.global);
-    let outcome = match &cli.command {
-        Command::Check(argument) => check::run(&argument.scene, &cli.global, &console),
-        Command::Simulate { arguments, resume } => {
-            simulate::run(arguments, *resume, &cli.global, &console)
+}
+
+impl Cli {
+    /// Runs the verb, with its console on this process or on a caller.
+    fn run(mut self, caller: Option<Caller>) -> (Outcome, Console) {
+        if let Some(accuracy) = self.global.accuracy {
+            self.global.set.push(format!("rod.accuracy={accuracy:e}"));
         }
-        Command::Equilibrium(arguments) => equilibrium::run(arguments, &cli.global, &console),
-        Command::Solve(arguments) => solve::run(arguments, &cli.global, &console),
-        Command::Mpc(arguments) => mpc::run(arguments, &cli.global, &console),
-        Command::Tradeoff(arguments) => tradeoff::run(arguments, &cli.global, &console),
-        Command::Verify(arguments) => verify::run(arguments, &cli.global, &console),
-        Command::Report(arguments) => report::run(arguments, &cli.global, &console),
-        Command::Derivatives(argument) => derivatives::run(&argument.scene, &cli.global, &console),
-        Command::Example { name } => example::run(name.as_deref(), &cli.global, &console),
-        Command::Export(arguments) => export::run(arguments, &console),
-        Command::Completions { shell } => {
-            let mut text = Vec::new();
-            clap_complete::generate(*shell, &mut Cli::command(), "softarm", &mut text);
-            console.print(String::from_utf8_lossy(&text).trim_end());
-            Ok(exit::DONE)
-        }
-        Command::Man { verb } => manual(verb.as_deref(), &console),
-        Command::Schema { markdown } => schema::run(*markdown, &console),
-    };
-    match outcome.and_then(|code| console.printed().map(|()| code)) {
-        Ok(code) => ExitCode::from(code),
-        Err(error) => {
-            console.error(&error);
-            ExitCode::from(error.exit_code())
+        let console = Console::new(&self.global, caller);
+        let outcome = self.dispatch(&console);
+        let outcome = outcome.and_then(|code| console.printed().map(|()| code));
+        (outcome, console)
+    }
+
+    fn dispatch(&self, console: &Console) -> Outcome {
+        match &self.command {
+            Command::Check(argument) => check::run(&argument.scene, &self.global, console),
+            Command::Simulate { arguments, resume } => {
+                simulate::run(arguments, *resume, &self.global, console)
+            }
+            Command::Equilibrium(arguments) => equilibrium::run(arguments, &self.global, console),
+            Command::Solve(arguments) => solve::run(arguments, &self.global, console),
+            Command::Mpc(arguments) => mpc::run(arguments, &self.global, console),
+            Command::Fit(arguments) => fit::run(arguments, &self.global, console),
+            Command::Tradeoff(arguments) => tradeoff::run(arguments, &self.global, console),
+            Command::Verify(arguments) => verify::run(arguments, &self.global, console),
+            Command::Report(arguments) => report::run(arguments, &self.global, console),
+            Command::Derivatives(argument) => {
+                derivatives::run(&argument.scene, &self.global, console)
+            }
+            Command::Example { name } => example::run(name.as_deref(), &self.global, console),
+            Command::Export(arguments) => export::run(arguments, console),
+            Command::Completions { shell } => {
+                let mut text = Vec::new();
+                clap_complete::generate(*shell, &mut Cli::command(), "softarm", &mut text);
+                console.print(String::from_utf8_lossy(&text).trim_end());
+                Ok(exit::DONE)
+            }
+            Command::Man { verb } => manual(verb.as_deref(), console),
+            Command::Schema { markdown } => schema::run(*markdown, console),
         }
     }
 }

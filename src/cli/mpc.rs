@@ -7,14 +7,14 @@ use std::time::Instant;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::console::{Console, stop_signal};
+use super::console::Console;
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name, serve};
 use crate::mpc::{Contender, Percentiles, Sample, TipError, TipGains};
 use crate::output::closed_loop::MpcSummary;
 use crate::output::quantity::digits;
 use crate::output::{ResultKind, RunDirectory};
-use crate::scene::{ClosedLoopSetup, Scene};
+use crate::scene::ClosedLoopSetup;
 use crate::solve::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun};
 
 #[derive(Debug, Args)]
@@ -36,8 +36,8 @@ const LINES: usize = 10;
 pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
     console.catch_interrupts();
-    let (mut scene, source) = Scene::load(&arguments.scene.scene, &global.set)?;
-    let stop = stop_signal(scene.deadline(started));
+    let (mut scene, source) = console.load(&arguments.scene.scene, global)?;
+    let stop = console.stop_signal(scene.deadline(started));
     let seed = u32::try_from(global.seed()).map_err(|_| {
         CliError::Directory("--seed: a closed loop takes seeds up to 4294967295".into())
     })?;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use super::console::{Console, stop_signal};
+use super::console::Console;
 use super::error::CliError;
 use super::{Global, Outcome, exit};
 use crate::output::replace::{Own, Writer};
@@ -51,7 +51,7 @@ pub(super) fn run(arguments: &ReportArguments, global: &Global, console: &Consol
             "--set {key}: a report shows a result as it is; solve or simulate with --set, and report on that"
         )));
     }
-    let stop = stop_signal(None);
+    let stop = console.stop_signal(None);
     let directories = &arguments.directories;
     let mut results = Vec::new();
     for directory in directories {

@@ -3,12 +3,11 @@
 use std::time::Instant;
 
 use super::accuracy::of_simulation as accurate;
-use super::console::{Console, stop_signal};
+use super::console::Console;
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::memory::of_simulation;
 use crate::output::summary::{Range, SimulateSummary};
-use crate::scene::Scene;
 use crate::solve::scene_check::{output_size, size_warning, warnings};
 use crate::solve::{End, Simulated, SimulationEvent, SimulationRun, causes, stands_by_symmetry};
 use crate::stop::Stop;
@@ -21,8 +20,8 @@ pub(super) fn run(
 ) -> Outcome {
     let began = Instant::now();
     console.catch_interrupts();
-    let (scene, source) = Scene::load(&arguments.scene, &global.set)?;
-    let stop = stop_signal(scene.deadline(began));
+    let (scene, source) = console.load(&arguments.scene, global)?;
+    let stop = console.stop_signal(scene.deadline(began));
     let target = arguments.directory("simulate");
     let refused = |error| CliError::of_simulation(error, &stop);
     let mut accuracy = None;

@@ -7,7 +7,7 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::console::{Console, stop_signal};
+use super::console::Console;
 use super::error::CliError;
 use super::progress::{Awaited, LiveStarts};
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
@@ -50,8 +50,8 @@ pub(super) struct SolveArguments {
 pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
     console.catch_interrupts();
-    let (scene, source) = Scene::load(&arguments.scene.scene, &global.set)?;
-    let stop = stop_signal(scene.deadline(started));
+    let (scene, source) = console.load(&arguments.scene.scene, global)?;
+    let stop = console.stop_signal(scene.deadline(started));
     let mut described = (scene.optimal_control_until(&source, &stop))
         .map_err(|error| CliError::of_scene(error, &stop))?;
     for warning in warnings(&scene, &described.problem.rod, described.problem.grid.step) {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 
-use super::console::{Console, stop_signal};
+use super::console::Console;
 use super::error::CliError;
 use super::progress::within_budget;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
@@ -74,8 +74,8 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     let started = Instant::now();
     console.catch_interrupts();
     let name = &arguments.scene.scene;
-    let (scene, source) = Scene::load(name, &global.set)?;
-    let stop = stop_signal(None);
+    let (scene, source) = console.load(name, global)?;
+    let stop = console.stop_signal(None);
     let target = arguments.scene.directory("tradeoff");
     let writer = Writer::forcing(&arguments.force);
     let applied = (arguments.apply.as_ref()).map(|file| Applied::of(file.as_deref(), name));
@@ -232,15 +232,15 @@ fn refused(scene: &Scene, source: &SceneSource, error: SweepError, stop: &StopSi
     }
 }
 
-/// Target of the scene with the recommended setting.
-struct Applied {
-    path: PathBuf,
-    own: Own,
+/// Target of the scene with the recommended setting, or with fitted numbers.
+pub(super) struct Applied {
+    pub path: PathBuf,
+    pub own: Own,
 }
 
 impl Applied {
     /// Returns the target of `--apply`. A file that is SCENE itself may be changed; any other file belongs to the user.
-    fn of(file: Option<&Path>, scene: &str) -> Self {
+    pub fn of(file: Option<&Path>, scene: &str) -> Self {
         let scene_file = Path::new(scene);
         let path = match file {
             Some(file) => file.into(),

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::Args;
 
-use super::console::{Console, stop_signal};
+use super::console::Console;
 use super::error::CliError;
 use super::progress::Awaited;
 use super::solve::{show_check, show_tracking};
@@ -30,7 +30,7 @@ pub(super) struct VerifyArguments {
 pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Console) -> Outcome {
     let started = Instant::now();
     console.catch_interrupts();
-    let stop = stop_signal(None);
+    let stop = console.stop_signal(None);
     let directory = arguments.directory.as_path();
     SavedSolution::require(directory)?;
     let path = directory.join("scene.toml");

@@ -35,7 +35,6 @@ pub(crate) mod block_tridiagonal;
 mod buffer;
 #[doc(hidden)]
 pub mod configuration;
-mod contact;
 #[doc(hidden)]
 pub mod curvature;
 #[doc(hidden)]
@@ -114,7 +113,6 @@ pub use actuator::{Acting, ActingDerivative};
 pub use actuator::{Actuator, SharedActuator, StateView};
 pub use base_motion::{BaseMotion, BaseState, CubicSpline, MotionCurve, Oscillation};
 pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
-pub use contact::{Contact, Deepest, Touch};
 pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
 pub use element::{Density, RodModel, StrainRule};
 pub use ends::{EndCondition, Joint};
@@ -136,6 +134,7 @@ pub use pose_actuator::{
     Cable, Magnet, OfPose, PlacedFunction, Pose, PoseActuator, PoseFunction, Posed,
     SharedPoseFunction, Span,
 };
+pub use rod::contact::{Contact, Deepest, Touch};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile, SectionSegment,

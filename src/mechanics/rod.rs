@@ -1,5 +1,7 @@
 //! The discrete rod: elements, sections, lumped masses, base, loads and scales.
 
+pub(super) mod contact;
+mod pose;
 #[doc(hidden)]
 pub mod pose_actuator;
 #[doc(hidden)]
@@ -7,11 +9,11 @@ pub mod strain_actuator;
 
 use nalgebra::{Matrix3, Vector3};
 
+use self::contact::Contact;
 use self::pose_actuator::{OfPose, PoseActuator, Span};
 use self::strain_actuator::{RodActuators, StrainActuator};
 use super::base_motion::BaseState;
 use super::configuration::{Configuration, State};
-use super::contact::Contact;
 use super::element::RodModel;
 use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::ends::{EndCondition, Joint};

@@ -26,10 +26,9 @@ const SOLVE_POSES: f64 = 6.0;
 const CHECK_POSES: f64 = 4.0;
 /// Number of wrenches in all of these for every time and actuator.
 const SIGNALS: f64 = 6.0;
-/// Bytes for every node, time and effort of an actuator in the arm that is a control: its pull on the nodes and the slopes of that, and
-/// the terms of the mixed second derivatives. Four tendons over 20 elements take 544 with the exact Hessian; half as much again is added
-/// for other shapes.
-const EFFORT_NODE: f64 = 800.0;
+/// Bytes for every node, time and effort of an actuator in the arm that is a control: its pull on the nodes, and what else grows with it.
+/// Four tendons over 10 elements take 85 with the exact Hessian; half as much again is added for other shapes.
+const EFFORT_NODE: f64 = 130.0;
 /// Number of dense matrices of the size of the subproblem: Hessians, eigenvectors, and Clarabel's copies and factors.
 const DENSE: f64 = 32.0;
 /// Number of dense matrices of rows by variables: gradients of all gathered forms, of rows and of goals, and Clarabel's copies.

@@ -89,6 +89,8 @@ pub use sensor::{Sensor, SensorPreset, SensorSettings};
 pub use serving::{
     LONGEST_LINE, SERVING_VERSION, ServeError, Served, Server, ServingEnd, read_line, serve,
 };
+#[cfg(feature = "python")]
+pub(crate) use serving::{MeasurementLine, rotation_rows};
 pub use signal::{Measurement, Reading, Signal};
 pub use simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
 pub use subproblem::SubproblemEnd;

@@ -31,16 +31,19 @@ pub enum ResultKind {
     Tradeoff,
     /// `softarm equilibrium`
     Equilibrium,
+    /// `softarm fit`
+    Fit,
 }
 
 impl ResultKind {
     /// Every kind.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Simulate,
         Self::Solve,
         Self::Mpc,
         Self::Tradeoff,
         Self::Equilibrium,
+        Self::Fit,
     ];
 
     /// Returns the word of the command line.
@@ -52,6 +55,7 @@ impl ResultKind {
             Self::Mpc => "mpc",
             Self::Tradeoff => "tradeoff",
             Self::Equilibrium => "equilibrium",
+            Self::Fit => "fit",
         }
     }
 
@@ -110,6 +114,7 @@ impl ResultKind {
                 "report.html",
                 SUMMARY,
             ],
+            Self::Fit => &["scene.toml", "residuals.csv", SUMMARY],
         }
     }
 
@@ -119,7 +124,7 @@ impl ResultKind {
             Self::Simulate => &["node_steps_per_s", "strain", "directory"],
             Self::Solve => &["qp_backend", "hessian", "control_blocks", "directory"],
             // Summaries of these kinds always name their tool.
-            Self::Mpc | Self::Tradeoff | Self::Equilibrium => &["tool"],
+            Self::Mpc | Self::Tradeoff | Self::Equilibrium | Self::Fit => &["tool"],
         }
     }
 

@@ -54,7 +54,10 @@ impl Scene {
         let directory = folder.join(&name);
         let help = "name the directory that simulate, solve or mpc wrote, relative to the folder of the scene";
         let (kind, _) = (ResultKind::read(&directory)).map_err(|e| refuse(e.to_string(), help))?;
-        if matches!(kind, ResultKind::Tradeoff | ResultKind::Equilibrium) {
+        if matches!(
+            kind,
+            ResultKind::Tradeoff | ResultKind::Equilibrium | ResultKind::Fit
+        ) {
             let (place, command) = (directory.display(), kind.command());
             let message =
                 format!("{place}: the result of {command}, which has no motion to go on with");

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::limits::distance;
+use super::bodies::distance;
 use super::refinement::Level;
 use super::{CheckError, ReplayKind, Solution, Variant};
 use crate::control::OptimalControlProblem;

@@ -6,7 +6,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use pulp::Arch;
 
-use super::limits::{away, distance};
+use super::bodies::{away, distance};
 use crate::mechanics::element::{Element, ElementPose};
 use crate::mechanics::{
     Cable, Density, Magnet, OfPose, PlacedFunction, PlacedPoint, Pose, RodModel, StrainRule,

@@ -4,9 +4,10 @@
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
+use super::bodies::{away, distance};
 use super::dual;
 use super::interval::{self, Nine, Strained, add_to_nodes, pose};
-use super::limits::{away, distance, slope_at_zero};
+use super::limits::slope_at_zero;
 use crate::mechanics::rotation::exp;
 use crate::mechanics::{
     NodeWrenches, OfPose, PlacedFunction, Pose, Rod, TimeNode, TimeScheme, Touch, Wrench,

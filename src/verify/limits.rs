@@ -3,8 +3,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::bodies::{away, distance, unit};
 use super::dual;
-use crate::control::{OptimalControlProblem, PathLimit, Shape, StateTerm, StateView};
+use crate::control::{OptimalControlProblem, PathLimit, StateTerm, StateView};
 use crate::mechanics::differences;
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{Rod, StrainRule, TimeGrid, Trajectory};
@@ -24,32 +25,6 @@ impl Pose {
             t: grid.time(k),
             x: trajectory.positions_at(k).to_vec(),
             r: trajectory.rotations_at(k).to_vec(),
-        }
-    }
-}
-
-/// Signed distance of a point from a body.
-pub(super) fn distance(shape: &Shape, x: &Vector3<f64>) -> f64 {
-    match shape {
-        Shape::Sphere { center, radius } => {
-            nalgebra::distance(&(*x).into(), &(*center).into()) - radius
-        }
-        Shape::Capsule { from, to, radius } => {
-            (x - nearest_on_segment(from, to, x)).norm() - radius
-        }
-        Shape::HalfSpace { point, normal } => normal.dot(x) - normal.dot(point),
-        Shape::Cuboid {
-            center,
-            rotation,
-            half_size,
-        } => {
-            let local = rotation.transpose() * (x - center);
-            let nearest = nearest_in_box(&local, half_size);
-            if nearest != local {
-                return (local - nearest).norm();
-            }
-            let to_faces = (0..3).map(|i| half_size[i] - local[i].abs());
-            -to_faces.fold(f64::INFINITY, f64::min)
         }
     }
 }
@@ -316,48 +291,6 @@ const SHIFT: f64 = 1e-3;
 /// `f'(0)` by central differences of fourth order.
 pub(super) fn slope_at_zero(f: impl Fn(f64) -> f64, step: f64) -> f64 {
     differences::slope([f(step), f(-step)], [f(2.0 * step), f(-2.0 * step)], step)
-}
-
-fn unit(v: &Vector3<f64>) -> Vector3<f64> {
-    v.try_normalize(0.0).unwrap_or_else(Vector3::zeros)
-}
-
-/// The direction in which a point leaves a body fastest: away from the nearest point, or to the nearest face.
-pub(super) fn away(shape: &Shape, x: &Vector3<f64>) -> Vector3<f64> {
-    match shape {
-        Shape::Sphere { center, .. } => unit(&(x - center)),
-        Shape::Capsule { from, to, .. } => unit(&(x - nearest_on_segment(from, to, x))),
-        Shape::HalfSpace { normal, .. } => *normal,
-        Shape::Cuboid {
-            center,
-            rotation,
-            half_size,
-        } => {
-            let local = rotation.transpose() * (x - center);
-            let nearest = nearest_in_box(&local, half_size);
-            if nearest != local {
-                return rotation * unit(&(local - nearest));
-            }
-            let axis = (half_size - local.abs()).imin();
-            rotation * Vector3::ith(axis, local[axis].signum())
-        }
-    }
-}
-
-fn nearest_on_segment(from: &Vector3<f64>, to: &Vector3<f64>, x: &Vector3<f64>) -> Vector3<f64> {
-    let axis = to - from;
-    let square = axis.norm_squared();
-    let s = if square > 0.0 {
-        ((x - from).dot(&axis) / square).clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
-    from + s * axis
-}
-
-/// In the frame of the box.
-fn nearest_in_box(x: &Vector3<f64>, half_size: &Vector3<f64>) -> Vector3<f64> {
-    x.zip_map(half_size, |x, half| x.clamp(-half, half))
 }
 
 /// Value of the costs over states at a pose, and their slopes, where a sample at time `t` stands for `duration` seconds.

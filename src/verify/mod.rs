@@ -5,6 +5,7 @@
 //! [`ForwardCheck`] is the certificate, [`CheckLimits`] has its limits.
 
 mod acting;
+mod bodies;
 mod contact;
 mod dual;
 mod duration;

@@ -35,18 +35,18 @@ fn problem(
         normal: Vector3::x(),
     };
     let ball = Shape::Sphere {
-        center: Vector3::new(0.003, 0.029, 0.18),
-        radius: 0.02,
+        center: Vector3::new(0.0, 0.1082, 0.21),
+        radius: 0.1,
     };
     // An edge faces the tip, so that its nodes are near neither face.
     let edge = Shape::Cuboid {
-        center: Vector3::new(0.0, -0.0185, 0.3),
+        center: Vector3::new(0.0, -0.017, 0.3),
         rotation: exp(&Vector3::new(0.0, 0.0, std::f64::consts::FRAC_PI_4)),
-        half_size: Vector3::new(0.01, 0.01, 0.05) / std::f64::consts::SQRT_2,
+        half_size: Vector3::new(0.01, 0.01, 0.07) / std::f64::consts::SQRT_2,
     };
     let bar = Shape::Capsule {
-        from: Vector3::new(0.018, -0.1, 0.25),
-        to: Vector3::new(0.018, 0.1, 0.22),
+        from: Vector3::new(0.0174, -0.1, 0.27),
+        to: Vector3::new(0.0174, 0.1, 0.27),
         radius: 0.01,
     };
     let rod = Rod::new(&RodParameters {

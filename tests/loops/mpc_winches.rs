@@ -1,7 +1,6 @@
-//! Loops of arms whose tendons are on winches: the displacements of a loop on its own model are those of a solve, estimators know the
-//! tensions that follow from them, and a wrong arm is followed.
+//! Loops of arms whose tendons are on winches: estimators know the tensions that follow from displacements, and a wrong arm is followed.
 
-use crate::retracing::{filter_moves_as_its_model, retrace};
+use crate::retracing::filter_moves_as_its_model;
 use crate::tracking::{discretization, tendon_arm, tendon_task};
 
 use std::ops::ControlFlow;
@@ -39,13 +38,6 @@ fn winch_task(is_slow: bool) -> Task {
         control.rate = is_slow.then_some([-0.03, 0.04]);
     }
     task
-}
-
-/// A loop of winches on its own model is the motion of a solve.
-#[test]
-fn loops_of_winches_retrace_a_solve() {
-    let (arm, task) = (winch_arm(3e5), winch_task(false));
-    retrace(&arm, &task, &discretization(), 0.03, 1e-6);
 }
 
 /// The tension that follows from displacement and shape is in the motion of a filter and in its derivative, which joins all nodes.

@@ -60,7 +60,7 @@ fn force(rod: &Rod) -> Vector3<f64> {
 #[test]
 fn the_force_is_that_of_the_whole_part() {
     for (depth, times) in [(2e-3, 1.0), (4e-3, 4.0)] {
-        for n in [1, 4, 7, 40] {
+        for n in [3, 4, 7, 40] {
             for part in [[0.0, 1.0], [0.31, 0.77]] {
                 let body = Contact {
                     part,

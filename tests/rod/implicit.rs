@@ -592,7 +592,7 @@ fn an_arm_that_a_tendon_bends_takes_long_steps() {
         ..base
     };
     let ends = [by_tendon, by_moment].map(|parameters| {
-        let rod = Rod::new(parameters).unwrap();
+        let rod = Rod::new(&parameters).unwrap();
         assert!(step > 30.0 * bent_step(&rod));
         let shape = static_equilibrium(&rod, &rod.rest, 1.0, &TipSpring::default()).unwrap();
         let bend = log(&shape.rotations[10]).norm();

@@ -279,7 +279,7 @@ fn a_cable_hangs_along_its_load_path() {
         gravity: Vector3::new(0.0, 0.0, -9.81),
         ..RodParameters::straight(1.0, 20, section(1e4, [0.3; 3]))
     };
-    let rod = Rod::new(parameters).unwrap();
+    let rod = Rod::new(&parameters).unwrap();
     let stop = StopSignal::default();
     let path = LoadPath::new(&rod, Varied::All, 0.0, Vector3::zeros(), &stop).unwrap();
     let start = path.start().unwrap();

@@ -231,22 +231,22 @@ acceleration_m_s2 = [0.0, 0.0, -9.81]
 viscous_1_s = 4.0
 [[contact]]
 name = \"table\"
-half_space = { point_m = [0.0, 0.0, -0.06], normal = [0.0, 0.0, 1.0] }
+half_space = { point_m = [0.0, 0.0, -0.03], normal = [0.0, 0.0, 1.0] }
 penetration_m = 1e-3
 [initial]
 shape = \"equilibrium\"
 [time]
-end_s = 1.0
+end_s = 1.5
 [control]
 force_max_n = 0.5
 [[objective.track]]
 weight = 3e4
-path_m = [[0.0, 0.382, 0.0, -0.051], [0.5, 0.37, 0.06, -0.051], [0.8, 0.37, 0.06, -0.051]]
+path_m = [[0.0, 0.398, 0.0, -0.021], [0.6, 0.391, 0.06, -0.021], [1.0, 0.391, 0.06, -0.021]]
 [mpc]
 period_s = 0.02
 horizon_s = 0.2
 computing = \"fixed\"
-counted_from_s = 0.8
+counted_from_s = 1.2
 [plant]
 elements = 12
 stiffness_factor = 0.9
@@ -255,7 +255,8 @@ stiffness_factor = 0.9
     let (code, summary, words) = desk.run(&["mpc", "scene.toml", "--out", "run", "--json"]);
     assert_eq!(code, DONE, "{words}");
     let error = number(&summary["tip_error_over_length"]["rms"]);
-    assert!(error < 0.02, "{error}");
+    // Beyond a hundredth, a loop has advice.
+    assert!(error < 0.01, "{error}");
     let page = fs::read_to_string(desk.path("run/report.html")).unwrap();
     assert!(page.contains("\"is_touched\":true"));
 }

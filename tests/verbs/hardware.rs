@@ -275,8 +275,8 @@ fn heavy_weights_are_solved() {
             "solve arm.toml {set} --set task.weight={weight} --out run"
         ));
         let (motion, _) = desk.efforts("run");
-        let tip = motion.positions.last().unwrap().last().unwrap();
-        (Vector3::from(*tip) - Vector3::new(0.03, 0.0, -0.29)).norm()
+        let tip = Vector3::from_column_slice(&motion.x[motion.x.len() - 3..]);
+        (tip - Vector3::new(0.03, 0.0, -0.29)).norm()
     };
     let [light, heavy, heaviest] = ["1e2", "1e4", "1e5"].map(left);
     assert!(

@@ -10,6 +10,7 @@ mod contact;
 mod continued;
 mod export;
 mod files;
+mod fit;
 mod hardware;
 mod mpc_verb;
 mod outcomes;

@@ -8,52 +8,17 @@
 //! efforts the energy less `Σ u y` stays bounded. Of the motion of a node with the mass matrix `M` such a potential of the stiffness `K`
 //! allows steps up to `2/ω`, `ω²` the largest eigenvalue of `M⁻¹ K`, whatever the elements are ([`posed_step`](crate::mechanics::stability::posed_step)).
 
-use std::fmt;
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
+use super::contact::Touch;
+pub use super::pose::{Pose, PoseFunction};
 use super::{Rod, RodError, require};
-use crate::mechanics::contact::Touch;
 use crate::mechanics::load::Wrench;
 use crate::mechanics::mesh::Mesh;
 use crate::mechanics::place::Place;
-use crate::mechanics::rotation::{exp, hat, load_curvature};
-
-/// Position (m) and rotation (body to space) of a node.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
-    /// Position, spatial frame, m.
-    pub position: Vector3<f64>,
-    /// Rotation, body to space.
-    pub rotation: Matrix3<f64>,
-}
-
-impl Pose {
-    /// Returns the pose moved by `(δx, ζ)` to `x + δx`, `R exp(ζ̂)`.
-    #[must_use]
-    pub fn moved(&self, by: &Vector6<f64>) -> Self {
-        Self {
-            position: self.position + by.fixed_rows::<3>(0),
-            rotation: self.rotation * exp(&by.fixed_rows::<3>(3).into()),
-        }
-    }
-}
-
-/// A scalar function of the pose of one node, with its derivatives in the chart `(x + δx, R exp(ζ̂))`.
-///
-/// `softarm derivatives` and [`derivatives::check`](crate::derivatives::check) compare them with differences. The certificate uses
-/// [`Self::value`] alone, so that a wrong derivative makes it reject a solution.
-pub trait PoseFunction: fmt::Debug + Send + Sync {
-    /// Returns the value: in the unit of energy over that of the effort, or for a potential without one in J.
-    fn value(&self, at: &Pose) -> f64;
-
-    /// Returns the derivative along `δx` as a force (spatial frame) and along `ζ` as a moment (body frame).
-    fn gradient(&self, at: &Pose) -> Wrench;
-
-    /// Returns the second derivative along `(δx, ζ)`, symmetric.
-    fn hessian(&self, at: &Pose) -> Matrix6<f64>;
-}
+use crate::mechanics::rotation::{hat, load_curvature};
 
 /// A shared function, which is equal only to itself.
 #[derive(Clone, Debug)]

@@ -11,10 +11,10 @@
 use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
+use super::contact::Contact;
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
 use super::{Rod, RodError, require};
 use crate::mechanics::configuration::Configuration;
-use crate::mechanics::contact::Contact;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
     ElementStrain, IntervalStress, StrainRule, Stress,

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::linearize::Along;
+use super::along::Along;
 use super::step::WinchKick;
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;

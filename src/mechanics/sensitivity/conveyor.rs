@@ -8,7 +8,8 @@ use std::sync::{Mutex, PoisonError, RwLock, RwLockReadGuard};
 
 use pulp::Arch;
 
-use super::linearize::{Along, Memory};
+use super::along::Along;
+use super::linearize::Memory;
 use super::step::LinearizedStep;
 use super::team::{lock, read, rounds, write};
 use crate::mechanics::step_error::StepError;

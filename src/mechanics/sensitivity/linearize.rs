@@ -12,6 +12,7 @@ use pulp::{Arch, Scalar, Simd, WithSimd};
 use self::solved::SolveRows;
 pub(super) use self::solved::{Weights, element_at};
 use super::active::{ActiveTimes, MixedSlopes};
+use super::along::Along;
 use super::dilated::element_drifts;
 use super::step::{
     ActingKick, LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_loads,
@@ -39,17 +40,6 @@ use crate::mechanics::rod::Rod;
 use crate::mechanics::rotation::cay_inverse;
 use crate::mechanics::step_error::StepError;
 use crate::mechanics::time::TimeScheme;
-
-/// The motion that is linearized.
-#[derive(Clone)]
-pub(super) struct Along<'a> {
-    pub motion: &'a Motion<'a>,
-    pub trajectory: &'a Trajectory,
-    /// Multipliers, if second derivatives are asked for as well.
-    pub multipliers: Option<&'a Multipliers<'a>>,
-    /// Time nodes of the stretch. Half a kick is taken at either end of it; the motion before and after it is not read.
-    pub stretch: RangeInclusive<usize>,
-}
 
 /// Memory of a linearization, for motions of one rod.
 #[derive(Debug)]

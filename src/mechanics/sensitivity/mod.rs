@@ -13,6 +13,7 @@
 //! `H` over a batch of time nodes.
 
 mod active;
+mod along;
 mod arriving;
 mod bent;
 mod columns;
@@ -34,8 +35,9 @@ use std::sync::{Mutex, PoisonError, RwLock};
 use faer::Mat;
 use pulp::Arch;
 
+use self::along::Along;
 use self::conveyor::{Conveyor, PIECE, Sense, parts_of};
-use self::linearize::{Along, Memory};
+use self::linearize::Memory;
 use self::reduction::{Block, Record};
 use self::reverse::ReverseTile;
 use self::team::{lock, read, write};
@@ -88,13 +90,16 @@ pub trait EffortColumns: Sync {
     fn visit(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64));
 }
 
-/// Calls `visit(column, weight, wrenches)` for the columns that efforts have among `range` and the wrenches of the actuator of each on all
-/// nodes at time node `k`, six numbers for each node.
+/// Visitor of columns with weights and of the wrenches on all nodes, six numbers for each, that they share.
+type SharedVisitor<'a> = dyn FnMut(&[(usize, f64)], &[f64]) + 'a;
+
+/// Calls `visit(columns, wrenches)` for the columns that efforts have among `range` and the wrenches of the actuator of each at time node
+/// `k`.
 fn visit_efforts(
     columns: &dyn ControlColumns,
     k: usize,
     range: Range<usize>,
-    visit: &mut dyn FnMut(&[(usize, f64)], &[f64]),
+    visit: &mut SharedVisitor,
 ) {
     let Some((pulls, efforts)) = columns.efforts() else {
         return;

@@ -4,8 +4,9 @@
 use faer::Mat;
 use pulp::Arch;
 
+use super::along::Along;
 use super::conveyor::PIECE;
-use super::linearize::{Along, Memory};
+use super::linearize::Memory;
 use super::reverse::ReverseTile;
 use super::step::LinearizedStep;
 use super::tile::Tile;

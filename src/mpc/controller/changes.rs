@@ -24,7 +24,7 @@ fn check_rows<T>(rows: &[(f64, T)], is_finite: impl Fn(&T) -> bool) -> Result<()
 }
 
 impl Controller {
-    /// Sets the disturbance that the model expects from the next [preparation](Issued::prepare) on: its wrenches act in every predicted
+    /// Sets the disturbance that the model expects from the next [preparation](super::Issued::prepare) on: its wrenches act in every predicted
     /// motion, and its stiffness, payload and damping change the model. Effort is then measured from the control that cancels the wrench at
     /// the tip and the weight of the payload, as far as it is actuated, so that it causes no offset.
     ///
@@ -153,7 +153,7 @@ impl Controller {
         self.horizon.obstacles()
     }
 
-    /// Moves the obstacles of a name, from the next [preparation](Issued::prepare) on: at time `t` (s) they are displaced by `by` (m) from
+    /// Moves the obstacles of a name, from the next [preparation](super::Issued::prepare) on: at time `t` (s) they are displaced by `by` (m) from
     /// their place in the task at t = 0, and move at `velocity` (m/s).
     ///
     /// # Errors

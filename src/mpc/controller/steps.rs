@@ -1,7 +1,7 @@
 //! The time steps of a controller's model.
 
 use super::settings::MpcSettings;
-use crate::mechanics::stability::{automatic_step, bent_step};
+use crate::mechanics::stability::{AUTO_STEP_FRACTION, automatic_step, bent_step, posed_step};
 use crate::mechanics::{Rod, RodModel, TimeGrid, TimeScheme};
 use crate::task::Discretization;
 
@@ -47,7 +47,7 @@ pub(super) fn period_and_horizon(
 }
 
 /// Returns the discretization with steps for a receding horizon, if integrator and step are left open: implicit steps of half a block, or
-/// less if the arm must be able to bend into a circle, provided that they are enough longer than explicit ones to be faster. Motions that a
+/// less if the arm must be able to bend into a circle or forces on poses allow less, provided that they are enough longer than explicit ones to be faster. Motions that a
 /// plan cannot control need not be resolved.
 pub(crate) fn with_long_steps(
     model: &Rod,
@@ -60,7 +60,8 @@ pub(crate) fn with_long_steps(
     if !is_open || settings.due.is_some() || model.model != RodModel::Standard {
         return *discretization;
     }
-    let step = bent_step(model).min(settings.block / STEPS_A_BLOCK);
+    let step = bent_step(model).min(AUTO_STEP_FRACTION * posed_step(model));
+    let step = step.min(settings.block / STEPS_A_BLOCK);
     let as_long_as = AS_LONG_AS[usize::from(model.internal_damping > 0.0)];
     if step <= as_long_as * automatic_step(model) {
         return *discretization;

@@ -230,7 +230,7 @@ pub enum EstimateError {
 /// An estimator of the arm's state and of its disturbances.
 ///
 /// After an error the estimate is that before the call.
-pub trait Estimator {
+pub trait Estimator: Send + Sync {
     /// Advances to `until` (s) under a command that acts from the estimate's time to then; a command is constant before its start and after
     /// its end. Call it once for every command that acted. It does nothing if the estimate is at that time already, up to rounding.
     ///

@@ -13,18 +13,18 @@ use crate::mpc::estimator::Disturbance;
 use crate::mpc::sensor::SensorSettings;
 
 /// Three numbers, and a rotation row by row.
-pub(super) type Vector = [f64; 3];
-pub(super) type Rows = [[f64; 3]; 3];
+pub(crate) type Vector = [f64; 3];
+pub(crate) type Rows = [[f64; 3]; 3];
 
 /// Returns the rows of a matrix.
-pub(super) fn rows(matrix: &Matrix3<f64>) -> Rows {
+pub(crate) fn rows(matrix: &Matrix3<f64>) -> Rows {
     std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)]))
 }
 
 /// Kind of a line of the plant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) enum Kind {
+pub(crate) enum Kind {
     Measurement,
     Bye,
 }
@@ -32,7 +32,7 @@ pub(super) enum Kind {
 /// A line of the plant. An absent or null field is not measured.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Line {
+pub(crate) struct Line {
     #[serde(rename = "type")]
     pub kind: Kind,
     pub version: Option<u64>,
@@ -54,7 +54,7 @@ pub(super) struct Line {
 /// The displacement of an obstacle at the time of the sample from its place in the scene.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct ObstacleLine {
+pub(crate) struct ObstacleLine {
     pub name: String,
     pub moved_m: Vector,
     pub velocity_m_s: Option<Vector>,
@@ -63,7 +63,7 @@ pub(super) struct ObstacleLine {
 /// A reading of one sensor at one place.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct ReadingLine {
+pub(crate) struct ReadingLine {
     pub time_s: Option<f64>,
     pub place: Option<f64>,
     pub position_m: Option<Vector>,

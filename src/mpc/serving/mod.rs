@@ -31,7 +31,11 @@ use super::closed_loop::{Cause, Driver, Experiment, Known, Percentiles, Sample, 
 use super::error::MpcError;
 use crate::mechanics::rotation::from_quaternion;
 
+#[cfg(feature = "python")]
+pub(crate) use self::message::Line as MeasurementLine;
 pub use self::message::Served;
+#[cfg(feature = "python")]
+pub(crate) use self::message::rows as rotation_rows;
 
 /// Version of the lines. It changes when the meaning of a field changes.
 pub const SERVING_VERSION: u64 = 1;
@@ -234,14 +238,49 @@ impl<W: Write> Server<W> {
     /// # Errors
     /// Returns an error if the answer cannot be written.
     pub fn take(&mut self, line: &[u8]) -> io::Result<ControlFlow<()>> {
-        let begin = Instant::now();
-        self.n_lines += 1;
         if line.trim_ascii().is_empty() {
+            self.n_lines += 1;
             return Ok(ControlFlow::Continue(()));
         }
+        self.take_parsed(Instant::now(), || parse(line))
+    }
+
+    /// Takes a measurement of a plant in the same process, as [`Self::take`] does.
+    ///
+    /// # Errors
+    /// Returns an error if the answer cannot be written.
+    #[cfg(feature = "python")]
+    pub(crate) fn take_line(&mut self, line: Line) -> io::Result<()> {
+        self.take_parsed(Instant::now(), || Ok(line)).map(|_| ())
+    }
+
+    /// Returns the time of the next sample, s.
+    #[cfg(feature = "python")]
+    pub(crate) fn next_time(&self) -> f64 {
+        self.driver.next_sample() as f64 * self.period()
+    }
+
+    /// Returns the rod of the controller's model.
+    #[cfg(feature = "python")]
+    pub(crate) fn model(&self) -> &crate::mechanics::Rod {
+        self.driver.controller().rod()
+    }
+
+    /// Returns the place where lines are written.
+    #[cfg(feature = "python")]
+    pub(crate) fn output(&mut self) -> &mut W {
+        &mut self.output
+    }
+
+    fn take_parsed(
+        &mut self,
+        begin: Instant,
+        line: impl FnOnce() -> Result<Line, Refusal>,
+    ) -> io::Result<ControlFlow<()>> {
+        self.n_lines += 1;
         self.intake.rotation_change = None;
         let expected = self.driver.next_sample() as f64 * self.period();
-        let line = match parse(line) {
+        let line = match line() {
             Ok(line) => line,
             Err(refusal) => {
                 self.refuse(&refusal)?;

@@ -57,9 +57,9 @@ pub(crate) fn saved_page(directory: &Path, stop: &StopSignal) -> Result<SavedPag
         ResultKind::Simulate => files.simulation(),
         ResultKind::Mpc => files.closed_loop(),
         ResultKind::Equilibrium => files.equilibrium(),
-        ResultKind::Tradeoff => Err(SavedError::Output(OutputError::Refused {
+        ResultKind::Tradeoff | ResultKind::Fit => Err(SavedError::Output(OutputError::Refused {
             path: directory.to_path_buf(),
-            reason: "a tradeoff, whose page shows no motion".into(),
+            reason: format!("a result of {}, which has no motion", kind.command()),
         })),
     }?;
     Ok(SavedPage {

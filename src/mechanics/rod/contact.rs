@@ -8,7 +8,7 @@
 //! ```
 //!
 //! with weights `w_q`, whose sum is 1: of the length of the part of the rod that can touch, half of each element beside the node
-//! ([`Span::Along`](super::Span::Along)). It is the sum of the trapezoidal rule for the pressure `F/ℓ (p/δ)²` per rest length, `ℓ` that of
+//! ([`Span::Along`](super::pose_actuator::Span::Along)). It is the sum of the trapezoidal rule for the pressure `F/ℓ (p/δ)²` per rest length, `ℓ` that of
 //! the part, so that motions converge as elements get shorter. `F` is the force at which all of the part is `δ` deep.
 //!
 //! A node of the inertia `m` with the weight `w` has at the penetration `δ` the stiffness `2 w F/δ`, hence `ω² = 2 w F/(δ m)`, for a uniform
@@ -17,11 +17,10 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-use super::load::Wrench;
-use super::pose_actuator::{Pose, PoseFunction};
-use super::rod::{Rod, RodError};
-use super::rod_error::require;
-use super::solid::{Shape, SignedDistance};
+use super::pose::{Pose, PoseFunction};
+use super::{Rod, RodError, require};
+use crate::mechanics::load::Wrench;
+use crate::mechanics::solid::{Shape, SignedDistance};
 
 /// A body that a part of a rod touches.
 #[derive(Clone, Debug, PartialEq)]

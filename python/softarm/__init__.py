@@ -1,0 +1,46 @@
+"""Optimal and model-predictive control of soft arms.
+
+A scene is a dictionary with the keys of a scene file (`softarm schema --markdown` explains all of them):
+
+>>> import softarm as sa
+>>> scene = sa.Scene.load("reach").replace(**{"rod.elements": 10})
+>>> result = scene.solve()              # doctest: +SKIP
+>>> result.status, result.certificate   # doctest: +SKIP
+
+All numbers are in SI units. Positions `x` are spatial and in C order, `(n, K+1, 3)` for `n` times and `K` elements; rotations `R` are
+`(n, K+1, 3, 3)` and take the frame of a node, whose third axis points along the arm, to space.
+"""
+
+from ._softarm import Batch, __version__, builtin_scenes
+from .control import Command, Controller, Plant, State
+from .errors import InternalError, ModelError, ResultError, SceneError, SoftarmError, Stopped
+from .results import Certificate, Result, load, verify
+from .scene import Scene, batch, run, schema
+from .shortcuts import arm, figure_eight, reach
+
+__all__ = [
+    "Batch",
+    "Certificate",
+    "Command",
+    "Controller",
+    "InternalError",
+    "ModelError",
+    "Plant",
+    "Result",
+    "ResultError",
+    "Scene",
+    "SceneError",
+    "SoftarmError",
+    "State",
+    "Stopped",
+    "__version__",
+    "arm",
+    "batch",
+    "builtin_scenes",
+    "figure_eight",
+    "load",
+    "reach",
+    "run",
+    "schema",
+    "verify",
+]

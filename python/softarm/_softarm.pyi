@@ -1,0 +1,118 @@
+from collections.abc import Callable
+from typing import Any, final
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Batch", "Controller", "Plant", "__version__", "builtin_scenes", "call", "main", "parse", "schema"]
+
+__version__: str
+
+def call(
+    words: list[str],
+    scene: tuple[str, str] | None = None,
+    hears: Callable[[str, str], Any] | None = None,
+) -> int: ...
+def main(words: list[str]) -> int: ...
+def parse(name: str, text: str | None = None, overrides: list[str] = ...) -> tuple[str, dict[str, Any]]: ...
+def builtin_scenes() -> list[str]:
+    """Returns the names of the built-in scenes."""
+
+def schema() -> str: ...
+
+@final
+class Plant:
+    def __new__(cls, name: str, text: str | None = None, overrides: list[str] = ...) -> Plant: ...
+    @property
+    def time(self) -> float: ...
+    @property
+    def longest_step(self) -> float: ...
+    @property
+    def actuators(self) -> list[str]: ...
+    @property
+    def places(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def masses(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def state(
+        self,
+    ) -> tuple[
+        npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]
+    ]: ...
+    def state_on(
+        self, controller: Controller
+    ) -> tuple[
+        npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]
+    ]: ...
+    @property
+    def tip(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def energy(self) -> list[float]: ...
+    def step(
+        self,
+        dt: float,
+        wrenches: npt.ArrayLike | None = None,
+        efforts: npt.ArrayLike | None = None,
+        wrenches_to: npt.ArrayLike | None = None,
+        efforts_to: npt.ArrayLike | None = None,
+    ) -> None: ...
+    def reset(self) -> None: ...
+    def set_state(
+        self,
+        positions: npt.ArrayLike,
+        rotations: npt.ArrayLike,
+        velocities: npt.ArrayLike | None = None,
+        angular_velocities: npt.ArrayLike | None = None,
+        time: float | None = None,
+    ) -> None: ...
+    def copy(self) -> Plant: ...
+    def __copy__(self) -> Plant: ...
+    def __deepcopy__(self, _memo: Any) -> Plant: ...
+
+@final
+class Batch:
+    """Many arms of one scene, which move at the same time on several threads."""
+
+    def __new__(
+        cls,
+        n: int,
+        name: str,
+        text: str | None = None,
+        overrides: list[str] = ...,
+        threads: int | None = None,
+    ) -> Batch: ...
+    def __len__(self) -> int: ...
+    @property
+    def times(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def positions(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def velocities(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def actuators(self) -> list[str]: ...
+    def state(
+        self, index: int
+    ) -> tuple[
+        npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]
+    ]: ...
+    def step(
+        self, dt: float, wrenches: npt.ArrayLike | None = None, efforts: npt.ArrayLike | None = None
+    ) -> list[str | None]: ...
+    def reset(self, indices: list[int] | None = None) -> None: ...
+
+@final
+class Controller:
+    def __new__(cls, name: str, text: str | None = None, overrides: list[str] = ...) -> Controller: ...
+    @property
+    def greeting(self) -> str: ...
+    @property
+    def next_time(self) -> float: ...
+    def step(
+        self,
+        time: float | None = None,
+        positions: npt.ArrayLike | None = None,
+        rotations: npt.ArrayLike | None = None,
+        velocities: npt.ArrayLike | None = None,
+        angular_velocities: npt.ArrayLike | None = None,
+        more: str | None = None,
+    ) -> str: ...

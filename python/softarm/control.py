@@ -1,0 +1,281 @@
+"""Closed loops from Python: a controller for a plant of one's own, and a simulated arm for a controller of one's own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _softarm
+
+
+class State(NamedTuple):
+    """State of an arm with K elements."""
+
+    x: np.ndarray
+    """Positions, m, spatial, (K+1, 3)."""
+    R: np.ndarray
+    """Rotations, body to space, (K+1, 3, 3)."""
+    v: np.ndarray
+    """Velocities, m/s, spatial, (K+1, 3)."""
+    w: np.ndarray
+    """Angular velocities, rad/s, in the frame of the node, (K+1, 3)."""
+
+
+class Command:
+    """A command of the controller, which acts from `start` to `end` (s), linear in between.
+
+    `wrenches` maps the place of a node on the arm (0 at the base to 1) to `(from, to)`, each `(6,)`: force in N, spatial, and moment in N m,
+    in the frame of the node. `efforts` maps the name of an actuator to `(from, to)` in its unit. `fallback` is None, or the cause and action
+    of a command that the controller did not compute, and `refused` has what the measurement had wrong. `answer` has all fields of
+    `docs/serving.md`.
+    """
+
+    __slots__ = ("answer", "refused", "_places")
+
+    def __init__(self, answer: dict[str, Any], refused: list[dict[str, Any]], places: Sequence[float]):
+        self.answer = answer
+        self.refused = refused
+        self._places = places
+
+    @property
+    def start(self) -> float:
+        return self.answer["from_s"]
+
+    @property
+    def end(self) -> float:
+        return self.answer["to_s"]
+
+    @property
+    def wrenches(self) -> dict[float, tuple[np.ndarray, np.ndarray]]:
+        return {
+            self._places[own["node"]]: (
+                np.array(own["force_from_n"] + own["moment_from_n_m"]),
+                np.array(own["force_to_n"] + own["moment_to_n_m"]),
+            )
+            for own in self.answer["wrenches"]
+        }
+
+    @property
+    def efforts(self) -> dict[str, tuple[float, float]]:
+        return {own["name"]: (own["from"], own["to"]) for own in self.answer.get("efforts", [])}
+
+    @property
+    def force(self) -> np.ndarray:
+        """Mean force on the last actuated node, N, (3,)."""
+        own = self.answer["wrenches"][-1]
+        return 0.5 * (np.array(own["force_from_n"]) + np.array(own["force_to_n"]))
+
+    @property
+    def moment(self) -> np.ndarray:
+        """Mean moment on the last actuated node, N m, in its frame, (3,)."""
+        own = self.answer["wrenches"][-1]
+        return 0.5 * (np.array(own["moment_from_n_m"]) + np.array(own["moment_to_n_m"]))
+
+    @property
+    def fallback(self) -> dict[str, str] | None:
+        return self.answer["fallback"]
+
+    def __repr__(self) -> str:
+        acts = ", ".join(f"{name} {to:.4g}" for name, (_, to) in self.efforts.items())
+        if self.answer["wrenches"]:
+            acts = f"force {self.force}" + (f", {acts}" if acts else "")
+        return f"<softarm.Command {self.start:.6g} s to {self.end:.6g} s: {acts}>"
+
+
+class Controller:
+    """The controller of a scene, for a plant of one's own: `command = controller.step(state)` once every `period`."""
+
+    def __init__(self, native: _softarm.Controller):
+        self._native = native
+        self.greeting: dict[str, Any] = json.loads(native.greeting)
+        self._places = [node["place"] for node in self.greeting["nodes"]]
+
+    @property
+    def period(self) -> float:
+        """Time between two samples, s."""
+        return self.greeting["period_s"]
+
+    @property
+    def places(self) -> np.ndarray:
+        """Places of the model's nodes along the arm, from 0 at the base to 1, (K+1,)."""
+        return np.array(self._places)
+
+    @property
+    def actuators(self) -> list[str]:
+        """Names of the actuators whose efforts are commanded."""
+        return [own["name"] for own in self.greeting.get("efforts", [])]
+
+    @property
+    def next_time(self) -> float:
+        """Time of the next sample, s."""
+        return self._native.next_time
+
+    def step(
+        self,
+        state: State | None = None,
+        *,
+        time: float | None = None,
+        positions: npt.ArrayLike | None = None,
+        rotations: npt.ArrayLike | None = None,
+        velocities: npt.ArrayLike | None = None,
+        angular_velocities: npt.ArrayLike | None = None,
+        readings: Sequence[Mapping[str, Any]] | None = None,
+        reference: npt.ArrayLike | None = None,
+        obstacles: Sequence[Mapping[str, Any]] | None = None,
+    ) -> Command:
+        """Answers a measurement at `time` (s; the next sample's if it is left out), and prepares the next sample.
+
+        A measurement is a `state` on the nodes of the model, poses of them, or `readings` of sensors. `reference` has rows (t, x, y, z) of
+        another path for the tip; fields of readings and obstacles are those of `docs/serving.md`. A faulty measurement raises nothing: it is
+        answered by a fallback, and `command.refused` says what was wrong.
+        """
+        if state is not None:
+            positions, rotations, velocities, angular_velocities = state
+        more = None
+        if readings is not None or reference is not None or obstacles is not None:
+            fields: dict[str, Any] = {"type": "measurement"}
+            if readings is not None:
+                fields["readings"] = [dict(own) for own in readings]
+            if reference is not None:
+                fields["reference_m"] = np.asarray(reference, dtype=float)
+            if obstacles is not None:
+                fields["obstacles"] = [dict(own) for own in obstacles]
+            more = json.dumps(fields, default=lambda own: own.tolist())
+        lines = self._native.step(time, positions, rotations, velocities, angular_velocities, more)
+        *refused, answer = map(json.loads, lines.splitlines())
+        return Command(answer, refused, self._places)
+
+
+class Plant:
+    """A simulated arm that a program moves, step by step."""
+
+    def __init__(self, native: _softarm.Plant):
+        self._native = native
+        self._sent: list[Command] = []
+
+    @property
+    def time(self) -> float:
+        """Time since the start, s."""
+        return self._native.time
+
+    @property
+    def longest_step(self) -> float:
+        """Longest time step of the integrator, s; `step` divides its time into steps of at most this length."""
+        return self._native.longest_step
+
+    @property
+    def places(self) -> np.ndarray:
+        """Places of the nodes along the arm, from 0 at the base to 1, (K+1,)."""
+        return self._native.places
+
+    @property
+    def masses(self) -> np.ndarray:
+        """Masses of the nodes, kg, (K+1,)."""
+        return self._native.masses
+
+    @property
+    def actuators(self) -> list[str]:
+        """Names of the actuators, in the order of efforts."""
+        return self._native.actuators
+
+    @property
+    def state(self) -> State:
+        """The state of all nodes."""
+        return State(*self._native.state)
+
+    def state_on(self, controller: Controller) -> State:
+        """Returns the state on the nodes of a controller's model, which may have other elements."""
+        return State(*self._native.state_on(controller._native))
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Position of the tip, m, (3,)."""
+        return self._native.tip
+
+    @property
+    def energy(self) -> dict[str, float]:
+        """Kinetic, elastic and potential energy, J."""
+        return dict(zip(("kinetic", "elastic", "potential"), self._native.energy))
+
+    def step(
+        self,
+        dt: float,
+        wrenches: npt.ArrayLike | None = None,
+        efforts: npt.ArrayLike | None = None,
+        *,
+        wrenches_to: npt.ArrayLike | None = None,
+        efforts_to: npt.ArrayLike | None = None,
+    ) -> State:
+        """Moves the arm by `dt` seconds and returns its state.
+
+        `wrenches` (K+1, 6) act on the nodes: force in N, spatial, and moment in N m, in the frame of the node; `efforts` (m,) are those of the
+        actuators, in N, Pa, T or as activation; without them those of the scene act. They are constant, or go linearly to `wrenches_to` and
+        `efforts_to`.
+        """
+        self._native.step(dt, wrenches, efforts, wrenches_to, efforts_to)
+        return self.state
+
+    def apply(self, command: Command) -> State:
+        """Sends a command of a controller, and moves the arm to the time of the controller's next sample.
+
+        A command may begin later than it is sent, by the time that the loop is said to need; until then the one before acts. Before the first
+        one nothing acts but the scene's own loads and efforts.
+        """
+        self._sent = [*self._sent[-1:], *([] if command in self._sent else [command])]
+        until = command.answer["time_s"] + (command.end - command.start)
+        begins = command.start
+        if self.time < begins < until:
+            self._move(begins, self._sent[-2] if len(self._sent) > 1 else None)
+        self._move(until, command if begins < until else self._sent[-2] if len(self._sent) > 1 else None)
+        return self.state
+
+    def _move(self, until: float, command: Command | None) -> None:
+        """Moves the arm under a command, whose last values hold after its end."""
+        dt = until - self.time
+        if dt <= 1e-9 * max(until, 1e-3):
+            return
+        ends: list[Any] = [None, None]
+        efforts: list[Any] = [None, None]
+        if command is not None:
+            span = command.end - command.start
+            parts = [min(max((t - command.start) / span, 0.0), 1.0) for t in (self.time, until)]
+            if command.wrenches:
+                ends = [np.zeros((len(self.places), 6)) for _ in parts]
+                for place, (begin, end) in command.wrenches.items():
+                    node = int(np.argmin(np.abs(self.places - place)))
+                    for all_nodes, part in zip(ends, parts):
+                        all_nodes[node] += begin + (end - begin) * part
+            if self.actuators and command.efforts:
+                named = [command.efforts[name] for name in self.actuators]
+                efforts = [np.array([begin + (end - begin) * part for begin, end in named]) for part in parts]
+        self._native.step(dt, ends[0], efforts[0], ends[1], efforts[1])
+
+    def reset(self) -> State:
+        """Puts the arm back to the start of its scene."""
+        self._native.reset()
+        self._sent = []
+        return self.state
+
+    def set_state(self, state: State | Sequence[npt.ArrayLike], time: float | None = None) -> None:
+        """Puts the arm into a state (positions, rotations and, else zero, velocities and angular velocities), at a time in s."""
+        positions, rotations, *rates = state
+        velocities, angular_velocities = [*rates, None, None][:2]
+        self._native.set_state(positions, rotations, velocities, angular_velocities, time)
+
+    def copy(self) -> Plant:
+        """Returns another arm in the same state."""
+        other = Plant(self._native.copy())
+        other._sent = list(self._sent)
+        return other
+
+    __copy__ = copy
+
+    def __deepcopy__(self, _memo: dict[int, Any]) -> Plant:
+        return self.copy()
+
+    def __repr__(self) -> str:
+        return repr(self._native)

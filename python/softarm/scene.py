@@ -1,0 +1,346 @@
+"""Scenes: what an arm, a task, a loop are, and the verbs that work on them."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import logging
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from . import _softarm
+from .control import Controller, Plant
+from .results import Result
+
+Event = Callable[[dict[str, Any]], None]
+VERBS = ("simulate", "solve", "mpc", "equilibrium", "tradeoff", "fit")
+LOG = logging.getLogger("softarm")
+
+
+def schema() -> dict[str, Any]:
+    """Returns the JSON Schema of a scene: every key with its type, unit, default and description."""
+    return json.loads(_softarm.schema())
+
+
+def _plain(value: Any) -> Any:
+    """Returns numpy numbers and arrays, tuples and paths as what JSON knows."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    return value
+
+
+def _literal(value: Any) -> str:
+    """Returns a value as TOML on one line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_literal, value)) + "]"
+    if isinstance(value, dict):
+        rows = (f"{json.dumps(key)} = {_literal(item)}" for key, item in value.items() if item is not None)
+        return "{ " + ", ".join(rows) + " }"
+    raise TypeError(f"a scene has numbers, texts, lists and dictionaries; {value!r} is a {type(value).__name__}")
+
+
+def _toml(keys: Mapping[str, Any]) -> str:
+    """Returns a dictionary as the text of a scene: values first, then a section for every dictionary and list of dictionaries."""
+    values: list[str] = []
+    sections: list[str] = []
+
+    def add(path: str, table: dict[str, Any], header: str) -> None:
+        if header:
+            sections.append(header)
+        rows = sections if header else values
+        later = []
+        for key, value in table.items():
+            name = key if key.replace("_", "").isalnum() and key.isascii() else json.dumps(key)
+            place = f"{path}.{name}" if path else name
+            if isinstance(value, dict):
+                later.append((place, value, f"\n[{place}]"))
+            elif isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
+                later.extend((place, item, f"\n[[{place}]]") for item in value)
+            elif value is not None:
+                rows.append(f"{name} = {_literal(value)}")
+        for place, item, line in later:
+            add(place, item, line)
+
+    add("", _plain(keys), "")
+    return "\n".join(values + sections) + "\n"
+
+
+class Scene:
+    """A scene: a dictionary with the keys of a scene file, or the text of one.
+
+    Raises `SceneError`, with the key, the line and a remedy, for a scene that cannot be used. A scene does not change: `replace` returns
+    another one. Paths in a dictionary are relative to the working directory.
+    """
+
+    __slots__ = ("_name", "_text", "_overrides", "_keys")
+
+    def __init__(self, keys: Mapping[str, Any] | str, *, name: str = "scene"):
+        self._name = name
+        self._overrides: tuple[str, ...] = ()
+        text = keys if isinstance(keys, str) else _toml(keys)
+        self._text, self._keys = _softarm.parse(name, text, [])
+
+    @classmethod
+    def load(cls, name_or_path: str | os.PathLike[str]) -> Scene:
+        """Returns the scene of a file, or the built-in scene of this name; `softarm.builtin_scenes()` lists them."""
+        name = os.fspath(name_or_path)
+        text, keys = _softarm.parse(name, None, [])
+        return cls._of(name, text, (), keys)
+
+    @classmethod
+    def _of(cls, name: str, text: str, overrides: tuple[str, ...], keys: dict[str, Any]) -> Scene:
+        scene = object.__new__(cls)
+        scene._name, scene._text, scene._overrides, scene._keys = name, text, overrides, keys
+        return scene
+
+    def replace(self, keys: Mapping[str, Any] | None = None, /, **more: Any) -> Scene:
+        """Returns the scene with other values of some keys: `scene.replace({"rod.elements": 40, "load.0.force_n": [0, 0, 1]})`."""
+        given = {**(keys or {}), **more}
+        overrides = (*self._overrides, *(f"{key}={_literal(_plain(value))}" for key, value in given.items()))
+        _, resolved = _softarm.parse(self._name, self._text, list(overrides))
+        return self._of(self._name, self._text, overrides, resolved)
+
+    @property
+    def name(self) -> str:
+        """Name of the scene, by which results say where they come from."""
+        return Path(self._name).stem
+
+    @property
+    def text(self) -> str:
+        """Text of the scene as it was read, without what was replaced."""
+        return self._text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the scene with every default written out."""
+        return copy.deepcopy(self._keys)
+
+    def __getitem__(self, key: str) -> Any:
+        """Returns the value of a dotted key, with defaults: `scene["rod.elements"]`."""
+        value: Any = self._keys
+        for part in key.split("."):
+            value = value[int(part)] if isinstance(value, list) else value[part]
+        return value
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scene) and self._keys == other._keys
+
+    def __hash__(self) -> int:
+        return hash(json.dumps(self._keys, sort_keys=True))
+
+    def __repr__(self) -> str:
+        sections = ", ".join(key for key, value in self._keys.items() if isinstance(value, (dict, list)))
+        return f"<softarm.Scene {self.name!r}: {sections}>"
+
+    def __reduce__(self):
+        return Scene._of, (self._name, self._text, self._overrides, self._keys)
+
+    def _call(self, verb: str, words: list[str], on_event: Event | None = None) -> tuple[int, dict[str, Any]]:
+        for override in self._overrides:
+            words += ["--set", override]
+        return _call([verb, self._name, *words], (self._name, self._text), on_event)
+
+    def _run(self, verb: str, out: str | os.PathLike[str] | None, words: list[str], on_event: Event | None) -> Result:
+        holder = None
+        if out is None:
+            holder = tempfile.TemporaryDirectory(prefix="softarm-")
+            out = Path(holder.name) / verb
+        try:
+            code, _ = self._call(verb, ["--out", os.fspath(out), *words], on_event)
+        except KeyboardInterrupt as interrupt:
+            # Ctrl-C asks the work to stop; its best result is there by now.
+            if (Path(out) / "summary.json").is_file():
+                interrupt.partial = Result(out, holder)  # type: ignore[attr-defined]
+            raise
+        return Result(out, holder, code)
+
+    def check(self, *, threads: int | None = None) -> dict[str, Any]:
+        """Returns what follows from the scene before anything is solved: weight, frequencies, static needs, stable step, warnings."""
+        return self._call("check", _options(threads=threads))[1]
+
+    def simulate(
+        self,
+        out: str | os.PathLike[str] | None = None,
+        *,
+        accuracy: float | None = None,
+        on_event: Event | None = None,
+    ) -> Result:
+        """Simulates the arm. Without `out` the files live as long as the result."""
+        return self._run("simulate", out, _options(accuracy=accuracy), on_event)
+
+    def solve(
+        self,
+        out: str | os.PathLike[str] | None = None,
+        *,
+        starts: int = 1,
+        start_from: Result | str | os.PathLike[str] | None = None,
+        deep: bool = False,
+        accuracy: float | None = None,
+        threads: int | None = None,
+        seed: int | None = None,
+        on_event: Event | None = None,
+    ) -> Result:
+        """Computes the controls, and checks them by a forward simulation. A solve that does not converge is a status of the result.
+
+        `starts` counts the initial guesses of which the best certified one is kept, `start_from` is an earlier result to begin with, `deep`
+        checks the second-order condition and the growth of disturbances too, and `on_event` is called with every iteration.
+        """
+        earlier = start_from.directory if isinstance(start_from, Result) else start_from
+        words = _options(starts=starts, accuracy=accuracy, threads=threads, seed=seed)
+        if earlier is not None:
+            words += ["--from", os.fspath(earlier)]
+        if deep:
+            words.append("--deep")
+        return self._run("solve", out, words, on_event)
+
+    def mpc(
+        self,
+        out: str | os.PathLike[str] | None = None,
+        *,
+        baselines: bool = False,
+        threads: int | None = None,
+        seed: int | None = None,
+        on_event: Event | None = None,
+    ) -> Result:
+        """Runs the closed loop of the scene, and with `baselines` the same loop under other laws."""
+        words = _options(threads=threads, seed=seed) + (["--baselines"] if baselines else [])
+        return self._run("mpc", out, words, on_event)
+
+    def equilibrium(
+        self,
+        out: str | os.PathLike[str] | None = None,
+        *,
+        to: float = 1.0,
+        points: int = 21,
+        time: float = 0.0,
+        accuracy: float | None = None,
+    ) -> Result:
+        """Computes the arm at rest, its stability, and its shapes over the load factor up to `to`."""
+        return self._run("equilibrium", out, _options(to=to, points=points, time=time, accuracy=accuracy), None)
+
+    def tradeoff(
+        self,
+        out: str | os.PathLike[str] | None = None,
+        *,
+        tolerance: float = 1e-3,
+        budget: str = "60s",
+        threads: int | None = None,
+        on_event: Event | None = None,
+    ) -> Result:
+        """Measures error against time over discretizations, and recommends one for a tolerance (in lengths of the arm)."""
+        return self._run("tradeoff", out, _options(tolerance=tolerance, budget=budget, threads=threads), on_event)
+
+    def fit(
+        self,
+        data: Mapping[str, Any] | str | os.PathLike[str],
+        free: Sequence[str] = (),
+        out: str | os.PathLike[str] | None = None,
+        *,
+        robust: bool = False,
+        threads: int | None = None,
+    ) -> Result:
+        """Fits numbers of the scene, named by their dotted keys, to measured places of markers: a file as in docs/fitting.md, or a dictionary
+        with its keys, whose tables are relative to the working directory. `result.scene` has the fitted numbers.
+        """
+        words = _options(threads=threads) + (["--robust"] if robust else [])
+        words += ["--free", ",".join(free)] if free else []
+        if not isinstance(data, Mapping):
+            return self._run("fit", out, ["--data", os.fspath(data), *words], None)
+        keys = _plain(data)
+        for recording in keys.get("recording", []):
+            recording["csv"] = os.path.abspath(recording["csv"])
+        with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
+            path = Path(folder) / "data.toml"
+            path.write_text(_toml(keys), encoding="utf-8")
+            return self._run("fit", out, ["--data", os.fspath(path), *words], None)
+
+    def controller(self) -> Controller:
+        """Returns the controller of the closed loop, for a plant of one's own."""
+        return Controller(_softarm.Controller(self._name, self._text, list(self._overrides)))
+
+    def plant(self) -> Plant:
+        """Returns the simulated arm: of `[plant]` in a scene with a closed loop, else of `[rod]`."""
+        return Plant(_softarm.Plant(self._name, self._text, list(self._overrides)))
+
+
+def _options(**values: Any) -> list[str]:
+    """Returns options of the command line; those that are None are left out."""
+    return [f"--{name}={value}" for name, value in values.items() if value is not None]
+
+
+def _call(
+    words: list[str], scene: tuple[str, str] | None = None, on_event: Event | None = None
+) -> tuple[int, dict[str, Any]]:
+    """Runs a verb, and returns its exit code and summary. Messages go to the logger `softarm`."""
+    summary: dict[str, Any] = {}
+
+    def hear(kind: str, line: str) -> None:
+        if kind == "data":
+            event = json.loads(line)
+            if event.get("event") == "summary":
+                summary.update(event)
+                del summary["event"]
+            elif on_event is not None:
+                on_event(event)
+        elif kind == "message":
+            LOG.info("%s", line)
+        else:
+            LOG.warning("%s", line)
+
+    code = _softarm.call([*words, "--json-lines"], scene, hear)
+    return code, summary
+
+
+def batch(scene: Scene, n: int, *, threads: int | None = None) -> _softarm.Batch:
+    """Returns `n` arms of a scene that move at the same time, on several threads."""
+    return _softarm.Batch(n, scene._name, scene._text, list(scene._overrides), threads)
+
+
+def run(task: Mapping[str, Any], folder: str | os.PathLike[str] | None = None) -> dict[str, Any]:
+    """Runs one task of a sweep: `{"verb": "solve", "scene": ..., "set": {...}, "options": {...}}`. It is pure and picklable.
+
+    `scene` is a `Scene`, a dictionary or a name, `verb` one of `VERBS`, and `options` its arguments. Returns `{"key": ..., "exit_code": ..., "summary": ...}`. With a folder the result is kept in `folder/KEY`, where KEY is a hash
+    of verb, options and the scene with all defaults, and a result that is there already is not computed again. An exception is returned as
+    `"error"`, so that one task does not end a sweep.
+    """
+    from .errors import SoftarmError
+
+    unknown = set(task) - {"verb", "scene", "set", "options"}
+    if unknown:
+        raise ValueError(f"a task has verb, scene, set and options, and no {sorted(unknown)}")
+    verb = task.get("verb", "solve")
+    if verb not in VERBS:
+        raise ValueError(f"verb = {verb!r}; expected one of {VERBS}")
+    options = dict(task.get("options", {}))
+    try:
+        given = task["scene"]
+        scene = given if isinstance(given, Scene) else Scene.load(given) if isinstance(given, str) else Scene(given)
+        scene = scene.replace(task.get("set", {}))
+    except SoftarmError as error:
+        return {"key": None, "exit_code": None, "summary": {}, "error": str(error)}
+    identity = json.dumps([verb, options, scene.to_dict(), _softarm.__version__], sort_keys=True, default=str)
+    key = hashlib.sha256(identity.encode()).hexdigest()[:20]
+    out = None if folder is None else Path(folder) / key
+    if out is not None and (out / "summary.json").is_file():
+        result = Result(out)
+        return {"key": key, "exit_code": None, "summary": result.summary, "skipped": True}
+    try:
+        result = getattr(scene, verb)(out, **options)
+    except SoftarmError as error:
+        return {"key": key, "exit_code": None, "summary": {}, "error": str(error)}
+    return {"key": key, "exit_code": result.exit_code, "summary": result.summary}

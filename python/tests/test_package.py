@@ -1,0 +1,331 @@
+"""The Python package against laws, the command line, and its own promises."""
+
+import copy
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import softarm as sa
+
+SHORT = {"time.end_s": 0.05}
+
+
+@pytest.fixture(scope="module")
+def solved():
+    return sa.Scene.load("reach").solve()
+
+
+def test_scenes_are_dictionaries():
+    scene = sa.Scene.load("reach")
+    again = sa.Scene(scene.to_dict())
+    assert again == scene and hash(again) == hash(scene)
+    assert scene.replace({"rod.elements": 7})["rod.elements"] == 7
+    assert scene["rod.elements"] != 7
+    assert pickle.loads(pickle.dumps(scene.replace({"rod.elements": 7})))["rod.elements"] == 7
+    assert scene.replace({"task.position_m": np.array([0.4, 0.0, 0.8])})["task.position_m"] == [0.4, 0.0, 0.8]
+
+
+@pytest.mark.parametrize("name", sa.builtin_scenes())
+def test_every_scene_is_the_same_as_a_dictionary(name):
+    scene = sa.Scene.load(name)
+    assert sa.Scene(scene.to_dict()).to_dict() == scene.to_dict()
+
+
+def test_faults_of_a_scene_name_key_and_place():
+    with pytest.raises(sa.SceneError) as caught:
+        sa.Scene.load("reach").replace({"rod.elemens": 3})
+    assert caught.value.key == "rod.elemens" and "elements" in caught.value.help
+    with pytest.raises(ValueError) as caught:
+        sa.Scene("[rod]\nlength_m = -1\n")
+    assert caught.value.line == 2
+    assert pickle.loads(pickle.dumps(caught.value)).line == 2
+    with pytest.raises(sa.SceneError):
+        sa.Scene.load("no-such-scene")
+    with pytest.raises(TypeError, match="object"):
+        sa.Scene.load("reach").replace({"rod.elements": object()})
+
+
+def test_a_solve_is_that_of_the_command_line(solved, tmp_path):
+    assert solved.status == "converged" and solved.certificate
+    code = subprocess.run([sys.executable, "-m", "softarm", "solve", "reach", "--quiet", "--out", tmp_path / "cli"]).returncode
+    assert code == solved.exit_code == 0
+    other = sa.load(tmp_path / "cli")
+    assert np.array_equal(other.x, solved.x) and other.summary["objective"] == solved.summary["objective"]
+    for name in ("controls.csv", "trajectory.npz", "multipliers.json"):
+        assert (other.directory / name).read_bytes() == (solved.directory / name).read_bytes()
+
+
+def test_arrays_have_their_shapes(solved):
+    n, k = len(solved.t), sa.Scene.load("reach")["rod.elements"]
+    assert solved.x.shape == (n, k + 1, 3) and solved.R.shape == (n, k + 1, 3, 3)
+    assert solved.x.flags.c_contiguous and solved.R.dtype == np.float64
+    identity = np.einsum("nkij,nkil->nkjl", solved.R, solved.R)
+    assert np.abs(identity - np.eye(3)).max() < 1e-12
+    # Body to space: the third column points along the arm, at the clamp exactly along the base.
+    assert np.allclose(solved.R[:, 0, :, 2], [0, 0, 1])
+    assert {"t_start", "fx"} <= set(solved.controls.dtype.names)
+
+
+def test_results_are_kept_pickled_and_verified(solved, tmp_path):
+    kept = sa.load(solved.save(tmp_path / "kept"))
+    assert np.array_equal(kept.x, solved.x)
+    assert sa.verify(kept, quick=True).is_certified
+    with pytest.raises(sa.ResultError, match="not empty"):
+        solved.save(tmp_path / "kept")
+    with pytest.raises(sa.ResultError):
+        sa.load(tmp_path)
+    other = pickle.loads(pickle.dumps(solved))
+    assert np.array_equal(other.R, solved.R) and other.summary == solved.summary
+    assert other.scene == solved.scene
+    assert solved._repr_html_().startswith("<iframe") and "reach" in repr(solved)
+    summary = json.loads((kept.directory / "summary.json").read_text())
+    summary["tool"] = "other"
+    (kept.directory / "summary.json").write_text(json.dumps(summary))
+    with pytest.raises(sa.ResultError, match="not of softarm"):
+        sa.load(kept.directory)
+
+
+def test_changed_controls_are_not_certified(solved, tmp_path):
+    kept = solved.save(tmp_path / "kept")
+    rows = (kept / "controls.csv").read_text().splitlines()
+    fields = rows[3].split(",")
+    fields[2] = str(float(fields[2]) + 1.0)
+    (kept / "controls.csv").write_text("\n".join([*rows[:3], ",".join(fields), *rows[4:]]) + "\n")
+    assert not sa.verify(kept, quick=True)
+
+
+def test_a_target_out_of_reach_is_a_status():
+    """A force that can bring the arm there, but not in this time."""
+    keys = sa.arm(0.3, 0.01, 1e6, gravity=False) | sa.reach([0.2, 0.0, -0.1], 0.02, 1.0, at_rest=False)
+    result = sa.Scene(keys).solve()
+    assert result.status != "converged" and not result.certificate
+
+
+def test_a_plant_is_the_simulation():
+    scene = sa.Scene.load("swing").replace(SHORT)
+    result = scene.simulate()
+    plant = scene.plant()
+    state = plant.step(0.05)
+    scale = scene["rod.length_m"]
+    assert np.abs(state.x - result.x[-1]).max() < 1e-12 * scale
+    assert plant.time == pytest.approx(0.05)
+    # The same steps in two calls, and from a copy.
+    plant.reset()
+    steps = round(0.05 / plant.longest_step)
+    plant.step(20 * plant.longest_step)
+    other = copy.copy(plant)
+    for arm in (plant, other):
+        state = arm.step((steps - 20) * plant.longest_step)
+        assert np.abs(state.x - result.x[-1]).max() < 1e-12 * scale
+    third = scene.plant()
+    third.set_state(plant.state, time=plant.time)
+    assert np.allclose(third.step(0.01).x, plant.step(0.01).x, rtol=0, atol=1e-10 * scale)
+
+
+def test_work_of_a_force_is_energy():
+    """An undamped arm: the energy that it gains is the work of the force on its tip."""
+    plant = sa.Scene(sa.arm(0.3, 0.01, 1e6, elements=8, gravity=False) | {"time": {"end_s": 1.0}}).plant()
+    wrenches = np.zeros((9, 6))
+    wrenches[-1, 0] = 0.05
+    before, work = sum(plant.energy.values()), 0.0
+    for _ in range(100):
+        tip = plant.tip
+        plant.step(1e-3, wrenches)
+        work += 0.05 * (plant.tip[0] - tip[0])
+    gained = sum(plant.energy.values()) - before
+    # The energy of a variational integrator is off by the square of the step.
+    assert work > 1e-4 and gained == pytest.approx(work, rel=2e-2)
+
+
+def test_a_loop_in_python_with_a_plant_of_other_elements():
+    """The model has 10 elements and the plant 40: the tip is within 2 % of the length of its reference after a second."""
+    scene = sa.Scene.load("mpc-track-circle").replace({"mpc.duration_s": 1.0})
+    controller, plant = scene.controller(), scene.plant()
+    assert len(controller.places) != len(plant.places)
+    while plant.time < 1.0 - 1e-9:
+        command = controller.step(plant.state_on(controller))
+        plant.apply(command)
+    tip = command.answer["tip"]
+    assert np.linalg.norm(np.subtract(tip["position_m"], tip["reference_m"])) < 0.02 * scene["rod.length_m"]
+
+
+def test_bad_arrays_are_refused():
+    plant = sa.Scene.load("swing").plant()
+    with pytest.raises(ValueError, match=r"wrenches has the shape \[3\]"):
+        plant.step(0.01, [1, 2, 3])
+    wrenches = np.zeros((len(plant.places), 6))
+    wrenches[2, 1] = np.nan
+    with pytest.raises(ValueError, match="entry 13"):
+        plant.step(0.01, wrenches)
+    with pytest.raises(ValueError, match="dt"):
+        plant.step(-1.0)
+    with pytest.raises(ValueError, match="rotation"):
+        plant.set_state((plant.state.x, 2 * plant.state.R))
+    with pytest.raises(sa.ModelError):
+        plant.step(0.1, 1e9 * np.ones_like(wrenches))
+    plant.reset()
+    plant.step(0.01)
+
+
+def test_tensions_move_a_plant():
+    scene = sa.Scene.load("mpc-tendons")
+    plant = scene.plant()
+    assert len(plant.actuators) == 4
+    pulled = scene.plant()
+    zero = plant.step(0.2, efforts=np.zeros(4)).x[-1]
+    tip = pulled.step(0.2, efforts=[2.0, 0.0, 0.0, 0.0]).x[-1]
+    assert np.linalg.norm(tip - zero) > 1e-3
+
+
+def test_a_loop_in_python_is_the_loop_of_the_command():
+    """Without sensors, and with a plant that has the model's elements, the two differ by the time step in which a command begins: the
+    simulated arm of the command goes linearly to the new value within the step before, half a step early.
+    """
+    scene = sa.Scene.load("mpc-track-circle")
+    keys = scene.to_dict()
+    for section in ("plant", "sensor", "estimator", "disturbance"):
+        keys.pop(section, None)
+    keys["mpc"]["duration_s"] = 0.3
+    scene = sa.Scene(keys)
+    result = scene.mpc()
+    controller, plant = scene.controller(), scene.plant()
+    tips = [plant.tip]
+    for _ in range(len(result.t) - 1):
+        command = controller.step(plant.state_on(controller))
+        assert command.fallback is None and not command.refused
+        plant.apply(command)
+        tips.append(plant.tip)
+    speed = np.abs(np.diff(result.tip, axis=0)).max() / controller.period
+    assert np.abs(np.array(tips) - result.tip).max() < plant.longest_step * speed
+
+
+def test_a_faulty_measurement_is_answered():
+    scene = sa.Scene.load("mpc-track-circle")
+    controller = scene.controller()
+    command = controller.step(positions=np.zeros((2, 3)), rotations=np.tile(np.eye(3), (len(controller.places), 1, 1)))
+    assert command.refused[0]["where"] == "positions_m" and command.end > command.start
+
+
+def test_many_arms_move_like_one():
+    scene = sa.Scene.load("swing")
+    arms = sa.batch(scene, 5, threads=2)
+    wrenches = np.zeros((5, 6))
+    wrenches[:, 0] = np.linspace(0.0, 0.4, 5)
+    for _ in range(3):
+        assert arms.step(0.01, wrenches) == [None] * 5
+    alone = scene.plant()
+    own = np.zeros((len(alone.places), 6))
+    own[-1] = wrenches[3]
+    for _ in range(3):
+        alone.step(0.01, own)
+    assert np.array_equal(arms.positions[3], alone.state.x)
+    # One arm breaks down; the others go on, and it returns by a reset.
+    wrenches[1] = 1e9
+    errors = arms.step(0.05, wrenches)
+    assert errors[1] and [error for i, error in enumerate(errors) if i != 1] == [None] * 4
+    arms.reset([1])
+    assert arms.step(0.01) == [None] * 5
+    with pytest.raises(IndexError):
+        arms.reset([5])
+
+
+def test_an_interrupt_ends_a_solve_with_its_partial_result():
+    scene = sa.Scene.load("reach-3d").replace({"rod.elements": 60, "task.at_rest": False})
+    begun = threading.Event()
+
+    def interrupt():
+        begun.wait(60)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt) as caught:
+        scene.solve(on_event=lambda event: begun.set())
+    thread.join()
+    assert caught.value.partial.status == "interrupted"
+
+
+def test_exceptions_of_listeners_end_the_work():
+    def fail(event):
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        sa.Scene.load("reach").solve(on_event=fail)
+
+
+def test_two_solves_run_at_once():
+    """Two threads solve at the same time: each sees iterations of the other between its own."""
+    order = []
+    scene = sa.Scene.load("reach")
+
+    def solve(number):
+        scene.solve(on_event=lambda event: order.append(number))
+
+    threads = [threading.Thread(target=solve, args=(number,)) for number in (1, 2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    first = [i for i, number in enumerate(order) if number == 1]
+    second = [i for i, number in enumerate(order) if number == 2]
+    assert first and second and first[0] < second[-1] and second[0] < first[-1]
+
+
+def test_tasks_of_a_sweep(tmp_path):
+    task = {"verb": "simulate", "scene": "swing", "set": SHORT}
+    assert pickle.loads(pickle.dumps(task)) == task
+    first = sa.run(task, tmp_path)
+    again = sa.run(task, tmp_path)
+    assert first["exit_code"] == 0 and again["skipped"] and again["summary"] == first["summary"]
+    assert sa.run({**task, "set": {"time.end_s": 0.06}}, tmp_path)["key"] != first["key"]
+    assert "elemens" in sa.run({"scene": "swing", "set": {"rod.elemens": 1}})["error"]
+    with pytest.raises(ValueError):
+        sa.run({"scene": "swing", "verbs": "solve"})
+
+
+def test_short_ways():
+    keys = sa.arm(0.3, 0.01, 1e6) | sa.reach([0.1, 0.0, -0.25], 0.6, 0.5, at_rest=False)
+    assert sa.Scene(keys).solve().certificate
+    eight = sa.arm(0.3, 0.01, 1e6, elements=8, damping=1.0) | sa.figure_eight([0.0, 0.0, -0.29], 0.02, 2.0, duration=0.1, force_max=1.0)
+    assert sa.Scene(eight).mpc().status == "completed"
+
+
+def test_a_check_says_what_follows():
+    summary = sa.Scene.load("reach").check()
+    assert summary["command"] == "check" and summary["mass_kg"] > 0
+
+
+def test_memory_of_many_steps():
+    """A controller and a plant keep their memory: 20 000 steps do not grow it by more than a megabyte."""
+    resource = pytest.importorskip("resource")
+    scene = sa.Scene.load("swing").replace({"rod.elements": 6})
+    plant = scene.plant()
+    plant.step(1e-3)
+
+    def steps(n):
+        for _ in range(n):
+            plant.step(1e-4)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+    before = steps(2_000)
+    assert steps(20_000) - before < 1024
+
+
+def test_published_shapes_are_fitted():
+    """SoRoMoX' shapes: an independent program fitted 3.745e5 Pa +- 1.3 % and 1162 kg/m^3 +- 2.9 % to them."""
+    data = Path(__file__).parents[2] / "examples" / "data" / "soromox-shapes.toml"
+    keys = ["rod.material.youngs_modulus_pa", "rod.material.density_kg_m3"]
+    result = sa.Scene.load("soromox-tendons").fit(data, keys)
+    modulus, density = (own["value"] for own in result.summary["parameters"])
+    assert modulus == pytest.approx(3.745e5, rel=0.5 * 0.013) and density == pytest.approx(1162, rel=0.5 * 0.029)
+    assert result.scene["rod.material.density_kg_m3"] == density
+    with pytest.raises(sa.ResultError, match="no number"):
+        sa.Scene.load("soromox-tendons").fit(data, ["rod.material.youngs"])

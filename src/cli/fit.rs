@@ -1,0 +1,187 @@
+//! `softarm fit SCENE --data FILE --free KEY,...`: numbers of a scene from measured places of markers.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::console::Console;
+use super::error::CliError;
+use super::tradeoff::Applied;
+use super::{Global, Outcome, SceneAndOut, exit, scene_name};
+use crate::fit::{FitError, FitOptions, FitSummary, Sighting, fit};
+use crate::output::quantity::{digits, quantity};
+use crate::output::replace::Writer;
+use crate::output::{ResultKind, RunDirectory};
+
+/// Arguments of `fit`.
+#[derive(Debug, Args)]
+pub(super) struct FitArguments {
+    #[command(flatten)]
+    scene: SceneAndOut,
+    /// File of measurements: markers, shapes at rest, recorded motions (docs/fitting.md)
+    #[arg(long, value_name = "FILE")]
+    data: PathBuf,
+    /// Dotted paths of the numbers to fit, with commas between them
+    #[arg(long, value_name = "KEY,...", value_delimiter = ',')]
+    free: Vec<String>,
+    /// Let far residuals weigh less, by Huber's function
+    #[arg(long)]
+    robust: bool,
+    /// Write the scene with the fitted numbers to this file; without a name to SCENE if that is a file, or to the current folder if it is a
+    /// built-in scene
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
+    apply: Option<Option<PathBuf>>,
+    /// Allow --apply to replace this file, which is neither SCENE nor new
+    #[arg(long, value_name = "FILE")]
+    force: Vec<PathBuf>,
+}
+
+pub(super) fn run(arguments: &FitArguments, global: &Global, console: &Console) -> Outcome {
+    console.catch_interrupts();
+    let name = &arguments.scene.scene;
+    let (scene, source) = console.load(name, global)?;
+    let stop = console.stop_signal(scene.deadline(std::time::Instant::now()));
+    let target = arguments.scene.directory("fit");
+    let writer = Writer::forcing(&arguments.force);
+    let applied = (arguments.apply.as_ref()).map(|file| Applied::of(file.as_deref(), name));
+    if let Some(place) = &applied {
+        writer.permit(&place.path, place.own)?;
+    }
+    let directory = RunDirectory::open(&target, ResultKind::Fit)?;
+    let options = FitOptions {
+        free: arguments.free.clone(),
+        robust: arguments.robust,
+        n_threads: global.n_threads(),
+    };
+    let found = match fit(&source, &arguments.data, &options, &stop) {
+        Ok(found) => found,
+        Err(error) => {
+            directory.remove()?;
+            return Err(match error {
+                FitError::Stopped(why) => CliError::Stopped(why),
+                FitError::Scene(error) => CliError::of_scene(error, &stop),
+                FitError::Step { error, .. } => CliError::Step(error),
+                FitError::Data(words) => CliError::Directory(words),
+            });
+        }
+    };
+    let mut summary = found.summary;
+    summary.scene = scene_name(name);
+    summary.directory = target.display().to_string();
+    conclude(&summary, console);
+    let written = directory.publish_or_rescue(|result| {
+        result.write_text("scene.toml", &found.scene.to_toml())?;
+        result.write_text("residuals.csv", &residuals(&summary.sightings))?;
+        result.write_json("summary.json", &summary)
+    });
+    console.summary(&summary);
+    written?;
+    if let Some(place) = &applied {
+        let text = source.text_with(&found.scene).unwrap_or_else(|| {
+            console.warn(
+                "the text of the scene cannot be kept: every key is written out, without comments",
+            );
+            found.scene.to_toml()
+        });
+        writer.write(&place.path, place.own, &text)?;
+        console.say(&format!(
+            "the scene with the fitted numbers: {}",
+            place.path.display()
+        ));
+    }
+    Ok(match summary.status {
+        "converged" => exit::DONE,
+        _ => exit::NOT_CONVERGED,
+    })
+}
+
+/// Returns the table of all places.
+fn residuals(sightings: &[Sighting]) -> String {
+    use std::fmt::Write as _;
+    let mut out = String::from(
+        "case,marker,t_s,x_m,y_m,z_m,predicted_x_m,predicted_y_m,predicted_z_m,off_m,outlier\n",
+    );
+    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
+    for own in sightings {
+        let [x, y, z] = own.measured_m;
+        let [px, py, pz] = own.predicted_m;
+        let _ = writeln!(
+            out,
+            "{},{},{:?},{x:?},{y:?},{z:?},{px:?},{py:?},{pz:?},{:?},{}",
+            quoted(&own.case),
+            quoted(&own.marker),
+            own.t_s,
+            own.off_m,
+            own.is_outlier
+        );
+    }
+    out
+}
+
+fn conclude(summary: &FitSummary, console: &Console) {
+    for own in &summary.parameters {
+        let error = own.standard_error.map_or_else(
+            || "the data cannot tell it alone".into(),
+            |error| {
+                let part = 100.0 * error / own.value.abs();
+                format!("+- {} ({} %)", digits(error), digits(part))
+            },
+        );
+        let bound = if own.at_bound { ", at its bound" } else { "" };
+        console.say(&format!(
+            "  {} = {} {error}{bound}; it began at {}",
+            own.key,
+            digits(own.value),
+            digits(own.start)
+        ));
+    }
+    for own in &summary.undetermined {
+        let parts: Vec<String> = (own.exponents.iter())
+            .map(|(key, exponent)| format!("{key}^{}", digits(*exponent)))
+            .collect();
+        console.warn(&format!(
+            "the data cannot tell how large these are together: {}; fix one of them, or give it a prior",
+            parts.join(", ")
+        ));
+    }
+    for (i, row) in summary.correlations.iter().enumerate() {
+        for (j, correlation) in row.iter().enumerate().take(i) {
+            if correlation.abs() > 0.9 {
+                console.say(&format!(
+                    "  {} and {} are correlated: {correlation:.3}",
+                    summary.parameters[j].key, summary.parameters[i].key
+                ));
+            }
+        }
+    }
+    console.say("                                       off, rms   without it");
+    for case in &summary.cases {
+        let without = case
+            .left_out_rms_m
+            .map_or_else(|| "held out".into(), |off| quantity(off, "m"));
+        let outliers = if case.outliers > 0 {
+            format!(", {} outliers", case.outliers)
+        } else {
+            String::new()
+        };
+        console.say(&format!(
+            "  {:36} {:>9}   {without:>9}{outliers}",
+            case.name,
+            quantity(case.rms_m, "m")
+        ));
+    }
+    console.say(&format!(
+        "places are off by {} in the root of the mean square, coordinates scatter by {}, and the noise was said to be {}",
+        quantity(summary.rms_m, "m"),
+        quantity(summary.scatter_m, "m"),
+        quantity(summary.sigma_m, "m")
+    ));
+    let good = summary.status == "converged";
+    console.verdict(
+        good,
+        &format!(
+            "{} after {} iterations, {:.1} s",
+            summary.status, summary.iterations, summary.wall_s
+        ),
+    );
+}

@@ -1,0 +1,284 @@
+//! Measurements: markers on the arm, its static shapes, and recorded motions, from a TOML file and the tables that it names.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::output::read_text;
+
+/// Largest file that is read, bytes.
+const LARGEST: u64 = 1 << 28;
+
+/// The contents of a file of measurements.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Data {
+    /// Standard deviation of the noise of a coordinate, m.
+    pub sigma_m: f64,
+    /// Markers on the arm.
+    #[serde(default)]
+    pub marker: Vec<Marker>,
+    /// Shapes at rest.
+    #[serde(default)]
+    pub shape: Vec<Shape>,
+    /// Motions from the start of the scene on.
+    #[serde(default)]
+    pub recording: Vec<Recording>,
+    /// Starts, bounds and priors of keys that are fitted.
+    #[serde(default)]
+    pub free: Vec<Free>,
+}
+
+/// A marker that turns with the section to which it is fixed.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Marker {
+    /// Name in shapes and recordings.
+    pub name: String,
+    /// Place on the arm, as a fraction of its length at rest.
+    pub at: f64,
+    /// Place in the frame of the section, m.
+    #[serde(default)]
+    pub offset_m: [f64; 3],
+}
+
+/// Positions of markers in a shape at rest.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shape {
+    /// Name in the result; the number of the shape, if there is none.
+    pub name: Option<String>,
+    /// What the scene had then, as `KEY=VALUE`.
+    #[serde(default)]
+    pub set: Vec<String>,
+    /// Positions by the name of the marker, m; markers that were not seen are left out.
+    pub positions_m: std::collections::BTreeMap<String, [f64; 3]>,
+    /// Tells whether the shape is compared only, and not fitted.
+    #[serde(default)]
+    pub held_out: bool,
+}
+
+/// Positions of markers over time.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recording {
+    /// Name in the result; that of the table, if there is none.
+    pub name: Option<String>,
+    /// What the scene had then, as `KEY=VALUE`.
+    #[serde(default)]
+    pub set: Vec<String>,
+    /// Table beside the file: columns `t_s`, and `NAME_x_m`, `NAME_y_m`, `NAME_z_m` of markers; empty cells were not seen.
+    pub csv: String,
+    /// Tells whether the recording is compared only, and not fitted.
+    #[serde(default)]
+    pub held_out: bool,
+}
+
+/// A key that is fitted.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Free {
+    /// Dotted path of a number of the scene.
+    pub key: String,
+    /// Where the search begins; the value of the scene, if it is left out.
+    pub start: Option<f64>,
+    /// Least value.
+    pub lower: Option<f64>,
+    /// Largest value.
+    pub upper: Option<f64>,
+    /// Value known beforehand.
+    pub prior: Option<f64>,
+    /// Its standard deviation.
+    pub prior_sigma: Option<f64>,
+}
+
+/// The positions of one marker at one time that were measured.
+#[derive(Clone, Debug)]
+pub struct Sight {
+    /// Index of the marker.
+    pub marker: usize,
+    /// Time, s; zero in a shape at rest.
+    pub time: f64,
+    /// Position, m.
+    pub position: [f64; 3],
+}
+
+/// A shape or a recording.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// Name in results.
+    pub name: String,
+    /// What the scene had then, as `KEY=VALUE`.
+    pub set: Vec<String>,
+    /// Tells whether the arm is at rest.
+    pub is_static: bool,
+    /// Tells whether it is compared only.
+    pub held_out: bool,
+    /// What was seen, in the order of time.
+    pub sights: Vec<Sight>,
+}
+
+/// Reads a file of measurements, and the tables that it names.
+///
+/// # Errors
+/// Returns a sentence with file, place and remedy.
+pub fn read(path: &Path) -> Result<(Data, Vec<Case>), String> {
+    let text = text_of(path)?;
+    let data: Data = toml::from_str(&text).map_err(|error| {
+        format!(
+            "{}: {error}docs/fitting.md has the form of the file",
+            path.display()
+        )
+    })?;
+    let refuse = |words: String| Err(format!("{}: {words}", path.display()));
+    if !(data.sigma_m > 0.0 && data.sigma_m.is_finite()) {
+        return refuse(format!(
+            "sigma_m = {}: give the standard deviation of a coordinate in m, above 0",
+            data.sigma_m
+        ));
+    }
+    for (index, marker) in data.marker.iter().enumerate() {
+        let known = data.marker[..index]
+            .iter()
+            .any(|own| own.name == marker.name);
+        if known
+            || !(0.0..=1.0).contains(&marker.at)
+            || marker.offset_m.iter().any(|x| !x.is_finite())
+        {
+            return refuse(format!(
+                "marker {:?} at {}: give every marker a name of its own, a place from 0 to 1, and a finite offset",
+                marker.name, marker.at
+            ));
+        }
+    }
+    let marker_of = |name: &str| {
+        let found = data.marker.iter().position(|marker| marker.name == name);
+        found.ok_or_else(|| {
+            let names: Vec<_> = data.marker.iter().map(|marker| &marker.name).collect();
+            format!(
+                "{}: there is no marker {name:?}; those of the file are {names:?}",
+                path.display()
+            )
+        })
+    };
+    let mut cases = Vec::new();
+    for (index, shape) in data.shape.iter().enumerate() {
+        let name = (shape.name.clone()).unwrap_or_else(|| format!("shape {}", index + 1));
+        let mut sights = Vec::new();
+        for (marker, position) in &shape.positions_m {
+            if position.iter().any(|x| !x.is_finite()) {
+                return refuse(format!("{name}: the position of {marker:?} is not finite"));
+            }
+            sights.push(Sight {
+                marker: marker_of(marker)?,
+                time: 0.0,
+                position: *position,
+            });
+        }
+        cases.push(Case {
+            name,
+            set: shape.set.clone(),
+            is_static: true,
+            held_out: shape.held_out,
+            sights,
+        });
+    }
+    for recording in &data.recording {
+        let table = path.parent().unwrap_or(Path::new("")).join(&recording.csv);
+        cases.push(Case {
+            name: recording
+                .name
+                .clone()
+                .unwrap_or_else(|| recording.csv.clone()),
+            set: recording.set.clone(),
+            is_static: false,
+            held_out: recording.held_out,
+            sights: rows(&table, &marker_of)?,
+        });
+    }
+    if !cases
+        .iter()
+        .any(|case| !case.held_out && !case.sights.is_empty())
+    {
+        return refuse(
+            "nothing was measured: give [[shape]] or [[recording]] with positions of markers"
+                .into(),
+        );
+    }
+    Ok((data, cases))
+}
+
+fn text_of(path: &Path) -> Result<String, String> {
+    read_text(path, LARGEST).map_err(|error| error.to_string())
+}
+
+/// Reads the table of a recording.
+fn rows(
+    path: &Path,
+    marker_of: &dyn Fn(&str) -> Result<usize, String>,
+) -> Result<Vec<Sight>, String> {
+    let text = text_of(path)?;
+    let mut reader = csv::ReaderBuilder::new()
+        .comment(Some(b'#'))
+        .trim(csv::Trim::All)
+        .from_reader(text.as_bytes());
+    let at = |line: u64, words: String| format!("{}, line {line}: {words}", path.display());
+    let heads = (reader.headers().map_err(|error| at(1, error.to_string()))?).clone();
+    let column = |name: &str| heads.iter().position(|head| head == name);
+    let Some(time) = column("t_s") else {
+        return Err(at(1, "there is no column t_s".into()));
+    };
+    let mut markers = Vec::new();
+    for (index, head) in heads.iter().enumerate().filter(|(index, _)| *index != time) {
+        let Some(name) = head.strip_suffix("_x_m") else {
+            let is_other = ["_y_m", "_z_m"].iter().any(|end| head.ends_with(end));
+            if is_other {
+                continue;
+            }
+            return Err(at(
+                1,
+                format!("{head:?} is no column; expected t_s, and NAME_x_m, NAME_y_m, NAME_z_m"),
+            ));
+        };
+        let others = ["y", "z"].map(|axis| column(&format!("{name}_{axis}_m")));
+        let [Some(y), Some(z)] = others else {
+            return Err(at(1, format!("{head:?} without {name}_y_m and {name}_z_m")));
+        };
+        markers.push((marker_of(name)?, [index, y, z]));
+    }
+    let mut sights = Vec::new();
+    let mut before = f64::NEG_INFINITY;
+    for record in reader.records() {
+        let record = record.map_err(|error| format!("{}: {error}", path.display()))?;
+        let line = record.position().map_or(0, csv::Position::line);
+        let number = |index: usize| -> Result<f64, String> {
+            let cell = record.get(index).unwrap_or_default();
+            (cell.parse().ok().filter(|number: &f64| number.is_finite())).ok_or_else(|| {
+                at(
+                    line,
+                    format!("{cell:?} under {:?} is no number", &heads[index]),
+                )
+            })
+        };
+        let t = number(time)?;
+        if !(t >= 0.0 && t > before) {
+            return Err(at(
+                line,
+                format!("t_s = {t}: expected times from 0 s on that grow"),
+            ));
+        }
+        before = t;
+        for (marker, columns) in &markers {
+            if columns.iter().all(|&index| record.get(index) == Some("")) {
+                continue;
+            }
+            let [x, y, z] = columns.map(number);
+            sights.push(Sight {
+                marker: *marker,
+                time: t,
+                position: [x?, y?, z?],
+            });
+        }
+    }
+    Ok(sights)
+}

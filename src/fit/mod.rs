@@ -1,0 +1,442 @@
+//! Fits numbers of a scene to measured places of markers on its arm: least squares over shapes at rest and recorded motions, with standard
+//! errors, correlations, and the combinations that the data cannot tell.
+
+mod data;
+mod least_squares;
+mod report;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use nalgebra::{DVector, Vector3};
+
+use self::data::{Case, Data, Marker};
+use self::least_squares::{Minimum, Problem};
+pub use self::report::{FitSummary, Sighting};
+use crate::mechanics::place::{locate, pose};
+use crate::mechanics::{Configuration, NodeWrenches, Rod, Stepper};
+use crate::scene::{Scene, SceneError, SceneSource};
+use crate::stop::{Stop, StopSignal};
+
+/// The reason why nothing is fitted.
+#[derive(Debug, thiserror::Error)]
+pub enum FitError {
+    /// The measurements cannot be read, or a key cannot be fitted.
+    #[error("{0}")]
+    Data(String),
+    /// The scene is not valid with the values of a case or of the search.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A motion of a recording breaks down.
+    #[error("{case}: {error}")]
+    Step {
+        /// The recording.
+        case: String,
+        /// The reason.
+        error: crate::mechanics::StepError,
+    },
+    /// The work was stopped.
+    #[error("{0}")]
+    Stopped(Stop),
+}
+
+/// What is fitted, and how.
+#[derive(Clone, Debug)]
+pub struct FitOptions {
+    /// Dotted paths of the numbers.
+    pub free: Vec<String>,
+    /// Tells whether far residuals weigh less, by Huber's function.
+    pub robust: bool,
+    /// Number of threads.
+    pub n_threads: usize,
+}
+
+/// A fit.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// The scene with the fitted numbers.
+    pub scene: Scene,
+    /// What was found.
+    pub summary: FitSummary,
+}
+
+/// Fits numbers of a scene to a file of measurements.
+///
+/// # Errors
+/// Returns [`FitError`] for data or keys that cannot be used, and where the scene cannot be computed at the start.
+pub fn fit(
+    source: &SceneSource,
+    path: &Path,
+    options: &FitOptions,
+    stop: &StopSignal,
+) -> Result<Fit, FitError> {
+    let (data, cases) = data::read(path).map_err(FitError::Data)?;
+    let parameters = parameters(source, &data, options)?;
+    let begun = std::time::Instant::now();
+    let model = Model {
+        source,
+        markers: &data.marker,
+        cases: &cases,
+        parameters: &parameters,
+        sigma: data.sigma_m,
+        n_threads: options.n_threads,
+        stop,
+    };
+    model.check_markers()?;
+    let steps = model.steps(&model.start())?;
+    let residuals = |points: &[Vec<f64>]| model.residuals(points, &steps);
+    let n_places = model.fitted().map(|case| case.sights.len()).sum::<usize>();
+    let groups = if options.robust {
+        (0..n_places).map(|i| 3 * i..3 * i + 3).collect()
+    } else {
+        Vec::new()
+    };
+    let problem = Problem {
+        residuals: &residuals,
+        bounds: parameters.iter().map(Free::scaled_bounds).collect(),
+        groups,
+    };
+    let found = problem.minimize(&model.start())?;
+    let (scene, _) =
+        Scene::from_toml(&source.name, &source.text, &model.overrides(&found.at, &[]))?;
+    let predicted = model.predicted(&found.at, &steps)?;
+    let summary = report::summary(
+        &model,
+        &found,
+        &predicted,
+        n_places,
+        begun.elapsed().as_secs_f64(),
+    );
+    Ok(Fit { scene, summary })
+}
+
+/// A number that is fitted.
+struct Free {
+    key: String,
+    start: f64,
+    /// Unit of the search.
+    scale: f64,
+    bounds: [f64; 2],
+    prior: Option<[f64; 2]>,
+}
+
+impl Free {
+    fn scaled_bounds(&self) -> [f64; 2] {
+        self.bounds.map(|bound| bound / self.scale)
+    }
+}
+
+/// Returns the numbers that are fitted, with their starts.
+fn parameters(
+    source: &SceneSource,
+    data: &Data,
+    options: &FitOptions,
+) -> Result<Vec<Free>, FitError> {
+    let refuse = |words: String| Err(FitError::Data(words));
+    let (scene, _) = Scene::from_toml(&source.name, &source.text, &source.overrides)?;
+    let table: toml::Table =
+        toml::from_str(&scene.to_toml()).map_err(|error| FitError::Data(error.to_string()))?;
+    let mut keys: Vec<&str> = options.free.iter().map(String::as_str).collect();
+    for own in &data.free {
+        if !keys.contains(&own.key.as_str()) {
+            keys.push(&own.key);
+        }
+    }
+    if keys.is_empty() {
+        return refuse(
+            "nothing is free: name keys by --free, as rod.material.youngs_modulus_pa".into(),
+        );
+    }
+    let mut out: Vec<Free> = Vec::new();
+    for key in keys {
+        let described = data.free.iter().find(|own| own.key == key);
+        let given = described
+            .and_then(|own| own.start)
+            .or_else(|| number(&table, key));
+        let Some(start) = given else {
+            return refuse(format!(
+                "{key} has no number in this scene; give the key of a number, or its start in [[free]] of the data"
+            ));
+        };
+        let own = |part: fn(&data::Free) -> Option<f64>| described.and_then(part);
+        let bounds = [
+            own(|own| own.lower).unwrap_or(if start > 0.0 {
+                1e-3 * start
+            } else {
+                f64::NEG_INFINITY
+            }),
+            own(|own| own.upper).unwrap_or(if start > 0.0 {
+                1e3 * start
+            } else {
+                f64::INFINITY
+            }),
+        ];
+        let prior = match [own(|own| own.prior), own(|own| own.prior_sigma)] {
+            [Some(prior), Some(sigma)] if sigma > 0.0 && (prior + sigma).is_finite() => {
+                Some([prior, sigma])
+            }
+            [None, None] => None,
+            _ => {
+                return refuse(format!(
+                    "{key}: a prior has a value and a standard deviation above 0, prior and prior_sigma"
+                ));
+            }
+        };
+        if out.iter().any(|known| known.key == key) {
+            return refuse(format!("{key} is free twice"));
+        }
+        if !(start.is_finite() && bounds[0] <= start && start <= bounds[1] && bounds[0] < bounds[1])
+        {
+            return refuse(format!(
+                "{key} starts at {start}, outside of its bounds {bounds:?}"
+            ));
+        }
+        let width = bounds[1] - bounds[0];
+        let scale = if start != 0.0 {
+            start.abs()
+        } else if let Some([_, sigma]) = prior {
+            sigma
+        } else if width.is_finite() {
+            width
+        } else {
+            1.0
+        };
+        out.push(Free {
+            key: key.into(),
+            start,
+            scale,
+            bounds,
+            prior,
+        });
+    }
+    Ok(out)
+}
+
+/// Returns the number at a dotted path.
+fn number(table: &toml::Table, key: &str) -> Option<f64> {
+    let mut parts = key.split('.');
+    let mut value = table.get(parts.next()?)?;
+    for part in parts {
+        value = match value {
+            toml::Value::Table(table) => table.get(part)?,
+            toml::Value::Array(items) => items.get(part.parse::<usize>().ok()?)?,
+            _ => return None,
+        };
+    }
+    match value {
+        toml::Value::Float(number) => Some(*number),
+        toml::Value::Integer(number) => Some(*number as f64),
+        _ => None,
+    }
+}
+
+/// Predicts what was measured.
+struct Model<'a> {
+    source: &'a SceneSource,
+    markers: &'a [Marker],
+    cases: &'a [Case],
+    parameters: &'a [Free],
+    sigma: f64,
+    n_threads: usize,
+    stop: &'a StopSignal,
+}
+
+/// The time step of every recording, s, which the search keeps: a step that changed with the stiffness would make the residuals jump.
+type Steps = BTreeMap<usize, f64>;
+
+/// Part of the automatic step with which recordings are simulated, so that the arm may become stiffer by a factor of four in the search.
+const STEP: f64 = 0.5;
+
+impl Model<'_> {
+    fn start(&self) -> Vec<f64> {
+        self.parameters
+            .iter()
+            .map(|own| own.start / own.scale)
+            .collect()
+    }
+
+    fn fitted(&self) -> impl Iterator<Item = &Case> {
+        self.cases.iter().filter(|case| !case.held_out)
+    }
+
+    /// Returns the overrides of a case under parameters.
+    fn overrides(&self, at: &[f64], set: &[String]) -> Vec<String> {
+        let own = self.source.overrides.iter().chain(set).cloned();
+        let fitted = (self.parameters.iter().zip(at))
+            .map(|(own, at)| format!("{}={:e}", own.key, at * own.scale));
+        own.chain(fitted).collect()
+    }
+
+    fn check_markers(&self) -> Result<(), FitError> {
+        if self.cases.iter().flat_map(|case| &case.sights).count()
+            < self.parameters.len().div_ceil(3)
+        {
+            return Err(FitError::Data(
+                "there are fewer numbers than free keys; measure more, or fit less".into(),
+            ));
+        }
+        Ok(())
+    }
+
+    /// Returns the time steps of recordings.
+    fn steps(&self, at: &[f64]) -> Result<Steps, FitError> {
+        let mut out = Steps::new();
+        for (index, case) in self
+            .cases
+            .iter()
+            .enumerate()
+            .filter(|(_, case)| !case.is_static)
+        {
+            let (scene, source) = self.scene(at, case, None)?;
+            let setup = scene.simulation_until(&source, self.stop)?;
+            out.insert(index, STEP * setup.grid.step);
+        }
+        Ok(out)
+    }
+
+    fn scene(
+        &self,
+        at: &[f64],
+        case: &Case,
+        step: Option<f64>,
+    ) -> Result<(Scene, SceneSource), FitError> {
+        let mut overrides = self.overrides(at, &case.set);
+        if case.is_static {
+            overrides.push("initial.shape=\"equilibrium\"".into());
+        } else {
+            let last = case.sights.last().map_or(0.0, |sight| sight.time);
+            overrides.push(format!("time.end_s={:e}", last.max(1e-9)));
+            if let Some(step) = step {
+                overrides.push(format!("time.step_s={step:e}"));
+            }
+        }
+        Ok(Scene::from_toml(
+            &self.source.name,
+            &self.source.text,
+            &overrides,
+        )?)
+    }
+
+    /// Returns the predicted places of all sights of a case.
+    fn case(&self, at: &[f64], index: usize, steps: &Steps) -> Result<Vec<Vector3<f64>>, FitError> {
+        let case = &self.cases[index];
+        self.stop.check().map_err(FitError::Stopped)?;
+        let (scene, source) = self.scene(at, case, steps.get(&index).copied())?;
+        let setup = scene.simulation_until(&source, self.stop)?;
+        let rod = &setup.rod;
+        let place = |shape: &Configuration, marker: usize| self.place(rod, shape, marker);
+        if case.is_static {
+            let shape = &setup.initial.configuration;
+            return Ok(case
+                .sights
+                .iter()
+                .map(|sight| place(shape, sight.marker))
+                .collect());
+        }
+        let mut stepper = Stepper::new(rod, setup.grid, setup.initial.clone());
+        let mut before = setup.initial.configuration.clone();
+        let mut now = before.clone();
+        let mut out = Vec::with_capacity(case.sights.len());
+        let h = setup.grid.step;
+        for sight in &case.sights {
+            let needed = (sight.time / h - 1e-9).ceil().max(0.0) as usize;
+            while stepper.step() < needed.min(setup.grid.n_steps) {
+                stepper
+                    .advance([NodeWrenches::NONE; 2])
+                    .map_err(|error| FitError::Step {
+                        case: case.name.clone(),
+                        error,
+                    })?;
+                before = now;
+                now = stepper.state().configuration;
+                self.stop.check().map_err(FitError::Stopped)?;
+            }
+            // Linear between the two time nodes beside the sight.
+            let part = 1.0 - (stepper.step() as f64 - sight.time / h).clamp(0.0, 1.0);
+            let [from, to] = [&before, &now].map(|shape| place(shape, sight.marker));
+            out.push(from + (to - from) * part);
+        }
+        Ok(out)
+    }
+
+    /// Returns the place of a marker, m.
+    fn place(&self, rod: &Rod, shape: &Configuration, marker: usize) -> Vector3<f64> {
+        let marker = &self.markers[marker];
+        let places: Vec<f64> = rod.places().into_iter().collect();
+        let (q, part) = locate(&places, marker.at);
+        let (x, r) = pose(shape, q, part);
+        x + r * Vector3::from(marker.offset_m)
+    }
+
+    /// Returns the predicted places of all cases.
+    fn predicted(&self, at: &[f64], steps: &Steps) -> Result<Vec<Vec<Vector3<f64>>>, FitError> {
+        (0..self.cases.len())
+            .map(|index| self.case(at, index, steps))
+            .collect()
+    }
+
+    /// Returns the residuals at several points, in standard deviations: those of fitted cases, then those of priors.
+    fn residuals(&self, points: &[Vec<f64>], steps: &Steps) -> Vec<Result<DVector<f64>, FitError>> {
+        let work: Vec<(usize, usize)> = (0..points.len())
+            .flat_map(|point| (0..self.cases.len()).map(move |case| (point, case)))
+            .filter(|(_, case)| !self.cases[*case].held_out)
+            .collect();
+        let share = work.len().div_ceil(self.n_threads.max(1)).max(1);
+        let mut found: Vec<Result<Vec<Vector3<f64>>, FitError>> = Vec::new();
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = (work.chunks(share))
+                .map(|work| {
+                    scope.spawn(move || {
+                        let one = |&(point, case): &(usize, usize)| {
+                            self.case(&points[point], case, steps)
+                        };
+                        work.iter().map(one).collect::<Vec<_>>()
+                    })
+                })
+                .collect();
+            for thread in threads {
+                match thread.join() {
+                    Ok(own) => found.extend(own),
+                    Err(panic) => std::panic::resume_unwind(panic),
+                }
+            }
+        });
+        let mut found = work.iter().zip(found).peekable();
+        (0..points.len())
+            .map(|point| {
+                let mut out = Vec::new();
+                let mut fault = None;
+                while let Some((&(_, case), places)) = found.next_if(|((own, _), _)| *own == point)
+                {
+                    match places {
+                        Ok(places) => {
+                            for (place, sight) in places.iter().zip(&self.cases[case].sights) {
+                                let off = (place - Vector3::from(sight.position)) / self.sigma;
+                                out.extend_from_slice(off.as_slice());
+                            }
+                        }
+                        Err(error) => fault = Some(error),
+                    }
+                }
+                for (own, at) in self.parameters.iter().zip(&points[point]) {
+                    if let Some([prior, sigma]) = own.prior {
+                        out.push((at * own.scale - prior) / sigma);
+                    }
+                }
+                match fault {
+                    Some(error) => Err(error),
+                    None => Ok(DVector::from_vec(out)),
+                }
+            })
+            .collect()
+    }
+}
+
+/// What the report reads of a model.
+impl Model<'_> {
+    fn free(&self) -> &[Free] {
+        self.parameters
+    }
+}
+
+type Found = Minimum;

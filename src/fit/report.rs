@@ -1,0 +1,281 @@
+//! Standard errors, correlations, undetermined combinations, and residuals of a fit.
+
+use nalgebra::{DMatrix, Vector3};
+use serde::Serialize;
+
+use super::least_squares::weigh;
+use super::{Found, Model};
+use crate::TOOL;
+use crate::output::summary::SCHEMA_VERSION;
+
+/// A direction of the parameters is undetermined where the residuals change by less than this part of what they change along the one that
+/// is determined best; differences of the residuals are exact to about 1e-8.
+const UNDETERMINED: f64 = 1e-6;
+/// A place is an outlier where it is further off than this many standard deviations of all: one of 1100 normal places is.
+const OUTLIER: f64 = 4.0;
+
+/// The summary of a fit.
+#[derive(Clone, Debug, Serialize)]
+pub struct FitSummary {
+    /// Version of the layout.
+    pub schema_version: u32,
+    /// The program.
+    pub tool: &'static str,
+    /// The verb.
+    pub command: &'static str,
+    /// Name of the scene.
+    pub scene: String,
+    /// `converged` or `iteration-limit`.
+    pub status: &'static str,
+    /// Iterations of Levenberg and Marquardt's method.
+    pub iterations: usize,
+    /// Duration, s.
+    pub wall_s: f64,
+    /// Root of the mean square of the distances of fitted places, m.
+    pub rms_m: f64,
+    /// That of the places that were held out, m; null without any.
+    pub held_out_rms_m: Option<f64>,
+    /// Standard deviation of the measurements as given, m.
+    pub sigma_m: f64,
+    /// Standard deviation of a coordinate as the residuals have it, m: noise and error of the model.
+    pub scatter_m: f64,
+    /// The fitted numbers.
+    pub parameters: Vec<Parameter>,
+    /// Correlations of the estimates, row by row; empty if a combination is undetermined.
+    pub correlations: Vec<Vec<f64>>,
+    /// Combinations that the data cannot tell.
+    pub undetermined: Vec<Undetermined>,
+    /// Shapes and recordings.
+    pub cases: Vec<CaseSummary>,
+    /// Every place that was seen.
+    #[serde(skip)]
+    pub sightings: Vec<Sighting>,
+    /// Result directory.
+    pub directory: String,
+}
+
+/// A fitted number.
+#[derive(Clone, Debug, Serialize)]
+pub struct Parameter {
+    /// Dotted path.
+    pub key: String,
+    /// Value at the start.
+    pub start: f64,
+    /// Estimate.
+    pub value: f64,
+    /// Standard error by the scatter of the residuals; null where the data cannot tell it.
+    pub standard_error: Option<f64>,
+    /// Standard error that the noise of the measurements alone would give.
+    pub standard_error_of_noise: Option<f64>,
+    /// Tells whether it is at a bound.
+    pub at_bound: bool,
+}
+
+/// A combination of parameters that the data cannot tell.
+#[derive(Clone, Debug, Serialize)]
+pub struct Undetermined {
+    /// Keys, with the exponents with which they may change together: `value_i` times `f` to the power of its exponent leaves the residuals
+    /// as they are.
+    pub exponents: Vec<(String, f64)>,
+}
+
+/// Residuals of a shape or recording.
+#[derive(Clone, Debug, Serialize)]
+pub struct CaseSummary {
+    /// Name.
+    pub name: String,
+    /// Tells whether it was compared only.
+    pub held_out: bool,
+    /// Places.
+    pub places: usize,
+    /// Root of the mean square of the distances, m.
+    pub rms_m: f64,
+    /// That under the estimates without this case, to first order, m; null for a case that was held out.
+    pub left_out_rms_m: Option<f64>,
+    /// Places that are further off than four standard deviations.
+    pub outliers: usize,
+}
+
+/// A place of a marker, measured and predicted.
+#[derive(Clone, Debug, Serialize)]
+pub struct Sighting {
+    /// Shape or recording.
+    pub case: String,
+    /// Marker.
+    pub marker: String,
+    /// Time, s.
+    pub t_s: f64,
+    /// Measured place, m.
+    pub measured_m: [f64; 3],
+    /// Predicted place, m.
+    pub predicted_m: [f64; 3],
+    /// Distance, m.
+    pub off_m: f64,
+    /// Tells whether it is further off than four standard deviations.
+    pub is_outlier: bool,
+}
+
+fn rms(squares: f64, n: usize) -> f64 {
+    (squares / n.max(1) as f64).sqrt()
+}
+
+/// Describes a minimum.
+pub(super) fn summary(
+    model: &Model,
+    found: &Found,
+    predicted: &[Vec<Vector3<f64>>],
+    n_places: usize,
+    wall: f64,
+) -> FitSummary {
+    let free = model.free();
+    let n = free.len();
+    let weighted = weigh(&found.jacobian, &found.weights);
+    let normal = weighted.transpose() * &found.jacobian;
+    let chi: f64 = (found.residuals.iter().zip(found.weights.iter()))
+        .map(|(r, w)| w * r * r)
+        .sum();
+    let freedom = found.residuals.len().saturating_sub(n).max(1);
+    let scatter = (chi / freedom as f64).sqrt();
+    let undetermined = undetermined(model, &found.jacobian, &found.at);
+    let inverse = (undetermined.is_empty())
+        .then(|| normal.clone().try_inverse())
+        .flatten();
+    let error = |i: usize| {
+        (inverse.as_ref()).map(|inverse| inverse[(i, i)].max(0.0).sqrt() * free[i].scale)
+    };
+    let parameters = (free.iter().enumerate())
+        .map(|(i, own)| {
+            let value = found.at[i] * own.scale;
+            Parameter {
+                key: own.key.clone(),
+                start: own.start,
+                value,
+                standard_error: error(i).map(|error| error * scatter),
+                standard_error_of_noise: error(i),
+                at_bound: own
+                    .bounds
+                    .iter()
+                    .any(|bound| (value - bound).abs() <= 1e-9 * own.scale),
+            }
+        })
+        .collect();
+    let correlations = inverse.as_ref().map_or_else(Vec::new, |inverse| {
+        let root = |i: usize| inverse[(i, i)].max(f64::MIN_POSITIVE).sqrt();
+        (0..n)
+            .map(|i| {
+                (0..n)
+                    .map(|j| inverse[(i, j)] / (root(i) * root(j)))
+                    .collect()
+            })
+            .collect()
+    });
+    let limit = OUTLIER * scatter * model.sigma;
+    let mut sightings = Vec::new();
+    let mut cases = Vec::new();
+    let (mut fitted, mut held, mut n_held) = (0.0, 0.0, 0);
+    let mut row = 0;
+    for (case, places) in model.cases.iter().zip(predicted) {
+        let mut squares = 0.0;
+        let mut outliers = 0;
+        for (sight, place) in case.sights.iter().zip(places) {
+            let off = (place - Vector3::from(sight.position)).norm();
+            squares += off * off;
+            outliers += usize::from(off > limit);
+            sightings.push(Sighting {
+                case: case.name.clone(),
+                marker: model.markers[sight.marker].name.clone(),
+                t_s: sight.time,
+                measured_m: sight.position,
+                predicted_m: (*place).into(),
+                off_m: off,
+                is_outlier: off > limit,
+            });
+        }
+        let count = case.sights.len();
+        let rows = if case.held_out { 0 } else { 3 * count };
+        cases.push(CaseSummary {
+            name: case.name.clone(),
+            held_out: case.held_out,
+            places: count,
+            rms_m: rms(squares, count),
+            left_out_rms_m: (!case.held_out)
+                .then(|| left_out(found, &normal, row, rows))
+                .flatten()
+                .map(|squares| model.sigma * rms(squares, count)),
+            outliers,
+        });
+        row += rows;
+        if case.held_out {
+            held += squares;
+            n_held += count;
+        } else {
+            fitted += squares;
+        }
+    }
+    FitSummary {
+        schema_version: SCHEMA_VERSION,
+        tool: TOOL,
+        command: "fit",
+        scene: String::new(),
+        status: if found.converged {
+            "converged"
+        } else {
+            "iteration-limit"
+        },
+        iterations: found.iterations,
+        wall_s: wall,
+        rms_m: rms(fitted, n_places),
+        held_out_rms_m: (n_held > 0).then(|| rms(held, n_held)),
+        sigma_m: model.sigma,
+        scatter_m: scatter * model.sigma,
+        parameters,
+        correlations,
+        undetermined,
+        cases,
+        sightings,
+        directory: String::new(),
+    }
+}
+
+/// Returns the sum of squares of the residuals of some rows under the estimates without them, to first order.
+fn left_out(found: &Found, normal: &DMatrix<f64>, first: usize, rows: usize) -> Option<f64> {
+    let jacobian = found.jacobian.rows(first, rows).into_owned();
+    let residuals = found.residuals.rows(first, rows).into_owned();
+    let weights = found.weights.rows(first, rows).into_owned();
+    let weighted = weigh(&jacobian, &weights);
+    let without = normal - weighted.transpose() * &jacobian;
+    // Without these rows the gradient is minus their own.
+    let step = without
+        .cholesky()?
+        .solve(&(weighted.transpose() * &residuals));
+    Some((residuals + jacobian * step).norm_squared())
+}
+
+/// Returns the combinations of parameters along which the residuals do not change.
+fn undetermined(model: &Model, jacobian: &DMatrix<f64>, at: &[f64]) -> Vec<Undetermined> {
+    // Along the logarithms of the parameters, so that products and quotients are directions; a parameter of zero has none.
+    let mut relative = jacobian.clone();
+    for (j, mut column) in relative.column_iter_mut().enumerate() {
+        if at[j] != 0.0 {
+            column *= at[j];
+        }
+    }
+    let svd = relative.svd(false, true);
+    let Some(directions) = svd.v_t else {
+        return Vec::new();
+    };
+    let most = svd.singular_values.max();
+    (0..directions.nrows())
+        .filter(|&k| !(svd.singular_values[k] > UNDETERMINED * most))
+        .map(|k| {
+            let row = directions.row(k);
+            let largest = (0..row.len()).max_by(|&i, &j| row[i].abs().total_cmp(&row[j].abs()));
+            let largest = row[largest.unwrap_or(0)];
+            let exponents = (model.free().iter().zip(row.iter()))
+                .map(|(own, part)| (own.key.clone(), part / largest))
+                .filter(|(_, part)| part.abs() > 1e-3)
+                .collect();
+            Undetermined { exponents }
+        })
+        .collect()
+}

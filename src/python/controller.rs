@@ -1,0 +1,144 @@
+//! The controller of a closed loop whose plant is a program in Python.
+
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::arrays::{Numbers, matrices, vectors};
+use super::{raise, read, scene_error};
+use crate::mpc::{MeasurementLine, ServeError, Server, rotation_rows};
+use crate::scene::{Scene, SceneSource};
+use crate::stop::StopSignal;
+
+/// The controller of a scene: `Controller(name, text=None, overrides=[])`. Its words are those of `docs/serving.md`.
+#[pyclass(module = "softarm._softarm")]
+pub(super) struct Controller {
+    server: Server<Vec<u8>>,
+    n_nodes: usize,
+    greeting: String,
+}
+
+fn made(
+    scene: &Scene,
+    source: &SceneSource,
+    name: &str,
+) -> Result<(Server<Vec<u8>>, usize), MakeError> {
+    let setup = scene.closed_loop(source, 0, &StopSignal::default())?;
+    let server = Server::new(&setup.experiment, name, Vec::new()).map_err(|error| {
+        let mpc = match &error {
+            ServeError::Mpc(mpc) => scene.mpc_error(source, mpc),
+            ServeError::Io(_) => None,
+        };
+        mpc.map_or(MakeError::Serve(error), MakeError::Scene)
+    })?;
+    Ok((server, setup.model.n_nodes()))
+}
+
+enum MakeError {
+    Scene(crate::scene::SceneError),
+    Serve(ServeError),
+}
+
+impl From<crate::scene::SceneError> for MakeError {
+    fn from(error: crate::scene::SceneError) -> Self {
+        Self::Scene(error)
+    }
+}
+
+impl Controller {
+    /// Returns the rod of the model.
+    pub fn model(&self) -> &crate::mechanics::Rod {
+        self.server.model()
+    }
+}
+
+#[pymethods]
+impl Controller {
+    #[new]
+    #[pyo3(signature = (name, text=None, overrides=Vec::new()))]
+    fn new(
+        py: Python<'_>,
+        name: &str,
+        text: Option<&str>,
+        overrides: Vec<String>,
+    ) -> PyResult<Self> {
+        let (scene, source) = read(py, name, text, &overrides)?;
+        let (mut server, n_nodes) =
+            py.detach(|| made(&scene, &source, name))
+                .map_err(|error| match error {
+                    MakeError::Scene(error) => scene_error(py, &error),
+                    MakeError::Serve(error) => raise(py, "ModelError", error.to_string()),
+                })?;
+        let greeting = taken(&mut server);
+        Ok(Self {
+            server,
+            n_nodes,
+            greeting,
+        })
+    }
+
+    /// The first line of the controller, as JSON: period, nodes, actuators, sensors.
+    #[getter]
+    fn greeting(&self) -> &str {
+        &self.greeting
+    }
+
+    /// Time of the next sample, s.
+    #[getter]
+    fn next_time(&self) -> f64 {
+        self.server.next_time()
+    }
+
+    /// Answers a measurement, and prepares the next sample. Arrays have the shapes of `Plant.state`; `more` is a JSON object with the other
+    /// fields of a measurement. Returns the lines of the answer as JSON, refusals first.
+    // Each is a keyword of Python.
+    #[allow(clippy::too_many_arguments)]
+    #[pyo3(signature = (time=None, positions=None, rotations=None, velocities=None, angular_velocities=None, more=None))]
+    fn step(
+        &mut self,
+        py: Python<'_>,
+        time: Option<f64>,
+        positions: Option<Numbers<'_>>,
+        rotations: Option<Numbers<'_>>,
+        velocities: Option<Numbers<'_>>,
+        angular_velocities: Option<Numbers<'_>>,
+        more: Option<&str>,
+    ) -> PyResult<String> {
+        let mut line: MeasurementLine =
+            serde_json::from_str(more.unwrap_or("{\"type\":\"measurement\"}"))
+                .map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let n = self.n_nodes;
+        let read = |name: &str, array: &Numbers<'_>| {
+            let rows = array.as_array().shape().first().copied().unwrap_or(0);
+            Ok::<_, PyErr>(
+                (vectors(name, array, rows)?.into_iter())
+                    .map(Into::into)
+                    .collect::<Vec<[f64; 3]>>(),
+            )
+        };
+        line.time_s = Some(time.unwrap_or_else(|| self.server.next_time()));
+        if let Some(own) = &positions {
+            line.positions_m = Some(read("positions", own)?);
+        }
+        if let Some(own) = &rotations {
+            let own = matrices("rotations", own, n)?;
+            line.rotations = Some(own.iter().map(rotation_rows).collect());
+        }
+        if let Some(own) = &velocities {
+            line.velocities_m_s = Some(read("velocities", own)?);
+        }
+        if let Some(own) = &angular_velocities {
+            line.angular_velocities_rad_s = Some(read("angular_velocities", own)?);
+        }
+        let server = &mut self.server;
+        py.detach(|| server.take_line(line))
+            .map_err(|error| raise(py, "InternalError", error.to_string()))?;
+        Ok(taken(&mut self.server))
+    }
+}
+
+/// Takes what was written.
+fn taken(server: &mut Server<Vec<u8>>) -> String {
+    let written = String::from_utf8_lossy(server.output()).into_owned();
+    server.output().clear();
+    written
+}
