@@ -122,6 +122,22 @@ fn pressed(rod: &Rod) -> Option<String> {
     })
 }
 
+/// Tells whether only tendons, chambers and muscles bend a damped arm. Their stress balances that of the bent section, so that hardly a moment
+/// is left in it for waves to grow by, but that of the weight, whose growth internal damping holds up.
+fn is_bent_from_within(scene: &Scene, rod: &Rod) -> bool {
+    let has_wrenches = scene.control.as_ref().is_some_and(|control| {
+        control.force_max_n.is_some()
+            || control.moment_max_n_m.is_some()
+            || !control.actuator.is_empty()
+            || control.distributed.is_some()
+    });
+    let is_pushed = has_wrenches
+        || !rod.loads.is_empty()
+        || !rod.actuators.functions().is_empty()
+        || !rod.contacts.is_empty();
+    !rod.actuators.is_empty() && !is_pushed && rod.internal_damping > 0.0
+}
+
 /// Returns the bodies that a rod touches, and the steps that they allow; `None` without any.
 pub(super) fn contact_facts(rod: &Rod) -> Option<ContactFacts> {
     (!rod.contacts.is_empty()).then(|| ContactFacts {
@@ -173,19 +189,6 @@ pub(super) fn begins_inside(rod: &Rod, at: &Configuration) -> Option<String> {
 /// Depth at the start, in penetrations, from which on a remark is made: the force there is a hundred times that of the contact, by default
 /// of all the weight. It decides about a sentence alone.
 const FLUNG: f64 = 10.0;
-
-/// Tells whether only tendons, chambers and muscles bend a damped arm. Their stress balances that of the bent section, so that hardly a moment
-/// is left in it for waves to grow by, but that of the weight, whose growth internal damping holds up.
-fn is_bent_from_within(scene: &Scene, rod: &Rod) -> bool {
-    let has_wrenches = scene.control.as_ref().is_some_and(|control| {
-        control.force_max_n.is_some()
-            || control.moment_max_n_m.is_some()
-            || !control.actuator.is_empty()
-            || control.distributed.is_some()
-    });
-    let is_pushed = has_wrenches || !rod.loads.is_empty() || !rod.actuators.functions().is_empty();
-    !rod.actuators.is_empty() && !is_pushed && rod.internal_damping > 0.0
-}
 
 /// Returns the remarks that a user should see before a run.
 pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
