@@ -904,9 +904,14 @@ fn curvature_equals_the_dense_one() {
             let here = full.values(&[]);
             let m = here.target.len();
             let (a, gradient) = full.jacobian();
-            // Any multipliers will do that leave the reduced Hessian positive; velocities weigh more.
+            // Any multipliers will do that leave the reduced Hessian positive; velocities weigh more, and beside the curvature of soft rows,
+            // which is 1, larger ones count.
             let mut dice = Dice(33);
-            let size = if at_rest { 0.01 } else { 1.0 };
+            let size = match enforcement {
+                _ if at_rest => 0.01,
+                Enforcement::Soft { .. } => 4.0,
+                _ => 1.0,
+            };
             let y: Vec<f64> = (0..m).map(|_| size * dice.roll()).collect();
             // Those of the dynamics make the Lagrangian stationary in the states.
             let of_states = a.submatrix(0, 0, n_states, n_states).to_owned();
