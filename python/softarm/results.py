@@ -155,7 +155,7 @@ class Result:
 
     def plot(self, ax: Any = None) -> Any:
         """Draws the arm at its first, last and some times between, and the path of the tip; needs matplotlib. Returns the axes."""
-        import matplotlib.pyplot as plt
+        import matplotlib.pyplot as plt  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
         if ax is None:
             ax = plt.figure(figsize=(6, 5)).add_subplot(projection="3d")
