@@ -48,7 +48,7 @@ pub struct Marker {
 pub struct Shape {
     /// Name in the result; the number of the shape, if there is none.
     pub name: Option<String>,
-    /// What the scene had then, as `KEY=VALUE`.
+    /// Values of the scene when it was measured, as `KEY=VALUE`.
     #[serde(default)]
     pub set: Vec<String>,
     /// Positions by the name of the marker, m; markers that were not seen are left out.
@@ -64,7 +64,7 @@ pub struct Shape {
 pub struct Recording {
     /// Name in the result; that of the table, if there is none.
     pub name: Option<String>,
-    /// What the scene had then, as `KEY=VALUE`.
+    /// Values of the scene when it was measured, as `KEY=VALUE`.
     #[serde(default)]
     pub set: Vec<String>,
     /// Table beside the file: columns `t_s`, and `NAME_x_m`, `NAME_y_m`, `NAME_z_m` of markers; empty cells were not seen.
@@ -108,13 +108,13 @@ pub struct Sight {
 pub struct Case {
     /// Name in results.
     pub name: String,
-    /// What the scene had then, as `KEY=VALUE`.
+    /// Values of the scene when it was measured, as `KEY=VALUE`.
     pub set: Vec<String>,
     /// Tells whether the arm is at rest.
     pub is_static: bool,
     /// Tells whether it is compared only.
     pub held_out: bool,
-    /// What was seen, in the order of time.
+    /// Places of markers that were seen, in the order of time.
     pub sights: Vec<Sight>,
 }
 

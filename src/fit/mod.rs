@@ -11,10 +11,10 @@ use std::path::Path;
 use nalgebra::{DVector, Vector3};
 
 use self::data::{Case, Data, Marker};
-use self::least_squares::{Minimum, Problem};
+use self::least_squares::Problem;
 pub use self::report::{FitSummary, Sighting};
 use crate::mechanics::place::{locate, pose};
-use crate::mechanics::{Configuration, NodeWrenches, Rod, Stepper};
+use crate::mechanics::{Configuration, NodeWrenches, Stepper};
 use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::{Stop, StopSignal};
 
@@ -40,7 +40,7 @@ pub enum FitError {
     Stopped(Stop),
 }
 
-/// What is fitted, and how.
+/// Keys that are fitted, and the way of fitting them.
 #[derive(Clone, Debug)]
 pub struct FitOptions {
     /// Dotted paths of the numbers.
@@ -56,7 +56,7 @@ pub struct FitOptions {
 pub struct Fit {
     /// The scene with the fitted numbers.
     pub scene: Scene,
-    /// What was found.
+    /// Estimates, their errors and the residuals.
     pub summary: FitSummary,
 }
 
@@ -82,7 +82,7 @@ pub fn fit(
         n_threads: options.n_threads,
         stop,
     };
-    model.check_markers()?;
+    model.check_count()?;
     let steps = model.steps(&model.start())?;
     let residuals = |points: &[Vec<f64>]| model.residuals(points, &steps);
     let n_places = model.fitted().map(|case| case.sights.len()).sum::<usize>();
@@ -267,7 +267,8 @@ impl Model<'_> {
         own.chain(fitted).collect()
     }
 
-    fn check_markers(&self) -> Result<(), FitError> {
+    /// Checks that there are no fewer numbers than keys.
+    fn check_count(&self) -> Result<(), FitError> {
         if self.cases.iter().flat_map(|case| &case.sights).count()
             < self.parameters.len().div_ceil(3)
         {
@@ -323,8 +324,8 @@ impl Model<'_> {
         self.stop.check().map_err(FitError::Stopped)?;
         let (scene, source) = self.scene(at, case, steps.get(&index).copied())?;
         let setup = scene.simulation_until(&source, self.stop)?;
-        let rod = &setup.rod;
-        let place = |shape: &Configuration, marker: usize| self.place(rod, shape, marker);
+        let nodes = setup.rod.places();
+        let place = |shape: &Configuration, marker: usize| self.place(&nodes, shape, marker);
         if case.is_static {
             let shape = &setup.initial.configuration;
             return Ok(case
@@ -333,7 +334,7 @@ impl Model<'_> {
                 .map(|sight| place(shape, sight.marker))
                 .collect());
         }
-        let mut stepper = Stepper::new(rod, setup.grid, setup.initial.clone());
+        let mut stepper = Stepper::new(&setup.rod, setup.grid, setup.initial.clone());
         let mut before = setup.initial.configuration.clone();
         let mut now = before.clone();
         let mut out = Vec::with_capacity(case.sights.len());
@@ -359,11 +360,10 @@ impl Model<'_> {
         Ok(out)
     }
 
-    /// Returns the place of a marker, m.
-    fn place(&self, rod: &Rod, shape: &Configuration, marker: usize) -> Vector3<f64> {
+    /// Returns the place of a marker, m, given the [places of the nodes](crate::mechanics::Rod::places).
+    fn place(&self, nodes: &[f64], shape: &Configuration, marker: usize) -> Vector3<f64> {
         let marker = &self.markers[marker];
-        let places: Vec<f64> = rod.places().into_iter().collect();
-        let (q, part) = locate(&places, marker.at);
+        let (q, part) = locate(nodes, marker.at);
         let (x, r) = pose(shape, q, part);
         x + r * Vector3::from(marker.offset_m)
     }
@@ -431,12 +431,3 @@ impl Model<'_> {
             .collect()
     }
 }
-
-/// What the report reads of a model.
-impl Model<'_> {
-    fn free(&self) -> &[Free] {
-        self.parameters
-    }
-}
-
-type Found = Minimum;

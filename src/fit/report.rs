@@ -3,8 +3,8 @@
 use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
 
-use super::least_squares::weigh;
-use super::{Found, Model};
+use super::Model;
+use super::least_squares::{Minimum, weigh};
 use crate::TOOL;
 use crate::output::summary::SCHEMA_VERSION;
 
@@ -122,12 +122,12 @@ fn rms(squares: f64, n: usize) -> f64 {
 /// Describes a minimum.
 pub(super) fn summary(
     model: &Model,
-    found: &Found,
+    found: &Minimum,
     predicted: &[Vec<Vector3<f64>>],
     n_places: usize,
     wall: f64,
 ) -> FitSummary {
-    let free = model.free();
+    let free = model.parameters;
     let n = free.len();
     let weighted = weigh(&found.jacobian, &found.weights);
     let normal = weighted.transpose() * &found.jacobian;
@@ -238,7 +238,7 @@ pub(super) fn summary(
 }
 
 /// Returns the sum of squares of the residuals of some rows under the estimates without them, to first order.
-fn left_out(found: &Found, normal: &DMatrix<f64>, first: usize, rows: usize) -> Option<f64> {
+fn left_out(found: &Minimum, normal: &DMatrix<f64>, first: usize, rows: usize) -> Option<f64> {
     let jacobian = found.jacobian.rows(first, rows).into_owned();
     let residuals = found.residuals.rows(first, rows).into_owned();
     let weights = found.weights.rows(first, rows).into_owned();
@@ -271,7 +271,7 @@ fn undetermined(model: &Model, jacobian: &DMatrix<f64>, at: &[f64]) -> Vec<Undet
             let row = directions.row(k);
             let largest = (0..row.len()).max_by(|&i, &j| row[i].abs().total_cmp(&row[j].abs()));
             let largest = row[largest.unwrap_or(0)];
-            let exponents = (model.free().iter().zip(row.iter()))
+            let exponents = (model.parameters.iter().zip(row.iter()))
                 .map(|(own, part)| (own.key.clone(), part / largest))
                 .filter(|(_, part)| part.abs() > 1e-3)
                 .collect();

@@ -36,7 +36,7 @@ struct Arm {
     memory: Option<StepperMemory>,
 }
 
-/// What acts on an arm over a call, beside the loads of its scene: at its start and at its end, linear in between.
+/// Wrenches and efforts that act on an arm over a call, beside the loads of its scene: at its start and at its end, linear in between.
 #[derive(Clone, Default)]
 struct Acting {
     /// A wrench on every node, or none.
@@ -45,7 +45,7 @@ struct Acting {
     efforts: [Vec<f64>; 2],
 }
 
-/// What the wrenches and efforts of an arm are packed for.
+/// Wrenches and efforts at one time, in the order of a [signal](NodeWrenches).
 struct Packed {
     nodes: Vec<usize>,
     wrenches: Vec<Wrench>,
@@ -100,6 +100,12 @@ impl Packed {
 }
 
 impl Arm {
+    /// Puts the arm back to the start of its scene.
+    fn restart(&mut self, kind: &Kind) {
+        self.state.clone_from(&kind.initial);
+        self.time = 0.0;
+    }
+
     /// Moves the arm by `n` steps of `step` (s).
     fn advance(&mut self, acting: &Acting, n: usize, step: f64) -> Result<(), StepError> {
         let rod = Arc::clone(&self.rod);
@@ -127,7 +133,7 @@ impl Arm {
     }
 }
 
-/// What arms of one scene have in common.
+/// The rod, start and time step that arms of one scene have in common.
 struct Kind {
     rod: Arc<Rod>,
     initial: State,
@@ -365,8 +371,7 @@ impl Plant {
 
     /// Puts the arm back to the start of its scene.
     fn reset(&mut self) {
-        self.arm.state.clone_from(&self.kind.initial);
-        self.arm.time = 0.0;
+        self.arm.restart(&self.kind);
     }
 
     /// Puts the arm into a state, at a time in s; without velocities it is at rest.
@@ -520,11 +525,7 @@ impl Batch {
 
     /// The state of one arm, as `Plant.state`.
     fn state<'py>(&self, py: Python<'py>, index: usize) -> PyResult<StateArrays<'py>> {
-        let Some(arm) = self.arms.get(index) else {
-            let words = format!("arm {index} of {}", self.arms.len());
-            return Err(PyIndexError::new_err(words));
-        };
-        Ok(state_arrays(py, &self.kind.rod, &arm.state))
+        Ok(state_arrays(py, &self.kind.rod, &self.arm(index)?.state))
     }
 
     /// Moves every arm by `dt` seconds, under wrenches `(n, 6)` on the tips and efforts `(n, m)` of the actuators, as `Plant.step`. Returns a
@@ -590,14 +591,11 @@ impl Batch {
     #[pyo3(signature = (indices=None))]
     fn reset(&mut self, indices: Option<Vec<usize>>) -> PyResult<()> {
         let indices = indices.unwrap_or_else(|| (0..self.arms.len()).collect());
-        if let Some(index) = indices.iter().find(|index| **index >= self.arms.len()) {
-            let words = format!("arm {index} of {}", self.arms.len());
-            return Err(PyIndexError::new_err(words));
+        for &index in &indices {
+            self.arm(index)?;
         }
         for index in indices {
-            let arm = &mut self.arms[index];
-            arm.state.clone_from(&self.kind.initial);
-            arm.time = 0.0;
+            self.arms[index].restart(&self.kind);
             self.errors[index] = None;
         }
         Ok(())
@@ -605,6 +603,13 @@ impl Batch {
 }
 
 impl Batch {
+    fn arm(&self, index: usize) -> PyResult<&Arm> {
+        (self.arms.get(index)).ok_or_else(|| {
+            let words = format!("arm {index} of {}", self.arms.len());
+            PyIndexError::new_err(words)
+        })
+    }
+
     fn array<'py>(
         &self,
         py: Python<'py>,
