@@ -13,7 +13,7 @@
 //! `φ(e) = (e - 1 - ln e) - (e - 1)²/(2e)`, so that `w = ∂u/∂e`; pure stretching obeys the paper's law `EA (e - 1)/e`. The stress
 //! of `dilatation` is no gradient as soon as there is shear or curvature: its energy wanders.
 
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use pulp::{Scalar, Simd};
 
 use super::{Element, ElementStrain};
@@ -200,16 +200,14 @@ impl Element {
         }
     }
 
-    /// `∂(l n_a/2, l n_b/2, l m)/∂(v_a, v_b, κ)` of a section that thins: the Hessian of the energy under
-    /// [`RodModel::Consistent`]. `None` where it is `diag(l C₁/2, l C₁/2, l C₂)`.
-    pub(super) fn stress_tangent(&self, stress: &Stressed) -> Option<SMatrix<f64, 9, 9>> {
+    /// Returns the parts of `∂(n_a, n_b, m)/∂(v_a, v_b, κ)` of a section that thins; `None` where it is `diag(C₁, C₁, C₂)`.
+    pub(super) fn stress_tangent(&self, stress: &Stressed) -> Option<StressTangent> {
         let Thinned {
             thinning,
             unthinned: [n_a, n_b, m],
             along,
             bend,
         } = stress.thinned.as_ref()?;
-        let l = self.length;
         let [inverse, cube, slope, curve] = [
             thinning.linear,
             thinning.angular,
@@ -217,33 +215,34 @@ impl Element {
             thinning.bend,
         ]
         .map(|factor| factor.value);
-        let rate = inverse * inverse;
-        // Of the stresses, times the weights of the ends, along the dilatation.
-        let changes = [
-            n_a * (-0.5 * rate),
-            n_b * (-0.5 * rate),
-            m * (-3.0 * cube * inverse),
-        ];
-        let mut out = SMatrix::<f64, 9, 9>::zeros();
-        let mut add = |i: usize, j: usize, block: Matrix3<f64>| {
-            let mut part = out.fixed_view_mut::<3, 3>(3 * i, 3 * j);
-            part += block * l;
-        };
-        for end in 0..2 {
-            let own = Matrix3::from_diagonal(&(self.linear_stiffness * (0.5 * inverse)));
-            add(end, end, own + bend[end] * slope);
-            for (i, change) in changes.iter().enumerate() {
-                add(i, end, change * along[end].transpose());
-                if self.model.has_potential() {
-                    add(end, i, along[end] * change.transpose());
-                }
-            }
-            for other in 0..2 {
-                add(end, other, along[end] * along[other].transpose() * curve);
-            }
-        }
-        let own = self.angular_stiffness * cube;
-        add(2, 2, Matrix3::from_diagonal(&own));
-        Some(out)
+        let rate = -inverse * inverse;
+        Some(StressTangent {
+            linear: inverse,
+            angular: cube,
+            change: ([n_a * rate, n_b * rate], m * (-3.0 * cube * inverse)),
+            along: along.map(|way| way * 2.0),
+            completion: (self.model.has_potential())
+                .then(|| (bend.map(|bend| bend * (2.0 * slope)), curve)),
+        })
     }
+}
+
+/// The derivative of the stress `(n_a, n_b, m)` of a section that thins along the strain `(v_a, v_b, κ)`: `diag(C₁/e, C₁/e, C₂/e³)`, and
+/// terms along the derivative `e' = ∂e/∂(v_a, v_b)` of the dilatation,
+///
+/// ```text
+/// change e'ᵀ                                                             under `dilatation`,
+/// change e'ᵀ + e' changeᵀ + w ∂²e/∂v² + ∂²u/∂e² e' e'ᵀ                   under `consistent`: the Hessian of the energy.
+/// ```
+pub(super) struct StressTangent {
+    /// `1/e`
+    pub linear: f64,
+    /// `1/e³`
+    pub angular: f64,
+    /// `∂(n, m)/∂e` at constant strain: of both ends in N, and angular in N m.
+    pub change: ([Vector3<f64>; 2], Vector3<f64>),
+    /// `∂e/∂v` of both ends, each twice: the ends have half weight each.
+    pub along: [Vector3<f64>; 2],
+    /// `w ∂²e/∂v²` of both ends, each twice, and `∂²u/∂e²`, N; `None` at frozen dilatation.
+    pub completion: Option<([Matrix3<f64>; 2], f64)>,
 }

@@ -239,6 +239,51 @@ fn gradient_of<R: TangentRule>(pose: &R::Pose<Scalar>, stress: &Stress<Scalar>) 
     }
 }
 
+/// Adds `factor` times the terms of a [`StressTangent`](law::StressTangent) along the dilatation. Of rank one or two but for `w ∂²e/∂v²`,
+/// they are products of the pull `Bᵀ e'` on the ends of the element and that of the change of the stress.
+fn add_thinning<R: TangentRule>(
+    tangent: &law::StressTangent,
+    pose: &R::Pose<Scalar>,
+    factor: f64,
+    out: &mut Blocks<Scalar>,
+) {
+    let (linear, angular) = &tangent.change;
+    let change = R::pull(pose, &scaled::<R>(linear, angular));
+    let along = R::pull(pose, &scaled::<R>(&tangent.along, &Vector3::zeros()));
+    // (change + curve/2 e') e'ᵀ, and its transpose where there is a potential.
+    let half_curve = (tangent.completion.as_ref()).map_or(0.0, |(_, curve)| 0.5 * curve);
+    let left = [0, 1, 2].map(|i| (change[i] + along[i] * half_curve) * factor);
+    for i in 0..3 {
+        for j in 0..3 {
+            out[i][j] = out[i][j] + Mat3::outer(left[i], along[j]);
+        }
+    }
+    let Some((bend, _)) = &tangent.completion else {
+        return;
+    };
+    let rows = R::derivative(pose);
+    let ends = if R::END_WEIGHT == 1.0 { 1 } else { 2 };
+    for i in 0..3 {
+        for j in 0..3 {
+            out[i][j] = out[i][j] + Mat3::outer(along[i], left[j]);
+        }
+    }
+    for end in 0..ends {
+        let bend = Mat3::of_matrix(&(bend[end] * (R::END_WEIGHT * factor)));
+        for j in 0..3 {
+            if !R::PATTERN[end][j] {
+                continue;
+            }
+            let bent = bend.product(rows[end][j]);
+            for i in 0..3 {
+                if R::PATTERN[end][i] {
+                    out[i][j] = out[i][j] + rows[end][i].transposed_product(bent);
+                }
+            }
+        }
+    }
+}
+
 impl Element {
     /// Returns the elastic energy, J, with the dilatation of the [model](RodModel).
     #[must_use]
@@ -283,8 +328,8 @@ impl Element {
         }
     }
 
-    /// Returns gradient and stiffness. The stiffness of a thinning section is that at the given stress plus `BᵀTB`, with the
-    /// [tangent](Self::stress_tangent) `T` of the stress.
+    /// Returns gradient and stiffness. The stiffness of a thinning section is that at the given stress plus `BᵀTB` with the
+    /// [tangent](law::StressTangent) `T` of the stress, whose diagonal is a law by itself.
     fn stiffness_by<R: TangentRule>(
         &self,
         pose: &ElementPose,
@@ -294,14 +339,19 @@ impl Element {
         let scaled = scaled::<R>(&stress.linear, &stress.angular);
         let law = Elasticity::of::<R>(Scalar, self);
         let stiffness = match self.stress_tangent(&stress) {
-            None => nine_by_nine(&R::stiffness_under(&law, &at, &scaled)),
+            None => R::stiffness_under(&law, &at, &scaled),
             Some(tangent) => {
-                let none = law.times(Lanes::splat(Scalar, 0.0));
-                let (_, b) = derivative_of::<R>(self.length, &at);
-                nine_by_nine(&R::stiffness_under(&none, &at, &scaled)) + b.transpose() * tangent * b
+                let law = Elasticity {
+                    c1: law.c1 * tangent.linear,
+                    c2: law.c2 * tangent.angular,
+                    ..law
+                };
+                let mut stiffness = R::stiffness_under(&law, &at, &scaled);
+                add_thinning::<R>(&tangent, &at, 1.0 / self.length, &mut stiffness);
+                stiffness
             }
         };
-        (gradient_of::<R>(&at, &scaled), stiffness)
+        (gradient_of::<R>(&at, &scaled), nine_by_nine(&stiffness))
     }
 
     /// Returns `weights[0] C (s₀ - s_rest) + weights[1] C (s₁ - s_rest)` of two strains, by the standard model.
