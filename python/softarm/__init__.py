@@ -14,6 +14,7 @@ All numbers are in SI units. Positions `x` are spatial and in C order, `(n, K+1,
 from ._softarm import Batch, __version__, builtin_scenes
 from .control import Command, Controller, Plant, State
 from .errors import InternalError, ModelError, ResultError, SceneError, SoftarmError, Stopped
+from .program import Component, Program, Quadratic
 from .results import Certificate, Result, load, verify
 from .scene import Scene, batch, run, schema
 from .shortcuts import arm, figure_eight, reach
@@ -22,10 +23,13 @@ __all__ = [
     "Batch",
     "Certificate",
     "Command",
+    "Component",
     "Controller",
     "InternalError",
     "ModelError",
     "Plant",
+    "Program",
+    "Quadratic",
     "Result",
     "ResultError",
     "Scene",

@@ -4,7 +4,7 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Batch", "Controller", "Plant", "__version__", "builtin_scenes", "call", "main", "parse", "schema"]
+__all__ = ["Batch", "Controller", "Plant", "Program", "__version__", "builtin_scenes", "call", "main", "parse", "schema"]
 
 __version__: str
 
@@ -116,3 +116,39 @@ class Controller:
         angular_velocities: npt.ArrayLike | None = None,
         more: str | None = None,
     ) -> str: ...
+
+@final
+class Program:
+    """The discrete problem of a scene: `Program(name, text=None, overrides=[])`."""
+
+    def __new__(cls, name: str, text: str | None = None, overrides: list[str] = ...) -> Program: ...
+    @property
+    def n_variables(self) -> int: ...
+    @property
+    def n_controls(self) -> int: ...
+    @property
+    def times(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def blocks(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def components(self) -> list[tuple[str, int | None, float]]: ...
+    @property
+    def sets(self) -> list[dict[str, Any]]: ...
+    def guess(self) -> npt.NDArray[np.float64]: ...
+    def rollout(self, variables: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]: ...
+    def evaluate(
+        self, variables: npt.ArrayLike
+    ) -> tuple[float, npt.NDArray[np.float64], npt.NDArray[np.float64]]: ...
+    def linearize(
+        self,
+        variables: npt.ArrayLike,
+        constraint_multipliers: npt.ArrayLike | None = None,
+        inequality_multipliers: npt.ArrayLike | None = None,
+        rows: list[int] | None = None,
+    ) -> dict[str, Any]: ...
+    def sensitivity(
+        self, variables: npt.ArrayLike, change: npt.ArrayLike
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]: ...
+    def transitions(
+        self, variables: npt.ArrayLike
+    ) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]: ...

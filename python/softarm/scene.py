@@ -14,6 +14,7 @@ from typing import Any
 
 from . import _softarm
 from .control import Controller, Plant
+from .program import Program
 from .results import Result
 
 Event = Callable[[dict[str, Any]], None]
@@ -272,6 +273,10 @@ class Scene:
     def controller(self) -> Controller:
         """Returns the controller of the closed loop, for a plant of one's own."""
         return Controller(_softarm.Controller(self._name, self._text, list(self._overrides)))
+
+    def program(self) -> Program:
+        """Returns the optimal-control problem as arrays, for a solver of one's own."""
+        return Program(_softarm.Program(self._name, self._text, list(self._overrides)))
 
     def plant(self) -> Plant:
         """Returns the simulated arm: of `[plant]` in a scene with a closed loop, else of `[rod]`."""

@@ -24,7 +24,7 @@ use crate::tradeoff::accurate_statics;
 #[derive(Debug, Args)]
 pub(super) struct EquilibriumArguments {
     #[command(flatten)]
-    scene: SceneAndOut,
+    pub(super) scene: SceneAndOut,
     /// The sweep ends at this load factor, 1 at least
     #[arg(
         long,

@@ -17,7 +17,7 @@ use crate::output::{ResultKind, RunDirectory};
 #[derive(Debug, Args)]
 pub(super) struct FitArguments {
     #[command(flatten)]
-    scene: SceneAndOut,
+    pub(super) scene: SceneAndOut,
     /// File of measurements: markers, shapes at rest, recorded motions (docs/fitting.md)
     #[arg(long, value_name = "FILE")]
     data: PathBuf,

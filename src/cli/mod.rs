@@ -17,6 +17,7 @@ mod schema;
 mod serve;
 mod simulate;
 mod solve;
+mod sweep;
 mod tradeoff;
 mod verify;
 
@@ -93,6 +94,13 @@ struct Global {
     /// 0, or mpc.seed]
     #[arg(long, global = true, value_name = "N")]
     seed: Option<u64>,
+    /// Write the result into a folder of --out [default: results] that is named by a hash of verb, options and scene; if it is there, do
+    /// nothing but print its summary
+    #[arg(long, global = true)]
+    skip_existing: bool,
+    /// Keep the numbers of a result alone: no trajectory, diagnostics, checkpoint and page
+    #[arg(long, global = true)]
+    small: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -277,38 +285,43 @@ impl Cli {
             self.global.set.push(format!("rod.accuracy={accuracy:e}"));
         }
         let console = Console::new(&self.global, caller);
-        let outcome = self.dispatch(&console);
+        let Self {
+            mut command,
+            global,
+        } = self;
+        let outcome = sweep::run(&mut command, &global, &console, |command| {
+            dispatch(command, &global, &console)
+        });
         let outcome = outcome.and_then(|code| console.printed().map(|()| code));
         (outcome, console)
     }
+}
 
-    fn dispatch(&self, console: &Console) -> Outcome {
-        match &self.command {
-            Command::Check(argument) => check::run(&argument.scene, &self.global, console),
-            Command::Simulate { arguments, resume } => {
-                simulate::run(arguments, *resume, &self.global, console)
-            }
-            Command::Equilibrium(arguments) => equilibrium::run(arguments, &self.global, console),
-            Command::Solve(arguments) => solve::run(arguments, &self.global, console),
-            Command::Mpc(arguments) => mpc::run(arguments, &self.global, console),
-            Command::Fit(arguments) => fit::run(arguments, &self.global, console),
-            Command::Tradeoff(arguments) => tradeoff::run(arguments, &self.global, console),
-            Command::Verify(arguments) => verify::run(arguments, &self.global, console),
-            Command::Report(arguments) => report::run(arguments, &self.global, console),
-            Command::Derivatives(argument) => {
-                derivatives::run(&argument.scene, &self.global, console)
-            }
-            Command::Example { name } => example::run(name.as_deref(), &self.global, console),
-            Command::Export(arguments) => export::run(arguments, console),
-            Command::Completions { shell } => {
-                let mut text = Vec::new();
-                clap_complete::generate(*shell, &mut Cli::command(), "softarm", &mut text);
-                console.print(String::from_utf8_lossy(&text).trim_end());
-                Ok(exit::DONE)
-            }
-            Command::Man { verb } => manual(verb.as_deref(), console),
-            Command::Schema { markdown } => schema::run(*markdown, console),
+/// Runs a verb.
+fn dispatch(command: &Command, global: &Global, console: &Console) -> Outcome {
+    match command {
+        Command::Check(argument) => check::run(&argument.scene, global, console),
+        Command::Simulate { arguments, resume } => {
+            simulate::run(arguments, *resume, global, console)
         }
+        Command::Equilibrium(arguments) => equilibrium::run(arguments, global, console),
+        Command::Solve(arguments) => solve::run(arguments, global, console),
+        Command::Mpc(arguments) => mpc::run(arguments, global, console),
+        Command::Fit(arguments) => fit::run(arguments, global, console),
+        Command::Tradeoff(arguments) => tradeoff::run(arguments, global, console),
+        Command::Verify(arguments) => verify::run(arguments, global, console),
+        Command::Report(arguments) => report::run(arguments, global, console),
+        Command::Derivatives(argument) => derivatives::run(&argument.scene, global, console),
+        Command::Example { name } => example::run(name.as_deref(), global, console),
+        Command::Export(arguments) => export::run(arguments, console),
+        Command::Completions { shell } => {
+            let mut text = Vec::new();
+            clap_complete::generate(*shell, &mut Cli::command(), "softarm", &mut text);
+            console.print(String::from_utf8_lossy(&text).trim_end());
+            Ok(exit::DONE)
+        }
+        Command::Man { verb } => manual(verb.as_deref(), console),
+        Command::Schema { markdown } => schema::run(*markdown, console),
     }
 }
 

@@ -20,7 +20,7 @@ use crate::solve::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun};
 #[derive(Debug, Args)]
 pub(super) struct MpcArguments {
     #[command(flatten)]
-    scene: SceneAndOut,
+    pub(super) scene: SceneAndOut,
     /// Also run the plan without feedback and with a regulator about it, a spring and a damper at the tip with the best of 24 pairs of gains, the
     /// controller on an arm that is its model, and on an arm that waits for it; print one table
     #[arg(long)]

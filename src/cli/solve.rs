@@ -34,7 +34,7 @@ use crate::verify::ForwardCheck;
 #[command(after_help = help())]
 pub(super) struct SolveArguments {
     #[command(flatten)]
-    scene: SceneAndOut,
+    pub(super) scene: SceneAndOut,
     /// Solve from this many starts, detours chosen by --seed after the first, and keep the best that is certified
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1000))]
     starts: u16,

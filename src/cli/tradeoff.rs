@@ -25,7 +25,7 @@ use crate::tradeoff::{
 #[derive(Debug, Args)]
 pub(super) struct TradeoffArguments {
     #[command(flatten)]
-    scene: SceneAndOut,
+    pub(super) scene: SceneAndOut,
     /// Largest acceptable error, in lengths of the arm
     #[arg(long, value_name = "PART", default_value_t = 1e-3, value_parser = tolerance)]
     tolerance: f64,

@@ -154,31 +154,10 @@ impl Feedback {
                 what: "energy of deviations",
             })?);
         }
-        let control = problem.signal(&problem.control, coefficients);
-        let motion = Motion {
-            control: problem.depends_on_configuration().then_some(&control),
-            ..problem.motion()
-        };
-        let targets = targets(problem, &components);
-        let acting = ActingAlong::of(problem, control.clone(), trajectory);
-        let visit: &InputVisitor = &|k, visit| {
-            for (index, &(node, axis)) in inputs.iter().enumerate() {
-                match (targets[index], &acting) {
-                    (Target::Node, _) | (_, None) => visit(index, node, axis, 1.0),
-                    // The input is constant over the block.
-                    (target, Some(acting)) => {
-                        acting.visit(k, target, &mut |_, node, axis, slope| {
-                            visit(index, node, axis, slope);
-                        });
-                    }
-                }
-            }
-        };
-        let by = (inputs.len(), visit);
+        let transitions = block_transitions(problem, trajectory, coefficients, n_threads)?;
         let mut stages = Vec::with_capacity(edges.len() - 1);
-        for (j, edge) in edges.windows(2).enumerate() {
-            let Transition { state, input } =
-                transition_by(&motion, trajectory, edge[0]..edge[1], by, n_threads)?;
+        for (j, (edge, transition)) in edges.windows(2).zip(transitions).enumerate() {
+            let Transition { state, input } = transition;
             let part = (edge[1] - edge[0]) as f64 * problem.grid.step / horizon;
             let input = Mat::from_fn(input.nrows(), input.ncols(), |i, c| {
                 input[(i, c)] * scales[c]
@@ -257,6 +236,48 @@ impl Feedback {
             })
             .collect()
     }
+}
+
+/// Returns the linearized motion of a problem over every block of the control, around the motion `trajectory` under given coefficients:
+/// along `(δx, ζ, δp, δπ)` of every free node, and along every actuated component, constant over the block, in N, N m or the unit of the
+/// effort.
+///
+/// # Errors
+/// Returns [`StepError`] where the motion cannot be linearized.
+pub fn block_transitions(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    coefficients: &[Wrench],
+    n_threads: usize,
+) -> Result<Vec<Transition>, StepError> {
+    let components = problem.actuated_components();
+    let control = problem.signal(&problem.control, coefficients);
+    let motion = Motion {
+        control: problem.depends_on_configuration().then_some(&control),
+        ..problem.motion()
+    };
+    let targets = targets(problem, &components);
+    let acting = ActingAlong::of(problem, control.clone(), trajectory);
+    let visit: &InputVisitor = &|k, visit| {
+        for (index, component) in components.iter().enumerate() {
+            match (targets[index], &acting) {
+                (Target::Node, _) | (_, None) => {
+                    let node = problem.actuators[component.actuator].node;
+                    visit(index, node, component.axis, 1.0);
+                }
+                // The input is constant over the block.
+                (target, Some(acting)) => {
+                    acting.visit(k, target, &mut |_, node, axis, slope| {
+                        visit(index, node, axis, slope);
+                    });
+                }
+            }
+        }
+    };
+    let by = (components.len(), visit);
+    (problem.control.edges().windows(2))
+        .map(|edge| transition_by(&motion, trajectory, edge[0]..edge[1], by, n_threads))
+        .collect()
 }
 
 fn check_weights(weights: &FeedbackWeights) -> Result<(), FeedbackError> {

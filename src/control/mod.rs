@@ -58,6 +58,7 @@ pub use attempt::SolveLog;
 pub use attempt::{Abandoned, Attempt};
 pub use feedback::{
     Feedback, FeedbackError, FeedbackWeights, ModelMismatch, Quantity, TipDeviation,
+    block_transitions,
 };
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use held::Held;

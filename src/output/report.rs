@@ -56,7 +56,7 @@ pub struct ReportData {
     pub paths: Vec<ReportPath>,
     /// Forces and moments at the frames of the motion.
     pub arrows: Vec<ReportArrow>,
-    /// Tendons, chambers and muscles in the arm.
+    /// Actuators in the arm.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub routes: Vec<ReportRoute>,
     /// Strains, stresses and speed over arc length and time.
@@ -270,7 +270,7 @@ pub struct ReportVia {
     pub position: [f64; 3],
 }
 
-/// Tells whether an arrow is a force or a moment.
+/// The quantity that an arrow shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArrowKind {
@@ -278,14 +278,16 @@ pub enum ArrowKind {
     Force,
     /// A moment, in newton meters.
     Moment,
+    /// A magnetic field, in tesla.
+    Field,
 }
 
-/// A force or a moment over the frames of the motion.
+/// A force, a moment or a field over the frames of the motion.
 #[derive(Debug, Clone, Serialize)]
 pub struct ReportArrow {
     /// Name of the cause, as in "control".
     pub name: String,
-    /// Force or moment.
+    /// The quantity.
     pub kind: ArrowKind,
     /// The node that it acts on; `None` where `at` says the place.
     pub node: Option<usize>,
@@ -302,12 +304,16 @@ pub struct ReportArrow {
 pub struct ReportRoute {
     /// Its name.
     pub name: String,
-    /// Its kind: "tendon", "chamber" or "muscle".
+    /// Its kind: "tendon", "chamber", "muscle", "magnet" or "cable".
     pub kind: &'static str,
     /// The first node that it passes.
     pub first: usize,
-    /// Offsets in the section, in meters, at this node and the following ones.
-    pub offsets: Vec<[f32; 2]>,
+    /// Places in the axes of the section, in meters, at this node and the following ones.
+    pub offsets: Vec<[f32; 3]>,
+    /// The point in space to which a cable goes, in meters.
+    pub anchor: Option<[f64; 3]>,
+    /// Direction of the moment of a magnet, in the axes of the section.
+    pub moment: Option<[f64; 3]>,
     /// Radius of a chamber, in meters; zero of a line.
     pub radius: f64,
     /// `[n]` efforts.
@@ -316,6 +322,19 @@ pub struct ReportRoute {
     pub slack: Vec<bool>,
     /// Largest effort that it can have.
     pub most: f64,
+}
+
+impl ReportRoute {
+    /// Tells whether both are the same magnet, under other components of the field.
+    #[must_use]
+    pub fn is_same_magnet(&self, other: &Self) -> bool {
+        let seen = |route: &Self| {
+            route
+                .moment
+                .map(|moment| (moment, route.first, route.offsets.len()))
+        };
+        seen(self).is_some() && seen(self) == seen(other)
+    }
 }
 
 /// A path that a node should follow.

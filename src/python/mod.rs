@@ -6,6 +6,7 @@
 mod arrays;
 mod controller;
 mod plant;
+mod program;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
@@ -31,6 +32,8 @@ mod _softarm {
     use super::controller::Controller;
     #[pymodule_export]
     use super::plant::{Batch, Plant};
+    #[pymodule_export]
+    use super::program::Program;
     #[pymodule_export]
     use super::{builtin_scenes, call, main, parse, schema};
 

@@ -635,3 +635,84 @@ fn what_is_resumed_is_checked() {
     desk.run(&simulate).exits(DONE);
     assert_eq!(names(desk.folder.path()), ["run", "scene.toml"]);
 }
+
+/// A run whose result is there ends without computing it again; another option, scene or verb is another result, and threads are not.
+#[test]
+fn existing_results_are_skipped() {
+    let desk = Desk::new();
+    let sweep = |more: &[&str]| {
+        let words = [
+            "simulate",
+            "scene.toml",
+            "--out",
+            "sweep",
+            "--skip-existing",
+        ];
+        let run = desk.run(&[&words[..], more].concat());
+        assert_eq!(run.code, DONE, "{}", run.stderr);
+        run.stderr.contains("there already")
+    };
+    let count = || fs::read_dir(desk.path("sweep")).unwrap().count();
+    assert!(!sweep(&[]));
+    let [first] = [fs::read_dir(desk.path("sweep"))
+        .unwrap()
+        .next()
+        .unwrap()
+        .unwrap()
+        .path()];
+    let written = fs::metadata(first.join("trajectory.npz"))
+        .unwrap()
+        .modified()
+        .unwrap();
+    assert!(sweep(&[]));
+    assert!(sweep(&["--threads", "2"]));
+    assert_eq!(count(), 1);
+    let untouched = fs::metadata(first.join("trajectory.npz"))
+        .unwrap()
+        .modified()
+        .unwrap();
+    assert_eq!(written, untouched);
+    assert!(!sweep(&["--set", "time.end_s=0.1"]));
+    assert!(sweep(&["--set", "time.end_s=0.1"]));
+    assert_eq!(count(), 2);
+    // A result that was being replaced does not count.
+    let summary = fs::read_to_string(first.join("summary.json")).unwrap();
+    let mut summary: Value = serde_json::from_str(&summary).unwrap();
+    summary["status"] = "unfinished".into();
+    fs::write(first.join("summary.json"), summary.to_string()).unwrap();
+    assert!(!sweep(&[]));
+    let run = desk.run(&["check", "scene.toml", "--skip-existing"]);
+    assert_eq!(run.code, USAGE, "{}", run.stderr);
+}
+
+/// Without its large files a result has its numbers, and `verify` says what is missing.
+#[test]
+fn small_results_keep_their_numbers() {
+    let desk = Desk::new();
+    let run = desk.run(&[
+        "solve",
+        "scene.toml",
+        "--out",
+        "small",
+        "--small",
+        "--quiet",
+    ]);
+    assert_eq!(run.code, DONE, "{}", run.stderr);
+    for gone in ["trajectory.npz", "report.html"] {
+        assert!(!desk.path("small").join(gone).exists(), "{gone}");
+    }
+    for kept in ["summary.json", "scene.toml", "controls.csv", "end.npz"] {
+        assert!(desk.path("small").join(kept).exists(), "{kept}");
+    }
+    let run = desk.run(&["verify", "small"]);
+    assert_eq!(run.code, USAGE, "{}", run.stderr);
+    assert!(
+        run.stderr.contains("trajectory.npz") && run.stderr.contains("--small"),
+        "{}",
+        run.stderr
+    );
+    // The whole result takes its place again.
+    let run = desk.run(&["solve", "scene.toml", "--out", "small", "--quiet"]);
+    assert_eq!(run.code, DONE, "{}", run.stderr);
+    assert!(desk.path("small/trajectory.npz").exists());
+}

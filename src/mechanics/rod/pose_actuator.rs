@@ -45,7 +45,9 @@ pub struct Magnet {
 }
 
 impl Magnet {
-    fn field_at(&self, x: &Vector3<f64>) -> Vector3<f64> {
+    /// Returns the field at a point per effort, T.
+    #[must_use]
+    pub fn field_at(&self, x: &Vector3<f64>) -> Vector3<f64> {
         self.field + self.gradient * (x - self.center)
     }
 }

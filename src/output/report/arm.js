@@ -106,18 +106,23 @@ function armPieces(stage, run) {
   }
 
   /**
-   * Tendons, chambers and muscles where they are in the arm, seen through its surface: bold on the side of the viewer, faint behind the
+   * Tendons, chambers, muscles, cables and magnets where they are in the arm, seen through its surface: bold on the side of the viewer, faint behind the
    * axis. They are the wider the larger their effort is; without any they are dashed.
    */
   function routes(t, pieces) {
     const shape = configuration(t);
     const [i, j, s] = between(times, t);
     for (const route of run.routes || []) {
-      const points = route.offsets.map(([a, b], k) => {
+      const points = route.offsets.map(([a, b, c], k) => {
         const node = route.first + k;
         const out = add(mul(shape.a[node], a * thickening), mul(shape.b[node], b * thickening));
-        return { at: add(shape.x[node], out), faces: dot(out, toViewer(shape.x[node])) >= 0 };
+        return { at: add(add(shape.x[node], out), mul(shape.tangent[node], c)), faces: dot(out, toViewer(shape.x[node])) >= 0 };
       });
+      if (route.moment) {
+        magnet(route, shape, pieces);
+        continue;
+      }
+      if (route.anchor) points.push({ at: route.anchor, faces: true });
       const effort = route.efforts[i] + (route.efforts[j] - route.efforts[i]) * s;
       const slack = route.slack[s < 0.5 ? i : j];
       const part = route.most > 0 ? clamp(Math.abs(effort) / route.most, 0, 1) : 0;
@@ -148,6 +153,25 @@ function armPieces(stage, run) {
           },
         });
       }
+    }
+  }
+
+  /** A magnet as a bar along its moment, whose north is bold; of a stretch of them some. */
+  function magnet(route, shape, pieces) {
+    const [a, b, c] = route.moment, stride = Math.ceil(route.offsets.length / 12);
+    const half = Math.max(2.2 * largest * thickening, 0.035 * size) / (stride > 1 ? 2 : 1);
+    for (let k = 0; k < route.offsets.length; k += stride) {
+      const node = route.first + k, middle = shape.x[node];
+      const way = add(add(mul(shape.a[node], a), mul(shape.b[node], b)), mul(shape.tangent[node], c));
+      const [south, center, north] = [-half, 0, half].map((along) => project(add(middle, mul(way, along))));
+      pieces.push({
+        depth: center.depth - 2.2 * largest * thickening,
+        draw() {
+          line(south, north, rgba(colors.rim, 0.7), 7);
+          line(south, center, colors.soft, 4.5);
+          line(center, north, rgba(colors.magnet, 1), 4.5);
+        },
+      });
     }
   }
 
@@ -267,15 +291,18 @@ function armPieces(stage, run) {
 /** Parts of the size of the picture that the longest arrow takes; a weight that is larger is drawn as long as this, and not in scale. */
 const LONGEST_ARROW = 0.22, LONGEST_WEIGHT = 0.26;
 
-/** Arrows of all runs in one scale for forces and one for moments: their pieces, the legend, and their ends for the camera. */
+const ARROW_UNITS = { force: 'N', moment: 'N\u00b7m', field: 'T' };
+const swatchOf = (arrow) => arrow.name === 'weight' ? 'weight' : arrow.kind !== 'force' ? arrow.kind : arrow.name === 'control' ? 'force' : 'load';
+
+/** Arrows of all runs in one scale for forces, one for moments and one for fields: their pieces, the legend, and their ends for the camera. */
 function arrowPieces(runs, size) {
-    const all = runs.flatMap((run) => run.arrows.map((arrow) => ({ ...arrow, run }))).filter((arrow) => arrow.peak > 0);
+  const all = runs.flatMap((run) => run.arrows.map((arrow) => ({ ...arrow, run }))).filter((arrow) => arrow.peak > 0);
   const longest = (kind, weights) => all.filter((a) => a.kind === kind && (a.name === 'weight') === weights).reduce((m, a) => Math.max(m, a.peak), 0);
   const weight = longest('force', true);
-  const scales = { force: LONGEST_ARROW * size / (longest('force', false) || weight || 1), moment: LONGEST_ARROW * size / (longest('moment', false) || 1) };
+  const scales = { force: LONGEST_ARROW * size / (longest('force', false) || weight || 1), moment: LONGEST_ARROW * size / (longest('moment', false) || 1), field: LONGEST_ARROW * size / (longest('field', false) || 1) };
   const clipped = weight * scales.force > LONGEST_WEIGHT * size;
   const colorOf = (arrow) => COMPARING ? rgba(colors[arrow.run.color], 1)
-    : arrow.name === 'weight' ? colors.weight : arrow.kind === 'moment' ? colors.moment : arrow.name === 'control' ? colors.force : colors.load;
+    : colors[swatchOf(arrow)];
   const lengthened = (arrow, v) => {
     const s = scales[arrow.kind];
     return arrow.name === 'weight' && clipped ? mul(v, LONGEST_WEIGHT * size / norm(v)) : mul(v, s);
@@ -309,7 +336,7 @@ function arrowPieces(runs, size) {
           line(p, { x: q.x - dx * head * 0.8, y: q.y - dy * head * 0.8 }, color, arrow.kind === 'moment' ? 2 : 2.8);
           polygon(tip(0), color);
           if (arrow.kind === 'moment') polygon(tip(head * 0.75), color);
-          if (!crowded && length > 16) label(`${Number((Math.round(norm(v) / arrow.peak * 1000) / 1000 * arrow.peak).toPrecision(3))} ${arrow.kind === 'force' ? 'N' : 'N\u00b7m'}`, q, p, color, 9);
+          if (!crowded && length > 16) label(`${Number((Math.round(norm(v) / arrow.peak * 1000) / 1000 * arrow.peak).toPrecision(3))} ${ARROW_UNITS[arrow.kind]}`, q, p, color, 9);
         },
       });
     }
@@ -323,9 +350,10 @@ function arrowPieces(runs, size) {
       if (!known || known.peak < arrow.peak) groups.set(key, arrow);
     }
     return [...groups.values()].map((arrow) => {
-      const size = `${Number(arrow.peak.toPrecision(3))} ${arrow.kind === 'force' ? 'N' : 'N\u00b7m'}`;
-      const css = COMPARING ? 'var(--soft)' : `var(--${arrow.name === 'weight' ? 'weight' : arrow.kind === 'moment' ? 'moment' : arrow.name === 'control' ? 'force' : 'load'})`;
+      const size = `${Number(arrow.peak.toPrecision(3))} ${ARROW_UNITS[arrow.kind]}`;
+      const css = COMPARING ? 'var(--soft)' : `var(--${swatchOf(arrow)})`;
       if (arrow.name === 'weight') return [css, `weight ${size}${clipped ? ' (shortened)' : ''}`];
+      if (arrow.kind === 'field') return [css, `magnetic field, at most ${size}`];
       const what = arrow.kind === 'moment' ? 'moment, double head' : 'force';
       return [css, `${arrow.name}: ${what}, at most ${size}`];
     });

@@ -171,9 +171,9 @@ let colors = {};
 const themeListeners = [];
 function readColors() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ['ink', 'soft', 'x', 'y', 'z', 'path', 'target', 'view-top', 'view-bottom', 'card', 'line', 'force', 'moment', 'weight', 'load'])
+  for (const name of ['ink', 'soft', 'x', 'y', 'z', 'path', 'target', 'view-top', 'view-bottom', 'card', 'line', 'force', 'moment', 'field', 'weight', 'load'])
     colors[name] = style.getPropertyValue('--' + name).trim();
-  for (const name of ['arm', 'stripe', 'plate', 'ground', 'ghost', 'payload', 'tendon', 'chamber', 'muscle', 'rim', ...BODY_COLORS, ...RUN_COLORS])
+  for (const name of ['arm', 'stripe', 'plate', 'ground', 'ghost', 'payload', 'tendon', 'chamber', 'muscle', 'magnet', 'cable', 'rim', ...BODY_COLORS, ...RUN_COLORS])
     colors[name] = style.getPropertyValue('--' + name).trim().split(/\s+/).map(Number);
 }
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => { readColors(); for (const listener of themeListeners) listener(); });

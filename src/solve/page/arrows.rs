@@ -1,4 +1,4 @@
-//! Forces and moments as arrows at the frames of a motion.
+//! Forces, moments and magnetic fields as arrows at the frames of a motion.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use super::FRAMES;
 use super::fields::pose;
 use crate::control::{Hold, OptimalControlProblem};
-use crate::mechanics::{Rod, StateView, Wrench};
+use crate::mechanics::{OfPose, Rod, StateView, Wrench};
 use crate::output::{ArrowKind, MotionRecord, ReportArrow};
 
 /// Nodes with arrows of one name and kind, at most; of more, these are evenly spread.
@@ -46,8 +46,12 @@ impl<'a> Arrows<'a> {
     }
 
     fn finish(self) -> Vec<ReportArrow> {
+        self.finish_as([ArrowKind::Force, ArrowKind::Moment])
+    }
+
+    fn finish_as(self, kinds: [ArrowKind; 2]) -> Vec<ReportArrow> {
         let mut out = Vec::new();
-        for (kind, part) in [(ArrowKind::Force, 0), (ArrowKind::Moment, 1)] {
+        for (part, kind) in kinds.into_iter().enumerate() {
             let acting: Vec<_> = (self.by_node.iter())
                 .map(|(node, both)| (*node, &both[part]))
                 .filter(|(_, vectors)| vectors.iter().any(|v| *v != Vector3::zeros()))
@@ -200,4 +204,32 @@ pub(super) fn given<'a>(
         });
     }
     out
+}
+
+/// The fields at the magnets, under the efforts of all actuators in a row of the record.
+pub(super) fn fields(
+    rod: &Rod,
+    record: &MotionRecord,
+    efforts: &dyn Fn(usize) -> Vec<f64>,
+) -> Vec<ReportArrow> {
+    let magnets: Vec<_> = (rod.actuators.functions().iter())
+        .filter_map(|own| match (&own.function, own.actuator) {
+            (OfPose::Magnet(magnet), Some(actuator)) => Some((own.node, magnet, actuator)),
+            _ => None,
+        })
+        .collect();
+    if magnets.is_empty() {
+        return Vec::new();
+    }
+    let rows = record.thinned_rows(FRAMES);
+    let mut arrows = Arrows::new("field", rows.len());
+    for (frame, &row) in rows.iter().enumerate() {
+        let (positions, _) = pose(record, row);
+        let efforts = efforts(row);
+        for (node, magnet, actuator) in &magnets {
+            let field = magnet.field_at(&positions[*node]) * efforts[*actuator];
+            arrows.add(frame, *node, field, Vector3::zeros());
+        }
+    }
+    arrows.finish_as([ArrowKind::Field, ArrowKind::Moment])
 }

@@ -79,6 +79,7 @@ pub(crate) fn closed_loop_page(
         },
         arrows: (arrows::on_tip(record).into_iter())
             .chain(arrows::given(&setup.plant, record, |i| load_name(setup, i)))
+            .chain(shown.arrows)
             .collect(),
         routes: shown.routes,
         fields: fields::fields(&setup.plant, record),

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
-use super::{FRAMES, ROWS};
-use crate::mechanics::{Density, Rod, SAME_PLACE, StrainActuator};
-use crate::output::{Columns, MotionRecord, ReportRoute};
+use super::{FRAMES, ROWS, arrows};
+use crate::mechanics::{Density, OfPose, PlacedFunction, Rod, SAME_PLACE, StrainActuator};
+use crate::output::{Columns, MotionRecord, ReportArrow, ReportRoute};
 use crate::solve::efforts::shape_of;
 use crate::task::EffortControl;
 
@@ -21,6 +21,8 @@ pub(super) struct Shown {
     pub groups: Value,
     /// Columns of the curves.
     pub columns: Columns,
+    /// The fields at magnets.
+    pub arrows: Vec<ReportArrow>,
 }
 
 /// Returns the efforts of all actuators of a rod for their inputs in a row of a record.
@@ -34,7 +36,7 @@ pub(super) fn of_inputs(
     rod.efforts_at(inputs, &shape.positions, &shape.rotations)
 }
 
-/// Returns the actuators on the strains of `rod` along a motion; `efforts` gives those of all in a row of the record, `controls` are those
+/// Returns the actuators of `rod` along a motion; `efforts` gives those of all in a row of the record, `controls` are those
 /// with bounds. Of a winch, whose input is a displacement, the tension is shown, without bounds.
 pub(super) fn shown(
     rod: &Rod,
@@ -43,11 +45,12 @@ pub(super) fn shown(
     efforts: &dyn Fn(usize) -> Vec<f64>,
 ) -> Shown {
     let mut columns = Columns::new();
-    if rod.actuators.strains().is_empty() {
+    if rod.actuators.is_empty() {
         return Shown {
             routes: Vec::new(),
             groups: Value::Array(Vec::new()),
             columns,
+            arrows: Vec::new(),
         };
     }
     let largest = rod.largest_efforts();
@@ -63,29 +66,39 @@ pub(super) fn shown(
     let mut routes = Vec::new();
     let mut groups: BTreeMap<usize, Vec<Value>> = BTreeMap::new();
     let mut bounds: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
-    for (index, own) in rod.actuators.strains().iter().enumerate() {
+    for (index, drive) in rod.actuators.iter().enumerate() {
+        let strain = rod.actuators.strains().get(index);
+        let functions: Vec<&PlacedFunction> = (rod.actuators.functions().iter())
+            .filter(|own| own.actuator == Some(index))
+            .collect();
         let column = |rows: &[Vec<f64>]| rows.iter().map(|row| row[index]).collect::<Vec<f64>>();
         let curve = column(&curves);
         let bound = (controls.iter())
-            .find_map(|c| (c.actuator == index && own.winch.is_none()).then_some(c.bounds));
+            .find_map(|c| (c.actuator == index && drive.winch.is_none()).then_some(c.bounds));
         let most = largest[index];
         // In words an effort that does not count is none.
         let told = |effort: f64| if is_slack(effort, most) { 0.0 } else { effort };
-        let group = group(own.density);
+        let group = match strain {
+            Some(own) => group(own.density),
+            None => group_of_pose(&functions, drive.unit),
+        };
         let members = groups.entry(group).or_default();
         let slack = curve
             .iter()
-            .filter(|effort| is_slack(**effort, most))
+            .filter(|effort| !is_magnet(&functions) && is_slack(**effort, most))
             .count();
         members.push(json!({
-            "name": own.name,
+            "name": drive.name,
             "column": format!("effort_{index}"),
             "color": COLORS[members.len() % COLORS.len()],
-            "from": own.route.from,
-            "to": own.route.to,
-            "offset": own.route.offset_from,
-            "offset_to": own.route.offset_to,
-            "turns": own.route.turns,
+            "route": strain.map(|own| json!({
+                "from": own.route.from,
+                "to": own.route.to,
+                "offset": own.route.offset_from,
+                "offset_to": own.route.offset_to,
+                "turns": own.route.turns,
+            })),
+            "poses": poses(rod, &functions),
             "bounds": bound,
             "least": told(curve.iter().copied().fold(f64::INFINITY, f64::min)),
             "most": told(curve.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
@@ -103,7 +116,17 @@ pub(super) fn shown(
             }
         }
         columns.insert(format!("effort_{index}"), curve);
-        routes.push(route(rod, own, most, column(&frames)));
+        let efforts = column(&frames);
+        routes.extend(match strain {
+            Some(own) => Some(route(rod, own, most, efforts)),
+            None => pose_route(&functions, &drive.name, most, efforts)
+                // The components of a field belong to one magnet.
+                .filter(|route| {
+                    !routes
+                        .iter()
+                        .any(|own: &ReportRoute| own.is_same_magnet(route))
+                }),
+        });
     }
     let groups = groups.into_iter().map(|(group, members)| {
         let (word, title) = WORDS[group];
@@ -127,17 +150,22 @@ pub(super) fn shown(
         routes,
         groups,
         columns,
+        arrows: arrows::fields(rod, record, efforts),
     }
 }
 
 /// Words of the groups: of one actuator, and of their efforts.
-const WORDS: [(&str, &str); 3] = [
+const WORDS: [(&str, &str); 7] = [
     ("tendon", "Tensions"),
     ("chamber", "Pressures"),
     ("muscle", "Activations"),
+    ("magnet", "Components of the field"),
+    ("magnet", "Components of the gradient of the field"),
+    ("cable", "Tensions of cables"),
+    ("actuator", "Efforts"),
 ];
-/// Units of the efforts of the groups.
-const UNITS: [&str; 3] = ["N", "Pa", ""];
+/// Units of the efforts of the groups; those of one's own may have another.
+const UNITS: [&str; 7] = ["N", "Pa", "", "T", "T/m", "N", ""];
 
 /// Returns the group of an actuator among [`WORDS`].
 fn group(density: Density) -> usize {
@@ -146,6 +174,37 @@ fn group(density: Density) -> usize {
         Density::Volume | Density::Braid { .. } => 1,
         Density::Muscle => 2,
     }
+}
+
+/// Returns the group of an actuator on poses.
+fn group_of_pose(functions: &[&PlacedFunction], unit: &str) -> usize {
+    match functions.first().map(|own| &own.function) {
+        Some(OfPose::Magnet(_)) => 3 + usize::from(unit == UNITS[4]),
+        Some(OfPose::Cable(_)) => 5,
+        _ => 6,
+    }
+}
+
+fn is_magnet(functions: &[&PlacedFunction]) -> bool {
+    matches!(
+        functions.first().map(|own| &own.function),
+        Some(OfPose::Magnet(_))
+    )
+}
+
+/// Returns the facts of a template about the functions of an actuator on poses: where they are, and the vector that tells them.
+fn poses(rod: &Rod, functions: &[&PlacedFunction]) -> Vec<Value> {
+    let places = rod.places();
+    (functions.iter())
+        .map(|own| {
+            let (moment, anchor) = match &own.function {
+                OfPose::Magnet(magnet) => (Some(magnet.moment.norm() * own.weight), None),
+                OfPose::Cable(cable) => (None, Some(<[f64; 3]>::from(cable.anchor))),
+                OfPose::Touch(_) | OfPose::Own(_) => (None, None),
+            };
+            json!({ "at": places[own.node], "moment": moment, "anchor": anchor })
+        })
+        .collect()
 }
 
 /// Part of the largest effort below which an actuator is slack: far above the tolerance of a solve, and not to be seen in a picture.
@@ -170,8 +229,13 @@ fn route(rod: &Rod, own: &StrainActuator, most: f64, efforts: Vec<f64>) -> Repor
         kind: WORDS[group(own.density)].0,
         first: nodes.first().copied().unwrap_or(0),
         offsets: (nodes.iter())
-            .map(|&q| own.route.at(places[q], length).0.map(|part| part as f32))
+            .map(|&q| {
+                let [x, y] = own.route.at(places[q], length).0.map(|part| part as f32);
+                [x, y, 0.0]
+            })
             .collect(),
+        anchor: None,
+        moment: None,
         radius: match own.density {
             // A chamber as wide as a circle of its area.
             Density::Volume | Density::Braid { .. } => (own.scale / std::f64::consts::PI).sqrt(),
@@ -184,4 +248,41 @@ fn route(rod: &Rod, own: &StrainActuator, most: f64, efforts: Vec<f64>) -> Repor
         most,
         efforts: efforts.into_iter().map(|effort| effort as f32).collect(),
     }
+}
+
+/// Returns the picture of an actuator on poses; `None` of a function of one's own, of which nobody knows how it looks.
+fn pose_route(
+    functions: &[&PlacedFunction],
+    name: &str,
+    most: f64,
+    efforts: Vec<f64>,
+) -> Option<ReportRoute> {
+    let first = functions.first()?;
+    let (kind, offsets, anchor, moment) = match &first.function {
+        OfPose::Cable(cable) => {
+            let offset: [f64; 3] = cable.offset.into();
+            let offsets = vec![offset.map(|part| part as f32)];
+            (WORDS[5].0, offsets, Some(cable.anchor.into()), None)
+        }
+        OfPose::Magnet(magnet) => {
+            let offsets = vec![[0.0; 3]; functions.len()];
+            let way = magnet.moment.normalize();
+            (WORDS[3].0, offsets, None, Some(way.into()))
+        }
+        OfPose::Touch(_) | OfPose::Own(_) => return None,
+    };
+    Some(ReportRoute {
+        name: name.into(),
+        kind,
+        first: first.node,
+        offsets,
+        anchor,
+        moment,
+        radius: 0.0,
+        slack: (efforts.iter())
+            .map(|effort| !is_magnet(functions) && is_slack(*effort, most))
+            .collect(),
+        most,
+        efforts: efforts.into_iter().map(|effort| effort as f32).collect(),
+    })
 }

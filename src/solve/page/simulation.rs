@@ -42,7 +42,9 @@ pub(crate) fn simulation_page(
     let words = words("simulation.jinja", &context, &columns)?;
     let motion = ReportMotion::thinned(record, FRAMES);
     Ok(ReportData {
-        arrows: arrows::given(rod, record, |_| arrows::LOAD),
+        arrows: (arrows::given(rod, record, |_| arrows::LOAD).into_iter())
+            .chain(shown.arrows)
+            .collect(),
         routes: shown.routes,
         fields: fields::fields(rod, record),
         obstacles: obstacles(&limits, rod, &own.radii_at_nodes(&rod.mesh), record),

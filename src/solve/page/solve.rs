@@ -74,6 +74,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, Output
         paths: paths(discrete, record),
         arrows: (arrows::controls(discrete, page.coefficients, record).into_iter())
             .chain(arrows::given(&discrete.rod, record, |_| arrows::LOAD))
+            .chain(shown.arrows)
             .collect(),
         routes: shown.routes,
         fields: fields::fields(&discrete.rod, record),

@@ -172,11 +172,15 @@ impl<'a> SavedSolution<'a> {
         let multipliers = read_multipliers(&path, problem)?;
         (multipliers.borrowed().validate(problem))
             .map_err(|error| RecheckError::Directory(format!("{}: {error}", path.display())))?;
-        let record = MotionRecord::read_npz_of(
-            &directory.join("trajectory.npz"),
-            problem.grid.n_steps + 1,
-            problem.rod.n_nodes(),
-        )?;
+        let motion = directory.join("trajectory.npz");
+        if !motion.exists() {
+            return Err(RecheckError::Directory(format!(
+                "{}: no such file, as after a run with --small; `softarm solve` without it writes one",
+                motion.display()
+            )));
+        }
+        let record =
+            MotionRecord::read_npz_of(&motion, problem.grid.n_steps + 1, problem.rod.n_nodes())?;
         Ok(Self {
             directory,
             setup,

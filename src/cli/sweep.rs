@@ -1,0 +1,119 @@
+//! Options for many runs: a result that is there is not computed again, and results keep their numbers alone.
+
+use std::fs;
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::console::Console;
+use super::error::CliError;
+use super::{Command, Global, Outcome, SceneAndOut, exit};
+use crate::output::{OutputError, ResultKind};
+
+/// The large files of a result, which its scene leads to again.
+const LARGE: [&str; 4] = [
+    "trajectory.npz",
+    "diagnostics.npz",
+    "checkpoint.json",
+    "report.html",
+];
+
+impl Command {
+    /// Returns scene and result directory of a verb that writes a result, with the kind of result.
+    fn result(&mut self) -> Option<(&mut SceneAndOut, ResultKind)> {
+        match self {
+            Self::Simulate { arguments, .. } => Some((arguments, ResultKind::Simulate)),
+            Self::Equilibrium(arguments) => Some((&mut arguments.scene, ResultKind::Equilibrium)),
+            Self::Solve(arguments) => Some((&mut arguments.scene, ResultKind::Solve)),
+            Self::Mpc(arguments) => Some((&mut arguments.scene, ResultKind::Mpc)),
+            Self::Tradeoff(arguments) => Some((&mut arguments.scene, ResultKind::Tradeoff)),
+            _ => None,
+        }
+    }
+}
+
+/// Runs a verb under the options of a sweep, and otherwise as `run` does.
+///
+/// With `--skip-existing` the result directory is named by a hash of the verb, its options, the scene with all defaults, and the version of
+/// softarm: a folder of its own in `--out`, by default in `results`. A result that is there ends the verb at once. Files that options name
+/// count by their names; a fit, which is made of little else, has none of this.
+pub(super) fn run(
+    command: &mut Command,
+    global: &Global,
+    console: &Console,
+    run: impl FnOnce(&Command) -> Outcome,
+) -> Outcome {
+    if !(global.skip_existing || global.small) {
+        return run(command);
+    }
+    if command.result().is_none() {
+        let words =
+            "--skip-existing and --small go with simulate, equilibrium, solve, mpc and tradeoff";
+        return Err(CliError::Directory(words.into()));
+    }
+    if global.skip_existing {
+        let key = key(command, global, console)?;
+        let Some((arguments, kind)) = command.result() else {
+            return run(command);
+        };
+        let folder = (arguments.out.take()).unwrap_or_else(|| PathBuf::from("results"));
+        let place = folder.join(key);
+        if let Some(summary) = finished(&place, kind)? {
+            console.say(&format!("{}: there already", place.display()));
+            console.summary(&summary);
+            return Ok(exit::DONE);
+        }
+        arguments.out = Some(place);
+    }
+    let code = run(command)?;
+    if global.small
+        && let Some((arguments, kind)) = command.result()
+    {
+        shrink(&arguments.directory(kind.command()), kind)?;
+    }
+    Ok(code)
+}
+
+/// Returns the name of the result of a verb: a hash of all that the result depends on.
+fn key(command: &mut Command, global: &Global, console: &Console) -> Result<String, CliError> {
+    let Some((arguments, _)) = command.result() else {
+        return Ok(String::new());
+    };
+    let (scene, _) = console.load(&arguments.scene, global)?;
+    let out = arguments.out.take();
+    let name = std::mem::take(&mut arguments.scene);
+    let mut hasher = DefaultHasher::new();
+    (format!("{command:?}"), global.seed).hash(&mut hasher);
+    (scene.to_toml(), env!("CARGO_PKG_VERSION")).hash(&mut hasher);
+    if let Some((arguments, _)) = command.result() {
+        (arguments.scene, arguments.out) = (name, out);
+    }
+    Ok(format!("{:016x}", hasher.finish()))
+}
+
+/// Returns the summary of a finished result of this kind; `None` if there is none, or one whose files were being replaced.
+fn finished(place: &Path, kind: ResultKind) -> Result<Option<serde_json::Value>, CliError> {
+    if !place.join("summary.json").is_file() {
+        return Ok(None);
+    }
+    match ResultKind::read(place) {
+        Ok((own, summary)) => Ok((own == kind).then_some(summary)),
+        // An earlier run was killed while it replaced files: the next one completes them.
+        Err(OutputError::Refused { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Removes the large files of a result.
+fn shrink(place: &Path, kind: ResultKind) -> Result<(), CliError> {
+    for name in kind.files().iter().filter(|name| LARGE.contains(name)) {
+        let path = place.join(name);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(OutputError::unwritten(&path, "cannot remove")(error).into());
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
