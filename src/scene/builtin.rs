@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 31] = [
+const SCENES: [(&str, &str); 32] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -88,6 +88,10 @@ const SCENES: [(&str, &str); 31] = [
     (
         "mpc-guidewire",
         include_str!("../../examples/scenes/mpc-guidewire.toml"),
+    ),
+    (
+        "mpc-stiff-flop",
+        include_str!("../../examples/scenes/mpc-stiff-flop.toml"),
     ),
     (
         "mpc-reach",
