@@ -4,7 +4,7 @@
     python examples/learn_tendon_tracking.py [ACTIONS] [PICTURE]
 
 The task is that of SoRoMoX (arm of 0.25 m, 15 actions a second, 7 s, success within 10 mm; `softarm.environments.TendonTracking`), and its
-policy and settings are those of their program. The table has return, distance and success of random actions, of no action, and of the policy, over
+policy and settings are those of their program but for the number of arms and the batch. The table has return, distance and success of random actions, of no action, and of the policy, over
 the same 64 targets, which were not trained on; the picture has the mean return while learning.
 """
 

@@ -54,14 +54,18 @@ class ArmEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.observation_space, self.action_space = _spaces(self.task)
         self.arms = Arms(self.task, 1, threads=1)
+        self._begun = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
         _no_options(options)
         self.arms.reset([0], [self.np_random])
+        self._begun = True
         return self.arms.observations()[0], self._info(None)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("the episode has not begun; reset it")
         rewards, terminated, truncated, errors = self.arms.step(np.asarray(action)[None])
         return self.arms.observations()[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), self._info(errors[0])
 
@@ -105,14 +109,14 @@ class ArmVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._over = np.zeros(num_envs, dtype=bool)
         self._begun = np.zeros(num_envs, dtype=bool)
 
-    @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:
+    @property  # type: ignore[misc,override,unused-ignore]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override,unused-ignore]
         """Random numbers of the arms."""
         self._seed([None] * self.num_envs)
         return tuple(self._generators)
 
     @property
-    def np_random_seed(self) -> tuple[int, ...]:
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override,unused-ignore]
         """Seeds of the arms."""
         self._seed([None] * self.num_envs)
         return tuple(self._seeds)

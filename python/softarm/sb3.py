@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,8 @@ from .gym import AutoresetMode, Box, VectorEnv
 
 try:
     from stable_baselines3.common.vec_env import VecEnv  # type: ignore[import-not-found,import-untyped,unused-ignore]
-except ImportError as error:
-    raise ImportError("softarm.sb3 needs stable-baselines3: pip install stable-baselines3") from error
+except ImportError:
+    VecEnv = object  # type: ignore[assignment,misc,unused-ignore]
 
 __all__ = ["ArmVecEnv"]
 
@@ -25,12 +24,14 @@ class ArmVecEnv(VecEnv):
     algorithm begins are of order one.
     """
 
-    def __init__(self, envs: VectorEnv, *, scaled: bool = True):
+    def __init__(self, envs: VectorEnv[Any, Any, Any], *, scaled: bool = True):
+        if VecEnv is object:
+            raise ImportError("softarm.sb3 needs stable-baselines3: pip install stable-baselines3")
         mode = envs.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {mode}; stable-baselines3 expects AutoresetMode.SAME_STEP")
         self.envs = envs
-        space = envs.single_action_space
+        space: Any = envs.single_action_space
         self._bounds = (space.low.astype(float), space.high.astype(float)) if scaled else None
         if self._bounds is not None:
             space = Box(-1.0, 1.0, space.shape, np.float32)
@@ -38,7 +39,7 @@ class ArmVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, space)
 
     def reset(self) -> np.ndarray:
-        seeds = self._seeds if any(seed is not None for seed in self._seeds) else None
+        seeds: Any = self._seeds if any(seed is not None for seed in self._seeds) else None
         options = next((own for own in self._options if own), None)
         observations, infos = self.envs.reset(seed=seeds, options=options)
         self.reset_infos = [_of_arm(infos, index) for index in range(self.num_envs)]
@@ -75,16 +76,16 @@ class ArmVecEnv(VecEnv):
     def close(self) -> None:
         self.envs.close()
 
-    def get_attr(self, attr_name: str, indices: None | int | Sequence[int] = None) -> list[Any]:
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         return [getattr(self.envs, attr_name) for _ in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, value: Any, indices: None | int | Sequence[int] = None) -> None:
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         raise AttributeError(f"{attr_name} of single arms cannot be set; make another environment")
 
-    def env_method(self, method_name: str, *method_args: Any, indices: None | int | Sequence[int] = None, **method_kwargs: Any) -> list[Any]:
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
         raise AttributeError(f"single arms have no method {method_name}; call those of `envs`")
 
-    def env_is_wrapped(self, wrapper_class: type, indices: None | int | Sequence[int] = None) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         return [False for _ in self._get_indices(indices)]
 
 
