@@ -85,11 +85,11 @@ def draw(curve, rows, picture):
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(7, 4), constrained_layout=True)
-    axes.plot(np.array(curve.actions) / 1e3, curve.returns, color="#1f5fa8", label="while learning, mean of 100 episodes")
+    axes.plot(np.array(curve.actions) / 1e3, curve.returns, color="#1f5fa8", label="while learning (mean of 100 episodes)")
     for (name, (total, _, _)), style in zip(rows.items(), (":", "--", "-.")):
-        axes.axhline(total.mean(), color="0.3", ls=style, lw=1, label=f"{name}, mean of {EPISODES} other targets")
-    axes.set(xlabel="actions (thousands)", ylabel="return of an episode", title="Tendon tracking, learned by PPO")
-    axes.legend(loc="lower right")
+        axes.axhline(total.mean(), color="0.3", ls=style, lw=1, label=name)
+    axes.set(xlabel="actions (thousands)", ylabel="return of an episode", title=f"Tendon tracking, learned by PPO; lines: means of {EPISODES} other targets")
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, 0.94))
     figure.savefig(picture, dpi=150)
 
 

@@ -72,6 +72,13 @@ def test_paths_of_targets_are_as_fast_as_said(name):
             assert speed.max() <= task.speed * (1 + 1e-3)
 
 
+def test_a_target_may_stay():
+    task = environments.SoftArmTracking(target=(0.5, 0.5, 0.5))
+    assert (task.path(np.random.default_rng(0)) == 0.5).all()
+    with pytest.raises(ValueError, match="three finite numbers"):
+        environments.SoftArmTracking(target=(0.5, np.nan, 0.5))
+
+
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 @pytest.mark.parametrize("name", [*NAMES, "breaking"])
 def test_a_vector_does_what_single_environments_do_to_the_byte(gymnasium, mode, name, monkeypatch):
