@@ -1,11 +1,11 @@
-"""Every Python program in docs/python.md and docs/fitting.md runs as it stands."""
+"""Every Python program in docs/python.md, docs/fitting.md and docs/learning.md runs as it stands, where its packages are."""
 
 import re
 from pathlib import Path
 
 import pytest
 
-DOCUMENTS = [Path(__file__).parents[2] / "docs" / name for name in ("python.md", "fitting.md")]
+DOCUMENTS = [Path(__file__).parents[2] / "docs" / name for name in ("python.md", "fitting.md", "learning.md")]
 PROGRAMS = [
     (document.name, program)
     for document in DOCUMENTS
@@ -14,11 +14,15 @@ PROGRAMS = [
 
 
 def test_there_are_programs():
-    assert len(PROGRAMS) >= 7
+    assert len(PROGRAMS) >= 12
 
 
 @pytest.mark.parametrize("number", range(len(PROGRAMS)))
 def test_programs_of_the_document_run(number, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     name, program = PROGRAMS[number]
+    if name == "learning.md":
+        pytest.importorskip("gymnasium")
+    if "stable_baselines3" in program:
+        pytest.importorskip("stable_baselines3")
     exec(compile(program, f"{name}, program {number + 1}", "exec"), {})

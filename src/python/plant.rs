@@ -528,9 +528,9 @@ impl Batch {
         Ok(state_arrays(py, &self.kind.rod, &self.arm(index)?.state))
     }
 
-    /// Moves every arm by `dt` seconds, under wrenches `(n, 6)` on the tips and efforts `(n, m)` of the actuators, as `Plant.step`. Returns a
-    /// list with the reason for every arm that broke down, now or before, and `None` for the others; such an arm stays where it was until its
-    /// reset.
+    /// Moves every arm by `dt` seconds, under wrenches `(n, 6)` on the tips or `(n, K+1, 6)` on all nodes, and efforts `(n, m)` of the
+    /// actuators, as `Plant.step`. Returns a list with the reason for every arm that broke down, now or before, and `None` for the others; such
+    /// an arm stays where it was until its reset.
     #[pyo3(signature = (dt, wrenches=None, efforts=None))]
     fn step(
         &mut self,
@@ -540,19 +540,25 @@ impl Batch {
         efforts: Option<Numbers<'_>>,
     ) -> PyResult<Vec<Option<String>>> {
         let (n, m) = (self.arms.len(), self.kind.names.len());
+        let nodes = self.kind.rod.n_nodes();
         let wrenches = wrenches
-            .map(|own| numbers("wrenches", &own, &[n, 6]))
+            .map(|own| match own.as_array().ndim() {
+                3 => numbers("wrenches", &own, &[n, nodes, 6]),
+                _ => numbers("wrenches", &own, &[n, 6]),
+            })
             .transpose()?;
         let efforts = efforts
             .map(|own| numbers("efforts", &own, &[n, m]))
             .transpose()?;
         let (steps, step) = self.kind.steps(dt)?;
-        let nodes = self.kind.rod.n_nodes();
         let acting = |index: usize| {
             let mut acting = Acting::default();
             if let Some(own) = &wrenches {
-                let mut all = vec![Wrench::default(); nodes];
-                all[nodes - 1] = wrench(&own[6 * index..6 * index + 6]);
+                // Of one arm: the last of its nodes, or all.
+                let size = own.len() / n;
+                let own = &own[size * index..size * (index + 1)];
+                let mut all = vec![Wrench::default(); nodes - size / 6];
+                all.extend(own.chunks_exact(6).map(wrench));
                 acting.wrenches = [all.clone(), all];
             }
             if let Some(own) = &efforts {
