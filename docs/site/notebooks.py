@@ -65,7 +65,8 @@ def markdown(page: nbformat.NotebookNode, stem: str) -> tuple[str, dict[str, str
         for output in cell.outputs:
             data = output.get("data", {})
             if output.output_type == "stream":
-                printed += output.text
+                # Warnings of scenes go to standard error, and stand in notebooks only.
+                printed += output.text if output.name == "stdout" else ""
             elif "image/svg+xml" in data:
                 name = f"{stem}-{len(files) + 1}.svg"
                 files[name] = data["image/svg+xml"]
