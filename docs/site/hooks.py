@@ -2,18 +2,16 @@
 formulas as MathML.
 
 Links in the repository lead from file to file. Here a link to a file that is a page of the site leads to that page. One to another file or folder
-leads into the repository on the web, whose address is `repo_url`, and is plain text without an address. SOFTARM_PAGES has patterns
-of the pages whose programs are run, such as "tutorials/first-reach*,gallery/*"; without it all are.
+leads into the repository on the web, whose address is `repo_url`, and is plain text without an address. `notebooks.is_chosen`
+tells which programs are run.
 """
 
 from __future__ import annotations
 
-import fnmatch
 import hashlib
 import html
 import importlib.util
 import logging
-import os
 import posixpath
 import re
 import sys
@@ -71,7 +69,6 @@ def on_files(files, config):
         files.append(File.generated(config, name, abs_src_path=str(ROOT / source)))
     for name in PICTURES:
         files.append(File.generated(config, name, abs_src_path=str(ROOT / name)))
-    chosen = [word.strip() for word in os.environ.get("SOFTARM_PAGES", "*").split(",")]
     done.clear()
     for file in list(files.documentation_pages()):
         if not file.src_uri.startswith(WITH_PROGRAMS):
@@ -82,7 +79,7 @@ def on_files(files, config):
         stem = file.src_uri.removesuffix(".md")
         content = nbformat.writes(notebooks.notebook(text)) + "\n"
         files.append(File.generated(config, f"{stem}.ipynb", content=content))
-        if not any(fnmatch.fnmatch(file.src_uri, pattern) for pattern in chosen):
+        if not notebooks.is_chosen(file.src_uri):
             continue
         LOG.info("running the programs of %s", file.src_uri)
         page, made = notebooks.markdown(_ran(text), posixpath.basename(stem))

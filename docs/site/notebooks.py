@@ -9,7 +9,9 @@ and the package softarm with matplotlib.
 
 from __future__ import annotations
 
+import fnmatch
 import html
+import os
 import re
 import sys
 import time
@@ -23,6 +25,11 @@ FENCE = re.compile(r"^```python\n(.*?)^```\n?", re.DOTALL | re.MULTILINE)
 LONGEST_S = 600  # time of a cell
 # Pictures as SVG: they are sharp at any size, and do not depend on the screen.
 PREPARATION = "%config InlineBackend.figure_formats = ['svg']\n%config InlineBackend.print_figure_kwargs = {'bbox_inches': 'tight'}"
+
+
+def is_chosen(page: str) -> bool:
+    """Tells whether the programs of a page, such as "gallery/stiff-flop.md", are run: SOFTARM_PAGES has patterns of pages, and without it all are."""
+    return any(fnmatch.fnmatch(page, pattern.strip()) for pattern in os.environ.get("SOFTARM_PAGES", "*").split(","))
 
 
 def notebook(text: str) -> nbformat.NotebookNode:
