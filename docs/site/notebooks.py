@@ -55,7 +55,13 @@ def run(page: nbformat.NotebookNode) -> nbformat.NotebookNode:
     from nbclient import NotebookClient
 
     own = v4.new_notebook(cells=[v4.new_code_cell(PREPARATION), *page.cells], metadata=page.metadata)
-    NotebookClient(own, timeout=LONGEST_S, kernel_name="python3", resources={"metadata": {"path": str(ROOT)}}).execute()
+    NotebookClient(
+        own,
+        timeout=LONGEST_S,
+        kernel_name="python3",
+        extra_arguments=["--log-level=ERROR"],
+        resources={"metadata": {"path": str(ROOT)}},
+    ).execute()
     return v4.new_notebook(cells=own.cells[1:], metadata=page.metadata)
 
 
