@@ -38,7 +38,7 @@ PAGES = {
     "benches/peers/README.md": "benches/peers.md",
     **{f"benches/{path.name}": f"benches/{path.name}" for path in sorted((ROOT / "benches").glob("*.md"))},
 }
-PICTURES = ("examples/reach-motion.svg", "examples/reach.png")
+PICTURES = (".png", ".svg")
 WITH_PROGRAMS = ("tutorials/", "gallery/")
 
 # Pages with programs, after their run: Markdown by path.
@@ -64,11 +64,9 @@ def _ran(text: str) -> nbformat.NotebookNode:
 
 
 def on_files(files, config):
-    """Adds pages and pictures from outside of docs, runs programs, and adds notebooks, pictures and pages that these make."""
+    """Adds pages from outside of docs, runs programs, and adds notebooks, pictures and pages that these make."""
     for source, name in PAGES.items():
         files.append(File.generated(config, name, abs_src_path=str(ROOT / source)))
-    for name in PICTURES:
-        files.append(File.generated(config, name, abs_src_path=str(ROOT / name)))
     done.clear()
     for file in list(files.documentation_pages()):
         if not file.src_uri.startswith(WITH_PROGRAMS):
@@ -94,8 +92,8 @@ def _in_repository(uri: str) -> str:
     return next((source for source, name in PAGES.items() if name == uri), f"docs/{uri}")
 
 
-def _rewrite(text: str, uri: str, config) -> str:
-    """Returns a page with links that lead to pages and files of the site."""
+def _rewrite(text: str, uri: str, config, files) -> str:
+    """Returns a page with links that lead to pages and files of the site, to which it adds pictures from outside of docs."""
     source, here = posixpath.dirname(_in_repository(uri)), posixpath.dirname(uri)
 
     def target(link: str) -> str | None:
@@ -103,9 +101,13 @@ def _rewrite(text: str, uri: str, config) -> str:
             return link
         path, _, anchor = link.partition("#")
         path = posixpath.normpath(posixpath.join(source, path))
-        place = PAGES.get(path) or (path if path in PICTURES else None)
+        place = PAGES.get(path)
         if place is None and path.startswith("docs/"):
             place = path.removeprefix("docs/")
+        elif path.endswith(PICTURES) and (ROOT / path).is_file():
+            place = path
+            if files.get_file_from_path(path) is None:
+                files.append(File.generated(config, path, abs_src_path=str(ROOT / path)))
         if place is not None:
             return posixpath.relpath(place, here or ".") + (f"#{anchor}" if anchor else "")
         if not config.repo_url:
@@ -139,7 +141,7 @@ def _pictures(folder: str) -> str:
 def on_page_markdown(markdown, page, config, files):
     """Puts in what programs print and draw, and the links of the site."""
     uri = page.file.src_uri
-    text = _rewrite(done.get(uri, markdown), uri, config)
+    text = _rewrite(done.get(uri, markdown), uri, config, files)
     notebook = uri.removesuffix(".md") + ".ipynb"
     if files.get_file_from_path(notebook) is not None:
         ran = "" if uri in done else " Its programs were not run in this build."
