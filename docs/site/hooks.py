@@ -110,6 +110,8 @@ def _rewrite(text: str, uri: str, config, files) -> str:
                 files.append(File.generated(config, path, abs_src_path=str(ROOT / path)))
         if place is not None:
             return posixpath.relpath(place, here or ".") + (f"#{anchor}" if anchor else "")
+        if not (ROOT / path).exists():
+            LOG.warning("%s: the link to %s leads nowhere", uri, link)
         if not config.repo_url:
             return None
         kind = "tree" if (ROOT / path).is_dir() else "blob"
