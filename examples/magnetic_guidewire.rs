@@ -19,8 +19,8 @@
 use std::error::Error;
 use std::f64::consts::PI;
 
-use faer::Mat;
 use softarm::control::{Actuator, Bound, Channel, SharedActuator};
+use softarm::faer::Mat;
 use softarm::mechanics::{
     NodeInertia, Rod, RotaryInertia, Section, SectionProfile, StateView, TimeScheme, Wrench,
 };

@@ -230,7 +230,7 @@ fn collect(folder: &Path, names: &mut BTreeSet<String>) {
 }
 
 /// The examples that `.ci/run` runs name no crate but softarm and the standard library, so that a copy of one compiles in a program that
-/// depends on softarm alone: vectors and matrices are those of `softarm::nalgebra`.
+/// depends on softarm alone: vectors and matrices are those of `softarm::nalgebra` and `softarm::faer`.
 #[test]
 fn examples_need_this_library_alone() {
     let steps = read(".ci/run");
