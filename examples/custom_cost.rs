@@ -12,9 +12,9 @@
 
 use std::error::Error;
 
-use nalgebra::Vector3;
 use softarm::control::{NodeForm, SharedTerm, StateCost, StateTerm, StateView, sample_times};
 use softarm::mechanics::{Material, Rod};
+use softarm::nalgebra::Vector3;
 use softarm::solve::Solution;
 use softarm::task::{Arm, ChannelLimits, Discretization, Task};
 

@@ -19,12 +19,12 @@
 use std::error::Error;
 use std::f64::consts::PI;
 
-use faer::Mat;
-use nalgebra::{Matrix3, Vector3};
 use softarm::control::{Actuator, Bound, Channel, SharedActuator};
+use softarm::faer::Mat;
 use softarm::mechanics::{
     NodeInertia, Rod, RotaryInertia, Section, SectionProfile, StateView, TimeScheme, Wrench,
 };
+use softarm::nalgebra::{Matrix3, Vector3};
 use softarm::task::{
     Arm, ControlGroup, Discretization, OwnActuator, PointLoad, Rest, Start, StartShape, Target,
     Task, Tolerances,

@@ -11,10 +11,10 @@
 use std::error::Error;
 use std::f64::consts::PI;
 
-use nalgebra::Vector3;
 use softarm::control::Bound;
 use softarm::mechanics::{Material, State, stable_step};
 use softarm::mpc::{Controller, MpcSettings, Plant as _, RodPlant};
+use softarm::nalgebra::Vector3;
 use softarm::task::{Arm, ChannelLimits, Cost, Discretization, Place, Task, Track, WrenchActuator};
 
 /// Seconds a turn, and of the whole run.

@@ -6,11 +6,11 @@
 
 use std::error::Error;
 
-use nalgebra::Vector3;
 use softarm::mechanics::{
     Material, NodeWrenches, Rod, State, StepError, Stepper, Wrench, stable_step,
 };
 use softarm::mpc::{Command, Controller, MpcSettings, Plant};
+use softarm::nalgebra::Vector3;
 use softarm::task::{Arm, Discretization, Task};
 
 /// A rod under forces that are weaker than what is asked for.

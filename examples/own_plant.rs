@@ -9,8 +9,8 @@
 
 use std::error::Error;
 
-use nalgebra::Vector3;
 use softarm::mechanics::{Material, NodeWrenches, Stepper, Wrench};
+use softarm::nalgebra::Vector3;
 use softarm::stop::StopSignal;
 use softarm::task::{Arm, Discretization, Start, StartShape};
 

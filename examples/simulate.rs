@@ -16,13 +16,13 @@
 use std::error::Error;
 use std::f64::consts::PI;
 
-use nalgebra::Vector3;
 use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
 use softarm::mechanics::{
     Energy, Load, LoadFrame, Material, NodeWrenches, Rod, RodParameters, Section, SectionProfile,
     State, Stepper,
 };
+use softarm::nalgebra::Vector3;
 
 /// Share of the first mode in the static tip deflection, `12/β₁⁴`.
 const FIRST_SHARE: f64 = 0.9707;

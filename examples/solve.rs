@@ -14,9 +14,9 @@
 
 use std::error::Error;
 
-use nalgebra::Vector3;
 use softarm::control::{Guess, Hold, Search};
 use softarm::mechanics::Material;
+use softarm::nalgebra::Vector3;
 use softarm::solve::{SolveOptions, solve_with};
 use softarm::task::{Arm, ChannelLimits, Discretization, Task, Tolerances};
 use softarm::verify::ForwardCheck;

@@ -74,7 +74,10 @@ pub mod verify;
 
 pub use solve::solve;
 
-/// The linear algebra crate whose types this library uses in its interface, in the version with which it is built.
+/// The linear algebra crate whose dense matrices of any size this library uses in its interface, in the version with which it is built.
+pub use faer;
+
+/// The linear algebra crate whose vectors and small matrices this library uses in its interface, in the version with which it is built.
 pub use nalgebra;
 
 /// Name of the program, by which its results and its lines of JSON say who wrote them.

@@ -2,10 +2,10 @@
 
 A scene is a dictionary with the keys of a scene file (`softarm schema --markdown` explains all of them):
 
->>> import softarm as sa
->>> scene = sa.Scene.load("reach").replace(**{"rod.elements": 10})
->>> result = scene.solve()              # doctest: +SKIP
->>> result.status, result.certificate   # doctest: +SKIP
+    >>> import softarm as sa
+    >>> scene = sa.Scene.load("reach").replace(**{"rod.elements": 10})
+    >>> result = scene.solve()              # doctest: +SKIP
+    >>> result.status, result.certificate   # doctest: +SKIP
 
 All numbers are in SI units. Positions `x` are spatial and in C order, `(n, K+1, 3)` for `n` times and `K` elements; rotations `R` are
 `(n, K+1, 3, 3)` and take the frame of a node, whose third axis points along the arm, to space.

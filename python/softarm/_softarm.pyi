@@ -83,22 +83,32 @@ class Batch:
     ) -> Batch: ...
     def __len__(self) -> int: ...
     @property
-    def times(self) -> npt.NDArray[np.float64]: ...
+    def times(self) -> npt.NDArray[np.float64]:
+        """Time of every arm since its start, s, (n,)."""
     @property
-    def positions(self) -> npt.NDArray[np.float64]: ...
+    def positions(self) -> npt.NDArray[np.float64]:
+        """Positions of the nodes, m, spatial, (n, K+1, 3)."""
     @property
-    def velocities(self) -> npt.NDArray[np.float64]: ...
+    def velocities(self) -> npt.NDArray[np.float64]:
+        """Velocities of the nodes, m/s, spatial, (n, K+1, 3)."""
     @property
-    def actuators(self) -> list[str]: ...
+    def actuators(self) -> list[str]:
+        """Names of the actuators, in the order of efforts."""
     def state(
         self, index: int
     ) -> tuple[
         npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]
-    ]: ...
+    ]:
+        """Returns positions, rotations, velocities and angular velocities of one arm, as those of `State`."""
     def step(
         self, dt: float, wrenches: npt.ArrayLike | None = None, efforts: npt.ArrayLike | None = None
-    ) -> list[str | None]: ...
-    def reset(self, indices: list[int] | None = None) -> None: ...
+    ) -> list[str | None]:
+        """Moves every arm by `dt` seconds, under wrenches (n, 6) on the tips and efforts (n, m) of the actuators, as `Plant.step` does.
+
+        Returns for every arm None, or why it broke down, now or before; such an arm stays where it was until its reset.
+        """
+    def reset(self, indices: list[int] | None = None) -> None:
+        """Puts the arms with these indices, or all, back to the start of the scene."""
 
 @final
 class Controller:

@@ -154,7 +154,9 @@ class Result:
         return target
 
     def plot(self, ax: Any = None) -> Any:
-        """Draws the arm at its first, last and some times between, and the path of the tip; needs matplotlib. Returns the axes."""
+        """Draws the arm at its first, last and some times (of an equilibrium, load factors) between, and the path of the tip; needs matplotlib.
+        Returns the axes.
+        """
         import matplotlib.pyplot as plt  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
         if ax is None:
@@ -162,11 +164,18 @@ class Result:
         rows = np.unique(np.linspace(0, len(self.t) - 1, 6).round().astype(int))
         for row in rows:
             shade = 0.25 + 0.75 * row / max(len(self.t) - 1, 1)
-            ax.plot(*self.x[row].T, color=(0.1, 0.35, 0.6, shade), lw=2.5, label=f"t = {self.t[row]:.3g} s")
+            label = f"load factor {self.t[row]:.3g}" if self.command == "equilibrium" else f"t = {self.t[row]:.3g} s"
+            ax.plot(*self.x[row].T, color=(0.1, 0.35, 0.6, shade), lw=2.5, label=label)
         ax.plot(*self.tip.T, color="0.3", lw=0.8)
         ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)", title=f"{self.summary.get('scene')}: {self.status}")
+        # A motion in a plane has a box with room for numbers too.
+        least, most = self.x[rows].min(axis=(0, 1)), self.x[rows].max(axis=(0, 1))
+        half = np.maximum(0.55 * (most - least), 0.2 * (most - least).max())
+        for which, middle, part in zip("xyz", 0.5 * (least + most), half):
+            getattr(ax, f"set_{which}lim")(middle - part, middle + part)
+            ax.locator_params(axis=which, nbins=4)
         ax.set_aspect("equal")
-        ax.legend(fontsize="small")
+        ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.1, 0.5))
         return ax
 
     @property

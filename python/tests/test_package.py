@@ -2,7 +2,6 @@
 
 import copy
 import json
-import os
 import pickle
 import signal
 import subprocess
@@ -243,7 +242,7 @@ def test_an_interrupt_ends_a_solve_with_its_partial_result():
 
     def interrupt():
         begun.wait(60)
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 
     thread = threading.Thread(target=interrupt)
     thread.start()

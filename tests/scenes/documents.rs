@@ -25,7 +25,7 @@ fn read(name: &str) -> String {
     fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// The documents of the top level and of `docs`, relative to the root.
+/// The documents of the top level, of `docs` and of its folders, relative to the root.
 fn documents() -> Vec<String> {
     let mut names: Vec<String> = [
         "README.md",
@@ -35,10 +35,10 @@ fn documents() -> Vec<String> {
     ]
     .map(String::from)
     .into();
-    for entry in fs::read_dir(root().join("docs")).unwrap() {
-        let name = entry.unwrap().file_name().into_string().unwrap();
-        if name.ends_with(".md") {
-            names.push(format!("docs/{name}"));
+    for folder in ["docs", "docs/tutorials", "docs/gallery"] {
+        for path in files(folder, "md") {
+            let name = path.file_name().unwrap().to_str().unwrap();
+            names.push(format!("{folder}/{name}"));
         }
     }
     names.sort();
@@ -227,6 +227,28 @@ fn collect(folder: &Path, names: &mut BTreeSet<String>) {
             collect(&entry.path(), names);
         }
     }
+}
+
+/// The examples that `.ci/run` runs name no crate but softarm and the standard library, so that a copy of one compiles in a program that
+/// depends on softarm alone: vectors and matrices are those of `softarm::nalgebra` and `softarm::faer`.
+#[test]
+fn examples_need_this_library_alone() {
+    let steps = read(".ci/run");
+    let list = steps
+        .split_once("for example in ")
+        .and_then(|(_, rest)| rest.split_once("; do"));
+    let names: Vec<&str> = list.expect("a list of examples").0.split(' ').collect();
+    assert!(names.len() >= 8, "{names:?}");
+    let mut with_vectors = 0;
+    for name in names {
+        let text = read(&format!("examples/{name}.rs"));
+        with_vectors += usize::from(text.contains("use softarm::nalgebra::"));
+        for line in text.lines().filter(|line| line.starts_with("use ")) {
+            let root = line[4..].split([':', ';']).next().unwrap();
+            assert!(["std", "softarm"].contains(&root), "{name}: {line}");
+        }
+    }
+    assert!(with_vectors >= 6, "{with_vectors}");
 }
 
 /// What is read first stays short.
