@@ -14,11 +14,11 @@ pub(super) use self::solved::{Weights, element_at};
 use super::active::{ActiveTimes, MixedSlopes};
 use super::along::Along;
 use super::dilated::element_drifts;
-use super::winches::finish;
 use super::step::{
     ActingKick, LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_loads,
     square,
 };
+use super::winches::finish;
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::curvature::{

@@ -100,7 +100,7 @@ impl WinchDrift {
 
     /// Adds `u' W ∂²y` to the second derivatives of the elements over the interval from `k` on, with the work `W` of the multipliers in the
     /// impulses of a unit tension. The rest, `u' (∂y ∂Wᵀ + ∂W ∂yᵀ)`, couples all elements.
-    pub fn add_curvature(
+    pub(super) fn add_curvature(
         &self,
         along: &Along,
         multipliers: &Multipliers,

@@ -253,6 +253,9 @@ fn with_springs(solved: &Mat<f64>, sizes: &[f64], gradients: &[Vec<f64>]) -> Vec
         rows.map(|(row, g)| g * solved[(row, column)]).sum()
     };
     let n = sizes.len();
+    if n == 0 {
+        return solved.col_as_slice(0).to_vec();
+    }
     let matrix = DMatrix::from_fn(n, n, |i, j| {
         f64::from(u8::from(i == j)) + sizes[i] * along(i, 1 + j)
     });
@@ -261,7 +264,10 @@ fn with_springs(solved: &Mat<f64>, sizes: &[f64], gradients: &[Vec<f64>]) -> Vec
     (0..solved.nrows())
         .map(|row| {
             let springs = parts.iter().enumerate();
-            solved[(row, 0)] - springs.map(|(i, part)| part * solved[(row, 1 + i)]).sum::<f64>()
+            solved[(row, 0)]
+                - springs
+                    .map(|(i, part)| part * solved[(row, 1 + i)])
+                    .sum::<f64>()
         })
         .collect()
 }
