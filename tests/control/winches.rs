@@ -29,12 +29,12 @@ fn tendon(route: Route, input: f64, compliance: Option<f64>) -> StrainActuator {
     }
 }
 
-/// Two winches that are driven, one that is given, and a tendon with a driven tension, beside a force on the tip, over so many explicit
-/// steps in one step. The arm begins at rest, or where its winches hold it.
+/// Two winches that are driven, one that is given, and a tendon with a driven tension, beside a force on the tip, in steps of so
+/// many parts of explicit ones.
 fn problem(
     rule: StrainRule,
     (model, scheme, damping): (RodModel, TimeScheme, [f64; 2]),
-    (softness, longer, held): (f64, f64, bool),
+    longer: f64,
 ) -> OptimalControlProblem {
     let silicone = Material::isotropic(1e5, 0.4, 1070.0);
     let section = SectionProfile::Uniform(Section::circle(&silicone, 0.01));
@@ -52,17 +52,9 @@ fn problem(
         viscous_damping: damping[0],
         internal_damping: damping[1],
         actuators: vec![
-            tendon(helix, -20e-3, Some(1e-2 * softness)),
-            tendon(
-                Route::straight([-3e-3, -8e-3]),
-                -15e-3,
-                Some(2e-2 * softness),
-            ),
-            tendon(
-                Route::straight([-6e-3, 4e-3]),
-                -18e-3,
-                Some(1e-2 * softness),
-            ),
+            tendon(helix, -20e-3, Some(1e-2)),
+            tendon(Route::straight([-3e-3, -8e-3]), -15e-3, Some(2e-2)),
+            tendon(Route::straight([-6e-3, 4e-3]), -18e-3, Some(1e-2)),
             tendon(Route::straight([0.0, 7e-3]), 0.2, None),
         ],
         ..RodParameters::straight(0.3, 5, section)
@@ -83,12 +75,7 @@ fn problem(
         axes: [true, false, false],
         ..Channel::new(size, Some(Bound::PerAxis(Vector3::repeat(size))))
     };
-    let start = if held {
-        static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).expect("a shape")
-    } else {
-        rod.rest.clone()
-    };
-    let initial = State::at_rest(start);
+    let initial = State::at_rest(rod.rest.clone());
     let goal = Goal::reach(&rod, grid, Vector3::new(0.05, 0.02, 0.28));
     let mut problem =
         OptimalControlProblem::least_effort(rod, grid, initial, control, [none, none], goal);
@@ -113,29 +100,28 @@ fn problem(
 }
 
 /// Gradients, Jacobians, the Hessian and the linearized step agree with differences where tendons with tension are on winches: in explicit
-/// steps and in implicit ones, also where the tendons are 10⁴ times stiffer than the arm.
+/// steps and in implicit ones.
 #[test]
 fn derivatives_with_winches_are_derivatives() {
     let mut failed = Vec::new();
     let (explicit, implicit) = (TimeScheme::Explicit, TimeScheme::Implicit);
-    let (soft, long, stiff) = ((1.0, 1.0, false), (1.0, 3.0, true), (1e-4, 1e2, true));
     for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
-        for (kind, steps) in [
-            ((RodModel::Standard, explicit, [0.5, 0.0]), soft),
-            ((RodModel::Standard, explicit, [0.0, 2e-3]), soft),
-            ((RodModel::Consistent, explicit, [0.5, 0.0]), soft),
-            ((RodModel::Dilatation, explicit, [0.5, 0.0]), soft),
-            ((RodModel::Standard, implicit, [0.5, 0.0]), soft),
-            ((RodModel::Standard, implicit, [0.5, 2e-3]), long),
-            ((RodModel::Standard, implicit, [0.0, 2e-3]), stiff),
+        for (kind, longer) in [
+            ((RodModel::Standard, explicit, [0.5, 0.0]), 1.0),
+            ((RodModel::Standard, explicit, [0.0, 2e-3]), 1.0),
+            ((RodModel::Consistent, explicit, [0.5, 0.0]), 1.0),
+            ((RodModel::Dilatation, explicit, [0.5, 0.0]), 1.0),
+            ((RodModel::Standard, implicit, [0.5, 0.0]), 1.0),
+            ((RodModel::Standard, implicit, [0.5, 2e-3]), 3.0),
         ] {
-            let report = check(&problem(rule, kind, steps), 7).expect("a motion");
+            let report = check(&problem(rule, kind, longer), 7)
+                .unwrap_or_else(|error| panic!("{rule:?} {kind:?} {longer}: {error}"));
             let wrong: Vec<_> = (report.blocks.iter())
                 .filter(|block| block.verdict != Verdict::Ok)
                 .map(|block| format!("{}: {:?} {:?}", block.name, block.verdict, block.worst))
                 .collect();
             if !wrong.is_empty() {
-                failed.push(format!("{rule:?} {kind:?} {steps:?}: {wrong:#?}"));
+                failed.push(format!("{rule:?} {kind:?} {longer}: {wrong:#?}"));
             }
         }
     }

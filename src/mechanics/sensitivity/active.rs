@@ -158,7 +158,8 @@ impl ActiveTimes {
         (k, lane): (usize, usize),
         out: &mut Vec<WinchDrift>,
     ) {
-        if !self.intervals || !rod.actuators.has_winches() {
+        if !self.intervals {
+            out.clear();
             return;
         }
         let inputs = &self.interval_inputs[lane * self.n_actuators..][..self.n_actuators];
@@ -171,6 +172,7 @@ impl ActiveTimes {
             out[index].renew(rod, actuator, law, pulls);
             index += 1;
         });
+        out.truncate(index);
     }
 
     /// Writes the kicks of winches at time node `k` of a trajectory, which is in a lane; that of a slack tendon is none. Nothing under the
@@ -183,6 +185,7 @@ impl ActiveTimes {
         out: &mut Vec<WinchKick>,
     ) {
         if self.intervals {
+            out.clear();
             return;
         }
         let inputs = &self.inputs[lane * self.n_actuators..][..self.n_actuators];
@@ -195,6 +198,7 @@ impl ActiveTimes {
             out[index].renew(rod, actuator, weight * slope, pull);
             index += 1;
         });
+        out.truncate(index);
     }
 
     /// Returns the efforts of the one time node of a group.

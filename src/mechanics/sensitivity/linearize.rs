@@ -636,6 +636,10 @@ impl Group<'_> {
                 if k < *stretch.end() {
                     active.write_winch_drifts(at, (k, lane), &mut step.solve.winches);
                 }
+            } else {
+                // The memory may have been that of another rod.
+                step.winches.clear();
+                step.solve.winches.clear();
             }
             step.first_free_node = rod.first_free_node();
             step.joints.clone_from(&rod.joints);
