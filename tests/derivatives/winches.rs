@@ -9,15 +9,20 @@ use softarm::mechanics::sensitivity::{adjoint, direction, transition};
 use softarm::mechanics::{
     ControlSignal, Density, Material, NodeWrenches, Rod, RodParameters, Route, Section,
     SectionProfile, State, StateForm, Stepper, StrainActuator, StrainRule, TimeGrid, TimeScheme,
-    Trajectory, Winch, static_equilibrium,
+    Trajectory, Winch, stable_step, static_equilibrium,
 };
 
-/// Compliances of the tendons, 1/N: a tenth of that of the arm, and 10⁴ and 10⁶ times less.
-const COMPLIANCES: [f64; 3] = [5e-3, 5e-7, 5e-9];
+/// Compliances of the tendons, 1/N: that of soft cords, and 10² and 10⁴ times less.
+const COMPLIANCES: [f64; 3] = [5e-3, 5e-5, 5e-7];
 const STEP: f64 = 4e-3;
 
 /// Two straight tendons and one that turns, each on a winch that has pulled it in, on a soft arm of a few elements.
-fn arm(rule: StrainRule, compliance: f64, internal_damping: f64, n_elements: usize) -> Rod {
+fn arm(
+    rule: StrainRule,
+    (compliance, displacements): (f64, [f64; 3]),
+    internal_damping: f64,
+    n_elements: usize,
+) -> Rod {
     let silicone = Material::isotropic(1e5, 0.4, 1070.0);
     let section = SectionProfile::Uniform(Section::circle(&silicone, 0.01));
     let helix = Route {
@@ -43,22 +48,39 @@ fn arm(rule: StrainRule, compliance: f64, internal_damping: f64, n_elements: usi
         internal_damping,
         gravity: Vector3::new(0.0, 0.0, 9.81),
         actuators: vec![
-            winch(Route::straight([8e-3, 0.0]), -12e-3),
-            winch(Route::straight([-4e-3, 7e-3]), -11e-3),
-            winch(helix, -9e-3),
+            winch(Route::straight([8e-3, 0.0]), displacements[0]),
+            winch(Route::straight([-4e-3, 7e-3]), displacements[1]),
+            winch(helix, displacements[2]),
         ],
+        viscous_damping: 50.0 * internal_damping,
         ..RodParameters::straight(0.3, n_elements, section)
     })
     .expect("a rod")
 }
 
-/// The arm where its winches hold it; all tendons have tension.
-fn held(rod: &Rod) -> State {
-    let shape = static_equilibrium(rod, &rod.rest, 0.0, &Default::default()).expect("a shape");
+/// The arm and its state at rest, which is the same for every compliance: the winches have the displacements that make the same tensions.
+fn held(
+    rule: StrainRule,
+    compliance: f64,
+    internal_damping: f64,
+    n_elements: usize,
+) -> (Rod, State) {
+    let soft = (COMPLIANCES[0], [-12e-3, -11e-3, -9e-3]);
+    let rod = arm(rule, soft, internal_damping, n_elements);
+    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &Default::default()).expect("a shape");
     let inputs = rod.actuators.efforts(0.0);
     let tensions = rod.efforts_at(inputs, &shape.positions, &shape.rotations);
-    assert!(tensions.iter().all(|t| *t > 0.02), "{tensions:?}");
-    State::at_rest(shape)
+    assert!(tensions.iter().all(|t| *t > 0.05), "{tensions:?}");
+    let lengths = rod.actuator_coordinates(&shape.positions, &shape.rotations);
+    let winch = Winch {
+        compliance,
+        outside: 0.1,
+    };
+    let at_rest = rod.actuators.at_rest();
+    let displacements = [0, 1, 2].map(|i| winch.displacement(tensions[i], lengths[i], at_rest[i]));
+    let own = (compliance, displacements);
+    let rod = arm(rule, own, internal_damping, n_elements);
+    (rod, State::at_rest(shape))
 }
 
 /// Returns a wrench on the tip that grows and falls again, of `size` times some hundredths of a newton.
@@ -124,8 +146,7 @@ fn linearized_motions_with_winches_are_derivatives_of_motions() {
     let n = 25;
     for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
         for (compliance, damping) in COMPLIANCES.into_iter().flat_map(|c| [(c, 0.0), (c, 5e-3)]) {
-            let rod = arm(rule, compliance, damping, 4);
-            let start = held(&rod);
+            let (rod, start) = held(rule, compliance, damping, 4);
             let along = natural(&rod, &start);
             let run = |s: f64| {
                 let start = start.retract(&scaled(&along, s));
@@ -168,8 +189,7 @@ fn steps_with_winches_are_symplectic() {
     let n = 24;
     for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
         for compliance in COMPLIANCES {
-            let rod = arm(rule, compliance, 0.0, 3);
-            let start = held(&rod);
+            let (rod, start) = held(rule, compliance, 0.0, 3);
             // A moment that turns with its node has no potential.
             let mut control = signal(&rod, n, 1.0);
             (control.wrenches.iter_mut()).for_each(|wrench| wrench.moment = Vector3::zeros());
@@ -196,7 +216,14 @@ fn steps_with_winches_are_symplectic() {
             let scale = (phi.transpose().abs() * form(&states[1]).abs() * phi.abs()).max();
             let residual = residual.amax() / scale;
             eprintln!("{rule:?} {compliance:e}: {residual:e}");
-            assert!(residual < 1e-12, "{rule:?} {compliance:e}: {residual:e}");
+            // Rounding of 16 solutions of 18 unknowns, with the condition number of the fastest wave.
+            let explicit = Rod {
+                scheme: TimeScheme::Explicit,
+                ..rod.clone()
+            };
+            let condition = (STEP / stable_step(&explicit)).powi(2).max(1.0);
+            let rounding = 16.0 * 18.0 * f64::EPSILON * condition;
+            assert!(residual < rounding, "{residual:e} {rounding:e}");
         }
     }
 }
@@ -209,8 +236,7 @@ fn both_sweeps_with_winches_are_transposes() {
     let mut dice = Dice(5);
     for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
         for compliance in COMPLIANCES {
-            let rod = arm(rule, compliance, 2e-3, 4);
-            let start = held(&rod);
+            let (rod, start) = held(rule, compliance, 2e-3, 4);
             let control = signal(&rod, n, 1.0);
             let (trajectory, _) = simulate(&rod, &start, &control, n);
             let motion = motion(&rod, &start, n);
