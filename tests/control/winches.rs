@@ -5,12 +5,13 @@ use softarm::control::{
     ActuatedNode, Bound, Channel, ControlGrid, Goal, Hold, OptimalControlProblem,
 };
 use softarm::derivatives::{Verdict, check};
+use softarm::mechanics::signal::EffortTable;
 use softarm::mechanics::{
-    Density, Efforts, Material, Rod, RodModel, RodParameters, Route, Section, SectionProfile,
-    State, StrainActuator, StrainRule, TimeGrid, TimeScheme, TipSpring, Winch, stable_step,
-    static_equilibrium,
+    Density, Efforts, Material, NodeWrenches, Rod, RodModel, RodParameters, Route, Section,
+    SectionProfile, State, Stepper, StrainActuator, StrainRule, TimeGrid, TimeScheme, TipSpring,
+    Winch, stable_step, static_equilibrium,
 };
-use softarm::solve::solve;
+use softarm::solve::{Solution, solve};
 use softarm::task::{Arm, Discretization, EffortControl, StartShape, Staying, Task};
 
 /// A tendon on a winch if it has a compliance, otherwise with a tension.
@@ -217,6 +218,53 @@ fn winches_reach_and_stay() {
         let first = solution.coefficients[0].to_array();
         let largest = first.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         assert!(largest < 1e-12 * 0.03, "begins at rest: {first:?}");
+        if scheme == TimeScheme::Implicit {
+            assert_tensions_retrace(&arm, &solution);
+        }
+    }
+}
+
+/// The tensions that the winches of a solution with implicit steps have at the mean strains, written as profiles of tensions, make the same
+/// motion to rounding, which the motion amplifies. A profile has the means of its values at the ends of an interval in that interval.
+fn assert_tensions_retrace(arm: &Arm, solution: &Solution) {
+    let problem = &solution.problem.discrete;
+    let (rod, grid, trajectory) = (&problem.rod, problem.grid, solution.trajectory());
+    let signal = problem.signal(&problem.control, &solution.coefficients);
+    let inputs = EffortTable::of(&rod.actuators, &grid, Some(&signal)).intervals;
+    let mut profiles = vec![Vec::new(); 2];
+    let mut coordinates = [0.0; 2];
+    for k in 0..grid.n_steps {
+        let ends = [k, k + 1].map(|k| (trajectory.positions_at(k), trajectory.rotations_at(k)));
+        rod.write_interval_coordinates(ends, &mut coordinates);
+        for (i, rows) in profiles.iter_mut().enumerate() {
+            let mean = rod
+                .actuators
+                .law(i, inputs[2 * k + i], coordinates[i])
+                .effort;
+            if k == 0 {
+                rows.push((0.0, mean));
+            }
+            let last = rows[k].1;
+            rows.push((grid.time(k + 1), 2.0 * mean - last));
+        }
+    }
+    let mut arm = arm.clone();
+    for (tendon, profile) in arm.actuators.iter_mut().zip(profiles) {
+        (tendon.winch, tendon.effort) = (None, profile);
+    }
+    let other = Rod {
+        actuators: arm
+            .rod(&solution.problem.discretization)
+            .expect("a rod")
+            .actuators,
+        ..Rod::clone(rod)
+    };
+    let mut stepper = Stepper::new(&other, grid, problem.initial.clone());
+    for k in 1..=grid.n_steps {
+        stepper.advance([NodeWrenches::NONE; 2]).expect("a step");
+        let there = trajectory.positions_at(k)[rod.tip()];
+        let gap = (stepper.position(rod.tip()) - there).norm();
+        assert!(gap < 1e-8 * arm.length, "step {k}: {gap:e}");
     }
 }
 

@@ -203,6 +203,43 @@ fn the_integrators_agree() {
     }
 }
 
+/// Explicit and implicit steps approach one motion of taut tendons at second order: halving the step divides their difference by four.
+#[test]
+fn both_kinds_of_steps_approach_one_motion() {
+    for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
+        let rods = [TimeScheme::Explicit, TimeScheme::Implicit].map(|scheme| {
+            let course = vec![(0.0, -12e-3), (0.05, -16e-3), (0.1, -12e-3)];
+            let actuators = vec![
+                winch(Route::straight([8e-3, 0.0]), course),
+                winch(Route::straight([-8e-3, 0.0]), vec![(0.0, -12e-3)]),
+            ];
+            arm(rule, RodModel::Standard, scheme, 2e-3, actuators)
+        });
+        let explicit = &rods[0];
+        let start = static_equilibrium(explicit, &explicit.rest, 0.0, &Default::default())
+            .expect("an equilibrium");
+        let n_least = (0.15 / (0.4 * stable_step(explicit)) / 3.0).ceil() as usize * 3;
+        let apart = |n: usize| {
+            let [a, b] = rods.each_ref().map(|rod| {
+                let step = 0.15 / n as f64;
+                let mut stepper = Stepper::new(rod, step, State::at_rest(start.clone()));
+                for _ in 0..n {
+                    stepper.advance([NodeWrenches::NONE; 2]).expect("a step");
+                }
+                let at = stepper.state().configuration;
+                let inputs = rod.actuators.efforts(0.15);
+                let tensions = rod.efforts_at(inputs, &at.positions, &at.rotations);
+                assert!(tensions.iter().all(|tension| *tension > 0.0));
+                at.positions[rod.tip()]
+            });
+            (a - b).norm()
+        };
+        let (coarse, fine) = (apart(n_least), apart(2 * n_least));
+        eprintln!("{rule:?}: {coarse:e} {fine:e}");
+        assert!(fine < 0.3 * coarse, "{rule:?}: {coarse:e} {fine:e}");
+    }
+}
+
 /// Till's ramp: the winch of his robot pulls in 16.19 mm within 0.315 s, and the damped arm settles where it rests under that displacement.
 #[test]
 fn the_ramp_of_till_ends_at_rest() {
