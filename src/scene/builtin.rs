@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 31] = [
+const SCENES: [(&str, &str); 32] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -26,6 +26,10 @@ const SCENES: [(&str, &str); 31] = [
     (
         "till-tendons",
         include_str!("../../examples/scenes/till-tendons.toml"),
+    ),
+    (
+        "till-winch",
+        include_str!("../../examples/scenes/till-winch.toml"),
     ),
     (
         "knode-tendons",
