@@ -72,13 +72,14 @@ fn tills_winch() {
 #[test]
 fn tills_arm_on_winches() {
     let text = builtin::text("till-tendons").expect("a scene");
-    let winch = "displacement_m = [-0.02, 0.02]\nrest_displacement_m = -0.3e-3\n\
+    let winch = "displacement_m = [-0.02, 0.02]\nrest_displacement_m = -1e-3\n\
                  compliance_1_n = 1e-4\nfree_length_m = 0.05";
     let text = text.replace("tension_n = [0.0, 20.0]", winch);
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("winches.toml");
     std::fs::write(&path, text).expect("a file");
-    let (scene, source) = Scene::load(path.to_str().expect("a path"), &[]).expect("a scene");
+    let (scene, source) =
+        Scene::load(path.to_str().expect("a path"), &[set("time.step_s", 2e-3)]).expect("a scene");
     let setup = scene.optimal_control(&source).expect("a problem");
     let problem = setup.posed();
     let options = SolveOptions {
@@ -86,7 +87,6 @@ fn tills_arm_on_winches() {
         ..SolveOptions::default()
     };
     let solution = solve_problem(&problem, &options).expect("a solution");
-    eprintln!("{:?} {}", solution.status(), solution.attempt.iterations());
     assert!(solution.has_converged(), "{:?}", solution.status());
     let check = solution.certify().expect("a check");
     assert!(check.is_certified(), "{:?}", check.items);
