@@ -220,6 +220,10 @@ fn winches_reach_and_stay() {
         assert!(largest < 1e-12 * 0.03, "begins at rest: {first:?}");
         if scheme == TimeScheme::Implicit {
             assert_tensions_retrace(&arm, &solution);
+            let mut changed = solution.clone();
+            changed.coefficients[4].force.x *= 1.02;
+            let check = changed.certify().expect("a check");
+            assert!(!check.is_certified(), "{hold:?}: another displacement");
         }
     }
 }
