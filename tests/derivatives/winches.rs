@@ -285,3 +285,28 @@ fn both_sweeps_with_winches_are_transposes() {
         }
     }
 }
+
+/// The linearization of an arm without winches is the same to the bit before and after that of an arm with winches on the same thread, which
+/// leaves its memory to the next.
+#[test]
+fn winches_of_another_arm_leave_nothing() {
+    let n = 10;
+    for scheme in [TimeScheme::Explicit, TimeScheme::Implicit] {
+        let (with, start) = held(StrainRule::Helical, COMPLIANCES[0], 0.0, 4);
+        let with = Rod { scheme, ..with };
+        let mut bare = with.clone();
+        bare.actuators = Default::default();
+        let mut trajectory = Trajectory::with_capacity(with.n_nodes(), n + 1);
+        for _ in 0..=n {
+            trajectory.push(&start.configuration);
+        }
+        let along = |rod: &Rod| {
+            let change = signal(rod, n, 1.0);
+            direction(&motion(rod, &start, n), &trajectory, None, &change, 1).expect("a direction")
+        };
+        let before = along(&bare);
+        let other = along(&with);
+        assert!(before == along(&bare), "{scheme:?}");
+        assert!(before != other, "{scheme:?}");
+    }
+}
