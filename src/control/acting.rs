@@ -347,10 +347,10 @@ impl<'a> ActingAlong<'a> {
         (along_states, along_controls)
     }
 
-    /// Appends the second derivatives along the configuration of the tensions of winches that couple all elements of their tendons: `k' (g bᵀ
-    /// + b gᵀ)` at every time node, with the derivative `k'` of the tension along its coordinate, its pull `g`, and the derivative `b` of
-    /// the costates' product with `g`. Under the implicit scheme it is one half of that over every interval, with pulls and derivatives at
-    /// both of its ends.
+    /// Appends the second derivatives along the configuration of the tensions of winches that couple all elements of their tendons:
+    /// `k' (g bᵀ + b gᵀ)` at every time node, with the derivative `k'` of the tension along its coordinate, its pull `g`, and the derivative
+    /// `b` of the costates' product with `g`. Under the implicit scheme it is one half of that over every interval, with pulls and
+    /// derivatives at both of its ends.
     fn winch_curvature(
         &self,
         motion: &Motion,
