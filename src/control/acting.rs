@@ -8,8 +8,7 @@ use super::problem::{Component, OptimalControlProblem};
 use crate::mechanics::actuator::{StateView, flat};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::linearization::{AdjointSweep, Motion};
-use crate::mechanics::sensitivity::{EffortPulls, Sensitivities};
-use crate::mechanics::signal::EffortTable;
+use crate::mechanics::sensitivity::{EffortPulls, Sensitivities, interval_share};
 use crate::mechanics::{
     ControlSignal, EffortLaw, FormTerm, PlacedFunction, Posed, StateForm, TimeScheme, Trajectory,
     Wrench,
@@ -65,7 +64,7 @@ pub(super) struct ActingAlong<'a> {
     jacobians: Vec<Vec<Mat<f64>>>,
     /// Wrenches of unit efforts of the driven actuators of the rod, if some of them act on strains.
     pulls: Option<EffortPulls>,
-    /// Efforts of all actuators of the rod as functions of their inputs, at every time node; empty without winches.
+    /// Efforts of all actuators of the rod as functions of their inputs, in every set of pulls; empty without winches.
     laws: Vec<Vec<EffortLaw>>,
     /// The functions of poses that each driven actuator has.
     posed: Vec<Vec<&'a PlacedFunction>>,
@@ -100,13 +99,17 @@ impl<'a> ActingAlong<'a> {
             })
             .collect();
         let laws = if rod.actuators.has_winches() {
-            let table = EffortTable::of(&rod.actuators, &problem.grid, Some(&signal));
-            (table.nodes.chunks_exact(table.n_actuators).enumerate())
-                .map(|(k, inputs)| {
-                    let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
-                    let coordinates = rod.actuator_coordinates(x, r);
-                    (inputs.iter().zip(coordinates).enumerate())
-                        .map(|(i, (input, y))| rod.actuators.law(i, *input, y))
+            let motion = Motion {
+                control: Some(&signal),
+                ..problem.motion()
+            };
+            let [mut inputs, mut coordinates] = [(); 2].map(|()| vec![0.0; rod.actuators.len()]);
+            (0..motion.n_sets())
+                .map(|set| {
+                    motion.write_inputs_of_set(set, &mut inputs);
+                    rod.write_coordinates_of_set(trajectory, set, &mut coordinates);
+                    (inputs.iter().zip(&coordinates).enumerate())
+                        .map(|(i, (input, y))| rod.actuators.law(i, *input, *y))
                         .collect()
                 })
                 .collect()
@@ -140,17 +143,22 @@ impl<'a> ActingAlong<'a> {
     /// Calls `visit(coefficient, derivative)` for the coefficients of the control on which the effort of a driven actuator depends in a set
     /// of [pulls](Self::pulls), along the input of the actuator.
     pub fn visit_efforts(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64)) {
-        let ends = match self.problem.rod.scheme {
-            TimeScheme::Explicit => 1,
-            TimeScheme::Implicit => 2,
-        };
+        let ends = self.ends();
+        let slope = self.law(set, index).along_input / ends as f64;
         for time in set..set + ends {
-            let slope = self.law(time, index).along_input / ends as f64;
             for (coefficient, weight) in self.problem.control.weights(time) {
                 if weight != 0.0 {
                     visit(coefficient, weight * slope);
                 }
             }
+        }
+    }
+
+    /// Returns the number of time nodes whose inputs have a part in a set of pulls.
+    fn ends(&self) -> usize {
+        match self.problem.rod.scheme {
+            TimeScheme::Explicit => 1,
+            TimeScheme::Implicit => 2,
         }
     }
 
@@ -162,13 +170,9 @@ impl<'a> ActingAlong<'a> {
             Target::Own(actuator, control) => (actuator, control),
             Target::Effort(index) => {
                 if let Some(pulls) = &self.pulls {
-                    pulls.visit(k, index, &mut |time, node, component, wrench| {
-                        visit(
-                            time,
-                            node,
-                            component,
-                            wrench * self.law(time, index).along_input,
-                        );
+                    pulls.visit(k, index, &mut |[set, time], node, component, wrench| {
+                        let slope = self.law(set, index).along_input;
+                        visit(time, node, component, wrench * slope);
                     });
                 }
                 return;
@@ -200,14 +204,14 @@ impl<'a> ActingAlong<'a> {
         }
     }
 
-    /// Returns the effort of a driven actuator, by its index among those, as a function of its input at a time node.
-    fn law(&self, k: usize, index: usize) -> EffortLaw {
+    /// Returns the effort of a driven actuator, by its index among those, as a function of its input in a set of pulls.
+    fn law(&self, set: usize, index: usize) -> EffortLaw {
         let actuator = self
             .problem
             .efforts
             .as_ref()
             .map(|own| own.actuators[index]);
-        let law = self.laws.get(k).zip(actuator).map(|(laws, i)| laws[i]);
+        let law = self.laws.get(set).zip(actuator).map(|(laws, i)| laws[i]);
         law.unwrap_or(EffortLaw {
             along_input: 1.0,
             ..EffortLaw::default()
@@ -290,6 +294,7 @@ impl<'a> ActingAlong<'a> {
                 along_states.push(OwnCurvature {
                     time_node: k,
                     forms: Vec::new(),
+                    earlier: Vec::new(),
                     matrix: Mat::from_fn(n, n, |i, j| matrix[(i, j)]),
                     rows: rows.clone(),
                 });
@@ -342,9 +347,10 @@ impl<'a> ActingAlong<'a> {
         (along_states, along_controls)
     }
 
-    /// Appends the second derivatives along the configuration of the tensions of winches that couple all elements of their tendons: `k' (g bᵀ
-    /// + b gᵀ)` at every time node, with the derivative `k'` of the tension along its coordinate, its pull `g`, and the derivative `b` of
-    /// the costates' product with `g`.
+    /// Appends the second derivatives along the configuration of the tensions of winches that couple all elements of their tendons:
+    /// `k' (g bᵀ + b gᵀ)` at every time node, with the derivative `k'` of the tension along its coordinate, its pull `g`, and the derivative
+    /// `b` of the costates' product with `g`. Under the implicit scheme it is one half of that over every interval, with pulls and
+    /// derivatives at both of its ends.
     fn winch_curvature(
         &self,
         motion: &Motion,
@@ -360,20 +366,33 @@ impl<'a> ActingAlong<'a> {
             .filter(|(_, own)| own.winch.is_some())
             .map(|(i, _)| i)
             .collect();
-        let covector = |k: usize, _: usize, node: usize| costates.wrench(motion, k, node);
+        let covector = |set: usize, end: usize, node: usize| {
+            let wrench = costates.wrench(motion, set + end, node);
+            let share = self.share(set + end);
+            Wrench {
+                force: wrench.force * share,
+                moment: wrench.moment * share,
+            }
+        };
         let pulls = EffortPulls::of(motion, trajectory, &winches, Some(&covector));
         let rows: Vec<(usize, usize)> = (0..6 * rod.n_nodes()).map(|i| (i / 6, i % 6)).collect();
-        for (k, laws) in self.laws.iter().enumerate() {
+        let ends = self.ends();
+        for (set, laws) in self.laws.iter().enumerate() {
             for (at, &winch) in winches.iter().enumerate() {
-                let slope = laws[winch].along_coordinate;
+                // The coordinate at the mean strain has one half of the pull at either end for its derivative.
+                let slope = laws[winch].along_coordinate / ends as f64;
                 if slope == 0.0 {
                     continue;
                 }
-                let forms = [pulls.wrenches(k, 0, at), pulls.slopes(k, 0, at)];
+                let forms = |end: usize| {
+                    let both = [pulls.wrenches(set, end, at), pulls.slopes(set, end, at)];
+                    both.map(<[f64]>::to_vec).to_vec()
+                };
                 out.push(OwnCurvature {
-                    time_node: k,
+                    time_node: set + ends - 1,
                     rows: rows.clone(),
-                    forms: forms.map(<[f64]>::to_vec).to_vec(),
+                    earlier: if ends == 2 { forms(0) } else { Vec::new() },
+                    forms: forms(ends - 1),
                     matrix: Mat::from_fn(2, 2, |i, j| if i == j { 0.0 } else { slope }),
                 });
             }
@@ -414,6 +433,7 @@ impl<'a> ActingAlong<'a> {
                 time_node: k,
                 rows: (0..6).map(|component| (own.node, component)).collect(),
                 forms: Vec::new(),
+                earlier: Vec::new(),
                 matrix: Mat::from_fn(6, 6, |i, j| factor * bent[(i, j)]),
             });
         }
@@ -456,8 +476,8 @@ impl<'a> ActingAlong<'a> {
     }
 
     /// Appends the second derivatives along the inputs of winches that follow from the curvature of their tensions: along two inputs, and
-    /// along an input and the configuration. Steps with winches are explicit. The other mixed ones, of the pulls of efforts, belong to the
-    /// linearized steps, and those along the configuration alone to the elements.
+    /// along an input and the configuration. The other mixed ones, of the pulls of efforts, belong to the linearized steps, and those along
+    /// the configuration alone to the elements.
     fn input_curvature(
         &self,
         motion: &Motion,
@@ -470,35 +490,47 @@ impl<'a> ActingAlong<'a> {
         };
         let problem = self.problem;
         let n_components = targets.len();
-        for k in 0..=problem.grid.n_steps {
+        let ends = self.ends();
+        for set in 0..self.laws.len() {
             for (at, target) in targets.iter().enumerate() {
                 let Target::Effort(index) = *target else {
                     continue;
                 };
-                let law = self.law(k, index);
+                let law = self.law(set, index);
                 if law.mixed == 0.0 && law.bend == 0.0 {
                     continue;
                 }
-                let pull = pulls.wrenches(k, 0, index);
                 // The work of the costates in the pull of a unit effort.
-                let work: f64 = (pull.chunks_exact(6).enumerate())
-                    .map(|(node, wrench)| {
-                        let own = costates.wrench(motion, k, node).to_array();
-                        own.iter().zip(wrench).map(|(a, b)| a * b).sum::<f64>()
+                let work: f64 = (0..ends)
+                    .map(|end| {
+                        let share = self.share(set + end);
+                        let pull = pulls.wrenches(set, end, index).chunks_exact(6);
+                        let works = pull.enumerate().map(|(node, wrench)| {
+                            let own = costates.wrench(motion, set + end, node).to_array();
+                            own.iter().zip(wrench).map(|(a, b)| a * b).sum::<f64>()
+                        });
+                        share * works.sum::<f64>()
                     })
                     .sum();
-                let terms = pull.iter().enumerate().map(|(place, pull)| FormTerm {
-                    node: place / 6,
-                    component: place % 6,
-                    coefficient: law.mixed * work * pull,
-                });
-                let unit = problem.unit_of_effort(index);
-                let weights = problem.control.weights(k).into_iter();
+                let mixed = law.mixed * work / ends as f64;
+                let form = (0..ends)
+                    .map(|end| {
+                        let pull = pulls.wrenches(set, end, index).iter().enumerate();
+                        let terms = pull.map(|(place, pull)| FormTerm {
+                            node: place / 6,
+                            component: place % 6,
+                            coefficient: mixed * pull,
+                        });
+                        StateForm {
+                            time_node: set + end,
+                            terms: terms.filter(|term| term.coefficient != 0.0).collect(),
+                        }
+                    })
+                    .collect();
+                let unit = problem.unit_of_effort(index) / ends as f64;
+                let weights = (set..set + ends).flat_map(|k| problem.control.weights(k));
                 out.push(ControlCurvature {
-                    forms: vec![vec![StateForm {
-                        time_node: k,
-                        terms: terms.filter(|term| term.coefficient != 0.0).collect(),
-                    }]],
+                    forms: vec![form],
                     cross: Mat::identity(1, 1),
                     own: Mat::from_fn(1, 1, |_, _| law.bend * work),
                     columns: vec![
@@ -511,6 +543,14 @@ impl<'a> ActingAlong<'a> {
                     ],
                 });
             }
+        }
+    }
+
+    /// Returns the part that a set has in the mean force at a time node at one of its ends.
+    fn share(&self, k: usize) -> f64 {
+        match self.problem.rod.scheme {
+            TimeScheme::Explicit => 1.0,
+            TimeScheme::Implicit => interval_share(k, self.problem.grid.n_steps),
         }
     }
 }

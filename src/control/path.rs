@@ -203,6 +203,7 @@ impl RowCurvature {
         let matrix = parts.transpose() * &self.matrix * &parts;
         Some(OwnCurvature {
             forms: Vec::new(),
+            earlier: Vec::new(),
             time_node,
             matrix: Mat::from_fn(rows.len(), rows.len(), |i, j| matrix[(i, j)]),
             rows,

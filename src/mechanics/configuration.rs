@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::rotation::{exp, log};
 use super::state_tangent::StateTangent;
+use super::strain_actuator::Poses;
 
 /// Position and rotation of every node.
 #[derive(Debug, PartialEq)]
@@ -155,6 +156,12 @@ impl Trajectory {
     #[must_use]
     pub fn rotations_at(&self, k: usize) -> &[Matrix3<f64>] {
         &self.rotations[k * self.n_nodes..(k + 1) * self.n_nodes]
+    }
+
+    /// Returns positions and rotations at time node `k`.
+    #[must_use]
+    pub fn poses_at(&self, k: usize) -> Poses<'_> {
+        (self.positions_at(k), self.rotations_at(k))
     }
 
     /// Returns the configuration at time node `k`.

@@ -57,8 +57,8 @@ pub struct Multipliers<'a> {
     pub own: &'a [OwnCurvature],
 }
 
-/// Second derivative of costs and constraints themselves, in the configuration of one time node and in the same chart as that
-/// of the equations of motion, multipliers multiplied in.
+/// Second derivative of costs and constraints themselves, in the configuration of one time node, or of two that follow each other, and in
+/// the same chart as that of the equations of motion, multipliers multiplied in.
 #[derive(Clone, Debug)]
 pub struct OwnCurvature {
     /// Time node `k`.
@@ -67,6 +67,8 @@ pub struct OwnCurvature {
     pub rows: Vec<(usize, usize)>,
     /// Linear forms of the rows, a coefficient for each of them; empty if every row is a form by itself.
     pub forms: Vec<Vec<f64>>,
+    /// For each form the coefficients of the same rows at the time node before, which it has in addition; empty if it has none.
+    pub earlier: Vec<Vec<f64>>,
     /// Symmetric, as many rows and columns as there are forms; unit of the functional per unit of both.
     pub matrix: Mat<f64>,
 }

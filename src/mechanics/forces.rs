@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::element::ElementGradient;
 use super::pose_actuator::Posed;
 use super::rod::Rod;
+use super::strain_actuator::{EffortLaw, Poses};
 use super::time::{TimeNode, TimeScheme};
 use super::{Configuration, Wrench};
 
@@ -35,6 +36,12 @@ impl NodalForces {
             forces: vec![Vector3::zeros(); n_nodes],
             moments: vec![Vector3::zeros(); n_nodes],
         }
+    }
+
+    /// Sets all to zero.
+    pub(super) fn clear(&mut self) {
+        self.forces.fill(Vector3::zeros());
+        self.moments.fill(Vector3::zeros());
     }
 
     /// Computes `-dU/dx`, `-dU/dη`, gravity, loads and the given efforts of actuators at the instant `t`. Controls are not included.
@@ -258,14 +265,64 @@ impl SlopeMemory {
                 continue;
             }
             let law = rod.actuators.law(i, inputs[i], self.coordinates[i]);
-            self.pull.forces.fill(Vector3::zeros());
-            self.pull.moments.fill(Vector3::zeros());
+            self.pull.clear();
             if law.along_coordinate != 0.0 {
                 self.unit.fill(0.0);
                 self.unit[i] = 1.0;
                 (self.pull).add_active(rod, positions, rotations, &self.unit);
             }
             visit(i, law.along_coordinate, &self.pull);
+        }
+    }
+}
+
+/// Memory for the laws and pulls of winches over an interval.
+#[derive(Clone, Debug)]
+pub(super) struct IntervalMemory {
+    coordinates: Vec<f64>,
+    pulls: [NodalForces; 2],
+}
+
+impl IntervalMemory {
+    /// Creates memory for a rod.
+    pub fn of(rod: &Rod) -> Self {
+        let n_nodes = if rod.actuators.has_winches() {
+            rod.n_nodes()
+        } else {
+            0
+        };
+        Self {
+            coordinates: vec![0.0; rod.actuators.len()],
+            pulls: [(); 2].map(|()| NodalForces::zeros(n_nodes)),
+        }
+    }
+
+    /// Calls `visit(actuator, law, pulls)` for every winch, for the inputs of all actuators and the poses at both ends of an interval, with
+    /// the wrenches of a unit tension at the mean strain on the nodes at either end. Those of a slack tendon are zero.
+    pub fn visit(
+        &mut self,
+        rod: &Rod,
+        inputs: &[f64],
+        ends: [Poses; 2],
+        mut visit: impl FnMut(usize, &EffortLaw, [&NodalForces; 2]),
+    ) {
+        if !rod.actuators.has_winches() {
+            return;
+        }
+        rod.write_interval_coordinates(ends, &mut self.coordinates);
+        for (i, own) in rod.actuators.iter().enumerate() {
+            if own.winch.is_none() {
+                continue;
+            }
+            let law = rod.actuators.law(i, inputs[i], self.coordinates[i]);
+            let [start, end] = &mut self.pulls;
+            if law.along_coordinate == 0.0 {
+                start.clear();
+                end.clear();
+            } else {
+                rod.write_interval_pulls(i, ends, [start, end]);
+            }
+            visit(i, &law, self.pulls.each_ref());
         }
     }
 }

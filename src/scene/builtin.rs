@@ -28,6 +28,10 @@ const SCENES: [(&str, &str); 32] = [
         include_str!("../../examples/scenes/till-tendons.toml"),
     ),
     (
+        "till-winch",
+        include_str!("../../examples/scenes/till-winch.toml"),
+    ),
+    (
         "knode-tendons",
         include_str!("../../examples/scenes/knode-tendons.toml"),
     ),

@@ -71,10 +71,6 @@ impl Scene {
                 "task.at_rest",
                 "move the target, raise the bounds, or let the tip stop for an instant: at_rest = \"tip\"",
             ),
-            DiscretizeError::ImplicitWinch(_) => at(
-                "time.integrator",
-                "set it to \"explicit\", or give the tension of the tendon",
-            ),
             DiscretizeError::TooManyBlocks { .. } => at(
                 "control.blocks",
                 "use fewer blocks or a shorter time.step_s",

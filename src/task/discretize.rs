@@ -104,12 +104,7 @@ impl Arm {
             };
             let mut rod = self.rod(&chosen)?;
             if chosen.scheme.is_none() {
-                let is_solve = matches!(work, Work::Solve { .. });
-                rod.scheme = if is_solve && rod.actuators.has_winches() {
-                    TimeScheme::Explicit
-                } else {
-                    automatic_scheme(&rod, given, duration, work)
-                };
+                rod.scheme = automatic_scheme(&rod, given, duration, work);
                 chosen.scheme = Some(rod.scheme);
             }
             Ok((chosen, rod))
@@ -167,10 +162,6 @@ impl Task {
         };
         let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
         let (chosen, rod) = arm.choose(discretization, longest, work)?;
-        let winch = rod.actuators.iter().find(|own| own.winch.is_some());
-        if let Some(winch) = winch.filter(|_| rod.scheme == TimeScheme::Implicit) {
-            return Err(DiscretizeError::ImplicitWinch(winch.name.clone()));
-        }
         let grid = self.grid(&rod, chosen.step, blocks)?;
         let n_steps = grid.n_steps as f64;
         if !(n_steps * rod.n_nodes() as f64 <= MOST_STORED_STATES) {

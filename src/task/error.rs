@@ -73,11 +73,6 @@ pub enum DiscretizeError {
     /// Nothing holds the arm at its target.
     #[error("{0}")]
     NotHeld(String),
-    /// A winch under the implicit integrator in a task.
-    #[error(
-        "a task with the tendon \"{0}\" on a winch takes explicit steps: its spring joins all elements in the linearization of an implicit one"
-    )]
-    ImplicitWinch(String),
     /// More blocks than steps.
     #[error("{blocks} blocks do not fit into {n_steps} time steps")]
     TooManyBlocks {

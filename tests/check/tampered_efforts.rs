@@ -70,9 +70,21 @@ fn softarm(folder: &std::path::Path, arguments: &[&str]) -> (i32, Value, String)
 /// The solve is certified and its files are verified; a change of any column of `efforts.csv` by a thousandth is rejected at that column.
 #[test]
 fn efforts_of_winches_and_lags_are_verified() {
+    efforts_are_verified(&["time.integrator=explicit"]);
+}
+
+/// The same of implicit steps.
+#[test]
+fn efforts_of_winches_in_implicit_steps_are_verified() {
+    efforts_are_verified(&["time.integrator=implicit", "time.step_s=2e-3"]);
+}
+
+fn efforts_are_verified(steps: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("scene.toml"), SCENE).unwrap();
-    let (code, summary, words) = softarm(folder.path(), &["solve", "scene.toml", "--out", "run"]);
+    let mut solve = vec!["solve", "scene.toml", "--out", "run"];
+    solve.extend(steps.iter().flat_map(|set| ["--set", set]));
+    let (code, summary, words) = softarm(folder.path(), &solve);
     assert_eq!(code, DONE, "{words}");
     assert_eq!(summary["slack"][0]["name"], "winch");
     let path = folder.path().join("run/efforts.csv");

@@ -5,15 +5,14 @@ use softarm::control::{
     ActuatedNode, Bound, Channel, ControlGrid, Goal, Hold, OptimalControlProblem,
 };
 use softarm::derivatives::{Verdict, check};
+use softarm::mechanics::signal::EffortTable;
 use softarm::mechanics::{
-    Density, Efforts, Material, Rod, RodModel, RodParameters, Route, Section, SectionProfile,
-    State, StrainActuator, StrainRule, TimeGrid, TimeScheme, TipSpring, Winch, stable_step,
-    static_equilibrium,
+    Density, Efforts, Material, NodeWrenches, Rod, RodModel, RodParameters, Route, Section,
+    SectionProfile, State, Stepper, StrainActuator, StrainRule, TimeGrid, TimeScheme, TipSpring,
+    Winch, stable_step, static_equilibrium,
 };
-use softarm::solve::solve;
-use softarm::task::{
-    Arm, Discretization, DiscretizeError, EffortControl, StartShape, Staying, Task,
-};
+use softarm::solve::{Solution, solve};
+use softarm::task::{Arm, Discretization, EffortControl, StartShape, Staying, Task};
 
 /// A tendon on a winch if it has a compliance, otherwise with a tension.
 fn tendon(route: Route, input: f64, compliance: Option<f64>) -> StrainActuator {
@@ -31,8 +30,13 @@ fn tendon(route: Route, input: f64, compliance: Option<f64>) -> StrainActuator {
     }
 }
 
-/// Two winches that are driven, one that is given, and a tendon with a driven tension, beside a force on the tip.
-fn problem(rule: StrainRule, model: RodModel, damping: [f64; 2]) -> OptimalControlProblem {
+/// Two winches that are driven, one that is given, and a tendon with a driven tension, beside a force on the tip. The steps are `longer`
+/// times 0.4 of the stable explicit one.
+fn problem(
+    rule: StrainRule,
+    (model, scheme, damping): (RodModel, TimeScheme, [f64; 2]),
+    longer: f64,
+) -> OptimalControlProblem {
     let silicone = Material::isotropic(1e5, 0.4, 1070.0);
     let section = SectionProfile::Uniform(Section::circle(&silicone, 0.01));
     let helix = Route {
@@ -44,6 +48,7 @@ fn problem(rule: StrainRule, model: RodModel, damping: [f64; 2]) -> OptimalContr
     let rod = Rod::new(&RodParameters {
         strain_rule: rule,
         model,
+        scheme,
         gravity: Vector3::new(-9.81, 0.0, 0.0),
         viscous_damping: damping[0],
         internal_damping: damping[1],
@@ -56,9 +61,13 @@ fn problem(rule: StrainRule, model: RodModel, damping: [f64; 2]) -> OptimalContr
         ..RodParameters::straight(0.3, 5, section)
     })
     .expect("a rod");
+    let explicit = Rod {
+        scheme: TimeScheme::Explicit,
+        ..rod.clone()
+    };
     let grid = TimeGrid {
         start: 0.0,
-        step: 0.4 * stable_step(&rod),
+        step: 0.4 * longer * stable_step(&explicit),
         n_steps: 60,
     };
     let control = ControlGrid::new(Hold::Linear, 5, grid.n_steps, grid.step).expect("blocks");
@@ -91,24 +100,29 @@ fn problem(rule: StrainRule, model: RodModel, damping: [f64; 2]) -> OptimalContr
     problem
 }
 
-/// Gradients, Jacobians, the Hessian and the linearized step agree with differences where tendons with tension are on winches.
+/// Gradients, Jacobians, the Hessian and the linearized step agree with differences where tendons with tension are on winches: in explicit
+/// steps and in implicit ones.
 #[test]
 fn derivatives_with_winches_are_derivatives() {
     let mut failed = Vec::new();
+    let (explicit, implicit) = (TimeScheme::Explicit, TimeScheme::Implicit);
     for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
-        for (model, damping) in [
-            (RodModel::Standard, [0.5, 0.0]),
-            (RodModel::Standard, [0.0, 2e-3]),
-            (RodModel::Consistent, [0.5, 0.0]),
-            (RodModel::Dilatation, [0.5, 0.0]),
+        for (kind, longer) in [
+            ((RodModel::Standard, explicit, [0.5, 0.0]), 1.0),
+            ((RodModel::Standard, explicit, [0.0, 2e-3]), 1.0),
+            ((RodModel::Consistent, explicit, [0.5, 0.0]), 1.0),
+            ((RodModel::Dilatation, explicit, [0.5, 0.0]), 1.0),
+            ((RodModel::Standard, implicit, [0.5, 0.0]), 1.0),
+            ((RodModel::Standard, implicit, [0.5, 2e-3]), 3.0),
         ] {
-            let report = check(&problem(rule, model, damping), 7).expect("a motion");
+            let report = check(&problem(rule, kind, longer), 7)
+                .unwrap_or_else(|error| panic!("{rule:?} {kind:?} {longer}: {error}"));
             let wrong: Vec<_> = (report.blocks.iter())
                 .filter(|block| block.verdict != Verdict::Ok)
                 .map(|block| format!("{}: {:?} {:?}", block.name, block.verdict, block.worst))
                 .collect();
             if !wrong.is_empty() {
-                failed.push(format!("{rule:?} {model:?} {damping:?}: {wrong:#?}"));
+                failed.push(format!("{rule:?} {kind:?} {longer}: {wrong:#?}"));
             }
         }
     }
@@ -158,21 +172,31 @@ fn reach(target: Vector3<f64>, seconds: f64, control: &EffortControl) -> Task {
 }
 
 fn explicit(hold: Hold) -> Discretization {
+    stepped(TimeScheme::Explicit, None, hold)
+}
+
+fn stepped(scheme: TimeScheme, step: Option<f64>, hold: Hold) -> Discretization {
     Discretization {
-        scheme: Some(TimeScheme::Explicit),
+        scheme: Some(scheme),
+        step,
         blocks: 10,
         hold,
         ..Discretization::with_elements(5)
     }
 }
 
-/// Two winches bring a hanging arm to the tip of a static shape and keep it there; the certificate holds. Their displacements are within
-/// the bounds and begin at rest.
+/// Two winches bring a hanging arm to the tip of a static shape and keep it there, in explicit and in implicit steps; the certificate
+/// holds. Their displacements are within the bounds and begin at rest.
 #[test]
 fn winches_reach_and_stay() {
     let arm = hanging(Some(5e-3), -3e-3);
-    for hold in [Hold::Linear, Hold::Cubic] {
-        let discretization = explicit(hold);
+    for (hold, scheme, step) in [
+        (Hold::Linear, TimeScheme::Explicit, None),
+        (Hold::Cubic, TimeScheme::Explicit, None),
+        (Hold::Linear, TimeScheme::Implicit, Some(2e-3)),
+        (Hold::Cubic, TimeScheme::Implicit, Some(2e-3)),
+    ] {
+        let discretization = stepped(scheme, step, hold);
         let target = tip_under(&arm, &discretization, [-12e-3, -8e-3]);
         let control = EffortControl {
             actuator: 0,
@@ -194,6 +218,57 @@ fn winches_reach_and_stay() {
         let first = solution.coefficients[0].to_array();
         let largest = first.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         assert!(largest < 1e-12 * 0.03, "begins at rest: {first:?}");
+        if scheme == TimeScheme::Implicit {
+            assert_tensions_retrace(&arm, &solution);
+            let mut changed = solution.clone();
+            changed.coefficients[4].force.x *= 1.02;
+            let check = changed.certify().expect("a check");
+            assert!(!check.is_certified(), "{hold:?}: another displacement");
+        }
+    }
+}
+
+/// The tensions that the winches of a solution with implicit steps have at the mean strains, written as profiles of tensions, make the same
+/// motion to rounding, which the motion amplifies. A profile has the means of its values at the ends of an interval in that interval.
+fn assert_tensions_retrace(arm: &Arm, solution: &Solution) {
+    let problem = &solution.problem.discrete;
+    let (rod, grid, trajectory) = (&problem.rod, problem.grid, solution.trajectory());
+    let signal = problem.signal(&problem.control, &solution.coefficients);
+    let inputs = EffortTable::of(&rod.actuators, &grid, Some(&signal)).intervals;
+    let mut profiles = vec![Vec::new(); 2];
+    let mut coordinates = [0.0; 2];
+    for k in 0..grid.n_steps {
+        let ends = [k, k + 1].map(|k| (trajectory.positions_at(k), trajectory.rotations_at(k)));
+        rod.write_interval_coordinates(ends, &mut coordinates);
+        for (i, rows) in profiles.iter_mut().enumerate() {
+            let mean = rod
+                .actuators
+                .law(i, inputs[2 * k + i], coordinates[i])
+                .effort;
+            if k == 0 {
+                rows.push((0.0, mean));
+            }
+            let last = rows[k].1;
+            rows.push((grid.time(k + 1), 2.0 * mean - last));
+        }
+    }
+    let mut arm = arm.clone();
+    for (tendon, profile) in arm.actuators.iter_mut().zip(profiles) {
+        (tendon.winch, tendon.effort) = (None, profile);
+    }
+    let other = Rod {
+        actuators: arm
+            .rod(&solution.problem.discretization)
+            .expect("a rod")
+            .actuators,
+        ..Rod::clone(rod)
+    };
+    let mut stepper = Stepper::new(&other, grid, problem.initial.clone());
+    for k in 1..=grid.n_steps {
+        stepper.advance([NodeWrenches::NONE; 2]).expect("a step");
+        let there = trajectory.positions_at(k)[rod.tip()];
+        let gap = (stepper.position(rod.tip()) - there).norm();
+        assert!(gap < 1e-8 * arm.length, "step {k}: {gap:e}");
     }
 }
 
@@ -247,9 +322,9 @@ fn lagging_tensions_reach_within_the_bounds_of_their_commands() {
     }
 }
 
-/// A constant hold, which jumps, is refused with a lag and with a winch, and so are implicit steps with a winch.
+/// A constant hold, which jumps, is refused with a lag and with a winch.
 #[test]
-fn jumps_and_implicit_steps_are_refused() {
+fn jumps_are_refused() {
     let control = |lag| EffortControl {
         actuator: 0,
         bounds: [-0.02, 0.5],
@@ -264,14 +339,4 @@ fn jumps_and_implicit_steps_are_refused() {
         let text = error.map(|_| ()).expect_err("a jump").to_string();
         assert!(text.contains("linear or cubic hold"), "{text}");
     }
-    let implicit = Discretization {
-        scheme: Some(TimeScheme::Implicit),
-        ..explicit(Hold::Linear)
-    };
-    let task = reach(Vector3::new(0.02, 0.0, -0.28), 1.0, &control(None));
-    let error = task.discretize(&winches, &implicit).map(|_| ());
-    assert!(
-        matches!(error, Err(DiscretizeError::ImplicitWinch(_))),
-        "{error:?}"
-    );
 }

@@ -443,6 +443,7 @@ impl Case {
             let half = Mat::from_fn(rows.len(), rows.len(), |_, _| dice.vector(1.0).x);
             OwnCurvature {
                 forms: Vec::new(),
+                earlier: Vec::new(),
                 time_node,
                 rows,
                 matrix: &half + half.transpose(),

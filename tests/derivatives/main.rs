@@ -7,3 +7,4 @@ mod curvature;
 mod derivatives;
 mod feedback;
 mod sensitivity;
+mod winches;

@@ -799,7 +799,7 @@ fn unknown_scene_names() {
 error: no file and no built-in scene of this name
   --> raech.toml
 help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, reach-obstacle, reach-table, reach-tendons, \
-till-tendons, knode-tendons, soromox-tendons, stiff-flop, elastica-muscles, reach-guidewire, paper-arm, swing, \
+till-tendons, till-winch, knode-tendons, soromox-tendons, stiff-flop, elastica-muscles, reach-guidewire, paper-arm, swing, \
 shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence, \
 mpc-track-circle, mpc-tendons, mpc-guidewire, mpc-stiff-flop, mpc-reach, mpc-push, mpc-payload, mpc-delay, mpc-catch, mpc-obstacle, \
 mpc-elastica-case1";

@@ -21,8 +21,8 @@ use nalgebra::Vector3;
 use crate::mechanics::configuration::{State, Trajectory};
 use crate::mechanics::inertia::InertiaRule;
 use crate::mechanics::rod::Rod;
-use crate::mechanics::signal::ControlSignal;
-use crate::mechanics::time::TimeGrid;
+use crate::mechanics::signal::{ControlSignal, write_interval_efforts, write_node_efforts};
+use crate::mechanics::time::{TimeGrid, TimeScheme};
 use crate::stop::StopSignal;
 
 mod adjoint;
@@ -101,6 +101,29 @@ impl Motion<'_> {
             control.at(k).add_efforts(&mut out);
         }
         out
+    }
+
+    /// Returns the number of sets of efforts: time nodes, or under the implicit scheme intervals.
+    pub(crate) fn n_sets(&self) -> usize {
+        match self.rod.scheme {
+            TimeScheme::Explicit => self.grid.n_steps + 1,
+            TimeScheme::Implicit => self.grid.n_steps,
+        }
+    }
+
+    /// Writes the inputs of all actuators of the rod in a set.
+    pub(crate) fn write_inputs_of_set(&self, set: usize, out: &mut [f64]) {
+        let Self {
+            rod, grid, control, ..
+        } = self;
+        match rod.scheme {
+            TimeScheme::Explicit => {
+                write_node_efforts(&rod.actuators, grid, *control, set, out);
+            }
+            TimeScheme::Implicit => {
+                write_interval_efforts(&rod.actuators, grid, *control, set, out);
+            }
+        }
     }
 
     /// Factor that an impulse at the end of an interval gets when it is added to the momentum that arrives there, so that

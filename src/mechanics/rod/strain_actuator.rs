@@ -8,21 +8,22 @@
 //! An explicit step takes this stress at the time nodes, like the elastic one. An implicit step takes it at the mean strain of the
 //! interval, with the mean of the efforts at its two ends.
 
-use nalgebra::{SMatrix, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
 use super::contact::Contact;
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
 use super::{Rod, RodError, require};
-use crate::mechanics::configuration::Configuration;
+use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
     ElementStrain, IntervalStress, StrainRule, Stress,
 };
+use crate::mechanics::forces::NodalForces;
 use crate::mechanics::load::profile;
 use crate::mechanics::mesh::Mesh;
 use crate::mechanics::rows;
-use crate::mechanics::time::TimeNode;
+use crate::mechanics::time::{TimeNode, TimeScheme};
 use crate::mechanics::vector::{Lanes, Vec3};
 
 /// The line of an actuator in the arm at rest.
@@ -605,6 +606,9 @@ impl RodActuators {
     }
 }
 
+/// Positions (m) and rotations of all nodes.
+pub type Poses<'a> = (&'a [Vector3<f64>], &'a [Matrix3<f64>]);
+
 /// Returns a strain times the length of the element.
 fn stretched(strain: &ElementStrain, length: f64) -> ([Vec3<Scalar>; 2], Vec3<Scalar>) {
     (
@@ -651,6 +655,9 @@ impl Rod {
                 StrainRule::Trapezoidal => (at.slopes::<2>(point.density, linear, psi), 2.0),
             };
             let effort = effort(point.actuator);
+            if effort == 0.0 {
+                continue;
+            }
             for (out, n) in out.linear.iter_mut().zip(slopes.linear) {
                 *out -= n.vector() * (ends * effort);
             }
@@ -727,21 +734,56 @@ impl Rod {
         Some(bent + b.transpose() * tangent * b)
     }
 
-    /// Returns the derivative along the pose at the end of an interval of the pull there of the stress at the mean strain; `None` if no
-    /// actuator passes the element.
-    pub(in crate::mechanics) fn arriving_active_stiffness(
+    /// Returns the derivatives of the pulls of the stress at the mean strain of an interval on the poses at its two ends: of that at the
+    /// start along the pose there and along the pose at the end, and of that at the end along the pose there. `None` if no actuator
+    /// passes the element.
+    pub(in crate::mechanics) fn interval_active_stiffness(
         &self,
         q: usize,
         poses: &[ElementPose; 2],
         effort: &dyn Fn(usize) -> f64,
-    ) -> Option<ElementStiffness> {
+    ) -> Option<[ElementStiffness; 3]> {
         let (element, rule) = (&self.elements[q], self.strain_rule);
-        let start = rule.strain(element.length, &poses[0]);
-        let (end, b) = rule.strain_derivative(element.length, &poses[1]);
+        let [(start, b), (end, b_end)] =
+            (poses.each_ref()).map(|pose| rule.strain_derivative(element.length, pose));
         let mean = start.mean(&end);
         let stress = self.active_stress_under(q, &mean, effort)?;
-        let bent = element.stiffness_under(rule, &poses[1], &stress, 0.0);
-        Some(bent + b.transpose() * self.active_tangent(q, &mean, effort) * b * 0.5)
+        let bent = |end: usize| element.stiffness_under(rule, &poses[end], &stress, 0.0);
+        // The weight of a strain in the mean is one half.
+        let tangent = self.active_tangent(q, &mean, effort) * 0.5;
+        Some([
+            bent(0) + b.transpose() * tangent * b,
+            b.transpose() * tangent * b_end,
+            bent(1) + b_end.transpose() * tangent * b_end,
+        ])
+    }
+
+    /// Writes the wrenches of a unit effort of one actuator at the mean strain of an interval on the nodes at both of its ends.
+    pub(in crate::mechanics) fn write_interval_pulls(
+        &self,
+        actuator: usize,
+        ends: [Poses; 2],
+        out: [&mut NodalForces; 2],
+    ) {
+        let [start, end] = out;
+        start.clear();
+        end.clear();
+        let unit = |other: usize| f64::from(u8::from(other == actuator));
+        for (q, element) in self.elements.iter().enumerate() {
+            if !(self.actuators.on(q).iter()).any(|point| point.actuator == actuator) {
+                continue;
+            }
+            let poses = ends.map(|(x, r)| Self::element_pose(q, x, r));
+            let strains =
+                (poses.each_ref()).map(|pose| self.strain_rule.strain(element.length, pose));
+            let mean = strains[0].mean(&strains[1]);
+            let Some(stress) = self.active_stress_under(q, &mean, &unit) else {
+                continue;
+            };
+            for (out, pose) in [&mut *start, &mut *end].into_iter().zip(&poses) {
+                out.add_gradient(q, &element.gradient_under(self.strain_rule, pose, &stress));
+            }
+        }
     }
 
     /// Returns the largest efforts of the actuators at any time. Of a winch it is the tension that the arm at rest puts up against the
@@ -814,16 +856,34 @@ impl Rod {
         }
     }
 
-    /// Returns the coordinates of the actuators at the mean strains of an interval.
-    pub(in crate::mechanics) fn mean_coordinates(&self, ends: [&Configuration; 2]) -> Vec<f64> {
-        (self.actuators).strain_coordinates(self.strain_rule, &self.elements, |q| {
+    /// Writes the coordinates of the actuators on strains at the mean strains of an interval; those on poses have none.
+    pub fn write_interval_coordinates(&self, ends: [Poses; 2], out: &mut [f64]) {
+        out.fill(0.0);
+        let strain = |q: usize| {
             let length = self.elements[q].length;
-            let [start, end] = ends.map(|at| {
-                let pose = Self::element_pose(q, &at.positions, &at.rotations);
+            let [start, end] = ends.map(|(x, r)| {
+                let pose = Self::element_pose(q, x, r);
                 self.strain_rule.strain(length, &pose)
             });
             start.mean(&end)
-        })
+        };
+        let (rule, elements) = (self.strain_rule, &self.elements[..]);
+        (self.actuators).add_strain_coordinates(rule, elements, strain, out);
+    }
+
+    /// Writes the coordinates on which efforts depend in a set of [pulls](crate::mechanics::sensitivity::EffortPulls): those of a time node,
+    /// or under the implicit scheme those at the mean strains of an interval.
+    pub fn write_coordinates_of_set(&self, trajectory: &Trajectory, set: usize, out: &mut [f64]) {
+        match self.scheme {
+            TimeScheme::Explicit => {
+                let (x, r) = trajectory.poses_at(set);
+                self.write_actuator_coordinates(x, r, out);
+            }
+            TimeScheme::Implicit => {
+                let ends = [set, set + 1].map(|k| trajectory.poses_at(k));
+                self.write_interval_coordinates(ends, out);
+            }
+        }
     }
 
     /// Returns the efforts of the actuators in a configuration for their inputs, which are efforts already but for those of winches.

@@ -7,13 +7,14 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::along::Along;
 use super::step::WinchKick;
+use super::winches::WinchDrift;
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Blocks, Displacement, Elasticity, Element, Helical, StrainRule,
     Stress, TangentRule, Trapezoidal, Turns, stiffness_under,
 };
-use crate::mechanics::forces::SlopeMemory;
+use crate::mechanics::forces::{IntervalMemory, SlopeMemory};
 use crate::mechanics::lanes::curved::{CurvedEnd, StressBlocks};
 use crate::mechanics::lanes::tangent::{NodePose, POSE_ROWS, put_pose};
 use crate::mechanics::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
@@ -34,6 +35,10 @@ pub(super) struct ActiveTimes {
     n_actuators: usize,
     /// Inputs of the time nodes, lane by lane: efforts, or the displacements of winches.
     inputs: Vec<f64>,
+    /// Mean inputs of the intervals after them.
+    interval_inputs: Vec<f64>,
+    /// The interval whose efforts the last lane has.
+    last: Option<usize>,
     /// Efforts of an interval.
     interval: Vec<f64>,
     /// Efforts of the time nodes, or of the intervals after them and then of those before them.
@@ -42,6 +47,7 @@ pub(super) struct ActiveTimes {
     /// Memory for the efforts of winches, and for coordinates.
     efforts: [Vec<f64>; 2],
     slopes: SlopeMemory,
+    pulls: IntervalMemory,
 }
 
 impl ActiveTimes {
@@ -56,11 +62,14 @@ impl ActiveTimes {
         Some(Self {
             n_actuators: actuators.len(),
             inputs: vec![0.0; actuators.len() * n_lanes],
+            interval_inputs: vec![0.0; actuators.len() * n_lanes],
+            last: None,
             interval: vec![0.0; actuators.len()],
             lanes: Buffer::zeros(n_rows * n_lanes),
             intervals,
             efforts: [(); 2].map(|()| vec![0.0; actuators.len()]),
             slopes: SlopeMemory::of(motion.rod),
+            pulls: IntervalMemory::of(motion.rod),
         })
     }
 
@@ -70,7 +79,8 @@ impl ActiveTimes {
     }
 
     /// Writes the efforts of time node `k` of a trajectory under a control to one lane. Before the first and after the last interval of the
-    /// grid there is none. Winches have steps that are explicit.
+    /// grid there is none. The tensions of winches are those at the configuration of the time node, or at the mean strains of the interval.
+    /// The lanes are written in order.
     pub fn put(
         &mut self,
         (motion, control, trajectory): (&Motion, Option<&ControlSignal>, &Trajectory),
@@ -82,19 +92,18 @@ impl ActiveTimes {
         let inputs = &mut self.inputs[lane * n..][..n];
         write_node_efforts(&rod.actuators, grid, control, k, inputs);
         if self.intervals {
-            let ends = [Some(k), k.checked_sub(1)].map(|k| k.filter(|k| *k < grid.n_steps));
-            for (part, k) in ends.into_iter().enumerate() {
-                match k {
-                    Some(k) => {
-                        let out = &mut self.interval;
-                        write_interval_efforts(&rod.actuators, grid, control, k, out);
-                    }
-                    None => self.interval.fill(0.0),
+            let before = k.checked_sub(1);
+            if lane > 0 && before.is_some() && before == self.last {
+                // It is that after the time node of the lane before.
+                for actuator in 0..n {
+                    self.lanes[(n + actuator) * n_lanes + lane] =
+                        self.lanes[actuator * n_lanes + lane - 1];
                 }
-                for (actuator, effort) in self.interval.iter().enumerate() {
-                    self.lanes[(part * n + actuator) * n_lanes + lane] = *effort;
-                }
+            } else {
+                self.put_interval((motion, control, trajectory), before, (1, lane, n_lanes));
             }
+            self.put_interval((motion, control, trajectory), Some(k), (0, lane, n_lanes));
+            self.last = Some(k);
             return;
         }
         let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
@@ -112,7 +121,62 @@ impl ActiveTimes {
         }
     }
 
-    /// Writes the kicks of winches at time node `k` of a trajectory, which is in a lane; that of a slack tendon is none.
+    /// Writes the efforts of the interval from time node `k` on to a part of one lane, and zeros where there is no such interval.
+    fn put_interval(
+        &mut self,
+        (motion, control, trajectory): (&Motion, Option<&ControlSignal>, &Trajectory),
+        k: Option<usize>,
+        (part, lane, n_lanes): (usize, usize, usize),
+    ) {
+        let n = self.n_actuators;
+        let Motion { rod, grid, .. } = motion;
+        self.interval.fill(0.0);
+        if let Some(k) = k.filter(|k| *k < grid.n_steps) {
+            write_interval_efforts(&rod.actuators, grid, control, k, &mut self.interval);
+            if part == 0 {
+                self.interval_inputs[lane * n..][..n].copy_from_slice(&self.interval);
+            }
+            if rod.actuators.has_winches() {
+                let coordinates = &mut self.efforts[1];
+                let ends = [k, k + 1].map(|k| trajectory.poses_at(k));
+                rod.write_interval_coordinates(ends, coordinates);
+                for (i, (effort, y)) in self.interval.iter_mut().zip(coordinates).enumerate() {
+                    *effort = rod.actuators.law(i, *effort, *y).effort;
+                }
+            }
+        }
+        for (actuator, effort) in self.interval.iter().enumerate() {
+            self.lanes[(part * n + actuator) * n_lanes + lane] = *effort;
+        }
+    }
+
+    /// Writes the laws and pulls of winches over the interval from time node `k` of a trajectory on, which is in a lane; nothing under the
+    /// explicit scheme. The pulls of a slack tendon are zero.
+    pub fn write_winch_drifts(
+        &mut self,
+        (rod, trajectory): (&Rod, &Trajectory),
+        (k, lane): (usize, usize),
+        out: &mut Vec<WinchDrift>,
+    ) {
+        if !self.intervals {
+            out.clear();
+            return;
+        }
+        let inputs = &self.interval_inputs[lane * self.n_actuators..][..self.n_actuators];
+        let ends = [k, k + 1].map(|k| trajectory.poses_at(k));
+        let mut index = 0;
+        self.pulls.visit(rod, inputs, ends, |actuator, law, pulls| {
+            if index == out.len() {
+                out.push(WinchDrift::default());
+            }
+            out[index].renew(rod, actuator, law, pulls);
+            index += 1;
+        });
+        out.truncate(index);
+    }
+
+    /// Writes the kicks of winches at time node `k` of a trajectory, which is in a lane; that of a slack tendon is none. Nothing under the
+    /// implicit scheme.
     pub fn write_winch_kicks(
         &mut self,
         (rod, trajectory): (&Rod, &Trajectory),
@@ -120,6 +184,10 @@ impl ActiveTimes {
         weight: f64,
         out: &mut Vec<WinchKick>,
     ) {
+        if self.intervals {
+            out.clear();
+            return;
+        }
         let inputs = &self.inputs[lane * self.n_actuators..][..self.n_actuators];
         let at = (trajectory.positions_at(k), trajectory.rotations_at(k));
         let mut index = 0;
@@ -130,6 +198,7 @@ impl ActiveTimes {
             out[index].renew(rod, actuator, weight * slope, pull);
             index += 1;
         });
+        out.truncate(index);
     }
 
     /// Returns the efforts of the one time node of a group.
@@ -467,7 +536,7 @@ impl EffortPulls {
         actuators: &[usize],
         covectors: Option<&Covectors>,
     ) -> Self {
-        let n_sets = n_sets(motion);
+        let n_sets = motion.n_sets();
         let mut out = Self::new(motion, n_sets, actuators, covectors.is_some());
         out.evaluate(motion, trajectory, 0..n_sets, covectors);
         out
@@ -508,12 +577,12 @@ impl EffortPulls {
     /// Creates memory for motions of this rod of at most this duration.
     #[must_use]
     pub fn along(motion: &Motion, actuators: &[usize]) -> Self {
-        Self::new(motion, n_sets(motion), actuators, false)
+        Self::new(motion, motion.n_sets(), actuators, false)
     }
 
     /// Evaluates the unit efforts along another motion of the same rod.
     pub fn evaluate_along(&mut self, motion: &Motion, trajectory: &Trajectory) {
-        self.evaluate(motion, trajectory, 0..n_sets(motion), None);
+        self.evaluate(motion, trajectory, 0..motion.n_sets(), None);
     }
 
     /// Evaluates the unit efforts in some sets of another motion of the same rod. `covectors` are given if the memory is to have slopes.
@@ -525,7 +594,7 @@ impl EffortPulls {
         covectors: Option<&Covectors>,
     ) {
         let rod = motion.rod;
-        self.n_sets = n_sets(motion);
+        self.n_sets = motion.n_sets();
         self.first = sets.start;
         self.wrenches.fill(0.0);
         self.slopes.fill(0.0);
@@ -620,20 +689,20 @@ impl EffortPulls {
         &self.slopes[self.at(set, end, actuator)..][..self.n_nodes * 6]
     }
 
-    /// Calls `visit(time, node, component, wrench)` for the wrench on a node at time node `k` that follows from a unit effort at time node
-    /// `time`: at `k` itself, and under the implicit scheme at its neighbors too.
+    /// Calls `visit([set, time], node, component, wrench)` for the wrench on a node at time node `k` that follows in a set from a unit
+    /// effort at time node `time`: at `k` itself, and under the implicit scheme at its neighbors too.
     pub fn visit(
         &self,
         k: usize,
         actuator: usize,
-        visit: &mut dyn FnMut(usize, usize, usize, f64),
+        visit: &mut dyn FnMut([usize; 2], usize, usize, f64),
     ) {
         let weight = 1.0 / self.ends as f64;
         for (set, end, share) in self.sets_at(k) {
             let wrenches = self.wrenches(set, end, actuator).iter().enumerate();
             for (at, wrench) in wrenches.filter(|(_, wrench)| **wrench != 0.0) {
                 for time in set..set + self.ends {
-                    visit(time, at / 6, at % 6, weight * share * wrench);
+                    visit([set, time], at / 6, at % 6, weight * share * wrench);
                 }
             }
         }
@@ -656,7 +725,7 @@ impl MixedSlopes {
             return Self(None);
         };
         let ends = ends(motion.rod);
-        let sets = (first + 1).saturating_sub(ends)..n_sets(motion).min(first + n);
+        let sets = (first + 1).saturating_sub(ends)..motion.n_sets().min(first + n);
         let n_steps = motion.grid.n_steps;
         let covectors = |set: usize, end: usize, node: usize| {
             let wrench = multipliers.adjoint.wrench(motion, set + end, node);
@@ -697,13 +766,9 @@ fn ends(rod: &Rod) -> usize {
     }
 }
 
-/// Returns the number of sets of a motion.
-fn n_sets(motion: &Motion) -> usize {
-    motion.grid.n_steps + 2 - ends(motion.rod)
-}
-
 /// Returns the part that each interval beside time node `k` of `n_steps + 1` has in the mean force there.
-fn interval_share(k: usize, n_steps: usize) -> f64 {
+#[must_use]
+pub fn interval_share(k: usize, n_steps: usize) -> f64 {
     if k == 0 || k == n_steps { 1.0 } else { 0.5 }
 }
 

@@ -1,7 +1,7 @@
 //! Momenta that arrive at a time node, where a stress depends on both ends of an interval.
 //!
 //! The tiles carry them without the stiffness of that stress where it arrives, which the next kick adds to that of the elements. A form
-//! of such a momentum has it among the configurations.
+//! of such a momentum has it among the configurations. What a change of the tension of a winch adds is part of the drift.
 
 use super::Task;
 use crate::mechanics::configuration::Trajectory;
@@ -77,10 +77,18 @@ fn arriving_stiffness(
     let arriving = 0.5 * grid.step * motion.arriving_impulse();
     let mut stiffness = element.stiffness_under(rod.strain_rule, &poses[1], &stress, weights.end);
     if rod.scheme == TimeScheme::Implicit && !rod.actuators.is_empty() {
-        let effort =
-            |actuator: usize| interval_effort(&rod.actuators, &grid, motion.control, k, actuator);
-        let active = rod.arriving_active_stiffness(q, &poses, &effort);
-        stiffness += active.unwrap_or_else(ElementStiffness::zeros);
+        let mut coordinates = vec![0.0; rod.actuators.len()];
+        if rod.actuators.has_winches() {
+            let ends = [k, k + 1].map(|k| trajectory.poses_at(k));
+            rod.write_interval_coordinates(ends, &mut coordinates);
+        }
+        let effort = |actuator: usize| {
+            let input = interval_effort(&rod.actuators, &grid, motion.control, k, actuator);
+            let law = rod.actuators.law(actuator, input, coordinates[actuator]);
+            law.effort
+        };
+        let active = rod.interval_active_stiffness(q, &poses, &effort);
+        stiffness += active.map_or_else(ElementStiffness::zeros, |[_, _, end]| end);
     }
     stiffness * arriving
 }

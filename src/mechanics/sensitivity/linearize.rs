@@ -18,6 +18,7 @@ use super::step::{
     ActingKick, LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_loads,
     square,
 };
+use super::winches::finish;
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::curvature::{
@@ -93,11 +94,17 @@ impl Memory {
                         &mut single.intervals[0]
                     }
                 };
+                if !step.solve.is_empty() {
+                    finish(along.motion, k, step)?;
+                }
                 if let (Some(multipliers), Some(curvature)) =
                     (along.multipliers, &mut step.curvature)
                 {
                     for winch in &step.winches {
                         winch.add_curvature(along, multipliers, k, curvature);
+                    }
+                    for winch in &step.solve.winches {
+                        winch.add_curvature(along, multipliers, k, next);
                     }
                     mixed.write(k, &mut curvature.mixed);
                     let loads = load_curvatures(along.motion, along.trajectory, multipliers, k);
@@ -117,14 +124,21 @@ impl Memory {
         k: usize,
     ) -> Result<IntervalCurvature, StepError> {
         let mut step = [LinearizedStep::default()];
-        if let Some(workspace) = &mut self.many
+        let mut interval = if let Some(workspace) = &mut self.many
             && many(arch, along, k, &mut step, workspace, Scope::Drifts).drifts & 1 == 1
         {
-            return Ok(workspace.intervals[0].clone());
+            workspace.intervals[0].clone()
+        } else {
+            let single = self.single(along.motion);
+            linearize_one(along, k, &mut step[0], single, Scope::Drifts)?;
+            single.intervals[0].clone()
+        };
+        if let Some(multipliers) = along.multipliers {
+            for winch in &step[0].solve.winches {
+                winch.add_curvature(along, multipliers, k, &mut interval);
+            }
         }
-        let single = self.single(along.motion);
-        linearize_one(along, k, &mut step[0], single, Scope::Drifts)?;
-        Ok(single.intervals[0].clone())
+        Ok(interval)
     }
 
     fn single(&mut self, motion: &Motion) -> &mut Workspace {
@@ -619,6 +633,13 @@ impl Group<'_> {
             if let Some(active) = &mut self.workspace.active {
                 let at = (self.along.motion.rod, self.along.trajectory);
                 active.write_winch_kicks(at, (k, lane), kick.weight, &mut step.winches);
+                if k < *stretch.end() {
+                    active.write_winch_drifts(at, (k, lane), &mut step.solve.winches);
+                }
+            } else {
+                // The memory may have been that of another rod.
+                step.winches.clear();
+                step.solve.winches.clear();
             }
             step.first_free_node = rod.first_free_node();
             step.joints.clone_from(&rod.joints);

@@ -28,6 +28,7 @@ mod reverse;
 mod step;
 mod team;
 mod tile;
+mod winches;
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError, RwLock};
@@ -51,12 +52,13 @@ use super::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
 use super::signal::ControlSignal;
 use super::step_error::StepError;
 
-pub use self::active::{Covectors, EffortPulls};
+pub use self::active::{Covectors, EffortPulls, interval_share};
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;
 pub use self::step::{
     ElementDrift, LinearizedStep, NodeDrift, NodeSpin, ReactionDrift, SolvedDrift,
 };
+pub use self::winches::WinchDrift;
 
 /// Columns per tile: two AVX-512 registers, four of AVX2, eight of NEON.
 pub const TILE: usize = 16;
@@ -688,6 +690,7 @@ fn step_flops(step: &LinearizedStep, n_nodes: usize) -> u64 {
     let mut flops = n_elements * (162 + 15) + n_nodes * (72 + 12);
     if !step.solve.is_empty() {
         flops += step.solve.coupling.len() * (162 + 15) + n_nodes * 3 * 72;
+        flops += step.solve.winches.len() * n_nodes * 48;
     }
     (TILE * flops) as u64
 }

@@ -26,6 +26,8 @@ pub(super) struct Record<'a> {
     own_product: Vec<f64>,
     /// Ends of those of each time node of the round.
     own_ends: Vec<usize>,
+    /// What the forms of the next time node have of the present one, form by form.
+    earlier: Vec<f64>,
     /// Tells whether any column of the tile has begun to act.
     active: bool,
 }
@@ -41,6 +43,7 @@ impl<'a> Record<'a> {
             own_rows: Vec::new(),
             own_product: Vec::new(),
             own_ends: Vec::new(),
+            earlier: Vec::new(),
             active: false,
         }
     }
@@ -51,25 +54,39 @@ impl<'a> Record<'a> {
         self.own_rows.clear();
         self.own_product.clear();
         self.own_ends.clear();
+        if !active {
+            self.earlier.clear();
+        }
     }
 
     /// Stores the rows of the tile that the own curvatures of time node `k` read, and their products.
     pub fn keep_own(&mut self, data: &[f64], k: usize) {
+        let of = |(node, component): &(usize, usize)| {
+            let row = (node * NODE_COMPONENTS + component) * TILE;
+            &data[row..row + TILE]
+        };
+        let sum = |own: &OwnCurvature, form: &[f64]| {
+            let mut sums = [0.0; TILE];
+            for (row, coefficient) in own.rows.iter().zip(form) {
+                for (sum, value) in sums.iter_mut().zip(of(row)) {
+                    *sum += coefficient * value;
+                }
+            }
+            sums
+        };
+        // Absent where all columns were zero at the time node before.
+        let mut earlier = self.earlier.as_chunks::<TILE>().0.iter();
         for own in own_within(self.own, k..k + 1) {
             let start = self.own_rows.len();
-            let of = |(node, component): &(usize, usize)| {
-                let row = (node * NODE_COMPONENTS + component) * TILE;
-                &data[row..row + TILE]
-            };
             if own.forms.is_empty() {
                 (own.rows.iter()).for_each(|row| self.own_rows.extend_from_slice(of(row)));
             }
-            for form in &own.forms {
-                let mut sums = [0.0; TILE];
-                for (row, coefficient) in own.rows.iter().zip(form) {
-                    for (sum, value) in sums.iter_mut().zip(of(row)) {
-                        *sum += coefficient * value;
-                    }
+            for (index, form) in own.forms.iter().enumerate() {
+                let mut sums = sum(own, form);
+                if index < own.earlier.len()
+                    && let Some(before) = earlier.next()
+                {
+                    (sums.iter_mut().zip(before)).for_each(|(sum, before)| *sum += before);
                 }
                 self.own_rows.extend_from_slice(&sums);
             }
@@ -86,6 +103,12 @@ impl<'a> Record<'a> {
             }
         }
         self.own_ends.push(self.own_rows.len());
+        self.earlier.clear();
+        for own in own_within(self.own, k + 1..k + 2) {
+            for form in &own.earlier {
+                self.earlier.extend_from_slice(&sum(own, form));
+            }
+        }
     }
 
     /// Place of the own rows of a batch of slots.

@@ -7,6 +7,7 @@ use super::arriving::arriving_terms;
 use super::columns::{Columns, Wide, for_all_vectors};
 use super::combined::Combined;
 use super::step::{LinearizedStep, SolvedDrift, hold};
+use super::winches::{WinchRows, arrive_transposed, leave_transposed};
 use super::{TILE, Task, step_flops, visit_efforts};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::forms::{NODE_COMPONENTS, StateForm, forms_at};
@@ -25,6 +26,7 @@ pub(super) struct ReverseTile {
     data: Buffer,
     /// Covectors of `ζ` and arriving `π` after the drift, if elements couple the drifts of their ends.
     increments: Buffer,
+    winch_rows: WinchRows,
     /// Values on sources and columns, form fastest.
     pub values: Vec<f64>,
     pub flops: u64,
@@ -40,6 +42,7 @@ impl ReverseTile {
             last: task.forms[end - 1].time_node,
             data: Buffer::zeros(task.node_size()),
             increments: Buffer::zeros(task.increment_size()),
+            winch_rows: Vec::new(),
             values: vec![0.0; task.n_all() * TILE],
             flops: 0,
         }
@@ -80,12 +83,15 @@ impl ReverseTile {
             let (data, increments) = (&mut self.data, &mut self.increments);
             let n_used = self.n_used;
             if !step.element_drifts.is_empty() || !step.solve.is_empty() {
+                let (winches, rows) = (&step.solve.winches, &mut self.winch_rows);
+                arrive_transposed(arch, winches, data, rows);
                 arch.dispatch(CoupledDriftTransposed {
                     step,
-                    data,
+                    data: &mut *data,
                     n_used,
                     increments,
                 });
+                leave_transposed(arch, winches, data, rows);
             } else {
                 arch.dispatch(DriftTransposed { step, data, n_used });
             }
@@ -220,6 +226,7 @@ impl ReverseTile {
             let sums = arch.dispatch(Combined {
                 data,
                 part: 6,
+                width: 6,
                 coefficients: wrenches,
             });
             for &(column, weight) in columns {

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 
 use super::TILE;
+use super::winches::WinchDrift;
 use crate::mechanics::actuator::ActingDerivative;
 use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature};
 use crate::mechanics::ends::Joint;
@@ -104,6 +105,8 @@ pub struct SolvedDrift {
     pub below: Vec<[[f64; 6]; 6]>,
     /// Blocks of `U` above its unit diagonal.
     pub above: Vec<[[f64; 6]; 6]>,
+    /// Winches, whose tensions join all elements; of implicit steps.
+    pub winches: Vec<WinchDrift>,
 }
 
 /// A node in a step that is solved for.
@@ -140,6 +143,38 @@ impl SolvedDrift {
         self.pivots.clear();
         self.below.clear();
         self.above.clear();
+        self.winches.clear();
+    }
+
+    /// Writes what the drift without winches returns for a column that has momenta alone, six of every node: [`NODE_COMPONENTS`] of every
+    /// node, zero before the node `first`.
+    pub(super) fn answer(&self, first: usize, momenta: &[f64], out: &mut [f64]) {
+        out.fill(0.0);
+        let momenta = momenta.as_chunks::<6>().0;
+        let out = out.as_chunks_mut::<NODE_COMPONENTS>().0;
+        let product = |m: &[[f64; 6]; 6], v: &[f64]| -> [f64; 6] {
+            std::array::from_fn(|i| m[i].iter().zip(v).map(|(m, v)| m * v).sum())
+        };
+        for node in first..self.nodes.len() {
+            let i = node - first;
+            let mut right = momenta[node];
+            if i > 0 {
+                let before = product(&self.below[i - 1], &out[node - 1][..6]);
+                (right.iter_mut().zip(before)).for_each(|(right, before)| *right -= before);
+            }
+            out[node][..6].copy_from_slice(&product(&self.pivots[i], &right));
+        }
+        for node in (first..self.nodes.len()).rev() {
+            if let Some(above) = self.above.get(node - first) {
+                let next = product(above, &out[node + 1][..6]);
+                (out[node].iter_mut().zip(next)).for_each(|(own, next)| *own -= next);
+            }
+            let spin = &self.nodes[node];
+            for i in 0..3 {
+                out[node][6 + i] = spin.mass_rate * out[node][i];
+                out[node][9 + i] = (0..3).map(|j| spin.spin[i][j] * out[node][3 + j]).sum();
+            }
+        }
     }
 }
 

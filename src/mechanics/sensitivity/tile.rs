@@ -10,6 +10,7 @@ use super::columns::{Columns, Wide, for_all_vectors};
 use super::combined::Combined;
 use super::reduction::Record;
 use super::step::{LinearizedStep, SolvedDrift, hold};
+use super::winches::{WinchRows, arrive, leave};
 use super::{INCREMENT_ROWS, TILE, Task, step_flops, visit_efforts};
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::ends::Joint;
@@ -26,6 +27,7 @@ pub(super) struct Tile<'a> {
     reach: Range<usize>,
     /// Increments of `ζ` and arriving `π` of every node, where elements couple the drifts of their ends.
     increments: Buffer,
+    winch_rows: WinchRows,
     /// Values of the forms, column fastest.
     pub values: Vec<f64>,
     pub record: Option<Record<'a>>,
@@ -50,6 +52,7 @@ impl<'a> Tile<'a> {
             data: Buffer::zeros(task.node_size()),
             reach: 0..0,
             increments: Buffer::zeros(task.increment_size()),
+            winch_rows: Vec::new(),
             values: vec![0.0; task.forms.len() * TILE],
             record,
             flops: 0,
@@ -132,6 +135,7 @@ impl<'a> Tile<'a> {
                 let values = arch.dispatch(Combined {
                     data: &self.data,
                     part: 0,
+                    width: 6,
                     coefficients,
                 });
                 efforts.visit(set, index, &mut |column, derivative| {
@@ -221,12 +225,15 @@ impl<'a> Tile<'a> {
             self.read_forms(k, task);
         } else if !step.element_drifts.is_empty() || !step.solve.is_empty() {
             self.reach = 0..n_nodes;
+            let winches = &step.solve.winches;
+            leave(arch, winches, &self.data, &mut self.winch_rows);
             arch.dispatch(CoupledDrift {
                 step,
                 data: &mut self.data,
                 n_used,
                 increments: &mut self.increments,
             });
+            arrive(arch, winches, &mut self.data, &self.winch_rows);
         } else {
             arch.dispatch(Drift {
                 step,

@@ -55,8 +55,6 @@ pub(crate) fn with_long_steps(
     settings: &MpcSettings,
 ) -> Discretization {
     let is_open = discretization.scheme.is_none() && discretization.step.is_none();
-    // Tasks with winches take explicit steps.
-    let is_open = is_open && !model.actuators.has_winches();
     if !is_open || settings.due.is_some() || model.model != RodModel::Standard {
         return *discretization;
     }

@@ -50,7 +50,6 @@ impl EffortColumns for Columns<'_> {
         let at = self.of_efforts[index];
         let both = [set, set + 1];
         let times = &both[..self.ends];
-        // Winches have steps that are explicit, whose sets are time nodes.
         let slope = self
             .winches
             .map_or(1.0, |winches| winches.slope(set, index));
@@ -109,11 +108,11 @@ impl ControlColumns for Columns<'_> {
     }
 }
 
-/// Derivatives of the efforts of driven actuators along their inputs, at every time node of a roll-out with explicit steps: 1 but for winches.
+/// Derivatives of the efforts of driven actuators along their inputs, in every set of pulls along a roll-out: 1 but for winches.
 #[derive(Debug)]
 pub(super) struct WinchSlopes {
     driven: Vec<usize>,
-    /// Slopes of the driven actuators, time node by time node.
+    /// Slopes of the driven actuators, set by set.
     slopes: Vec<f64>,
     /// Memory for the inputs and coordinates of all actuators.
     inputs: Vec<f64>,
@@ -135,21 +134,17 @@ impl WinchSlopes {
     pub fn evaluate(&mut self, motion: &Motion, trajectory: &Trajectory) {
         let rod = motion.rod;
         let n = self.driven.len();
-        for k in 0..=motion.grid.n_steps {
-            (rod.actuators).write_efforts(&motion.grid.node(k), &mut self.inputs);
-            if let Some(control) = motion.control {
-                control.at(k).add_efforts(&mut self.inputs);
-            }
-            let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
-            rod.write_actuator_coordinates(x, r, &mut self.coordinates);
-            for (slope, &i) in self.slopes[k * n..][..n].iter_mut().zip(&self.driven) {
+        for set in 0..motion.n_sets() {
+            motion.write_inputs_of_set(set, &mut self.inputs);
+            rod.write_coordinates_of_set(trajectory, set, &mut self.coordinates);
+            for (slope, &i) in self.slopes[set * n..][..n].iter_mut().zip(&self.driven) {
                 let law = rod.actuators.law(i, self.inputs[i], self.coordinates[i]);
                 *slope = law.along_input;
             }
         }
     }
 
-    fn slope(&self, k: usize, index: usize) -> f64 {
-        self.slopes[k * self.driven.len() + index]
+    fn slope(&self, set: usize, index: usize) -> f64 {
+        self.slopes[set * self.driven.len() + index]
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use faer::sparse::{SparseColMat, Triplet};
-use nalgebra::{Matrix6, SMatrix, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, Vector3};
 
 use super::motion::Conditions;
 use super::spin::Spin;
@@ -210,44 +210,66 @@ impl<'a> StressLink<'a> {
                 }
             }
         }
-        let [pulled, pulls] = [&self.start, &self.end].map(|at| self.springs.pulled(at));
-        for ((_, stiffness), (start, end)) in
-            self.springs.taut.iter().zip(pulled.iter().zip(&pulls))
-        {
-            let entries = |[x, eta]: &[Vec<Vector3<f64>>; 2]| -> Vec<f64> {
-                let nodes = x.iter().zip(eta).skip(first);
-                let both = nodes.flat_map(|(x, eta)| [*x, *eta]);
-                both.flat_map(|v| [v.x, v.y, v.z]).collect()
-            };
-            let (rows, columns) = (entries(end), entries(start));
-            for (row, a) in rows.iter().enumerate() {
-                for (column, b) in columns.iter().enumerate() {
-                    add(row, column, -factor * 0.5 * stiffness * a * b);
-                }
-            }
-        }
         let entries = held(rod, entries);
         let n = 6 * (count - first);
-        let right = Mat::from_fn(n, 1, |row, _| {
-            let (q, i) = (first + row / 6, row % 6);
-            if i < 3 {
-                rhs_x[q][i]
-            } else {
-                rhs_eta[q][i - 3]
-            }
+        // Numbers of the free nodes, in the order of the rows.
+        let stacked = |x: &[Vector3<f64>], eta: &[Vector3<f64>]| -> Vec<f64> {
+            let nodes = x.iter().zip(eta).skip(first);
+            nodes
+                .flat_map(|(x, eta)| [*x, *eta])
+                .flat_map(|v| [v.x, v.y, v.z])
+                .collect()
+        };
+        let [pulled, pulls] = [&self.start, &self.end].map(|at| {
+            let all = self.springs.pulled(at).into_iter();
+            all.map(|[x, eta]| stacked(&x, &eta)).collect::<Vec<_>>()
         });
-        let solution = (SparseColMat::<usize, f64>::try_new_from_triplets(n, n, &entries).ok())
+        let columns: Vec<_> = std::iter::once(stacked(rhs_x, rhs_eta))
+            .chain(pulls)
+            .collect();
+        let right = Mat::from_fn(n, columns.len(), |row, column| columns[column][row]);
+        let solved = (SparseColMat::<usize, f64>::try_new_from_triplets(n, n, &entries).ok())
             .and_then(|matrix| matrix.sp_lu().ok())
             .map_or_else(
-                || Mat::full(n, 1, f64::NAN),
+                || Mat::full(n, columns.len(), f64::NAN),
                 |factors| factors.solve(&right),
             );
+        let sizes: Vec<_> = (self.springs.taut.iter())
+            .map(|(_, stiffness)| -factor * 0.5 * stiffness)
+            .collect();
+        let solution = with_springs(&solved, &sizes, &pulled);
         for q in first..count {
-            let part =
-                |from: usize| Vector3::from_fn(|i, _| solution[(6 * (q - first) + from + i, 0)]);
+            let part = |from: usize| Vector3::from_fn(|i, _| solution[6 * (q - first) + from + i]);
             (lx[q], lr[q]) = (part(0), part(3));
         }
     }
+}
+
+/// Returns the solution with `A + Σ d e gᵀ` in the place of `A`, from the solutions with `A` for the right-hand side and for every `e`, by the
+/// formula of Woodbury.
+fn with_springs(solved: &Mat<f64>, sizes: &[f64], gradients: &[Vec<f64>]) -> Vec<f64> {
+    let along = |i: usize, column: usize| -> f64 {
+        let rows = gradients[i].iter().enumerate();
+        rows.map(|(row, g)| g * solved[(row, column)]).sum()
+    };
+    let n = sizes.len();
+    if n == 0 {
+        return solved.col_as_slice(0).to_vec();
+    }
+    let matrix = DMatrix::from_fn(n, n, |i, j| {
+        f64::from(u8::from(i == j)) + sizes[i] * along(i, 1 + j)
+    });
+    let right = DVector::from_fn(n, |i, _| sizes[i] * along(i, 0));
+    let parts = (matrix.lu().solve(&right)).unwrap_or_else(|| DVector::repeat(n, f64::NAN));
+    (0..solved.nrows())
+        .map(|row| {
+            let springs = parts.iter().enumerate();
+            solved[(row, 0)]
+                - springs
+                    .map(|(i, part)| part * solved[(row, 1 + i)])
+                    .sum::<f64>()
+        })
+        .collect()
 }
 
 /// Returns the matrix with unit rows and columns for the held motions of the joints.

@@ -16,6 +16,7 @@ use super::chain::{Chain, Column, SIZE};
 use crate::mechanics::configuration::Configuration;
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rod::Rod;
+use crate::mechanics::strain_actuator::Poses;
 
 /// `A⁻¹p` and `q` of every winch, node by node from the first free one.
 #[derive(Clone, Debug, Default)]
@@ -51,33 +52,13 @@ impl<'a> Winches<'a> {
 
     /// Finds the efforts for a trial of the poses at the end.
     pub fn find(&mut self, end: &Configuration) {
-        let coordinates = self.rod.mean_coordinates([&self.start, end]);
+        let mut coordinates = vec![0.0; self.inputs.len()];
+        (self.rod).write_interval_coordinates([&self.start, end].map(poses), &mut coordinates);
         for (i, y) in coordinates.into_iter().enumerate() {
             let law = self.rod.actuators.law(i, self.inputs[i], y);
             self.efforts[i] = law.effort;
             self.stiffnesses[i] = -law.along_coordinate;
         }
-    }
-
-    /// Returns the wrenches of a unit effort of one actuator at the mean strain on the nodes at both ends of the step.
-    fn pulls(&self, actuator: usize, end: &Configuration) -> [NodalForces; 2] {
-        let rod = self.rod;
-        let mut unit = vec![0.0; rod.actuators.len()];
-        unit[actuator] = 1.0;
-        let ends = [&self.start, end];
-        let mut out = [0, 1].map(|_| NodalForces::zeros(rod.n_nodes()));
-        for (q, element) in rod.elements.iter().enumerate() {
-            let poses = ends.map(|at| Rod::element_pose(q, &at.positions, &at.rotations));
-            let strains =
-                (poses.each_ref()).map(|pose| rod.strain_rule.strain(element.length, pose));
-            let Some(stress) = rod.active_stress(q, &strains[0].mean(&strains[1]), &unit) else {
-                continue;
-            };
-            for (out, pose) in out.iter_mut().zip(&poses) {
-                out.add_gradient(q, &element.gradient_under(rod.strain_rule, pose, &stress));
-            }
-        }
-        out
     }
 
     /// Computes `A⁻¹p` and `q` of all winches from new factors of `A`, for a trial of the poses at the end. Forces are in the frames of
@@ -95,7 +76,10 @@ impl<'a> Winches<'a> {
             if own.winch.is_none() {
                 continue;
             }
-            let [p, q] = self.pulls(i, end).map(|pull| {
+            let [mut near, mut far] = [0, 1].map(|_| NodalForces::zeros(self.rod.n_nodes()));
+            let ends = [&self.start, end].map(poses);
+            (self.rod).write_interval_pulls(i, ends, [&mut near, &mut far]);
+            let [p, q] = [near, far].map(|pull| {
                 let nodes = pull
                     .forces
                     .iter()
@@ -140,6 +124,10 @@ impl<'a> Winches<'a> {
             }
         }
     }
+}
+
+fn poses(at: &Configuration) -> Poses<'_> {
+    (&at.positions, &at.rotations)
 }
 
 /// Returns the sum of products over all nodes.
