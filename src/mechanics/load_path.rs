@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::Configuration;
 use super::equilibrium::{
-    EquilibriumError, Passage, TipSpring, ends_are_held, followed, static_equilibrium_until,
+    EquilibriumError, NodeSpring, Passage, ends_are_held, followed, static_equilibrium_until,
 };
 use super::load::{Load, LoadFrame};
 use super::rod::Rod;
@@ -238,7 +238,7 @@ impl<'a> LoadPath<'a> {
         jumped: bool,
     ) -> Result<LoadedShape, EquilibriumError> {
         let rod = self.rod_at(factor);
-        let none = TipSpring::default();
+        let none = NodeSpring::default();
         let shape = static_equilibrium_until(&rod, from, self.time, &none, self.stop)?;
         Ok(self.looked_at(factor, shape, jumped))
     }
@@ -279,7 +279,7 @@ impl<'a> LoadPath<'a> {
             to,
             strides,
             self.time,
-            &TipSpring::default(),
+            &NodeSpring::default(),
             self.stop,
             &mut |factor, shape, is_least| {
                 let next = self.looked_at(factor, shape.clone(), from.jumped);

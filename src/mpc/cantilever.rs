@@ -1,21 +1,64 @@
-//! A cantilever: how it gives under a load, and how it swings. Laws and priors of a loop are in these units.
+//! A cantilever, and a beam that is held at both ends: how they give under a load, and how they swing. Laws and priors of a loop are in these
+//! units, those of the point that moves most: the tip of a cantilever, or the middle between two ends.
 
 pub(super) use crate::control::TIP_STIFFNESS;
-use crate::mechanics::Rod;
+use crate::mechanics::{EndCondition, Rod};
 
 /// Moment on the tip of a cantilever divided by the deflection of the tip, in units of `EI/L²`.
 pub(super) const MOMENT_STIFFNESS: f64 = 2.0;
-/// Force per length of a cantilever divided by the deflection of the tip, in units of `EI/L⁴`.
-pub(super) const LINE_STIFFNESS: f64 = 8.0;
 /// Transverse stiffness of a cantilever whose tip must not turn, in units of `EI/L³`.
 pub(super) const CLAMPED_STIFFNESS: f64 = 12.0;
-/// `(β₁ L)²`, the first angular frequency of a cantilever in units of `sqrt(EI/ρA)/L²`, with the first root of `cos βL cosh βL = -1`.
-pub(super) const FIRST_FREQUENCY: f64 = 3.516_015;
-/// `(β₅ L)²`, the fifth angular frequency in the same unit.
-pub(super) const FIFTH_FREQUENCY: f64 = 199.859_530;
-/// Mass of the modes of a cantilever, relative to its own mass, if the tip moves by 1: every mode `φ` of a clamped-free beam has
-/// `∫ φ² = L φ(L)²/4`.
-const MODAL_MASS: f64 = 0.25;
+/// Numbers of a beam whose ends are held in one way.
+struct Beam {
+    /// Force at the point that moves most divided by its deflection, in units of `EI/L³`.
+    stiffness: f64,
+    /// Force per length divided by that deflection, in units of `EI/L⁴`.
+    line_stiffness: f64,
+    /// `(β₁ L)²` and `(β₅ L)²`, the first and the fifth angular frequency in units of `sqrt(EI/ρA)/L²`.
+    frequencies: [f64; 2],
+    /// `∫ φ²/L` of the first mode, with `φ = 1` at that point.
+    modal_mass: f64,
+}
+
+/// A clamped-free beam: `βL` are the roots of `cos βL cosh βL = -1`, and every mode has `∫ φ² = L φ(L)²/4`.
+const CANTILEVER: Beam = Beam {
+    stiffness: TIP_STIFFNESS,
+    line_stiffness: 8.0,
+    frequencies: [3.516_015, 199.859_530],
+    modal_mass: 0.25,
+};
+/// A beam that is clamped at both ends, and its middle: `βL` are the roots of `cos βL cosh βL = 1`.
+const HELD: Beam = Beam {
+    stiffness: 192.0,
+    line_stiffness: 384.0,
+    frequencies: [22.373_285, 298.555_535],
+    modal_mass: 0.396_478,
+};
+
+impl Beam {
+    fn of(rod: &Rod) -> &'static Self {
+        if rod.has_free_tip() || rod.base == EndCondition::Free {
+            &CANTILEVER
+        } else {
+            &HELD
+        }
+    }
+}
+
+/// Returns the transverse stiffness of the point that moves most, in units of `EI/L³`.
+pub(super) fn stiffness(rod: &Rod) -> f64 {
+    Beam::of(rod).stiffness
+}
+
+/// Returns the force per length divided by the deflection of that point, in units of `EI/L⁴`.
+pub(super) fn line_stiffness(rod: &Rod) -> f64 {
+    Beam::of(rod).line_stiffness
+}
+
+/// Returns the first and the fifth angular frequency of bending, 1/s.
+pub(super) fn frequencies(rod: &Rod) -> [f64; 2] {
+    (Beam::of(rod).frequencies).map(|frequency| frequency / rod.scales.time)
+}
 
 /// Returns the least bending stiffness `EI` along a rod, N m².
 pub(super) fn weakest_bending(rod: &Rod) -> f64 {
@@ -24,12 +67,12 @@ pub(super) fn weakest_bending(rod: &Rod) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// Returns the stiffness of the tip, N/m, of a cantilever as weak as a rod's weakest element.
-pub(super) fn tip_stiffness(rod: &Rod) -> f64 {
-    TIP_STIFFNESS * weakest_bending(rod) / rod.scales.length.powi(3)
+/// Returns the transverse stiffness of the point that moves most, N/m, of a beam as weak as a rod's weakest element.
+pub(super) fn weakest_stiffness(rod: &Rod) -> f64 {
+    stiffness(rod) * weakest_bending(rod) / rod.scales.length.powi(3)
 }
 
-/// Returns the mass of a rod's first mode as one of its tip, kg.
+/// Returns the mass of a rod's first mode as one of that point, kg.
 pub(super) fn modal_mass(rod: &Rod) -> f64 {
-    MODAL_MASS * rod.mass()
+    Beam::of(rod).modal_mass * rod.mass()
 }

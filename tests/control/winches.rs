@@ -6,8 +6,8 @@ use softarm::control::{
 };
 use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::{
-    Density, Efforts, Material, Rod, RodModel, RodParameters, Route, Section, SectionProfile,
-    State, StrainActuator, StrainRule, TimeGrid, TimeScheme, TipSpring, Winch, stable_step,
+    Density, Efforts, Material, NodeSpring, Rod, RodModel, RodParameters, Route, Section,
+    SectionProfile, State, StrainActuator, StrainRule, TimeGrid, TimeScheme, Winch, stable_step,
     static_equilibrium,
 };
 use softarm::solve::solve;
@@ -136,7 +136,7 @@ fn tip_under(arm: &Arm, discretization: &Discretization, inputs: [f64; 2]) -> Ve
         actuator.effort = vec![(0.0, input)];
     }
     let rod = arm.rod(discretization).expect("a rod");
-    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).expect("a shape");
+    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).expect("a shape");
     shape.positions[rod.tip()]
 }
 

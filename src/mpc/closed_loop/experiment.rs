@@ -7,7 +7,7 @@ use super::{
     ClosedLoop, Computing, Driver, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
 };
 use crate::mechanics::{Rod, State, StepError};
-use crate::mpc::cantilever::{LINE_STIFFNESS, MOMENT_STIFFNESS, TIP_STIFFNESS, weakest_bending};
+use crate::mpc::cantilever::{MOMENT_STIFFNESS, TIP_STIFFNESS, line_stiffness, weakest_bending};
 use crate::mpc::controller::{Controller, MpcSettings};
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::{
@@ -258,7 +258,10 @@ impl Unknowns {
             change: self.unknown_forces() * length,
             tip_force: walk(self.tip_force, TIP_STIFFNESS * bending / (length * length)),
             tip_moment: walk(self.tip_moment, MOMENT_STIFFNESS * bending / length),
-            distributed: walk(self.distributed, LINE_STIFFNESS * bending / length.powi(3)),
+            distributed: walk(
+                self.distributed,
+                line_stiffness(model) * bending / length.powi(3),
+            ),
             stiffness: parameter(self.stiffness, EXPECTED_STIFFNESS),
             payload: parameter(self.payload, EXPECTED_PAYLOAD * model.mass()),
             viscous: parameter(self.viscous, EXPECTED_DAMPING / model.scales.time),

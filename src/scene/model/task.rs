@@ -201,7 +201,7 @@ impl Keys<'_> {
             ));
         }
         self.node("task.node", task.node, scene.rod.elements)?;
-        let tip = scene.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind);
+        let tip = scene.tip_kind();
         if tip != EndKind::Free && task.node.index(&scene.mesh()) == scene.mesh().n_elements() {
             let message = format!("the tip is {}, and has no target", tip.name());
             let help =
@@ -211,17 +211,21 @@ impl Keys<'_> {
                 .error_at("task.node", message, Some(help.to_string())));
         }
         if task.at_rest == AtRest::Staying {
-            let ends = [("base", scene.base.kind), ("tip", tip)];
-            let held = |&(end, kind): &(&str, EndKind)| {
-                kind == EndKind::Pinned || (end == "tip" && kind != EndKind::Free)
-            };
-            if let Some((end, kind)) = ends.into_iter().find(held) {
+            let own = scene.tip.as_ref().and_then(|tip| tip.axis);
+            let ends = [
+                ("base", scene.base.kind, scene.base.axis),
+                ("tip", tip, own),
+            ];
+            let is_ball = |kind, axis: Option<[f64; 3]>| kind == EndKind::Pinned && axis.is_none();
+            let spins =
+                (ends.iter()).all(|&(_, kind, axis)| is_ball(kind, axis) || kind == EndKind::Free);
+            let ball = ends.iter().find(|&&(_, kind, axis)| is_ball(kind, axis));
+            if let (true, Some((end, ..))) = (spins, ball) {
                 let message = format!(
-                    "the {end} is {}, and what holds such an arm at its target is not looked for: it follows from the reactions of both \
-                     ends as well",
-                    kind.name()
+                    "the {end} is pinned by a ball joint, and no other end keeps the arm from turning: all sections may turn about their own \
+                     axes, and nothing brings them back"
                 );
-                let help = "let the node stop for an instant: at_rest = \"tip\"";
+                let help = "clamp an end, or give a pinned one an axis; or let the node stop for an instant: at_rest = \"tip\"";
                 return Err(self
                     .source
                     .error_at("task.at_rest", message, Some(help.to_string())));
