@@ -31,6 +31,7 @@
 pub mod actuator;
 #[doc(hidden)]
 pub mod base_motion;
+pub(crate) mod beam;
 pub(crate) mod block_tridiagonal;
 mod buffer;
 #[doc(hidden)]

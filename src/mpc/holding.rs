@@ -18,9 +18,11 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-use super::cantilever::{CLAMPED_STIFFNESS, TIP_STIFFNESS, stiffness};
+use super::beam::CLAMPED_STIFFNESS;
 use crate::control::ControlsAlong;
 use crate::control::OptimalControlProblem;
+use crate::control::TIP_STIFFNESS;
+use crate::mechanics::beam::Beam;
 use crate::mechanics::equilibrium::{NodeSpring, static_equilibrium_until};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::vibration::SmallMotions;
@@ -323,7 +325,7 @@ impl<'a> Search<'a> {
         t: f64,
         stop: &'a StopSignal,
     ) -> Self {
-        let own = (stiffness(rod) * rod.scales.force + rod.mass() * rod.gravity.norm())
+        let own = (Beam::of(rod).by_force[0] * rod.scales.force + rod.mass() * rod.gravity.norm())
             / rod.scales.length;
         Self {
             rod,

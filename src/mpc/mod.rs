@@ -50,7 +50,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod cantilever;
+mod beam;
 mod closed_loop;
 mod command;
 mod controller;

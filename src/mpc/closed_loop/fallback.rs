@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 
 use crate::mechanics::{Rod, State, Wrench};
-use crate::mpc::cantilever::{modal_mass, weakest_stiffness};
+use crate::mpc::beam::{modal_mass, weakest_stiffness};
 use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::EstimateError;

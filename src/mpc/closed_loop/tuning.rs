@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 
 use super::experiment::{Contender, Experiment};
 use super::law::{Law, TipGains};
-use crate::mpc::cantilever::frequencies;
+use crate::mpc::beam::frequencies;
 use crate::mpc::error::MpcError;
 use crate::task::DiscretizeError;
 

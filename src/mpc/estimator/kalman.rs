@@ -3,6 +3,7 @@
 use faer::Mat;
 use nalgebra::Vector3;
 
+use crate::mechanics::beam::Beam;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
 use crate::mechanics::rotation::{exp, orthonormalized};
@@ -12,7 +13,6 @@ use crate::mechanics::strain_coordinates::{ShapeTransport, retract_shape, shape_
 use crate::mechanics::{
     Configuration, ControlSignal, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench,
 };
-use crate::mpc::cantilever::stiffness;
 use crate::mpc::command::Command;
 use crate::mpc::error::MpcError;
 use crate::mpc::signal::{Measurement, Reading, Signal};
@@ -856,7 +856,7 @@ fn visit_disturbances(layout: &Layout, rod: &Rod, visit: &mut dyn FnMut(usize, u
 /// Returns the mean energy of a mode of a cantilever whose tip has this standard deviation, or of a beam between two held ends whose middle
 /// has it: `3 EI/L³ σ²` or `192 EI/L³ σ²`, J, half of it in its bending.
 fn energy(model: &Rod, deviation: f64) -> f64 {
-    stiffness(model) * model.scales.force / model.scales.length * deviation * deviation
+    Beam::of(model).by_force[0] * model.scales.force / model.scales.length * deviation * deviation
 }
 
 /// Returns the inverse of the Hessian of the energy at a shape: a covariance in which every mode has the mean energy ½, and motions that an

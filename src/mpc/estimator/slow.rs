@@ -20,7 +20,7 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::{Configuration, Rod};
 
 use super::node_frames::{NodeFrames, POSE};
-use crate::mpc::cantilever::frequencies;
+use crate::mpc::beam::frequencies;
 
 /// Projects changes of a rod's state to their slow part.
 #[derive(Debug)]

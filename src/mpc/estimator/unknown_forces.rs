@@ -23,7 +23,7 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::{Configuration, Rod};
 
 use super::node_frames::{NodeFrames, POSE, leave_free_motions};
-use crate::mpc::cantilever::frequencies;
+use crate::mpc::beam::frequencies;
 
 /// `ε`: energy that every mode gains, divided by that of the first bending mode; measured (decision 49).
 const ROUGH: f64 = 0.1;
