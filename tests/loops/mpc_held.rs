@@ -6,6 +6,7 @@ use crate::serving::{Desk, Plant, assert_same, command_of, state_line, vector};
 use std::ops::ControlFlow;
 
 use softarm::control::Hold;
+use softarm::mechanics::equilibrium::{NodeSpring, static_equilibrium};
 use softarm::mechanics::{TimeScheme, Wrench};
 use softarm::mpc::{
     BoundaryObserver, Command, Contender, Experiment, KalmanFilter, LoopSettings, MpcError,
@@ -15,11 +16,11 @@ use softarm::scene::Scene;
 use softarm::stop::StopSignal;
 use softarm::task::Discretization;
 
-/// Of silicone, along z, its middle or a third of it led aside and back once a second.
+/// Of silicone, along z; a node of it is led aside and back once a second.
 const ARM: &str = "\
 [rod]
 length_m = 0.3
-elements = 6
+elements = 8
 [rod.material]
 youngs_modulus_pa = 3e5
 poisson_ratio = 0.4
@@ -32,7 +33,7 @@ internal_s = 5e-3
 [initial]
 shape = \"equilibrium\"
 [time]
-end_s = 3.0
+end_s = 2.0
 [objective]
 effort = 0.1
 samples = 20
@@ -43,7 +44,7 @@ block_s = 0.04
 computing = \"fixed\"
 counted_from_s = 1.0
 [plant]
-elements = 12
+elements = 16
 stiffness_factor = 0.8
 [[sensor]]
 preset = \"mocap\"
@@ -60,22 +61,22 @@ const PUSHED: &str = "\
 [control]
 hold = \"linear\"
 [[control.actuator]]
-node = 3
+node = 4
 force_max_n = 1.5
 ";
 
-/// Two tendons that end at two thirds of the length.
+/// Two tendons that end in the middle.
 const PULLED: &str = "\
 [control]
 hold = \"linear\"
 [[tendon]]
 offset_m = [0.008, 0.0]
-to = 0.6666666666666666
+to = 0.5
 tension_n = [0.0, 4.0]
 pretension_n = 0.4
 [[tendon]]
 offset_m = [0.0, 0.008]
-to = 0.6666666666666666
+to = 0.5
 tension_n = [0.0, 4.0]
 pretension_n = 0.4
 ";
@@ -90,26 +91,51 @@ kind = \"driven\"
 motion = { oscillation = [{ translation_m = [0.0, 0.005, 0.0], frequency_hz = 0.5 }] }
 ";
 
-/// The course of a place on the axis: along x and y, and by `along` times the square of the way along the arm.
-fn course(from: [f64; 3], way: [f64; 2]) -> String {
+/// Returns the path of a node through places at equal parts of the way out, out and back once a second, as in a scene.
+fn path(places: &[[f64; 3]]) -> String {
     let row = |i: u32| {
         let t = 0.02 * f64::from(i);
         let part = 0.5 * (1.0 - (2.0 * std::f64::consts::PI * t).cos());
-        let [x, y] = way.map(|way| way * part);
-        format!("[{t:.2}, {}, {}, {}]", from[0] + x, from[1] + y, from[2])
+        let at = part * (places.len() - 1) as f64;
+        let before = (at as usize).min(places.len() - 2);
+        let s = at - before as f64;
+        let [x, y, z]: [f64; 3] =
+            std::array::from_fn(|k| places[before][k] * (1.0 - s) + places[before + 1][k] * s);
+        format!("[{t:.2}, {x}, {y}, {z}]")
     };
-    let rows: Vec<String> = (0..=150).map(row).collect();
+    let rows: Vec<String> = (0..=100).map(row).collect();
     rows.join(", ")
 }
 
-/// A scene with this tip; pulled by tendons or pushed at its middle.
-fn scene(tip: &str, is_pulled: bool) -> String {
-    let (acts, node, track) = if is_pulled {
-        (PULLED, 2, course([0.0, 0.0, 0.1], [0.006, 0.003]))
+/// Returns the place of a node at rest under these tensions.
+fn place_under(tip: &str, tension: f64, node: usize) -> [f64; 3] {
+    let text = format!(
+        "{ARM}{tip}{PULLED}[[objective.track]]\npath_m = [[0.0, 0.0, 0.0, 0.3]]\nnode = {node}\n"
+    );
+    let overrides = [0, 1].map(|i| format!("tendon.{i}.pretension_n={tension}"));
+    let (scene, source) = Scene::from_toml("scene.toml", &text, &overrides).unwrap();
+    let rod = scene
+        .arm(&source)
+        .unwrap()
+        .rod(&scene.discretization())
+        .unwrap();
+    let none = NodeSpring::default();
+    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &none).unwrap();
+    shape.positions[node].into()
+}
+
+/// A scene with this tip, pulled by tendons along places that tensions hold, or pushed at its middle; and the longest way of the node, m.
+fn scene(tip: &str, is_pulled: bool) -> (String, f64) {
+    let (acts, node, places) = if is_pulled {
+        let places = (0..=10).map(|i| place_under(tip, 0.4 + 0.26 * f64::from(i), 3));
+        (PULLED, 3, places.collect())
     } else {
-        (PUSHED, 3, course([0.0, 0.0, 0.15], [0.015, -0.006]))
+        (PUSHED, 4, vec![[0.0, 0.0, 0.15], [0.015, -0.006, 0.15]])
     };
-    format!("{ARM}{tip}{acts}[[objective.track]]\nnode = {node}\npath_m = [{track}]\n")
+    let ends = [places[0], places[places.len() - 1]].map(nalgebra::Vector3::from);
+    let track = path(&places);
+    let text = format!("{ARM}{tip}{acts}[[objective.track]]\nnode = {node}\npath_m = [{track}]\n");
+    (text, (ends[1] - ends[0]).norm())
 }
 
 fn experiment(text: &str) -> Experiment {
@@ -124,28 +150,30 @@ fn experiment(text: &str) -> Experiment {
 #[test]
 fn loops_between_ends_retrace_a_solve() {
     for (tip, is_pulled, scheme) in [
-        (CLAMPED, false, TimeScheme::Explicit),
+        (BALL, false, TimeScheme::Explicit),
         (DRIVEN, false, TimeScheme::Implicit),
-        (HINGE, true, TimeScheme::Explicit),
-        (BALL, true, TimeScheme::Implicit),
+        (HINGE, true, TimeScheme::Implicit),
     ] {
-        let own = experiment(&scene(tip, is_pulled));
+        let (text, way) = scene(tip, is_pulled);
+        let own = experiment(&text);
         let asked = Discretization {
             scheme: Some(scheme),
             step: None,
             hold: Hold::Linear,
             ..own.discretization
         };
-        retrace(&own.arm, &own.task, &asked, 0.01, 1e-6);
+        retrace(&own.arm, &own.task, &asked, way, 1e-6);
     }
 }
 
-/// An arm of four fifths of the stiffness and twice the elements, known by noisy poses and a period late: the node stays within half a percent
-/// of the length of its path, as loops of free tips do, and commands stay within their bounds.
+/// An arm of four fifths of the stiffness and twice the elements, known by noisy poses, with commands a period late. What would hold the model
+/// moves this arm by a quarter more; the loop leaves less than half of that, an eighth of the way. Commands stay within their bounds, and
+/// the ends where they are held.
 #[test]
 fn wrong_arms_between_ends_are_followed() {
-    for (tip, is_pulled) in [(CLAMPED, false), (DRIVEN, true)] {
-        let own = experiment(&scene(tip, is_pulled));
+    for (tip, is_pulled) in [(DRIVEN, false), (CLAMPED, true)] {
+        let (text, way) = scene(tip, is_pulled);
+        let own = experiment(&text);
         let run = own
             .run(Contender::Mpc, &mut |_, closed| {
                 let sent = closed.sent();
@@ -162,8 +190,9 @@ fn wrong_arms_between_ends_are_followed() {
                         "{ends:?}"
                     );
                 }
-                let x = closed.arm().tip();
-                assert!(x.x.abs() < 1e-12 && (x.z - 0.3).abs() < 1e-12, "{x}");
+                let (rod, at) = (closed.arm().rod(), closed.arm().state().configuration);
+                let (gap, turn) = rod.largest_gap(&at, closed.arm().time());
+                assert!(gap < 1e-12 && turn < 1e-9, "{gap:e} {turn:e}");
                 ControlFlow::Continue(())
             })
             .unwrap();
@@ -176,21 +205,21 @@ fn wrong_arms_between_ends_are_followed() {
             "{is_pulled} {:?} {:?}",
             run.tip_error, run.tally.innovations
         );
-        let off = run.tip_error.rms / own.arm.length;
-        assert!(off < 5e-3, "{is_pulled}: {off}");
+        assert!(run.tip_error.rms < 0.125 * way, "{is_pulled}: {way}");
     }
 }
 
 /// The laws for comparison run between two ends: a spring and a damper at the node that follows, the plan alone, and the regulator.
 #[test]
 fn laws_act_on_the_node_that_follows() {
-    let own = experiment(&scene(CLAMPED, false));
+    let (text, way) = scene(CLAMPED, false);
+    let own = experiment(&text);
     for law in [Contender::OpenLoop, Contender::Regulator, Contender::TipPd] {
         let run = own.run(law, &mut |_, _| ControlFlow::Continue(())).unwrap();
         assert!(run.broke_down.is_none(), "{law:?}");
         println!("{law:?} {:?}", run.tip_error);
-        // The way itself is 5 % of the length: a law that did nothing would be off by 2 % or more.
-        assert!(run.tip_error.rms < 0.02 * own.arm.length, "{law:?}");
+        // A law that did nothing would be off by 0.6 of the way.
+        assert!(run.tip_error.rms < 0.25 * way, "{law:?}");
     }
 }
 
@@ -201,7 +230,7 @@ fn filters_move_between_ends() {
         (CLAMPED, TimeScheme::Explicit),
         (HINGE, TimeScheme::Implicit),
     ] {
-        let own = experiment(&scene(tip, false));
+        let own = experiment(&scene(tip, false).0);
         let asked = Discretization {
             scheme: Some(scheme),
             step: None,
@@ -215,12 +244,12 @@ fn filters_move_between_ends() {
         let command = Command {
             start: 0.0,
             end: 0.03,
-            nodes: vec![3],
+            nodes: vec![4],
             from: vec![pushed],
             to: vec![pushed],
             ..Command::default()
         };
-        filter_moves_as_its_model(&model, &command, &[(3, 0), (2, 4), (5, 1)]);
+        filter_moves_as_its_model(&model, &command, &[(4, 0), (2, 4), (7, 1)]);
         let start = softarm::mechanics::State::at_rest(model.rest.clone());
         let unknowns = Unknowns {
             distributed: true,
@@ -242,7 +271,7 @@ fn filters_move_between_ends() {
 /// by a wrench there; by the library, and at the keys of a scene. Without a list, a filter looks for the others.
 #[test]
 fn unknowns_at_held_tips_are_refused() {
-    let own = experiment(&scene(CLAMPED, false));
+    let own = experiment(&scene(CLAMPED, false).0);
     let model = own.arm.rod(&own.discretization).unwrap();
     let start = softarm::mechanics::State::at_rest(model.rest.clone());
     let settings = Unknowns::ALL.settings(&model);
@@ -250,7 +279,7 @@ fn unknowns_at_held_tips_are_refused() {
     assert!(matches!(refused, Some(MpcError::Unsupported(why)) if why.contains("tip_force")));
     let refused = BoundaryObserver::new(&model, 0.0, &start, &ObserverSettings::of(&model)).err();
     assert!(matches!(refused, Some(MpcError::Unsupported(why)) if why.contains("observer")));
-    let text = scene(BALL, false);
+    let (text, _) = scene(BALL, false);
     for (key, overrides) in [
         ("estimator.kind", &["estimator.kind=observer"][..]),
         (
@@ -276,7 +305,7 @@ fn unknowns_at_held_tips_are_refused() {
 /// is at most 1.5 N, over a period of the swing of 0.4 of its mass by less than `½ 0.3/(0.4 · 0.1) 0.02² = 1.5 mm`.
 #[test]
 fn served_loops_between_ends_are_those_of_the_library() {
-    let mut own = experiment(&scene(CLAMPED, false));
+    let mut own = experiment(&scene(CLAMPED, false).0);
     own.sensing = Sensing::Everything;
     own.settings = LoopSettings::default();
     own.duration = 0.6;
@@ -286,7 +315,7 @@ fn served_loops_between_ends_are_those_of_the_library() {
     let mut ours = Vec::new();
     for k in 0..30 {
         let t = 0.02 * f64::from(k);
-        let here = arm.pose_on_model(3).0;
+        let here = arm.pose_on_model(4).0;
         let line = desk.command(&state_line(t, &arm.state_on_model()));
         assert!(line["fallback"].is_null() && line["skipped_samples"] == 0);
         assert!((vector(&line["tip"]["position_m"]) - here).norm() < 1e-15);
@@ -294,7 +323,7 @@ fn served_loops_between_ends_are_those_of_the_library() {
         arm.send(&command);
         arm.advance(t + 0.02).unwrap();
         let predicted = vector(&line["predicted_tip_m"]);
-        let off = (arm.pose_on_model(3).0 - predicted).norm();
+        let off = (arm.pose_on_model(4).0 - predicted).norm();
         assert!(off < 1.5e-3, "sample {k}: {off}");
         ours.push(command);
     }
