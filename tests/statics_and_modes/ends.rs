@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, Critical, EndCondition, Load, LoadFrame, LoadPath, Loss, NodeSpring, Rod,
+    BaseCondition, Critical, EndCondition, Kept, Load, LoadFrame, LoadPath, Loss, NodeSpring, Rod,
     RodParameters, Section, SectionProfile, SmallMotions, Stability, StrainRule, Varied,
     static_equilibrium,
 };
@@ -296,4 +296,21 @@ fn a_cable_hangs_along_its_load_path() {
     }
     let sag = own.shape.positions.iter().map(|x| x.z).fold(0.0, f64::min);
     assert!(sag < -0.1, "{sag}");
+    // Without weight, and only then, the arm may turn about the line through its ends: stability is that of loads from factor 1 on, and the
+    // shape without them is that which the loads have chosen, no other one to which the arm jumps.
+    assert!(path.begins_loaded() && !start.jumped && !own.jumped);
+    match path.critical(&start).unwrap() {
+        Critical::Kept { factor, .. } => assert!(factor > 1.0, "{factor}"),
+        lost => panic!("{lost:?}"),
+    }
+    let weightless = LoadPath::new(&rod, Varied::Loads, 0.0, Vector3::zeros(), &stop).unwrap();
+    let start = weightless.start().unwrap();
+    let found = weightless.critical(&start).unwrap();
+    assert!(matches!(
+        found,
+        Critical::Kept {
+            why: Kept::Unloaded,
+            ..
+        }
+    ));
 }
