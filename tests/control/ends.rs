@@ -214,7 +214,6 @@ fn nodes_between_held_ends_stay() {
     let strut = format!("{STRUT}{TENDONS}");
     for (text, overrides) in [
         (BETWEEN, &["task.at_rest=true", "time.end_s=0.8"][..]),
-        (CABLE, &[][..]),
         (CABLE, MOVED_HAND),
         (&strut, &[][..]),
         (
@@ -222,19 +221,12 @@ fn nodes_between_held_ends_stay() {
             &["time.integrator=implicit", "damping.internal_s=1e-3"][..],
         ),
     ] {
-        let began = std::time::Instant::now();
         let solution = solved(text, overrides);
-        println!(
-            "solved {:?} {}",
-            began.elapsed(),
-            solution.attempt.outcome.history.len()
-        );
         let problem = &solution.problem.discrete;
         let stay = problem.stay.as_ref().expect("the arm stays");
         assert!(stay.is_stable);
         let check = solution.certify().expect("a check");
-        println!("certified {:?}", began.elapsed());
-        assert!(check.is_certified(), "{overrides:?}: {:?}", check.verdict());
+        assert!(check.is_certified(), "{overrides:?}: {:?}", check.items);
         let found = check.stays.expect("the motion afterwards");
         assert!(found.tip_error < 0.01 * 0.5, "{overrides:?}: {found:?}");
         let end = problem.grid.duration();

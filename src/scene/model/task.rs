@@ -40,15 +40,15 @@ pub struct Task {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub free_duration: Option<FreeDuration>,
     /// Motion at `at_s`: with true, the whole arm comes to rest and stays there with the last wrench held, which needs
-    /// a base that is not pinned and a free tip; with "tip", the tip has neither velocity nor angular velocity at that
-    /// instant; with false, the tip passes.
+    /// an end that keeps the arm from spinning (not ball joints alone); with "tip", the tip, or `node`, has neither
+    /// velocity nor angular velocity at that instant; with false, it passes.
     #[serde(default)]
     pub at_rest: AtRest,
     /// Time in s for which the arm stays, positive. Only with `at_rest = true`. Absent: one first period of the held
     /// arm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_s: Option<Positive<values::Duration>>,
-    /// Largest distance of the tip from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a hundredth of
+    /// Largest distance of the tip, or of `node`, from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a hundredth of
     /// `rod.length_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_m: Option<Positive<values::Distance>>,
