@@ -82,8 +82,10 @@ pub fn first_point(
 ) -> Result<(LiftedPoint, Guess), GuessError> {
     if guess != Guess::Rest {
         if let Ok(path) = StaticPath::through_goals(problem, detour) {
-            // Shapes at rest do not follow a tip that is led.
-            if guess == Guess::StaticPath && !problem.rod.has_driven_tip() {
+            // Shapes at rest between two ends do not follow one that is led.
+            let rod = &problem.rod;
+            let is_led = rod.has_driven_tip() || rod.driven_base(0.0).is_some();
+            if guess == Guess::StaticPath && (rod.has_free_tip() || !is_led) {
                 return Ok((path.point(problem)?, guess));
             }
             if let Ok(point) = simulated(problem, &path.holds(problem)) {
