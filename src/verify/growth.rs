@@ -60,7 +60,8 @@ const PERCENT: f64 = 0.01;
 /// Size of the replayed deviations, divided by `√(EI/L)`: truncation and rounding are below a thousandth of the result.
 const SIZE: f64 = 1e-5;
 
-/// Replays the disturbances. `tip` has the derivatives of the position at the end of the tip, or of the node that has the goal there, along the scaled controls, m.
+/// Replays the disturbances. `tip` has the derivatives of the position at the end of the tip, or of the node that has the goal there, along
+/// the scaled controls, m.
 pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, CheckError> {
     let problem = probe.problem;
     let rod = &problem.rod;

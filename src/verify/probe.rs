@@ -137,7 +137,8 @@ impl<'a> Probe<'a> {
         )
     }
 
-    /// Returns the scaled residuals of the goals, values of the active path rows, and the position of the tip, or of the node that has the goal, at the end, at other controls.
+    /// Returns the scaled residuals of the goals, values of the active path rows, and the position of the tip, or of the node that has the
+    /// goal, at the end, at other controls.
     fn rows(&self, variables: &[f64]) -> Result<Vec<f64>, CheckError> {
         let motion = self.motion(variables)?;
         let coefficients = self.coefficients(variables);

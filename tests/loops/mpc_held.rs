@@ -300,9 +300,9 @@ fn unknowns_at_held_tips_are_refused() {
     assert_eq!(named.len(), 6);
 }
 
-/// A served loop sends the commands of the closed loop in the library (to a thousand roundings of forces, as between free tips), and says where the
-/// node is that follows. It predicts that node a period ahead to within the error of the stiffness: a fifth of the force on the arm, which
-/// is at most 1.5 N, over a period of the swing of 0.4 of its mass by less than `½ 0.3/(0.4 · 0.1) 0.02² = 1.5 mm`.
+/// A served loop sends the commands of the closed loop in the library (to a thousand roundings of forces, as between free tips), and says
+/// where the node is that follows. It predicts that node a period ahead to within the error of the stiffness: a fifth of the force on the
+/// arm, which is at most 1.5 N, over a period of the swing of 0.4 of its mass by less than `½ 0.3/(0.4 · 0.1) 0.02² = 1.5 mm`.
 #[test]
 fn served_loops_between_ends_are_those_of_the_library() {
     let mut own = experiment(&scene(CLAMPED, false).0);

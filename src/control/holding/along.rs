@@ -19,8 +19,8 @@ pub(crate) struct ControlsAlong {
 #[derive(Clone, Debug)]
 pub(crate) struct HoldingControls {
     pub controls: Vec<f64>,
-    /// Change of every control, within its bounds, that keeps the node where it is under a wrench on the tip: per unit of force (spatial frame, N)
-    /// and moment (body frame, N m).
+    /// Change of every control, within its bounds, that keeps the node where it is under a wrench on the tip: per unit of force (spatial
+    /// frame, N) and moment (body frame, N m).
     pub bearing: Vec<[f64; 6]>,
     /// Tells whether small deviations stay small under constant controls.
     pub is_stable: bool,

@@ -103,9 +103,9 @@ impl Controller {
         Ok(())
     }
 
-    /// Replaces the path of the first track of [the node that follows](Self::followed), from the next [feedback](Self::feedback) on: increasing times in s, and positions in m;
-    /// linear in between and constant outside. Along several positions effort is measured from zero, because computing the wrenches that
-    /// hold the arm at all of them would take longer than a sample.
+    /// Replaces the path of the first track of [the node that follows](Self::followed), from the next [feedback](Self::feedback) on:
+    /// increasing times in s, and positions in m; linear in between and constant outside. Along several positions effort is measured from
+    /// zero, because computing the wrenches that hold the arm at all of them would take longer than a sample.
     ///
     /// # Errors
     /// Returns [`MpcError::Unsupported`] for a task without such a track, and [`MpcError::Path`]; the path is then unchanged.

@@ -8,7 +8,8 @@ use crate::mechanics::Wrench;
 use crate::mechanics::rotation::log;
 use crate::mpc::holding::{Along, Held, HeldByControls, Holding, ReferencePose};
 
-/// The wrench that holds the model's tip, or the node that follows, at its reference and accelerates the arm's mass along it, at the time at which it is largest.
+/// The wrench that holds the model's tip, or the node that follows, at its reference and accelerates the arm's mass along it, at the time
+/// at which it is largest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceNeed {
     /// Time, s.

@@ -229,8 +229,8 @@ impl Covariance {
         }
     }
 
-    /// Starts a correction from the present matrix, carried to another shape if there is a transport, and from the mean that is written to [`mean`](Self::mean).
-    /// The components of the state are those of the nodes from `first` on.
+    /// Starts a correction from the present matrix, carried to another shape if there is a transport, and from the mean that is written to
+    /// [`mean`](Self::mean). The components of the state are those of the nodes from `first` on.
     pub fn move_prior(&mut self, transport: Option<&ShapeTransport>, first: usize) {
         self.prior.copy_from(&self.matrix);
         if let Some(transport) = transport {

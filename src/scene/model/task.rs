@@ -48,7 +48,8 @@ pub struct Task {
     /// arm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_s: Option<Positive<values::Duration>>,
-    /// Largest distance of the tip, or of `node`, from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a hundredth of
+    /// Largest distance of the tip, or of `node`, from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a
+    /// hundredth of
     /// `rod.length_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_m: Option<Positive<values::Distance>>,

@@ -18,8 +18,8 @@ pub(crate) const NOT_FOUND: &str = "not-found";
 /// Fraction of the length below which a coordinate of an equilibrium is rounding: the scaled residual that an equilibrium may leave.
 const PLACE_ROUNDING: f64 = 1e-9;
 
-/// Says whether and by what the tip, or the node of the task, can be held at its goal, over a stay if the arm should stay; `None` where it has none, or the search
-/// was stopped.
+/// Says whether and by what the tip, or the node of the task, can be held at its goal, over a stay if the arm should stay; `None` where it
+/// has none, or the search was stopped.
 pub(super) fn need(
     problem: &OptimalControlProblem,
     staying: Option<Staying>,
