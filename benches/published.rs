@@ -18,7 +18,7 @@ use common::published::{MakeRod, largest};
 use common::{cowper_arm, equilibrium, paper_rod, tip_load};
 use softarm::mechanics::StrainRule::{self, Helical, Trapezoidal};
 use softarm::mechanics::{
-    Configuration, LoadFrame, Rod, RodParameters, TipSpring, static_equilibrium,
+    Configuration, LoadFrame, NodeSpring, Rod, RodParameters, static_equilibrium,
 };
 
 const HELICAL: [usize; 3] = [5, 10, 20];
@@ -218,7 +218,7 @@ fn statics() {
                 &helix.rod(rule, n),
                 &helix.shape(n),
                 0.0,
-                &TipSpring::default(),
+                &NodeSpring::default(),
             );
             shape.map_or(f64::NAN, |shape| {
                 (shape.positions[n] - helix.position(1.0)).norm()

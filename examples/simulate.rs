@@ -16,7 +16,7 @@
 use std::error::Error;
 use std::f64::consts::PI;
 
-use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use softarm::mechanics::equilibrium::{NodeSpring, static_equilibrium};
 use softarm::mechanics::stability::{AUTO_STEP_FRACTION, stable_step};
 use softarm::mechanics::{
     Energy, Load, LoadFrame, Material, NodeWrenches, Rod, RodParameters, Section, SectionProfile,
@@ -54,7 +54,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     })?;
     let tip = rod.tip();
 
-    let still = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default())?;
+    let still = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default())?;
     let static_deflection = still.positions[tip].x;
 
     let half_period = PI * rod.scales.time / FIRST_FREQUENCY;

@@ -15,7 +15,8 @@ use std::time::Instant;
 
 use nalgebra::{Rotation3, Vector3};
 use softarm::mechanics::{
-    Density, Material, NodeInertia, Route, Stability, StrainActuator, TipSpring, static_equilibrium,
+    Density, Material, NodeInertia, NodeSpring, Route, Stability, StrainActuator,
+    static_equilibrium,
 };
 use softarm::solve::{SolveOptions, solve_with};
 use softarm::sqp::{SqpSettings, SqpStatus};
@@ -122,7 +123,7 @@ fn draw(seed: u64) -> Option<Problem> {
         }
         let rod = held.rod(&discretization).ok()?;
         let from = shapes.last().unwrap_or(&rod.rest);
-        let shape = static_equilibrium(&rod, from, 0.0, &TipSpring::default()).ok()?;
+        let shape = static_equilibrium(&rod, from, 0.0, &NodeSpring::default()).ok()?;
         if !Stability::of(&rod, &shape, 0.0)?.is_stable {
             return None;
         }

@@ -252,7 +252,11 @@ fn tell(
         ),
         (None, _, Some(Kept::Unloaded)) => "nothing loads the arm".to_string(),
         (None, _, why) => format!(
-            "stable up to load factor {}{}",
+            "stable {}up to load factor {}{}",
+            match buckling.from_factor {
+                0.0 => String::new(),
+                from => format!("from load factor {} ", digits(from)),
+            },
             digits(buckling.stable_up_to.unwrap_or(0.0)),
             match why {
                 Some(Kept::OutOfRange) => ", where elements leave the range of rod models",
@@ -262,6 +266,12 @@ fn tell(
         ),
     };
     say("loads", &words);
+    if buckling.from_factor > 0.0 {
+        say(
+            "",
+            "without loads, which choose one, the arm has several shapes between its ends",
+        );
+    }
     if let Some(jump) = found.sweep.iter().find(|point| point.jumped) {
         console.warn(&format!(
             "at load factor {} the sweep continues on another equilibrium, because the previous one ends at a smaller factor",

@@ -170,7 +170,7 @@ impl<'a> Progress<'a> {
         let error = if self.n_counted > 0 {
             let rms = (self.squares / self.n_counted as f64).sqrt();
             format!(
-                "tip off by {:.3} % of the length (rms)",
+                "off by {:.3} % of the length (rms)",
                 100.0 * rms / self.length
             )
         } else {
@@ -184,6 +184,16 @@ impl<'a> Progress<'a> {
         );
         self.bar.set_message(line.clone());
         self.bar.suspend(|| self.console.say(&line));
+    }
+}
+
+/// Names the node that follows a reference.
+fn followed(setup: &ClosedLoopSetup) -> String {
+    let place = setup.plant.mesh.fraction(setup.followed);
+    if setup.followed == setup.plant.tip() {
+        "the tip".into()
+    } else {
+        format!("the node at {} of the length", digits(place))
     }
 }
 
@@ -242,8 +252,9 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
             "  {n} samples without a command of their own: {cause}"
         ));
     }
+    let who = followed(setup);
     console.say(&format!(
-        "distance of the tip from its reference, from {} s on, in % of the length",
+        "distance of {who} from its reference, from {} s on, in % of the length",
         summary.counted_from_s
     ));
     console.say("                          rms      95 %   largest      last");
@@ -266,7 +277,9 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
     let own = label(Contender::Mpc);
     line(own, &summary.tip_error_over_length, 0.01, summary.status);
     if let Some(turn) = &summary.tip_turn_rad {
-        console.say("angle of the tip from how it should be turned, in rad");
+        console.say(&format!(
+            "angle of {who} from how it should be turned, in rad"
+        ));
         for (name, other) in found {
             if let Some(turn) = &other.tip_turn_rad {
                 line(name, turn, 1.0, other.status);

@@ -7,7 +7,8 @@ use super::problem::{ActuatedNode, Goal, OptimalControlProblem};
 use super::tracking::Tracking;
 use super::transcription::{LiftedPoint, simulate};
 use super::turns::{long_turns, longer_ways, quarter_turns};
-use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
+use crate::mechanics::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium_until};
+use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::strain_coordinates::between;
 use crate::mechanics::{Configuration, StepError, Trajectory, Wrench};
 use crate::stop::{Stop, StopSignal};
@@ -81,11 +82,14 @@ pub fn first_point(
 ) -> Result<(LiftedPoint, Guess), GuessError> {
     if guess != Guess::Rest {
         if let Ok(path) = StaticPath::through_goals(problem, detour) {
-            if guess == Guess::StaticPath {
+            // Shapes at rest between two ends do not follow one that is led.
+            let rod = &problem.rod;
+            let is_led = rod.has_driven_tip() || rod.driven_base(0.0).is_some();
+            if guess == Guess::StaticPath && (rod.has_free_tip() || !is_led) {
                 return Ok((path.point(problem)?, guess));
             }
             if let Ok(point) = simulated(problem, &path.holds(problem)) {
-                return Ok((point, guess));
+                return Ok((point, Guess::Slow));
             }
         }
         problem.stop.check().map_err(StepError::from)?;
@@ -165,14 +169,15 @@ fn smooth(s: f64) -> f64 {
 }
 
 impl StaticPath {
-    /// Computes the path from the start, by a detour, through the tip's goals and the rows of its turns of half a turn and more, with the
-    /// base in its pose at the end of the horizon. If the arm stays, the last shape is its equilibrium.
+    /// Computes the path from the start, by a detour, through the goals of [the node that should
+    /// arrive](OptimalControlProblem::goal_node) and the rows of its turns of half a turn and more, with the ends in their poses at the end
+    /// of the horizon. If the arm stays, the last shape is its equilibrium.
     fn through_goals(
         problem: &OptimalControlProblem,
         detour: Option<&Vector3<f64>>,
     ) -> Result<Self, GuessError> {
         let rod = &problem.rod;
-        let tip = rod.tip();
+        let tip = problem.goal_node();
         let horizon = problem.grid.duration();
         let last = problem.grid.n_steps as f64;
         let mut legs: Vec<Leg> = Vec::new();
@@ -223,6 +228,7 @@ impl StaticPath {
             );
         }
         let scales = &rod.scales;
+        let t = if rod.has_driven_tip() { horizon } else { 0.0 };
         let mut shape = rod.carried(problem.initial.configuration.clone(), horizon);
         let nothing = vec![Wrench::default(); problem.actuators.len()];
         let mut path = Self {
@@ -241,7 +247,7 @@ impl StaticPath {
                 path.ends.push(leg.end);
                 continue;
             }
-            let mut spring = TipSpring::default();
+            let mut spring = NodeSpring::default();
             let mut turns: Vec<_> = leg.rotation.map_or_else(
                 || vec![None],
                 |to| {
@@ -255,12 +261,13 @@ impl StaticPath {
             for (rotation, stiffness) in
                 soft.chain(SPRINGS[..leg.springs].iter().map(|k| (last, *k)))
             {
-                spring = TipSpring {
+                spring = NodeSpring {
+                    node: tip,
                     position: (leg.position)
                         .map(|to| (to, stiffness * scales.force / scales.length)),
                     rotation: rotation.map(|to| (to, stiffness * scales.moment)),
                 };
-                shape = static_equilibrium_until(rod, &shape, 0.0, &spring, &problem.stop)?;
+                shape = static_equilibrium_until(rod, &shape, t, &spring, &problem.stop)?;
             }
             let pull = spring.wrench(&shape.positions[tip], &shape.rotations[tip]);
             let hold = (problem.actuators.iter().zip(&nothing).enumerate()).map(
@@ -289,7 +296,7 @@ impl StaticPath {
         let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), grid.n_steps + 1);
         for k in 0..=grid.n_steps {
             problem.stop.check_at(k)?;
-            let shape = self.shape(k as f64 / end);
+            let shape = self.shape(k as f64 / end, problem.rod.has_free_tip());
             trajectory.push(&problem.rod.carried(shape, grid.time(k)));
         }
         Ok(LiftedPoint {
@@ -324,12 +331,24 @@ impl StaticPath {
         (&self.waypoints[leg], &self.waypoints[leg + 1], along)
     }
 
-    fn shape(&self, t: f64) -> Configuration {
+    /// Returns the shape at a time: strains are interpolated, or, since that would carry a held tip away, the pose of every node.
+    fn shape(&self, t: f64, has_free_tip: bool) -> Configuration {
         let (from, to, fraction) = self.segment(t);
         if fraction == 0.0 {
             return from.shape.clone(); // the same bits as the given first configuration
         }
-        between(&from.shape, &to.shape, fraction)
+        if has_free_tip {
+            return between(&from.shape, &to.shape, fraction);
+        }
+        let (from, to) = (&from.shape, &to.shape);
+        Configuration {
+            positions: (from.positions.iter().zip(&to.positions))
+                .map(|(from, to)| from + (to - from) * fraction)
+                .collect(),
+            rotations: (from.rotations.iter().zip(&to.rotations))
+                .map(|(from, to)| from * exp(&(log(&from.tr_mul(to)) * fraction)))
+                .collect(),
+        }
     }
 
     fn hold(&self, t: f64) -> Vec<Wrench> {

@@ -23,8 +23,8 @@ pub struct Held {
     pub growth_rate: Option<f64>,
     /// Lowest angular frequency of the held arm without damping, rad/s; `None` if the equilibrium is unstable.
     pub first_frequency: Option<f64>,
-    /// Displacement of the tip per force on it under constant controls, m/N, spatial frame; infinite for a free arm.
-    pub tip_compliance: Matrix3<f64>,
+    /// Displacement of the node that has the goal per force on it under constant controls, m/N, spatial frame; infinite for a free arm.
+    pub compliance: Matrix3<f64>,
     /// Tangent stiffness under constant controls.
     pub(crate) tangent: Tangent,
 }
@@ -36,10 +36,10 @@ impl Held {
         self.excess.iter().flatten().all(|excess| *excess == 0.0)
     }
 
-    /// Returns the stiffness of the tip along its softest direction, N/m; 0 for a free arm.
+    /// Returns the stiffness of that node along its softest direction, N/m; 0 for a free arm.
     #[must_use]
     pub fn least_stiffness(&self) -> f64 {
-        let c = &self.tip_compliance;
+        let c = &self.compliance;
         if !c.iter().all(|c| c.is_finite()) {
             return 0.0;
         }

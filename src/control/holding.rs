@@ -1,14 +1,14 @@
-//! The wrench that holds the tip at its goal: an equilibrium that puts it there, and that is stable under the wrench held.
+//! The wrench that holds a node, usually the tip, at its goal: an equilibrium that puts it there, and that is stable under the wrench held.
 //!
-//! Among the controls within their bounds under which an equilibrium puts the tip at the goal, those of least effort are found by
-//! sequential quadratic programming over controls and shape ([`program`]), from shapes that springs on the tip have pulled to the goal. An
+//! Among the controls within their bounds under which an equilibrium puts the node at the goal, those of least effort are found by
+//! sequential quadratic programming over controls and shape ([`program`]), from shapes that springs on the node have pulled to the goal. An
 //! equilibrium is stable if the smallest `ω²` of its tangent stiffness is positive, with gravity, dead loads and the controls held
 //! constant; body moments have no potential in space, so that under them the growth of small motions decides. If the equilibrium of least
 //! effort is unstable and there are more controls than equations, stability becomes a constraint.
 //!
 //! There are three verdicts: the target is held, with the wrench; it cannot be held, with the reason; or nothing was found, which proves
 //! nothing. The second is given only if all controls are independent in the goal's equations. The controls are then a function of the
-//! shape, a shape that is stable under constant controls is also stable with its tip held in place, and all such shapes that were found
+//! shape, a shape that is stable under constant controls is also stable with its node held in place, and all such shapes that were found
 //! are unstable under their controls or need more than the bounds allow.
 
 mod along;
@@ -25,14 +25,16 @@ use self::statics::{Statics, Target};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
 use super::problem::{GoalPart, OptimalControlProblem};
-use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
+use crate::mechanics::equilibrium::{
+    EquilibriumError, NodeSpring, ends_are_held, static_equilibrium_until,
+};
 use crate::mechanics::rotation::exp;
 use crate::mechanics::tangent::own_squared_frequency;
-use crate::mechanics::{BaseCondition, Configuration, Rod};
+use crate::mechanics::{Configuration, Rod};
 use crate::sqp::{HessianChoice, LiftedProgram, LinearizationRequest, SqpSettings, solve};
 use crate::stop::Stop;
 
-/// Verdict on the existence of a wrench within the bounds that holds the tip at its goal.
+/// Verdict on the existence of a wrench within the bounds that holds the node of the goal there.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Holding {
     /// There is one.
@@ -41,7 +43,7 @@ pub enum Holding {
     CannotBeHeld {
         /// The reason.
         why: CannotHold,
-        /// The nearest target that was found to be held, and the distance of its tip from the goal, m.
+        /// The nearest target that was found to be held, and the distance of its node from the goal, m.
         nearest: Option<(Box<Held>, f64)>,
     },
     /// No such wrench was found, which proves nothing.
@@ -69,9 +71,11 @@ pub enum CannotHold {
     Unstable(Box<Held>),
     /// Loads accelerate a free arm.
     Drifts,
-    /// The base still moves while the arm should stay.
-    BaseMoves {
-        /// Last time after the task at which the base moves, s.
+    /// A driven end still moves while the arm should stay.
+    EndMoves {
+        /// `"base"` or `"tip"`.
+        end: &'static str,
+        /// Last time after the task at which it moves, s.
         after: f64,
     },
 }
@@ -94,9 +98,9 @@ impl std::fmt::Display for CannotHold {
                 f,
                 "the base is free, and loads move the arm on where no wrench acts"
             ),
-            Self::BaseMoves { after } => write!(
+            Self::EndMoves { end, after } => write!(
                 f,
-                "the base still moves {after:.3e} s after the task: let it stand before task.at_s"
+                "the {end} still moves {after:.3e} s after the task: let it stand before task.at_s"
             ),
             Self::Unstable(held) => match held.growth_rate {
                 Some(rate) => write!(
@@ -121,40 +125,40 @@ pub enum NotFound {
         "the base is free, so that the arm may rest in any pose: name task.position_m and task.orientation_wxyz"
     )]
     FreeBase,
-    /// The search knows clamped, driven and free bases and free tips.
+    /// Between ball joints, and between one and a free end, all sections may turn about their own axes.
     #[error(
-        "an end is pinned, or the tip is held: what holds such an arm at its target follows from the reactions of both ends as well, and is \
-         not looked for"
+        "an end is pinned by a ball joint and no other end holds the arm from turning: all sections may turn about their own axes, and \
+         nothing brings them back"
     )]
-    HeldEnds,
+    LooseEnds,
     /// The search would take too long.
     #[error("too many elements or actuators for a search that takes about a second")]
     TooLarge,
-    /// No shape with the tip at the goal was found.
-    #[error("no shape at rest whose tip is there: {0}")]
+    /// No shape with the node at the goal was found.
+    #[error("no shape at rest that is there: {0}")]
     Equilibrium(EquilibriumError),
     /// The equilibria that were found at the goal are unstable; there may be others.
     #[error("the equilibria that were found there are unstable")]
     Unstable,
     /// The search for controls within the bounds did not reach the goal.
-    #[error("controls within their bounds that put the tip there at rest were not found{}", nearest_in_words(.nearest))]
+    #[error("controls within their bounds that put the arm there at rest were not found{}", nearest_in_words(.nearest))]
     Bounds {
-        /// Distance from the goal to the nearest tip position that was found to be held, m.
+        /// Distance from the goal to the nearest position of its node that was found to be held, m.
         nearest: Option<f64>,
     },
 }
 
 fn nearest_in_words(nearest: &Option<f64>) -> String {
     nearest.map_or_else(String::new, |distance| {
-        format!("; the nearest tip that was found to be held is {distance:.2e} m away")
+        format!("; the nearest place that was found to be held is {distance:.2e} m away")
     })
 }
 
 /// The reason why no search was made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum HoldingError {
-    /// The tip has no goal for position or orientation at the end.
-    #[error("the tip has no goal at the end")]
+    /// No node has a goal for position or orientation at the end.
+    #[error("no node has a goal at the end")]
     NoGoal,
     /// A stop signal ended the search.
     #[error("stopped before it was known whether the target can be held: {0}")]
@@ -170,7 +174,7 @@ const ITERATIONS: usize = 60;
 /// ended near its solution by rounding. A goal is then met to 1e-9 of the length. Half and twice the value give the targets of the built-in
 /// scenes and 13 others of the arm of `reach` the same verdicts, to the bit.
 const FEASIBLE: f64 = 1e-5;
-/// Largest distance of a tip at its goal, divided by the length, and largest angle, rad: a thousandth of the default accuracy of a scene,
+/// Largest distance of a node at its goal, divided by the length, and largest angle, rad: a thousandth of the default accuracy of a scene,
 /// and far above the 1e-9 that a solve leaves. Half and twice the value give the same verdicts, to the bit.
 const AT_GOAL: f64 = 1e-6;
 /// Lower limit of `ω²` where stability is a constraint, relative to that of the arm at rest: the held arm has at least a tenth of its own
@@ -186,10 +190,10 @@ const LONGEST_STEP: f64 = 1.0 / 8.0;
 const SHORTEST_STEP: f64 = 1.0 / 1024.0;
 /// Number of rigid modes of a free arm.
 const RIGID_MODES: usize = 6;
-/// Time for which the motion of a driven base is examined, in units of the arm's time scale: two first periods of a cantilever, twice as
+/// Time for which the motion of a driven end is examined, in units of the arm's time scale: two first periods of a cantilever, twice as
 /// long as an arm stays by default. The number of samples, a hundred for each period, caps the work.
 const LOOKED_AHEAD: f64 = 4.0;
-const BASE_SAMPLES: usize = 256;
+const END_SAMPLES: usize = 256;
 /// Angle by which the arm is bent for the first shapes of other branches, rad: the tip is turned by a third of a turn, so that springs pull
 /// the arm to the goal from the side. With half of it the targets of the built-in scenes have the same verdicts, to the bit; twice as much
 /// finds another unstable shape for that of `reach-3d`.
@@ -199,19 +203,20 @@ const BENT: f64 = 2.0;
 /// built-in scenes have the same verdicts, to the bit.
 const SAME: f64 = 1e-4;
 
-/// Searches for the wrench that holds the tip at its goal at the end of the horizon.
+/// Searches for the wrench that holds [the node of the goal](OptimalControlProblem::goal_node) there at the end of the horizon.
 ///
 /// # Errors
 /// Returns [`HoldingError`] if there is no such goal or the problem's stop signal is raised.
 pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError> {
     let target = Target {
+        node: problem.goal_node(),
         position: problem.final_goals().find_map(|goal| goal.position),
         rotation: problem.final_goals().find_map(|goal| goal.rotation),
     };
     let rod = &problem.rod;
     let not_found = |why| Ok(Holding::NotFound { why });
-    if !rod.joints.is_empty() {
-        return not_found(NotFound::HeldEnds);
+    if rod.may_spin() {
+        return not_found(NotFound::LooseEnds);
     }
     if target.n_equations() == 0 {
         return Err(HoldingError::NoGoal);
@@ -227,16 +232,25 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         components,
         time,
     };
-    if rod.base == BaseCondition::Free {
+    if !rod.is_held() {
         return Ok(floating(&statics, target));
     }
-    if let Some(after) = base_moves_after(rod, time) {
-        return Ok(Holding::CannotBeHeld {
-            why: CannotHold::BaseMoves { after },
-            nearest: None,
-        });
+    for (node, end) in [(0, "base"), (rod.tip(), "tip")] {
+        if let Some(after) = end_moves_after(rod, node, time) {
+            return Ok(Holding::CannotBeHeld {
+                why: CannotHold::EndMoves { end, after },
+                nearest: None,
+            });
+        }
     }
-    let start = rod.carried(problem.initial.configuration.clone(), time);
+    let mut start = rod.carried(problem.initial.configuration.clone(), time);
+    if !ends_are_held(rod, &start, time) {
+        let none = NodeSpring::default();
+        match static_equilibrium_until(rod, &start, time, &none, &problem.stop) {
+            Ok(led) => start = led,
+            Err(error) => return not_found(NotFound::Equilibrium(error)),
+        }
+    }
     let found = Search {
         statics: &statics,
         target,
@@ -255,16 +269,16 @@ fn floating(statics: &Statics, target: Target) -> Holding {
             why: NotFound::FreeBase,
         };
     };
-    let tip = rod.tip();
-    let turn = pose * rod.rest.rotations[tip].transpose();
+    let node = target.node;
+    let turn = pose * rod.rest.rotations[node].transpose();
     let shape = Configuration {
         positions: (rod.rest.positions.iter())
-            .map(|x| place + turn * (x - rod.rest.positions[tip]))
+            .map(|x| place + turn * (x - rod.rest.positions[node]))
             .collect(),
         rotations: rod.rest.rotations.iter().map(|r| turn * r).collect(),
     };
     let controls = vec![0.0; statics.components.len()];
-    let none = TipSpring::default();
+    let none = NodeSpring::default();
     let unbalanced = statics.size(&statics.residual(&shape, &controls, &none));
     let drifts = Holding::CannotBeHeld {
         why: CannotHold::Drifts,
@@ -285,26 +299,23 @@ fn floating(statics: &Statics, target: Target) -> Holding {
         least_squared_frequency: first.squared_frequency,
         growth_rate: None,
         first_frequency: Some(first.squared_frequency.sqrt()),
-        tip_compliance: Matrix3::from_diagonal_element(f64::INFINITY),
+        compliance: Matrix3::from_diagonal_element(f64::INFINITY),
         shape,
         tangent,
     }))
 }
 
-/// Returns the last time after `t`, s, at which a driven base is displaced by more than rounding; `None` if it stands still.
-fn base_moves_after(rod: &Rod, t: f64) -> Option<f64> {
-    let BaseCondition::Driven(motion) = &rod.base else {
-        return None;
-    };
-    let at = |t: f64| motion.at(&rod.rest.positions[0], &rod.rest.rotations[0], t);
-    let arrived = at(t);
+/// Returns the last time after `t`, s, at which a driven end is displaced by more than rounding; `None` if it stands still.
+fn end_moves_after(rod: &Rod, node: usize, t: f64) -> Option<f64> {
+    let arrived = rod.driven_end(node, t)?;
     let lasts = LOOKED_AHEAD * rod.scales.time;
-    let moments = (1..=BASE_SAMPLES).map(|i| lasts * i as f64 / BASE_SAMPLES as f64);
+    let moments = (1..=END_SAMPLES).map(|i| lasts * i as f64 / END_SAMPLES as f64);
     moments.into_iter().rev().find(|after| {
-        let later = at(t + after);
-        let shift = (later.position - arrived.position).norm() / rod.scales.length;
-        let turn = (later.rotation - arrived.rotation).norm();
-        !(shift.max(turn) < AT_GOAL)
+        rod.driven_end(node, t + after).is_none_or(|later| {
+            let shift = (later.position - arrived.position).norm() / rod.scales.length;
+            let turn = (later.rotation - arrived.rotation).norm();
+            !(shift.max(turn) < AT_GOAL)
+        })
     })
 }
 
@@ -315,7 +326,7 @@ struct Search<'a> {
     start: Configuration,
 }
 
-/// Results for the shapes with the tip at the goal.
+/// Results for the shapes with the node at the goal.
 #[derive(Default)]
 struct Findings {
     above: Option<Held>,
@@ -408,7 +419,7 @@ impl Search<'_> {
         }
     }
 
-    /// Searches for controls that hold the tip at the goal, from a shape with the tip there.
+    /// Searches for controls that hold the node at the goal, from a shape with the node there.
     fn try_branch(&self, shape: &Configuration, findings: &mut Findings) -> Option<Held> {
         let n = self.statics.components.len();
         if n == 0 {
@@ -460,12 +471,12 @@ impl Search<'_> {
         (held.is_within_bounds() && held.is_stable).then_some(held)
     }
 
-    /// Returns the stable equilibrium within the bounds whose tip is nearest to the goal, among those reached from the arm at rest and,
-    /// unless one of them is at the goal, from the arm under each effort alone at its largest: the tips that efforts hold lie on curves and
+    /// Returns the stable equilibrium within the bounds whose node is nearest to the goal, among those reached from the arm at rest and,
+    /// unless one of them is at the goal, from the arm under each effort alone at its largest: the places that efforts hold lie on curves and
     /// surfaces, along which the distance from the goal may have several minima.
     fn nearest_of_starts(&self) -> Option<(Held, HoldingPoint)> {
         let n = self.statics.components.len();
-        let rest = self.equilibrium(&self.start, &TipSpring::default()).ok()?;
+        let rest = self.equilibrium(&self.start, &NodeSpring::default()).ok()?;
         let at_rest = HoldingPoint {
             controls: vec![0.0; n],
             shape: rest,
@@ -503,7 +514,7 @@ impl Search<'_> {
         best
     }
 
-    /// Leads the arm from rest to a value of one control, and returns the equilibrium on the way whose tip is nearest to the goal. Steps
+    /// Leads the arm from rest to a value of one control, and returns the equilibrium on the way whose node is nearest to the goal. Steps
     /// from which Newton's method does not return are halved, the others doubled (Allgower and Georg 1990, chapter 6).
     fn nearest_led_to(
         &self,
@@ -518,7 +529,7 @@ impl Search<'_> {
             let mut next = point.clone();
             let reached = f64::min(share + step, 1.0);
             next.controls[control] = value * reached;
-            let none = TipSpring::default();
+            let none = NodeSpring::default();
             let Some(shape) = (self.statics).settled(&point.shape, &next.controls, &none) else {
                 step *= 0.5;
                 continue;
@@ -535,7 +546,7 @@ impl Search<'_> {
         nearest.map(|(_, point)| point)
     }
 
-    /// Returns the stable equilibrium within the bounds whose tip is nearest to the goal, among those reached from an equilibrium.
+    /// Returns the stable equilibrium within the bounds whose node is nearest to the goal, among those reached from an equilibrium.
     fn nearest(&self, first: HoldingPoint) -> Option<(Held, HoldingPoint)> {
         let point = if first.controls.is_empty() {
             first
@@ -552,12 +563,12 @@ impl Search<'_> {
         (held.is_stable && held.is_within_bounds()).then_some((held, point))
     }
 
-    /// Tells whether the tip is at the goal, up to rounding or to its tolerances.
+    /// Tells whether the node is at the goal, up to rounding or to its tolerances.
     fn is_at_goal(&self, held: &Held) -> bool {
         self.miss(&held.shape) < AT_GOAL || self.is_within_tolerance(held)
     }
 
-    /// Tells whether the tip is within the goal's tolerances, which leave the equilibrium open that is held. An equality has none.
+    /// Tells whether the node is within the goal's tolerances, which leave the equilibrium open that is held. An equality has none.
     fn is_within_tolerance(&self, held: &Held) -> bool {
         let Some(goal) = self.statics.problem.final_goals().next() else {
             return false;
@@ -576,28 +587,28 @@ impl Search<'_> {
             && is_in(self.target.rotation.is_some(), 1.0, GoalPart::Orientation)
     }
 
-    /// Returns the largest component of the tip's residual, in the goal's units.
+    /// Returns the largest component of the node's residual, in the goal's units.
     fn miss(&self, shape: &Configuration) -> f64 {
         let missing = self.target.residual(self.rod(), shape);
         missing.iter().fold(0.0, |most: f64, c| most.max(c.abs()))
     }
 
-    /// Returns the distance of the tip from the target, m.
+    /// Returns the distance of the node from the target, m.
     fn distance(&self, shape: &Configuration) -> f64 {
-        let tip = shape.positions[self.rod().tip()];
-        (self.target.position).map_or(0.0, |target| (target - tip).norm())
+        let place = shape.positions[self.target.node];
+        (self.target.position).map_or(0.0, |target| (target - place).norm())
     }
 
     fn equilibrium(
         &self,
         from: &Configuration,
-        springs: &TipSpring,
+        springs: &NodeSpring,
     ) -> Result<Configuration, EquilibriumError> {
         let stop = &self.statics.problem.stop;
         static_equilibrium_until(self.rod(), from, self.statics.time, springs, stop)
     }
 
-    /// Returns a shape that springs on the tip have pulled to the goal: from the start, or from one that is bent to a side.
+    /// Returns a shape that springs on the node have pulled to the goal: from the start, or from one that is bent to a side.
     fn pulled(&self, branch: usize) -> Result<Configuration, EquilibriumError> {
         let (mut shape, springs) = match branch.checked_sub(1) {
             None => (self.start.clone(), &SPRINGS[..]),
@@ -685,7 +696,7 @@ impl Search<'_> {
         let (problem, rod) = (statics.problem, self.rod());
         // Near a neutral shape Newton's method may diverge, although the program has converged.
         let shape = statics
-            .settled(&point.shape, &point.controls, &TipSpring::default())
+            .settled(&point.shape, &point.controls, &NodeSpring::default())
             .filter(|settled| self.is_same(settled, &point.shape))
             .unwrap_or_else(|| point.shape.clone());
         let wrenches = statics.wrenches(&point.controls);
@@ -702,11 +713,12 @@ impl Search<'_> {
                 })
             })
             .collect();
-        let tangent = statics.tangent(&shape, &point.controls, &TipSpring::default());
+        let tangent = statics.tangent(&shape, &point.controls, &NodeSpring::default());
         let stability = tangent.stability(rod, &shape, statics.unit)?;
         // The energy of a stay needs a definite stiffness, also under moments.
         let is_stable = stability.growth_rate.is_none() && stability.is_definite;
-        let tip_compliance = tangent.tip_compliance()?;
+        let free = self.target.node.checked_sub(rod.first_free_node())?;
+        let compliance = tangent.compliance(free)?;
         Some(Held {
             wrenches,
             excess,
@@ -715,7 +727,7 @@ impl Search<'_> {
             least_squared_frequency: stability.least_squared_frequency,
             growth_rate: stability.growth_rate,
             first_frequency: is_stable.then(|| stability.least_squared_frequency.sqrt()),
-            tip_compliance,
+            compliance,
             tangent,
         })
     }

@@ -559,10 +559,24 @@ impl OptimalControlProblem {
         rows
     }
 
-    /// Returns the goals of the tip at the end of the horizon.
-    pub fn final_goals(&self) -> impl Iterator<Item = &Goal> {
+    /// Returns the node that should arrive at the end of the horizon: the tip, unless only other nodes have goals there.
+    #[must_use]
+    pub fn goal_node(&self) -> usize {
         let (tip, last) = (self.rod.tip(), self.grid.n_steps);
-        (self.goals.iter()).filter(move |goal| goal.node == tip && goal.time_node == last)
+        let mut others = None;
+        for goal in self.goals.iter().filter(|goal| goal.time_node == last) {
+            if goal.node == tip {
+                return tip;
+            }
+            others = others.or(Some(goal.node));
+        }
+        others.unwrap_or(tip)
+    }
+
+    /// Returns the goals of [`goal_node`](Self::goal_node) at the end of the horizon.
+    pub fn final_goals(&self) -> impl Iterator<Item = &Goal> {
+        let (node, last) = (self.goal_node(), self.grid.n_steps);
+        (self.goals.iter()).filter(move |goal| goal.node == node && goal.time_node == last)
     }
 
     /// Returns the value of one unit of a scaled residual in the part's own unit.

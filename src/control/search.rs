@@ -521,7 +521,7 @@ fn eased(
 
 /// Returns a point around the middle of the tip's path to its last goal, the same for the same seed and start.
 fn detour(problem: &OptimalControlProblem, seed: u64, start: usize) -> Vector3<f64> {
-    let tip = problem.rod.tip();
+    let tip = problem.goal_node();
     let from = problem.initial.configuration.positions[tip];
     let to = (problem.goals.iter())
         .filter(|goal| goal.node == tip)

@@ -29,9 +29,9 @@ pub struct Stay {
     pub shape: Configuration,
     /// Duration of the stay, s.
     pub seconds: f64,
-    /// Largest allowed distance of the tip from its place at the equilibrium, m.
+    /// Largest allowed distance of the goal's node from its place at the equilibrium, m.
     pub distance: f64,
-    /// Largest eigenvalue of the tip's compliance, m/N.
+    /// Largest eigenvalue of the compliance of the goal's node, m/N.
     pub compliance: f64,
     /// Tells whether deviations do not grow; under a body moment they may, by no more than `Stay::ROOM`.
     pub is_stable: bool,
@@ -44,18 +44,25 @@ impl Stay {
     pub(crate) const ROOM: f64 = 1.0 / MOTION_SHARE;
 
     /// Returns the stay in the equilibrium `held` of this rod, for a duration in s and within a distance in m, as a part of goal number
-    /// `goal`. Returns `None` if the symmetric part of the tangent stiffness is not positive.
+    /// `goal` at `node`. Returns `None` if the symmetric part of the tangent stiffness is not positive.
     ///
     /// A free arm has no restoring force, but it can drift away only during the stay `τ`: with `K + M/τ²` in the place of the stiffness, a
     /// rigid motion of velocity `v` counts as one of amplitude `v τ`.
     #[must_use]
-    pub fn at(rod: &Rod, held: Held, [seconds, distance]: [f64; 2], goal: usize) -> Option<Self> {
+    pub fn at(
+        rod: &Rod,
+        held: Held,
+        [seconds, distance]: [f64; 2],
+        (goal, node): (usize, usize),
+    ) -> Option<Self> {
         let unit = held.least_squared_frequency;
         let tangent = match rod.base {
-            BaseCondition::Free => (held.tangent).with_inertia(rod, &held.shape, seconds.powi(-2)),
+            BaseCondition::Free if rod.has_free_tip() => {
+                (held.tangent).with_inertia(rod, &held.shape, seconds.powi(-2))
+            }
             _ => held.tangent,
         };
-        let modes = SlowModes::about(rod, &held.shape, tangent, unit)?;
+        let modes = SlowModes::about(rod, (&held.shape, node), tangent, unit)?;
         Some(Self {
             goal,
             compliance: modes.compliance(),
@@ -69,7 +76,7 @@ impl Stay {
         })
     }
 
-    /// Returns the largest energy of the slow modes at the arrival, J: with `½ (share δ)²/C` the tip stays within that share of the
+    /// Returns the largest energy of the slow modes at the arrival, J: with `½ (share δ)²/C` the node stays within that share of the
     /// distance `δ`.
     #[must_use]
     pub fn energy(&self) -> f64 {
@@ -89,7 +96,7 @@ impl Stay {
         self.modes.energy(&deviation, &momenta)
     }
 
-    /// Returns the largest distance of the tip from its place at the equilibrium, m, with the energy that a state's deviation has in each
+    /// Returns the largest distance of the goal's node from its place at the equilibrium, m, with the energy that a state's deviation has in each
     /// of its modes, to second order: at most `sqrt(2 E C)`.
     #[must_use]
     pub fn reach(&self, state: &State) -> f64 {

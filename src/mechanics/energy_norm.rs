@@ -6,7 +6,7 @@ use faer::prelude::*;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
 use nalgebra::{Matrix6, Vector3, Vector6};
 
-use super::block_tridiagonal::BlockCholesky;
+use super::block_tridiagonal::{BlockCholesky, BlockTridiagonal};
 use super::configuration::Configuration;
 use super::element::IntervalStress;
 use super::forms::NODE_COMPONENTS;
@@ -17,7 +17,8 @@ use super::vibration::inertia_roots;
 const POSE: usize = NODE_COMPONENTS / 2;
 
 /// The norm `|dx|² = dxᵀ L Lᵀ dx`: twice the energy of a deviation `(δx, ζ, δp, δπ)` of every free node, kinetic, and that of the strains
-/// that it adds to the elements; on a free base also that of springs `EI/L³`, `EI/L` at node 0. Maps of deviations can be transformed to `z
+/// that it adds to the elements; on a free or pinned base also that of springs `EI/L³`, `EI/L` at node 0. Motions that joints hold have
+/// none of this energy and are motions of their own. Maps of deviations can be transformed to `z
 /// = Lᵀ dx`, whose Euclidean norm this is.
 #[derive(Clone, Debug)]
 pub struct EnergyNorm {
@@ -66,6 +67,15 @@ impl EnergyNorm {
                 diagonal[0][(3 + axis, 3 + axis)] += rod.scales.moment;
             }
         }
+        let mut blocks = BlockTridiagonal {
+            above: below.iter().map(|block| block.transpose()).collect(),
+            diagonal,
+            below,
+        };
+        rod.hold_joints(first, &mut blocks);
+        let BlockTridiagonal {
+            diagonal, below, ..
+        } = blocks;
         Some(Self {
             momenta: inertia_roots(rod, at),
             poses: BlockCholesky::new(&diagonal, &below)?,

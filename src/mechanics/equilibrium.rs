@@ -1,4 +1,4 @@
-//! Static equilibrium of a rod with a held base under its loads, gravity, and springs on the tip.
+//! Static equilibrium of a rod with a held end under its loads, gravity, and springs on a node.
 //!
 //! Globally, argmin's L-BFGS minimizes the potential energy in the tangent space of the current configuration, in coordinates in which the
 //! elastic stiffness there is the identity; locally, Newton's method with faer's sparse LU solves the equilibrium itself, with steps along
@@ -25,17 +25,19 @@ use super::strain_coordinates::retract_shape;
 use super::tangent::Tangent;
 use crate::stop::{Stop, StopSignal};
 
-/// Springs that pull the tip to a position and an orientation.
+/// Springs that pull a node to a position and an orientation; by default there are none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TipSpring {
+pub struct NodeSpring {
+    /// The node.
+    pub node: usize,
     /// Target position, and stiffness, N/m: energy `½ k |x - x*|²`.
     pub position: Option<(Vector3<f64>, f64)>,
     /// Target rotation, and stiffness, N m: energy `½ k |log(R*ᵀ R)|²`.
     pub rotation: Option<(Matrix3<f64>, f64)>,
 }
 
-impl TipSpring {
-    /// Returns the wrench of the springs on a tip at `x`, `r`.
+impl NodeSpring {
+    /// Returns the wrench of the springs on their node at `x`, `r`.
     #[must_use]
     pub fn wrench(&self, x: &Vector3<f64>, r: &Matrix3<f64>) -> Wrench {
         Wrench {
@@ -59,7 +61,7 @@ impl TipSpring {
         stretch + turn
     }
 
-    /// Returns the derivative of minus the wrench along `(δx, η)` of the tip.
+    /// Returns the derivative of minus the wrench along `(δx, η)` of the node.
     pub(crate) fn stiffness(&self, r: &Matrix3<f64>) -> Matrix6<f64> {
         let mut k = Matrix6::zeros();
         if let Some((_, stiffness)) = self.position {
@@ -156,7 +158,7 @@ pub fn static_equilibrium(
     rod: &Rod,
     start: &Configuration,
     t: f64,
-    spring: &TipSpring,
+    spring: &NodeSpring,
 ) -> Result<Configuration, EquilibriumError> {
     static_equilibrium_until(rod, start, t, spring, &StopSignal::default())
 }
@@ -169,7 +171,7 @@ pub fn static_equilibrium_until(
     rod: &Rod,
     start: &Configuration,
     t: f64,
-    spring: &TipSpring,
+    spring: &NodeSpring,
     stop: &StopSignal,
 ) -> Result<Configuration, EquilibriumError> {
     if !rod.is_held() {
@@ -235,7 +237,7 @@ fn led(
     rod: &Rod,
     start: &Configuration,
     t: f64,
-    spring: &TipSpring,
+    spring: &NodeSpring,
     stop: &StopSignal,
 ) -> Result<Configuration, EquilibriumError> {
     let tip = rod.tip();
@@ -280,7 +282,7 @@ fn continued(
     rod: &Rod,
     start: &Configuration,
     t: f64,
-    spring: &TipSpring,
+    spring: &NodeSpring,
     stop: &StopSignal,
 ) -> Result<Option<Configuration>, EquilibriumError> {
     let under = |part: f64| {
@@ -329,7 +331,7 @@ pub(crate) fn followed(
     to: f64,
     strides: [f64; 2],
     t: f64,
-    spring: &TipSpring,
+    spring: &NodeSpring,
     stop: &StopSignal,
     each: &mut dyn FnMut(f64, &Configuration, bool) -> Passage,
 ) -> Result<(f64, Configuration), EquilibriumError> {
@@ -380,11 +382,11 @@ fn checked(rod: &Rod, shape: Configuration) -> Result<Configuration, Equilibrium
 struct Statics<'a> {
     rod: &'a Rod,
     t: f64,
-    spring: TipSpring,
+    spring: NodeSpring,
     forces: NodalForces,
 }
 impl<'a> Statics<'a> {
-    fn new(rod: &'a Rod, t: f64, spring: TipSpring) -> Self {
+    fn new(rod: &'a Rod, t: f64, spring: NodeSpring) -> Self {
         Self {
             rod,
             t,
@@ -398,10 +400,10 @@ impl<'a> Statics<'a> {
     fn residual(&mut self, at: &Configuration) -> Vec<Vector6<f64>> {
         self.forces
             .evaluate(self.rod, &at.positions, &at.rotations, self.t);
-        let tip = self.rod.tip();
-        let pull = self.spring.wrench(&at.positions[tip], &at.rotations[tip]);
-        self.forces.forces[tip] += pull.force;
-        self.forces.moments[tip] += pull.moment;
+        let node = self.spring.node;
+        let pull = (self.spring).wrench(&at.positions[node], &at.rotations[node]);
+        self.forces.forces[node] += pull.force;
+        self.forces.moments[node] += pull.moment;
         let first = self.rod.first_free_node();
         let mut out: Vec<Vector6<f64>> = (first..self.rod.n_nodes())
             .map(|q| {
@@ -439,13 +441,11 @@ impl<'a> Statics<'a> {
             let least = Matrix6::from_diagonal(&Vector6::new(0.0, 0.0, 0.0, least, least, least));
             out.diagonal.iter_mut().for_each(|block| *block += least);
         }
+        self.add_spring(at, &mut out);
         for joint in &self.rod.joints {
             let p = joint.projection();
             let i = joint.node - self.rod.first_free_node();
             let held = Matrix6::from_diagonal(&self.of_gap()) * (Matrix6::identity() - p);
-            if joint.node == self.rod.tip() {
-                out.diagonal[i] += self.spring.stiffness(&at.rotations[joint.node]);
-            }
             out.diagonal[i] = p * out.diagonal[i] + held;
             if let Some(before) = i.checked_sub(1) {
                 out.below[before] = p * out.below[before];
@@ -454,10 +454,15 @@ impl<'a> Statics<'a> {
                 *above = p * *above;
             }
         }
-        if let (true, Some(tip)) = (self.rod.has_free_tip(), out.diagonal.last_mut()) {
-            *tip += self.spring.stiffness(&at.rotations[self.rod.tip()]);
-        }
         out
+    }
+
+    /// Adds the stiffness of the springs to a matrix over the free nodes.
+    fn add_spring(&self, at: &Configuration, out: &mut BlockTridiagonal) {
+        let node = self.spring.node;
+        if let Some(free) = node.checked_sub(self.rod.first_free_node()) {
+            out.diagonal[free] += self.spring.stiffness(&at.rotations[node]);
+        }
     }
 
     /// Returns the largest component, forces divided by `EI/L²` and moments by `EI/L`.
@@ -487,9 +492,7 @@ impl<'a> Statics<'a> {
 
     fn stiffness(&self, at: &Configuration) -> BlockTridiagonal {
         let mut out = tangent_stiffness(self.rod, at, self.t);
-        if let Some(tip) = out.diagonal.last_mut() {
-            *tip += self.spring.stiffness(&at.rotations[self.rod.tip()]);
-        }
+        self.add_spring(at, &mut out);
         out
     }
 
@@ -704,7 +707,7 @@ fn frozen_loads(rod: &Rod, center: &Configuration, t: f64) -> Vec<Wrench> {
 /// Potential energy as a function of `z`, where `(δx, η) = L⁻ᵀ z` and `L Lᵀ` is the stiffness at the center.
 struct PotentialEnergy<'a> {
     rod: &'a Rod,
-    spring: TipSpring,
+    spring: NodeSpring,
     center: &'a Configuration,
     frozen: Vec<Wrench>,
     factor: &'a BlockCholesky,
@@ -734,10 +737,10 @@ impl CostFunction for PotentialEnergy<'_> {
         self.stop.check()?;
         let step = self.step(z);
         let at = moved(self.center, &step, self.rod.first_free_node());
-        let tip = self.rod.tip();
+        let node = self.spring.node;
         let mut energy = self.rod.elastic_energy(&at.positions, &at.rotations)
             + self.rod.gravity_energy(&at.positions)
-            + self.spring.energy(&at.positions[tip], &at.rotations[tip]);
+            + (self.spring).energy(&at.positions[node], &at.rotations[node]);
         if !self.rod.actuators.is_empty() {
             let efforts = self.rod.actuators.efforts(self.t);
             energy += (self.rod).actuator_energy(&at.positions, &at.rotations, &efforts);
@@ -764,7 +767,7 @@ impl Gradient for PotentialEnergy<'_> {
         let step = self.step(z);
         let first = self.rod.first_free_node();
         let at = moved(self.center, &step, first);
-        let tip = self.rod.tip();
+        let node = self.spring.node;
         let mut forces = self.forces.borrow_mut();
         forces.evaluate(self.rod, &at.positions, &at.rotations, self.t);
         // The loads in `forces` are those at the displaced rotations; the frozen ones replace them.
@@ -773,9 +776,9 @@ impl Gradient for PotentialEnergy<'_> {
             forces.forces[load.node] -= wrench.force;
             forces.moments[load.node] -= wrench.moment;
         }
-        let pull = self.spring.wrench(&at.positions[tip], &at.rotations[tip]);
-        forces.forces[tip] += pull.force;
-        forces.moments[tip] += pull.moment;
+        let pull = (self.spring).wrench(&at.positions[node], &at.rotations[node]);
+        forces.forces[node] += pull.force;
+        forces.moments[node] += pull.moment;
         let mut gradient: Vec<Vector6<f64>> = step
             .iter()
             .enumerate()

@@ -41,6 +41,12 @@ impl Rod {
         self.tip_end == EndCondition::Free
     }
 
+    /// Tells whether the tip follows a motion that is given.
+    #[must_use]
+    pub fn has_driven_tip(&self) -> bool {
+        matches!(self.tip_end, EndCondition::Driven(_))
+    }
+
     /// Returns the condition at an end.
     #[must_use]
     pub fn end_at(&self, node: usize) -> &EndCondition {
@@ -141,6 +147,29 @@ impl Rod {
         }
     }
 
+    /// Leaves of a vector over the free nodes, of forces and moments or of motions, the part along the motions that joints leave free.
+    pub(crate) fn project_joints(&self, vector: &mut [Vector6<f64>]) {
+        for joint in &self.joints {
+            let own = &mut vector[joint.node - self.first_free_node()];
+            *own = joint.project(own);
+        }
+    }
+
+    /// Returns a block between two nodes of a matrix over the free nodes as it acts on the motions that joints leave free, `P K P`.
+    pub(crate) fn project_block(
+        &self,
+        (row, column): (usize, usize),
+        mut block: Matrix6<f64>,
+    ) -> Matrix6<f64> {
+        if let Some(joint) = self.joint(row) {
+            block = joint.projection() * block;
+        }
+        if let Some(joint) = self.joint(column) {
+            block *= joint.projection();
+        }
+        block
+    }
+
     /// Replaces the rows and columns of the held motions, `K` by `P K P + (1 - P) c`, with `c` the stiffness of the elements beside the
     /// joint: the held motions are then fast modes on their own. Block 0 belongs to node `first`.
     pub(super) fn hold_joints(&self, first: usize, k: &mut BlockTridiagonal) {
@@ -186,6 +215,16 @@ impl Rod {
                 _ => 1,
             },
         }
+    }
+
+    /// Tells whether all sections of a round arm may turn about their own axes at no cost, in any shape and under any forces: no end holds
+    /// them, and one is a ball joint.
+    #[must_use]
+    pub fn may_spin(&self) -> bool {
+        let ends = [&self.base, &self.tip_end];
+        let is_ball = |end: &EndCondition| matches!(end, EndCondition::Pinned { axis: None });
+        (ends.into_iter()).all(|end| is_ball(end) || *end == EndCondition::Free)
+            && ends.into_iter().any(is_ball)
     }
 
     /// Returns the number of motions of a rigid body that the ends leave free in a configuration: the dimension of the twists `(v, ω)` with

@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::Configuration;
 use super::equilibrium::{
-    EquilibriumError, Passage, TipSpring, ends_are_held, followed, static_equilibrium_until,
+    EquilibriumError, NodeSpring, Passage, ends_are_held, followed, static_equilibrium_until,
 };
 use super::load::{Load, LoadFrame};
 use super::rod::Rod;
@@ -192,6 +192,14 @@ impl<'a> LoadPath<'a> {
         weighs || (loads && acting.next().is_some())
     }
 
+    /// Tells whether the path begins at factor 1: the tip is held elsewhere than the stress-free shape ends. Such an arm has several shapes
+    /// without loads, and an arch may turn about the line through its ends: none of them is the first, and the loads choose one.
+    #[must_use]
+    pub fn begins_loaded(&self) -> bool {
+        let rest = self.rod.carried(self.rod.rest.clone(), self.time);
+        !ends_are_held(self.rod, &rest, self.time)
+    }
+
     /// Returns the tangent stiffness of an equilibrium at a factor.
     pub(crate) fn tangent(&self, at: &LoadedShape) -> Tangent {
         Tangent::stiffness(&self.rod_at(at.factor), &at.shape, self.time)
@@ -204,16 +212,16 @@ impl<'a> LoadPath<'a> {
     }
 
     /// Returns the equilibrium at factor 0, which is reached from the stress-free shape while the loads that the factor does not multiply
-    /// grow from zero. An arm whose tip is held elsewhere than its stress-free shape ends has several equilibria without loads, of which the
-    /// loads choose: it settles under them at factor 1, and the path leads back from there.
+    /// grow from zero. On a path that [begins loaded](Self::begins_loaded) it is the one in which the arm settles without these loads from
+    /// its equilibrium at factor 1.
     ///
     /// # Errors
     /// Returns [`EquilibriumError`] if there is none.
     pub fn start(&self) -> Result<LoadedShape, EquilibriumError> {
         let rest = self.rod.carried(self.rod.rest.clone(), self.time);
-        if !ends_are_held(self.rod, &rest, self.time) {
+        if self.begins_loaded() {
             let loaded = self.settled(1.0, &rest, false)?;
-            return self.at(&loaded, 0.0);
+            return self.settled(0.0, &loaded.shape, false);
         }
         let constant = self.rod_at(0.0);
         let growing = LoadPath {
@@ -238,7 +246,7 @@ impl<'a> LoadPath<'a> {
         jumped: bool,
     ) -> Result<LoadedShape, EquilibriumError> {
         let rod = self.rod_at(factor);
-        let none = TipSpring::default();
+        let none = NodeSpring::default();
         let shape = static_equilibrium_until(&rod, from, self.time, &none, self.stop)?;
         Ok(self.looked_at(factor, shape, jumped))
     }
@@ -279,7 +287,7 @@ impl<'a> LoadPath<'a> {
             to,
             strides,
             self.time,
-            &TipSpring::default(),
+            &NodeSpring::default(),
             self.stop,
             &mut |factor, shape, is_least| {
                 let next = self.looked_at(factor, shape.clone(), from.jumped);
@@ -326,16 +334,28 @@ impl<'a> LoadPath<'a> {
         }
     }
 
-    /// Returns the factor at which an arm that is loaded from `start` on loses its stability.
+    /// Returns the factor at which an arm that is loaded from `start` on loses its stability; on a path that [begins
+    /// loaded](Self::begins_loaded), from factor 1 on.
     ///
     /// # Errors
     /// Returns [`EquilibriumError::Stopped`].
     pub fn critical(&self, start: &LoadedShape) -> Result<Critical, EquilibriumError> {
         let kept = |factor, why| Ok(Critical::Kept { factor, why });
         let is_stable = |at: &LoadedShape| at.stability.is_some_and(|found| found.is_stable);
+        let begins_loaded = self.begins_loaded();
+        if begins_loaded && !self.is_loaded() {
+            return kept(0.0, Kept::Unloaded);
+        }
+        let loaded = (begins_loaded && start.factor < 1.0)
+            .then(|| self.at(start, 1.0))
+            .transpose()?;
+        let start = loaded.as_ref().unwrap_or(start);
         if !is_stable(start) {
             let how = how(start);
-            return Ok(Critical::Lost { factor: 0.0, how });
+            return Ok(Critical::Lost {
+                factor: start.factor,
+                how,
+            });
         }
         if !self.is_loaded() {
             return kept(0.0, Kept::Unloaded);

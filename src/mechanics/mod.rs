@@ -31,6 +31,7 @@
 pub mod actuator;
 #[doc(hidden)]
 pub mod base_motion;
+pub(crate) mod beam;
 pub(crate) mod block_tridiagonal;
 mod buffer;
 #[doc(hidden)]
@@ -119,7 +120,7 @@ pub use ends::{EndCondition, Joint};
 pub use energy::Energy;
 #[doc(hidden)]
 pub use energy_norm::EnergyNorm;
-pub use equilibrium::{EquilibriumError, TipSpring, static_equilibrium, static_equilibrium_until};
+pub use equilibrium::{EquilibriumError, NodeSpring, static_equilibrium, static_equilibrium_until};
 #[doc(hidden)]
 pub use forms::{FormTerm, StateForm};
 #[doc(hidden)]

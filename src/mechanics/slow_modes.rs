@@ -1,9 +1,9 @@
-//! The slow modes of an arm about an equilibrium, which have nearly all of the compliance of its tip, and the energy of a deviation in each
-//! of them.
+//! The slow modes of an arm about an equilibrium, which have nearly all of the compliance of one of its nodes, and the energy of a deviation
+//! in each of them.
 //!
 //! A deviation `d = (δx, η)` of the free nodes with momenta `P = (δp, δπ)` has in a mode `K φ = ω² M φ`, `φᵀ M φ = 1`, the amplitude `φᵀ M
 //! d` and the velocity `φᵀ P`. With `r = (ω φᵀ M d, φᵀ P)` its energy is `½ |r|²`, and as long as `K` is symmetric and constant the mode
-//! moves the tip by no more than `|r| |φ_tip|/ω`.
+//! moves the node `q` by no more than `|r| |φ_q|/ω`.
 
 use nalgebra::{Vector3, Vector6};
 
@@ -12,9 +12,9 @@ use super::rod::Rod;
 use super::tangent::{Mode, Tangent, dot};
 use super::vibration::inertia_roots;
 
-/// Largest fraction of the tip's compliance in modes beyond the slow ones.
+/// Largest fraction of the node's compliance in modes beyond the slow ones.
 const LEFT_OUT: f64 = 1e-3;
-/// Largest fraction of the tip's compliance in modes whose energies are not computed one by one.
+/// Largest fraction of the node's compliance in modes whose energies are not computed one by one.
 const LUMPED: f64 = 1e-6;
 /// Modes are grouped by three, so that their amplitudes fill vectors.
 pub(crate) const GROUP: usize = 3;
@@ -31,17 +31,26 @@ pub(crate) struct SlowModes {
     tangent: Tangent,
     /// The diagonal of the inertia of every free node.
     inertia: Vec<Vector6<f64>>,
-    /// Largest eigenvalue of the tip's compliance, and of its part in all other modes, m/N.
+    /// The node, counted from the first free one.
+    node: usize,
+    /// Largest eigenvalue of the node's compliance, and of its part in all other modes, m/N.
     compliance: f64,
     left_out: f64,
 }
 
 impl SlowModes {
-    /// Computes the slowest modes, with all but [`LEFT_OUT`] of the tip's compliance, by the symmetric part of the tangent stiffness at an
-    /// equilibrium; `unit` is about the smallest `ω²` of a stable arm, 1/s². `None` if an `ω²` is not positive.
-    pub fn about(rod: &Rod, at: &Configuration, tangent: Tangent, unit: f64) -> Option<Self> {
+    /// Computes the slowest modes, with all but [`LEFT_OUT`] of the compliance of a `node` of the rod that is not held, by the symmetric part
+    /// of the tangent stiffness at an equilibrium; `unit` is about the smallest `ω²` of a stable arm, 1/s². `None` if an `ω²` is not
+    /// positive.
+    pub fn about(
+        rod: &Rod,
+        (at, node): (&Configuration, usize),
+        tangent: Tangent,
+        unit: f64,
+    ) -> Option<Self> {
+        let node = node.checked_sub(rod.first_free_node())?;
         let symmetric = tangent.symmetric();
-        let whole = symmetric.tip_compliance()?;
+        let whole = symmetric.compliance(node)?;
         let compliance = whole.symmetric_eigenvalues().max();
         let n_all = symmetric.n_unknowns();
         let mut count = FIRST_MODES.min(n_all);
@@ -54,8 +63,8 @@ impl SlowModes {
             let mut rest = whole;
             for taken in (GROUP..=modes.len()).step_by(GROUP) {
                 for mode in &modes[taken - GROUP..taken] {
-                    let tip = mode.tip();
-                    rest -= tip * tip.transpose() / mode.squared_frequency;
+                    let way = mode.displacement(node);
+                    rest -= way * way.transpose() / mode.squared_frequency;
                 }
                 let left_out = rest.symmetric_eigenvalues().max().max(0.0);
                 if left_out <= LEFT_OUT * compliance || taken == n_all {
@@ -66,6 +75,7 @@ impl SlowModes {
                     return Some(Self {
                         modes,
                         n_slow: n_slow?,
+                        node,
                         tangent,
                         inertia: (inertia_roots(rod, at).iter())
                             .map(|root| root.map(|r| (r * r).recip()))
@@ -84,7 +94,7 @@ impl SlowModes {
         self.n_slow / GROUP
     }
 
-    /// Returns the largest eigenvalue of the tip's compliance, m/N.
+    /// Returns the largest eigenvalue of the node's compliance, m/N.
     pub fn compliance(&self) -> f64 {
         self.compliance
     }
@@ -111,10 +121,10 @@ impl SlowModes {
         0.5 * (elastic + kinetic)
     }
 
-    /// Returns an upper bound of the distance of the tip from the equilibrium, m, with the energy that a deviation has in each of its
+    /// Returns an upper bound of the distance of the node from the equilibrium, m, with the energy that a deviation has in each of its
     /// modes.
     ///
-    /// Modes of energy `E` together move the tip by at most `sqrt(2 E C)` (Cauchy and Schwarz), one mode by `sqrt(2 E_k) |φ_tip,k|/ω_k`,
+    /// Modes of energy `E` together move the node by at most `sqrt(2 E C)` (Cauchy and Schwarz), one mode by `sqrt(2 E_k) |φ_q,k|/ω_k`,
     /// and all modes beyond the known ones by `sqrt(2 E C_r)` with their part `C_r` of the compliance. The first modes count together, the
     /// others one by one; the number of the first ones is the one with the smallest bound. The result never exceeds `sqrt(2 E C)` of the
     /// whole energy.
@@ -134,7 +144,8 @@ impl SlowModes {
         let mut least = one_by_one + (together * self.compliance).sqrt();
         for (energy, mode) in doubled.iter().zip(&self.modes).rev() {
             together = (together - energy).max(0.0);
-            one_by_one += (energy / mode.squared_frequency).sqrt() * mode.tip().norm();
+            one_by_one +=
+                (energy / mode.squared_frequency).sqrt() * mode.displacement(self.node).norm();
             least = least.min(one_by_one + (together * self.compliance).sqrt());
         }
         least.min((whole * self.compliance).sqrt())
@@ -142,9 +153,9 @@ impl SlowModes {
 }
 
 impl Mode {
-    /// Returns the displacement of the tip.
-    fn tip(&self) -> Vector3<f64> {
-        (self.shape.last()).map_or_else(Vector3::zeros, |tip| tip.fixed_rows::<3>(0).into_owned())
+    /// Returns the displacement of a free node.
+    fn displacement(&self, free: usize) -> Vector3<f64> {
+        self.shape[free].fixed_rows::<3>(0).into_owned()
     }
 }
 
@@ -168,8 +179,8 @@ mod tests {
             let unit = rod.scales.time.powi(-2);
             let tangent = Tangent::stiffness(&rod, &rod.rest, 0.0);
             let factor = tangent.factor().expect("regular");
-            let modes =
-                SlowModes::about(&rod, &rod.rest, tangent.clone(), unit).expect("a stable arm");
+            let modes = SlowModes::about(&rod, (&rod.rest, rod.tip()), tangent.clone(), unit)
+                .expect("a stable arm");
             // 3 E I / L³ of the discrete arm is that of its own factor.
             let mut force = vec![Vector6::zeros(); n_elements];
             force[n_elements - 1][0] = 1.0;

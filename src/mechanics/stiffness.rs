@@ -58,7 +58,9 @@ pub(super) fn winch_stiffness(
     .map(|own| {
         let nodes = own.pull.forces.iter().zip(&own.pull.moments).skip(first);
         let vector = nodes.map(|(f, m)| Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z));
-        (-own.slope, vector.collect())
+        let mut vector: Vec<_> = vector.collect();
+        rod.project_joints(&mut vector);
+        (-own.slope, vector)
     })
     .collect()
 }

@@ -6,7 +6,7 @@
 use nalgebra::{Matrix2, Matrix3, Unit, Vector2, Vector3};
 
 use super::configuration::Configuration;
-use super::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
+use super::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium_until};
 use super::load::{Load, LoadFrame};
 use super::rod::Rod;
 use super::tangent::Tangent;
@@ -41,7 +41,7 @@ impl<'a> SweptSurface<'a> {
         time: f64,
         stop: &StopSignal,
     ) -> Result<Self, EquilibriumError> {
-        let shape = static_equilibrium_until(rod, start, time, &TipSpring::default(), stop)?;
+        let shape = static_equilibrium_until(rod, start, time, &NodeSpring::default(), stop)?;
         let base: Matrix3<f64> = shape.rotations[0];
         let axis = |i: usize| base.column(i).into_owned();
         Ok(Self {
@@ -91,7 +91,7 @@ impl<'a> SweptSurface<'a> {
                 return Ok(None);
             };
             self.force += change;
-            let none = TipSpring::default();
+            let none = NodeSpring::default();
             match static_equilibrium_until(&self.loaded(), &self.shape, self.time, &none, stop) {
                 Ok(shape) => self.shape = shape,
                 Err(EquilibriumError::Stopped(stop)) => {

@@ -412,15 +412,18 @@ impl Tangent {
 
     /// Returns the displacement of the tip per force on it, m/N, spatial frame; `None` if the matrix is singular.
     pub fn tip_compliance(&self) -> Option<Matrix3<f64>> {
+        self.compliance(self.n_blocks - 1)
+    }
+
+    /// Returns the displacement of a free node (node 0 is the first of them) per force on it, as [`Self::tip_compliance`].
+    pub fn compliance(&self, free: usize) -> Option<Matrix3<f64>> {
         let unit_force = |axis: usize| {
             let mut force = vec![Vector6::zeros(); self.n_blocks];
-            if let Some(tip) = force.last_mut() {
-                tip[axis] = 1.0;
-            }
+            force[free][axis] = 1.0;
             force
         };
         let answers = self.factor()?.solve(&[0, 1, 2].map(unit_force));
-        Some(Matrix3::from_fn(|i, j| answers[j][self.n_blocks - 1][i]))
+        Some(Matrix3::from_fn(|i, j| answers[j][free][i]))
     }
 
     /// Returns the largest entry of the unsymmetric part, divided by the largest entry.

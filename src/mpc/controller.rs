@@ -12,6 +12,7 @@ mod steps;
 use std::time::Instant;
 
 pub use self::effort::ReferenceNeed;
+pub(crate) use self::effort::followed;
 pub use self::issued::Issued;
 use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
@@ -78,7 +79,8 @@ pub struct Controller {
     /// Rows of the subproblem that measure from the control that acts, and the step to a plan strictly within all bounds.
     from_acting: Vec<usize>,
     inside: Vec<f64>,
-    /// Scaled control that cancels the disturbance, and the wrench or controls that hold the tip, which together cost no effort.
+    /// Scaled control that cancels the disturbance, and the wrench or controls that hold the arm at its reference, which together cost no
+    /// effort.
     cancelling: Vec<f64>,
     holding: Option<Held>,
     /// Wrench on the tip by which the arm differs from its model.
@@ -105,8 +107,8 @@ pub struct Controller {
 /// The aim of a command that does not come from a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Aim {
-    /// The given wrench at the tip, as far as it is actuated, and no wrench elsewhere.
-    Tip(Wrench),
+    /// The given wrench at [the node that follows](Controller::followed), as far as it is actuated, and no wrench elsewhere.
+    Follow(Wrench),
     /// A fraction of the wrenches that act.
     Part(f64),
     /// The wrenches that hold the arm where it stays, and cancel the disturbance.
@@ -461,18 +463,18 @@ impl Controller {
         self.acts = true;
         self.planned = None;
         self.outlet.write_acting(start, &mut self.acting);
+        let followed = self.followed();
         let wanted = &mut self.outlet.wanted;
         (wanted.start, wanted.end) = (start, start + self.settings.period);
         let horizon = &self.horizon;
-        let tip = horizon.problem.rod.tip();
         let actuators = horizon.problem.wrench_actuators();
         for (c, (component, scale)) in (horizon.components.iter().zip(&horizon.scales)).enumerate()
         {
             let acting = self.acting[c];
             (wanted.from[c], wanted.to[c]) = match aim {
-                Aim::Tip(wrench) => {
+                Aim::Follow(wrench) => {
                     let own = actuators.get(component.actuator);
-                    let acts = own.is_some_and(|own| own.node == tip);
+                    let acts = own.is_some_and(|own| own.node == followed);
                     let value = wrench.to_array()[component.axis] / scale;
                     let value = if acts { value } else { 0.0 };
                     (value, value)

@@ -1,4 +1,4 @@
-//! The wrench that keeps the tip at its reference: the control from which effort is measured.
+//! The wrench that keeps the tip, or another node that follows a reference, there: the control from which effort is measured.
 //!
 //! An effort that is measured from zero leaves a permanent offset from the target, whose size depends on the target's weight. Measured from
 //! the control that holds the arm there at rest, it weighs the transient only and leaves no offset (Rawlings, Mayne and Diehl 2017, section
@@ -18,23 +18,25 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-use super::cantilever::{CLAMPED_STIFFNESS, TIP_STIFFNESS};
+use super::beam::CLAMPED_STIFFNESS;
 use crate::control::ControlsAlong;
 use crate::control::OptimalControlProblem;
-use crate::mechanics::equilibrium::{TipSpring, static_equilibrium_until};
+use crate::control::TIP_STIFFNESS;
+use crate::mechanics::beam::Beam;
+use crate::mechanics::equilibrium::{NodeSpring, static_equilibrium_until};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Configuration, Load, LoadFrame, Rod, Wrench};
 use crate::stop::StopSignal;
 
-/// Reference position of the tip (m) and its reference rotation (body to space), each `None` if nothing prescribes it.
+/// Reference position of a node (m) and its reference rotation (body to space), each `None` if nothing prescribes it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(in crate::mpc) struct TipPose {
+pub(in crate::mpc) struct ReferencePose {
     pub position: Option<Vector3<f64>>,
     pub rotation: Option<Matrix3<f64>>,
 }
 
-impl TipPose {
+impl ReferencePose {
     /// Returns the displacement to another pose divided by the length, and the turn to it in the body frame, rad; zero for what one of the
     /// two poses leaves open.
     fn way_to(&self, other: &Self, length: f64) -> Vector6<f64> {
@@ -50,7 +52,8 @@ fn six(a: Vector3<f64>, b: Vector3<f64>) -> Vector6<f64> {
     Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z)
 }
 
-/// The wrench on the tip, spatial force (N) and moment in the body frame (N m), that keeps a model at the poses of a reference.
+/// The wrench on the node that follows, spatial force (N) and moment in the body frame (N m), that keeps a model at the poses of a
+/// reference.
 #[derive(Clone, Debug)]
 pub(super) struct Holding {
     /// Wrenches at multiples of `spacing` from time 0 on: that of the model, and its derivative by the factor on the model's stiffness.
@@ -70,7 +73,7 @@ pub(in crate::mpc) enum Along {
 /// The control from which effort is measured.
 #[derive(Clone, Debug)]
 pub(super) enum Held {
-    /// A wrench on the tip holds the reference.
+    /// A wrench on the node that follows holds the reference.
     ByWrench(Holding),
     /// All controls of the task hold it, efforts of actuators in the arm among them.
     ByControls(HeldByControls),
@@ -92,8 +95,8 @@ impl HeldByControls {
 
     /// Returns the controls along `reference`, as [`Holding::along`] returns wrenches. Where none is found they are zero.
     pub fn along(
-        problem: &OptimalControlProblem,
-        reference: impl Fn(f64) -> TipPose,
+        (problem, node): (&OptimalControlProblem, usize),
+        reference: impl Fn(f64) -> ReferencePose,
         [spacing, end]: [f64; 2],
         along: Along,
         stop: &StopSignal,
@@ -116,7 +119,7 @@ impl HeldByControls {
             n,
             spacing,
         };
-        let mut before: Option<(TipPose, Vec<f64>)> = None;
+        let mut before: Option<(ReferencePose, Vec<f64>)> = None;
         for i in 0..=(end / spacing).ceil() as usize {
             stop.check().ok()?;
             let t = i as f64 * spacing;
@@ -127,9 +130,9 @@ impl HeldByControls {
                 None if moves => vec![0.0; Self::KEPT * n],
                 None => {
                     let pose = (target.position, target.rotation);
-                    let found = held.hold(problem, pose, t);
+                    let found = held.hold(problem, node, pose, t);
                     let kept = found.filter(|found| along == Along::All || found.is_stable);
-                    let other = held.clone().hold(&stiffer, pose, t);
+                    let other = held.clone().hold(&stiffer, node, pose, t);
                     kept.zip(other).map_or_else(
                         || vec![0.0; Self::KEPT * n],
                         |(own, other)| {
@@ -167,12 +170,17 @@ impl HeldByControls {
     }
 }
 
-/// Tells whether a shape at rest is stable under a constant wrench on the tip, spatial force and moment in the body frame.
-fn is_stable(rod: &Rod, shape: &Configuration, t: f64, wrench: &Vector6<f64>) -> bool {
+/// Tells whether a shape at rest is stable under a constant wrench on a node, spatial force and moment in the body frame.
+fn is_stable(
+    rod: &Rod,
+    (shape, node): (&Configuration, usize),
+    t: f64,
+    wrench: &Vector6<f64>,
+) -> bool {
     let mut held = rod.clone();
     let mut push = |force: Vector3<f64>, moment: Vector3<f64>, frame: LoadFrame| {
         held.loads.push(Load {
-            node: rod.tip(),
+            node,
             force,
             moment,
             frame,
@@ -209,12 +217,12 @@ const STIFFER: f64 = 0.1;
 const LONGEST: f64 = 600.0;
 
 impl Holding {
-    /// Returns the wrenches along `reference`, a pose of the tip at every time up to an end, from near the shape `start`; the two times are
+    /// Returns the wrenches along `reference`, a pose of a node at every time up to an end, from near the shape `start`; the two times are
     /// the spacing of the wrenches and that end, s. `None` if the reference is longer than [`LONGEST`], and if `stop` is raised.
     pub fn along(
-        rod: &Rod,
+        (rod, node): (&Rod, usize),
         start: &Configuration,
-        reference: impl Fn(f64) -> TipPose,
+        reference: impl Fn(f64) -> ReferencePose,
         [spacing, end]: [f64; 2],
         along: Along,
         stop: &StopSignal,
@@ -225,7 +233,7 @@ impl Holding {
         let mut stiffer = rod.clone();
         stiffer.take_stiffness(rod, 1.0 + STIFFER);
         let mut shape = start.clone();
-        let mut before: Option<(TipPose, [Vector6<f64>; 2], Matrix6<f64>)> = None;
+        let mut before: Option<(ReferencePose, [Vector6<f64>; 2], Matrix6<f64>)> = None;
         let wrenches = (0..=(end / spacing).ceil() as usize)
             .map(|i| {
                 stop.check().ok()?;
@@ -237,11 +245,13 @@ impl Holding {
                 let (_, [own, slope], mass) = match before.filter(|(pose, ..)| *pose == target) {
                     Some(held) => held,
                     None => {
-                        let (own, mass) = Search::new(rod, target, t, stop).wrench(&mut shape);
+                        let (own, mass) =
+                            Search::new((rod, node), target, t, stop).wrench(&mut shape);
                         // From there: an arm that is pressed together may be held in several shapes.
-                        let (other, _) =
-                            Search::new(&stiffer, target, t, stop).wrench(&mut shape.clone());
-                        let is_held = along == Along::All || is_stable(rod, &shape, t, &own);
+                        let (other, _) = Search::new((&stiffer, node), target, t, stop)
+                            .wrench(&mut shape.clone());
+                        let is_held =
+                            along == Along::All || is_stable(rod, (&shape, node), t, &own);
                         let part = if is_held { 1.0 } else { 0.0 };
                         (target, [own * part, (other - own) * (part / STIFFER)], mass)
                     }
@@ -272,7 +282,7 @@ impl Holding {
 /// Returns the velocity and acceleration of a reference at `t`, of its position divided by the length and of its turn in the body frame:
 /// medians of neighboring differences over `spacing`, which ignore corners and jumps (Tukey 1977), since no arm can follow these.
 fn motion(
-    reference: &impl Fn(f64) -> TipPose,
+    reference: &impl Fn(f64) -> ReferencePose,
     t: f64,
     spacing: f64,
     length: f64,
@@ -296,23 +306,30 @@ fn motion(
     ]
 }
 
-/// A tip that springs pull to a pose. Vectors of six are a displacement divided by the length and a turn in rad, each from the target, and
+/// A node that springs pull to a pose. Vectors of six are a displacement divided by the length and a turn in rad, each from the target, and
 /// wrenches in units of the arm's transverse stiffness.
 struct Search<'a> {
     rod: &'a Rod,
-    target: TipPose,
+    node: usize,
+    target: ReferencePose,
     t: f64,
     stop: &'a StopSignal,
-    /// Transverse stiffness of the arm, N/m: that of a cantilever, and that of its weight as a pendulum.
+    /// Transverse stiffness of the arm, N/m: that of a cantilever or of a beam between held ends, and that of its weight as a pendulum.
     own: f64,
 }
 
 impl<'a> Search<'a> {
-    fn new(rod: &'a Rod, target: TipPose, t: f64, stop: &'a StopSignal) -> Self {
-        let own = (TIP_STIFFNESS * rod.scales.force + rod.mass() * rod.gravity.norm())
+    fn new(
+        (rod, node): (&'a Rod, usize),
+        target: ReferencePose,
+        t: f64,
+        stop: &'a StopSignal,
+    ) -> Self {
+        let own = (Beam::of(rod).by_force[0] * rod.scales.force + rod.mass() * rod.gravity.norm())
             / rod.scales.length;
         Self {
             rod,
+            node,
             target,
             t,
             stop,
@@ -321,11 +338,12 @@ impl<'a> Search<'a> {
     }
 
     /// Returns the springs that pull to `aim`.
-    fn spring(&self, aim: &Vector6<f64>) -> TipSpring {
+    fn spring(&self, aim: &Vector6<f64>) -> NodeSpring {
         let (length, stiffness) = (self.rod.scales.length, SPRING * self.own);
         let way: Vector3<f64> = aim.fixed_rows::<3>(0) * length;
         let turn: Vector3<f64> = aim.fixed_rows::<3>(3).into();
-        TipSpring {
+        NodeSpring {
+            node: self.node,
             position: (self.target.position).map(|place| (place + way, stiffness)),
             rotation: (self.target.rotation)
                 .map(|rotation| (rotation * exp(&turn), stiffness * length * length)),
@@ -337,12 +355,12 @@ impl<'a> Search<'a> {
         static_equilibrium_until(self.rod, from, self.t, &self.spring(aim), self.stop).ok()
     }
 
-    /// Returns the displacement of the tip from the target, and the wrench of the springs.
+    /// Returns the displacement of the node from the target, and the wrench of the springs.
     fn read(&self, aim: &Vector6<f64>, shape: &Configuration) -> [Vector6<f64>; 2] {
-        let (tip, length) = (self.rod.tip(), self.rod.scales.length);
-        let (x, r) = (shape.positions[tip], shape.rotations[tip]);
+        let length = self.rod.scales.length;
+        let (x, r) = (shape.positions[self.node], shape.rotations[self.node]);
         let pull = self.spring(aim).wrench(&x, &r);
-        let pose = TipPose {
+        let pose = ReferencePose {
             position: Some(x),
             rotation: Some(r),
         };
@@ -351,7 +369,7 @@ impl<'a> Search<'a> {
         [self.target.way_to(&pose, length), six(force, moment)]
     }
 
-    /// Returns the wrench that holds the tip at the target, from near `shape`, which becomes the shape that is held: the minimum of `|ξ|² +
+    /// Returns the wrench that holds the node at the target, from near `shape`, which becomes the shape that is held: the minimum of `|ξ|² +
     /// λ² |W|²` over the aims of the springs, with the distance `ξ` and the wrench `W`. If the arm is axially stiff at the target, the tip
     /// may stay off: for a target slightly out of reach, no force has to bend the arm. The second value is the mass of the arm at its tip:
     /// forces and moments (N, N m) by accelerations of a displacement divided by the length and of a turn.
@@ -442,13 +460,20 @@ mod tests {
         let section = SectionProfile::Uniform(Section::circle(&material, 0.01));
         let rod = Rod::new(&RodParameters::straight(0.5, 20, section)).expect("a rod");
         let way = 1e-3;
-        let reference = |t: f64| TipPose {
+        let reference = |t: f64| ReferencePose {
             position: Some(Vector3::new(way * t.min(1.0), 0.0, 0.5)),
             rotation: None,
         };
         let never = StopSignal::default();
-        let holding = Holding::along(&rod, &rod.rest, reference, [0.1, 1.0], Along::All, &never)
-            .expect("short");
+        let holding = Holding::along(
+            (&rod, rod.tip()),
+            &rod.rest,
+            reference,
+            [0.1, 1.0],
+            Along::All,
+            &never,
+        )
+        .expect("short");
         let expected = 3.0 * rod.scales.force * way / rod.scales.length;
         for (t, stiffness, part) in [
             (1.0, 1.0, 1.0),
@@ -463,7 +488,15 @@ mod tests {
             );
         }
         assert!(
-            Holding::along(&rod, &rod.rest, reference, [0.1, 1e4], Along::All, &never).is_none()
+            Holding::along(
+                (&rod, rod.tip()),
+                &rod.rest,
+                reference,
+                [0.1, 1e4],
+                Along::All,
+                &never
+            )
+            .is_none()
         );
     }
     /// A straight arm whose tip is to be across by `d` and turned by `θ` takes the force `12 d - 6 θ` (EI/L³ and EI/L²) and the moment
@@ -474,13 +507,20 @@ mod tests {
         let section = SectionProfile::Uniform(Section::circle(&material, 0.01));
         let rod = Rod::new(&RodParameters::straight(0.5, 20, section)).expect("a rod");
         let (way, turn) = (1e-3, 1e-3);
-        let reference = |_: f64| TipPose {
+        let reference = |_: f64| ReferencePose {
             position: Some(Vector3::new(way, 0.0, 0.5)),
             rotation: Some(exp(&Vector3::new(0.0, turn, 0.0))),
         };
         let never = StopSignal::default();
-        let holding = Holding::along(&rod, &rod.rest, reference, [0.1, 0.0], Along::All, &never)
-            .expect("short");
+        let holding = Holding::along(
+            (&rod, rod.tip()),
+            &rod.rest,
+            reference,
+            [0.1, 0.0],
+            Along::All,
+            &never,
+        )
+        .expect("short");
         let found = holding.wrench(0.0, 1.0);
         let across = way / rod.scales.length;
         let force = (12.0 * across - 6.0 * turn) * rod.scales.force;
@@ -503,7 +543,7 @@ mod tests {
         };
         let rod = Rod::new(&parameters).expect("a rod");
         let (radius, frequency) = (1e-3, 3.0_f64);
-        let circle = |t: f64| TipPose {
+        let circle = |t: f64| ReferencePose {
             position: Some(Vector3::new(
                 radius * (frequency * t).cos(),
                 radius * (frequency * t).sin(),
@@ -512,8 +552,15 @@ mod tests {
             rotation: None,
         };
         let never = StopSignal::default();
-        let holding = Holding::along(&rod, &rod.rest, circle, [0.005, 1.0], Along::All, &never)
-            .expect("short");
+        let holding = Holding::along(
+            (&rod, rod.tip()),
+            &rod.rest,
+            circle,
+            [0.005, 1.0],
+            Along::All,
+            &never,
+        )
+        .expect("short");
         let mass = 33.0 / 140.0 * rod.mass();
         let stiffness = 3.0 * rod.scales.force / rod.scales.length;
         let along = radius * (stiffness - mass * frequency * frequency);
@@ -526,7 +573,7 @@ mod tests {
             (found - expected).xy().norm() < 0.02 * size,
             "{found} {expected}"
         );
-        let broken = |t: f64| TipPose {
+        let broken = |t: f64| ReferencePose {
             position: Some(Vector3::new(
                 if t < 0.5 { radius * t } else { 2.0 * radius },
                 0.0,

@@ -162,11 +162,6 @@ impl Horizon {
                 "the controller knows a fixed duration; leave out free_duration",
             ));
         }
-        if !problem.rod.joints.is_empty() {
-            return Err(MpcError::Unsupported(
-                "the controller knows clamped, driven and free bases, and free tips; choose one of these as base.kind, and leave out [tip]",
-            ));
-        }
         let model = Arc::clone(&problem.rod);
         // The rod that disturbances change is the horizon's own from the beginning: a sample allocates nothing.
         Arc::make_mut(&mut problem.rod);

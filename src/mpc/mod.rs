@@ -50,7 +50,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod cantilever;
+mod beam;
 mod closed_loop;
 mod command;
 mod controller;
@@ -77,8 +77,8 @@ pub use closed_loop::{
     Unknowns,
 };
 pub use command::Command;
-pub(crate) use controller::with_long_steps;
 pub use controller::{Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord};
+pub(crate) use controller::{followed, with_long_steps};
 pub use error::MpcError;
 pub use estimator::{
     BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,

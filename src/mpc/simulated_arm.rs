@@ -276,10 +276,17 @@ impl<'a> SimulatedArm<'a> {
         self.stepper.position(self.rod.tip())
     }
 
-    /// Returns the orientation of the tip, body to space.
+    /// Returns position (m) and rotation (body to space) at a node of the model.
     #[must_use]
-    pub fn tip_rotation(&self) -> Matrix3<f64> {
-        self.stepper.state().configuration.rotations[self.rod.tip()]
+    pub fn pose_on_model(&self, node: usize) -> (Vector3<f64>, Matrix3<f64>) {
+        // The tip is the last node of both.
+        if node + 1 == self.nearest.len() {
+            let tip = self.rod.tip();
+            let rotation = self.stepper.state().configuration.rotations[tip];
+            return (self.stepper.position(tip), rotation);
+        }
+        let at = self.state_on_model().configuration;
+        (at.positions[node], at.rotations[node])
     }
 
     /// Returns the present wrenches on the nodes of the commands.

@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 32] = [
+const SCENES: [(&str, &str); 33] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",

@@ -74,7 +74,9 @@ impl Keys<'_> {
                 let relation = "goes with sensor; kind = \"kalman\", \"observer\" or \"none\"";
                 return Err(self.missing("estimator", relation));
             }
-            (Some(estimator), no_sensor) => self.check_estimator(estimator, no_sensor)?,
+            (Some(estimator), no_sensor) => {
+                self.check_estimator(estimator, no_sensor, scene.tip_kind())?
+            }
             (None, true) => {}
         }
         for (index, load) in scene.disturbance.iter().enumerate() {

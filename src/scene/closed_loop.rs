@@ -15,7 +15,7 @@ use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
     ActuatorDynamics, Computing, EffortDynamics, Experiment, MpcError, MpcSettings, Sensing,
-    Sensor, SensorChoice, SensorSettings, with_long_steps,
+    Sensor, SensorChoice, SensorSettings, Transfer, followed, with_long_steps,
 };
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
@@ -29,6 +29,8 @@ pub struct ClosedLoopSetup {
     pub model: Arc<Rod>,
     /// Rod of the plant.
     pub plant: Arc<Rod>,
+    /// Node of the plant that follows a reference: the tip, or the nearest to that of the task.
+    pub followed: usize,
     /// State of the plant at time 0.
     pub initial: State,
     /// The scene with every default and derived value written out.
@@ -197,9 +199,9 @@ impl Scene {
         if self.estimator.is_some() {
             loop_settings.fallback = loop_settings.fallback.following(&sensors);
         }
-        let followed = task.cost.tracks.iter().map(|track| track.from);
+        let begins = task.cost.tracks.iter().map(|track| track.from);
         let counted_from =
-            (mpc.counted_from_s).map_or_else(|| followed.fold(period, f64::max), Number::get);
+            (mpc.counted_from_s).map_or_else(|| begins.fold(period, f64::max), Number::get);
 
         let mut resolved = self.resolved(&arm, &discretization);
         resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
@@ -244,7 +246,7 @@ impl Scene {
         });
         resolved.sensor = sensors.iter().map(SensorKeys::describing).collect();
         if let Some(estimator) = &mut resolved.estimator {
-            estimator.disturbances = Some(estimator.unknowns().to_vec());
+            estimator.disturbances = Some(estimator.unknowns(self.tip_kind()));
         }
 
         // The controller's problem and the one here have the same weights.
@@ -257,7 +259,7 @@ impl Scene {
         task.cost.force_scale = tip.map(|tip| tip.force.scale);
         task.cost.moment_scale = tip.map(|tip| tip.moment.scale);
         let sensing = (self.estimator.as_ref()).map_or(Sensing::Everything, |estimator| {
-            estimator.sensing(&sensors, seed)
+            estimator.sensing(&sensors, seed, self.tip_kind())
         });
         Ok(ClosedLoopSetup {
             experiment: Experiment {
@@ -272,6 +274,7 @@ impl Scene {
                 stop: stop.clone(),
                 ..Experiment::new(arm, task, discretization, settings)
             },
+            followed: Transfer::new(&found.rod, &model).nearest()[followed(&posed.discrete)],
             plant: found.rod,
             resolved,
             warnings: self.concerns(due, duration),

@@ -1,6 +1,6 @@
 //! Explanations of a simulation that broke down, such as an arm that topples under its weight.
 
-use crate::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use crate::mechanics::equilibrium::{NodeSpring, static_equilibrium};
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::vibration::weight_in_words;
 use crate::mechanics::{
@@ -90,7 +90,7 @@ fn unstable_equilibrium(
     if !rod.is_held() || !is_loaded || !has_potential {
         return None;
     }
-    let shape = static_equilibrium(rod, near, t, &TipSpring::default()).ok()?;
+    let shape = static_equilibrium(rod, near, t, &NodeSpring::default()).ok()?;
     let rate = SmallMotions::about(rod, &shape, t).growth_rate()?;
     (rate * duration > UNSTABLE_GROWTH.ln()).then_some((shape, rate))
 }

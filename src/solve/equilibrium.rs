@@ -121,6 +121,8 @@ pub(crate) struct StabilitySummary {
 /// The load factor at which stability is lost.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct BucklingSummary {
+    /// Load factor from which stability was examined: 0, or 1 for an arm that is held elsewhere than its stress-free shape ends.
+    pub from_factor: f64,
     /// Load factor; absent where none was found.
     pub factor: Option<f64>,
     /// `buckling`, `snapping` or `flutter`.
@@ -170,15 +172,17 @@ impl StabilitySummary {
 }
 
 impl BucklingSummary {
-    fn of(critical: &Critical) -> Self {
+    fn of(critical: &Critical, from_factor: f64) -> Self {
         match *critical {
             Critical::Lost { factor, how } => Self {
+                from_factor,
                 factor: Some(factor),
                 how: Some(how),
                 stable_up_to: None,
                 why: None,
             },
             Critical::Kept { factor, why } => Self {
+                from_factor,
                 factor: None,
                 how: None,
                 stable_up_to: Some(factor),
@@ -260,7 +264,7 @@ impl EquilibriumSummary {
             actuators: actuators_at_rest(rod, &own.shape, options.time),
             stability: StabilitySummary::of(own.stability.as_ref(), stiffness),
             goes_to_m: (found.goes_to.as_ref()).map(|at| at.shape.positions[tip].into()),
-            buckling: BucklingSummary::of(&found.critical),
+            buckling: BucklingSummary::of(&found.critical, found.from_factor),
             sweep: (found.sweep.iter())
                 .map(|at| SweepPoint {
                     factor: at.factor,

@@ -61,6 +61,8 @@ pub struct Statics {
     pub tip_compliance: Option<Matrix3<f64>>,
     /// Stable equilibrium to which a slightly pushed arm goes, if `own` is not stable and another equilibrium is found.
     pub goes_to: Option<LoadedShape>,
+    /// Load factor from which stability was examined: 0, or 1 where the path of the loads [begins there](LoadPath::begins_loaded).
+    pub from_factor: f64,
     /// Load factor at which stability is lost.
     pub critical: Critical,
     /// Equilibria of the sweep, from load factor 0 on.
@@ -143,6 +145,7 @@ pub fn statics(
         tip_compliance: path.tip_compliance(&own),
         own,
         goes_to,
+        from_factor: if path.begins_loaded() { 1.0 } else { 0.0 },
         critical,
         sweep,
         cut,

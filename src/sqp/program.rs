@@ -454,6 +454,16 @@ pub trait LiftedProgram {
     /// worse and leaves its states alone.
     fn reset_slacks(&self, _point: &mut Self::Point, _evaluation: &mut Evaluation<Self::Defects>) {}
 
+    /// Returns the point at which variables that stand for the residuals of soft constraints, and have a price but no set, meet these
+    /// constraints, if it is another one. The price of such a variable may make a step to it long, but never impossible.
+    fn absorbed(
+        &self,
+        _point: &Self::Point,
+        _evaluation: &Evaluation<Self::Defects>,
+    ) -> Option<Self::Point> {
+        None
+    }
+
     /// Returns the point at `step_length` along a direction.
     fn retract(
         &self,

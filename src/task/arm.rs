@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::discretization::Discretization;
 pub use crate::mechanics::Place;
-use crate::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium_until};
+use crate::mechanics::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium_until};
 use crate::mechanics::place::{carry, locate};
 use crate::mechanics::rod::append_element;
 use crate::mechanics::rotation::{from_direction, log, log_tangent, quaternion, wxyz};
@@ -347,7 +347,7 @@ impl Start {
         let shape = match &self.shape {
             StartShape::Rest => at_its_ends(rod, rod.rest.clone())?,
             StartShape::Equilibrium => {
-                static_equilibrium_until(rod, &rod.rest, 0.0, &TipSpring::default(), stop)?
+                static_equilibrium_until(rod, &rod.rest, 0.0, &NodeSpring::default(), stop)?
             }
             StartShape::Curvature(rows) => at_its_ends(rod, bent(rod, rows)?)?,
             StartShape::Poses(places, poses) => {

@@ -12,7 +12,8 @@ use crate::control::{
 /// `None` if it is unknown whether anything holds the target.
 ///
 /// # Errors
-/// [`DiscretizeError::NotHeld`] if nothing within the bounds can hold the target, or if the ends are such that it is not looked for.
+/// [`DiscretizeError::NotHeld`] if nothing within the bounds can hold the target, or if the ends let the arm turn where nothing brings it
+/// back.
 pub(super) fn stay(
     problem: &OptimalControlProblem,
     staying: Staying,
@@ -23,14 +24,20 @@ pub(super) fn stay(
     match found {
         Ok(Ok((_, stay))) => Ok(Some(stay)),
         Ok(Err(Holding::NotFound {
-            why: why @ NotFound::HeldEnds,
+            why: why @ NotFound::LooseEnds,
         })) => refuse(why.to_string()),
         Ok(Err(Holding::NotFound { .. } | Holding::Held(_))) => Ok(None),
         Ok(Err(Holding::CannotBeHeld { why, nearest })) => {
             let nearest = nearest.map_or_else(String::new, |(held, distance)| {
-                let x = held.shape.positions[problem.rod.tip()];
+                let node = problem.goal_node();
+                let what = if node == problem.rod.tip() {
+                    "tip".to_string()
+                } else {
+                    format!("place of node {node}")
+                };
+                let x = held.shape.positions[node];
                 format!(
-                    "; the nearest tip that can be held is [{:.6}, {:.6}, {:.6}] m, {distance:.2e} m from it",
+                    "; the nearest {what} that can be held is [{:.6}, {:.6}, {:.6}] m, {distance:.2e} m from it",
                     x.x, x.y, x.z
                 )
             });
@@ -91,13 +98,13 @@ fn stay_at(
     staying: Staying,
     length: f64,
 ) -> Option<Stay> {
-    let (tip, last) = (problem.rod.tip(), problem.grid.n_steps);
+    let (node, last) = (problem.goal_node(), problem.grid.n_steps);
     let goal = (problem.goals.iter())
-        .position(|goal| goal.node == tip && goal.time_node == last)
+        .position(|goal| goal.node == node && goal.time_node == last)
         .unwrap_or(0);
     let seconds = seconds(&held, staying);
     let distance = staying.distance(length);
-    Stay::at(&problem.rod, held, [seconds, distance], goal)
+    Stay::at(&problem.rod, held, [seconds, distance], (goal, node))
 }
 
 /// Returns the duration of the stay, s: one first period of the held arm, unless a duration is given.

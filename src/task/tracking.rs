@@ -2,6 +2,7 @@
 
 use crate::control::{ActuatedNode, Channel};
 use crate::mechanics::Rod;
+use crate::mechanics::beam::Beam;
 
 /// Fraction of a statically held displacement that a track of default weight misses.
 const MISSED: f64 = 1e-4;
@@ -10,20 +11,27 @@ const MISSED: f64 = 1e-4;
 /// + w/2 |ξ - ξ*|²`, over controls `v` that hold the displacement `ξ = c·v` of the tip divided by the length, misses `ξ*` by the fraction
 /// [`MISSED`] of itself: the miss is `effort ξ/(|c|² w)`.
 ///
-/// `c` are the displacements of a straight clamped arm divided by its length under one unit of each part of the wrench: `f L²/(3EI)` of a
-/// force `f` across the tip and `m L/(2EI)` of a moment `m`. For an orientation, `ξ` is a turn, and `c` are `f L²/(2EI)` and `m L/(EI)`.
-/// Actuators on other nodes count as if they were on the tip. If there are none, the effort of an actuator in the arm that bends it by a
-/// radian, to an arc, counts in their place (`ξ = ½` across, and 1), or with actuators of one's own alone a force of the size of the rod's
-/// scale.
+/// `c` are the displacements of a straight [`Beam`] divided by its length under one unit of each part of the wrench: of a cantilever
+/// `f L²/(3EI)` of a force `f` across the tip and `m L/(2EI)` of a moment `m`. For an orientation, `ξ` is a turn, and `c` are `f L²/(2EI)`
+/// and `m L/(EI)`. Actuators on other nodes count as if they were on the tip, and between two held ends as if they were in the middle. If
+/// there are none, the effort of an actuator in the arm with the moment `EI/L`, which bends a cantilever by a radian, to an arc, counts in
+/// their place, or with actuators of one's own alone a force of the size of the rod's scale.
 pub(super) fn default_weights(
     effort: f64,
     rod: &Rod,
     actuators: &[ActuatedNode],
     has_efforts: bool,
 ) -> [f64; 2] {
-    let bent = |across: f64| if has_efforts { across } else { 0.0 };
-    [([3.0, 2.0], bent(0.5)), ([2.0, 1.0], bent(1.0))]
-        .map(|(stiffness, bent)| default_weight(effort, rod, actuators, stiffness, bent))
+    let beam = Beam::of(rod);
+    [0, 1].map(|part| {
+        let stiffness = [beam.by_force[part], beam.by_moment[part]];
+        let bent = if has_efforts {
+            beam.by_moment[part].recip()
+        } else {
+            0.0
+        };
+        default_weight(effort, rod, actuators, stiffness, bent)
+    })
 }
 
 /// Returns one of the two weights; `stiffness` is that of the arm against a force and a moment, in `EI/L²` and `EI/L`.

@@ -101,8 +101,8 @@ pub(super) fn examine(
         problem.stop.check_at(k)?;
         level.advance(|_| ())?;
     }
-    let tip = problem.rod.tip();
-    let end = half_end.configuration.positions[tip];
-    found.stiffer_m = (level.position(tip) - end).norm();
+    let node = problem.goal_node();
+    let end = half_end.configuration.positions[node];
+    found.stiffer_m = (level.position(node) - end).norm();
     Ok(Some(found))
 }

@@ -60,7 +60,8 @@ const PERCENT: f64 = 0.01;
 /// Size of the replayed deviations, divided by `√(EI/L)`: truncation and rounding are below a thousandth of the result.
 const SIZE: f64 = 1e-5;
 
-/// Replays the disturbances. `tip` has the derivatives of the tip's position at the end along the scaled controls, m.
+/// Replays the disturbances. `tip` has the derivatives of the position at the end of the tip, or of the node that has the goal there, along
+/// the scaled controls, m.
 pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, CheckError> {
     let problem = probe.problem;
     let rod = &problem.rod;
@@ -103,7 +104,7 @@ pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, Check
         let other = roll_out(problem, &deviation.added_to(rod, &start), &coefficients)?.end;
         let deviation = Deviation::between(rod, &end, &other);
         grown.push(at_end.of(&deviation) / amount);
-        moved.set_column(i, &(deviation.parts[0][rod.tip()] / amount));
+        moved.set_column(i, &(deviation.parts[0][problem.goal_node()] / amount));
     }
     let largest =
         |matrix: DMatrix<f64>| stop.unless_raised(n, move || matrix.singular_values().max());

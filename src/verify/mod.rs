@@ -578,7 +578,7 @@ fn largest_of(distances: impl Iterator<Item = f64>) -> f64 {
     distances.fold(0.0, worse)
 }
 
-/// Returns the part that `part` selects of the tip's goals at the end, if any.
+/// Returns the part that `part` selects of the goals at the end of the tip, or of the node that has them, if any.
 fn last_goal<T>(
     problem: &OptimalControlProblem,
     part: impl Fn(&Goal) -> Option<T>,
@@ -589,7 +589,7 @@ fn last_goal<T>(
 }
 
 fn measure_tip(problem: &OptimalControlProblem, check: &mut ForwardCheck) {
-    let tip = problem.rod.tip();
+    let tip = problem.goal_node();
     let end = &check.replay.end;
     let (x, r) = (
         end.configuration.positions[tip],

@@ -137,7 +137,8 @@ impl<'a> Probe<'a> {
         )
     }
 
-    /// Returns the scaled residuals of the goals, values of the active path rows, and the tip's position at the end, at other controls.
+    /// Returns the scaled residuals of the goals, values of the active path rows, and the position of the tip, or of the node that has the
+    /// goal, at the end, at other controls.
     fn rows(&self, variables: &[f64]) -> Result<Vec<f64>, CheckError> {
         let motion = self.motion(variables)?;
         let coefficients = self.coefficients(variables);
@@ -148,7 +149,7 @@ impl<'a> Probe<'a> {
         for &i in &self.held {
             out.push(conditions.row_value(&self.terms[i].row));
         }
-        out.extend(end.configuration.positions[self.problem.rod.tip()].iter());
+        out.extend(end.configuration.positions[self.problem.goal_node()].iter());
         Ok(out)
     }
 

@@ -53,7 +53,7 @@ pub struct Between {
     pub time: f64,
 }
 
-/// Speed of the tip of the finest rod at the end of the horizon, and the highest one before.
+/// Speed of the tip of the finest rod, or of the node that has the goal, at the end of the horizon, and the highest one before.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TipMotion {
     /// Speed at the end, m/s.
@@ -67,10 +67,10 @@ pub struct TipMotion {
 }
 
 impl TipMotion {
-    fn note(&mut self, rod: &Rod, state: &State) {
-        let (tip, node) = (rod.tip(), &rod.nodes[rod.tip()]);
-        self.speed = (state.linear_momentum[tip] / node.mass).norm();
-        self.spin = (state.angular_momentum[tip].component_div(&node.rotary)).norm();
+    fn note(&mut self, rod: &Rod, node: usize, state: &State) {
+        let inertia = &rod.nodes[node];
+        self.speed = (state.linear_momentum[node] / inertia.mass).norm();
+        self.spin = (state.angular_momentum[node].component_div(&inertia.rotary)).norm();
         self.highest_speed = worse(self.highest_speed, self.speed);
         self.highest_spin = worse(self.highest_spin, self.spin);
     }
@@ -85,7 +85,7 @@ pub struct Refinement {
     pub space: ErrorEstimate,
     /// Worst violation of every hard path constraint.
     pub between: Vec<Between>,
-    /// Motion of the tip of the finest rod.
+    /// Motion of the tip of the finest rod, or of the node that has the goal.
     pub tip: TipMotion,
     /// The motion after the horizon on the finest rod, if the arm stays.
     pub stays: Option<StayReplay>,
@@ -233,6 +233,7 @@ pub fn refine(
     let mut watch = Watch::new(problem, finest, step / factor as f64);
     let mut changes = [[0.0; 2]; 2];
     let mut tip = TipMotion::default();
+    let on_finest = problem.goal_node() * (finest.n_elements() / coarse.n_elements());
     for k in 0..problem.grid.n_steps {
         problem.stop.check_at(k)?;
         let last = levels.len() - 1;
@@ -243,7 +244,7 @@ pub fn refine(
                 }
             })?;
         }
-        tip.note(finest, &levels[last].stepper.state());
+        tip.note(finest, on_finest, &levels[last].stepper.state());
         for (chain, changes) in [&in_time, &in_space].into_iter().zip(&mut changes) {
             for (pair, change) in chain.windows(2).zip(changes) {
                 let [before, after] = [pair[0], pair[1]].map(|at| levels[at].positions());

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 
 use super::acting;
 use super::efforts;
-use super::interval::{self, Strained};
+use super::interval::{self, Nine, Strained};
 use super::stepper::ReferenceStepper;
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
@@ -121,9 +121,9 @@ impl<'a> Simulation<'a> {
         Self::Reference(Box::new(ReferenceStepper::new(rod, grid, initial)))
     }
 
-    /// Returns the integrator for finer grids: that of simulations, or the check's own if the work of a driven base counts.
+    /// Returns the integrator for finer grids: that of simulations, or the check's own if the work of a driven end counts.
     pub(super) fn fast(rod: &'a Rod, grid: TimeGrid, initial: State) -> Self {
-        if rod.driven_base(0.0).is_some() {
+        if driven_nodes(rod).next().is_some() {
             Self::reference(rod, grid, initial)
         } else {
             Self::Fast(Box::new(Stepper::new(rod, grid, initial)))
@@ -144,29 +144,29 @@ impl<'a> Simulation<'a> {
         }
     }
 
-    /// Returns the wrench on node 0 except that of the base's drive, on the side of the time node that `node` names; zero without a drive.
-    fn base_wrench(&self, rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Wrench {
+    /// Returns the wrench on a driven end except that of its drive, on the side of the time node that `node` names; zero without a drive.
+    fn end_wrench(&self, rod: &Rod, end: usize, node: &TimeNode, control: &NodeWrenches) -> Wrench {
         let Self::Reference(stepper) = self else {
             return Wrench::default();
         };
-        let mut acting = stepper.passive_wrench(0);
+        let mut acting = stepper.passive_wrench(end);
         let at = &stepper.state().configuration;
-        let rotation = &at.rotations[0];
+        let rotation = &at.rotations[end];
         if rod.scheme == TimeScheme::Explicit {
             let own = efforts::at_node(rod, node, control, &at.positions, &at.rotations);
-            let pull = efforts::gradient_of(rod, 0, &at.positions, &at.rotations, &own);
-            acting.force += pull.fixed_rows::<3>(0);
-            acting.moment -= pull.fixed_rows::<3>(3);
+            let element = element_beside(rod, end);
+            let pull = efforts::gradient_of(rod, element, &at.positions, &at.rotations, &own);
+            take_pull(end, &pull, &mut acting);
         }
         if !rod.actuators.functions().is_empty() {
             let own = efforts::inputs(rod, node, control);
             let posed = efforts::posed(rod, &at.positions, &at.rotations, &own);
-            for (_, wrench) in posed.filter(|(node, _)| *node == 0) {
+            for (_, wrench) in posed.filter(|(node, _)| *node == end) {
                 acting.force += wrench.force;
                 acting.moment += wrench.moment;
             }
         }
-        for load in rod.loads.iter().filter(|load| load.node == 0) {
+        for load in rod.loads.iter().filter(|load| load.node == end) {
             let wrench = load.wrench_at_node(node, rotation);
             acting.force += wrench.force;
             acting.moment += wrench.moment;
@@ -200,18 +200,26 @@ pub(super) fn account(
         stop.check_at(k)?;
         let pair = [control.at(k), control.at(k + 1)];
         let ends = grid.clock().ends_of_step(k);
-        let base_before = simulation.base_wrench(rod, &ends[0], &pair[0]);
+        let acting = |simulation: &Simulation, at: usize| {
+            driven_nodes(rod)
+                .map(|end| simulation.end_wrench(rod, end, &ends[at], &pair[at]))
+                .collect::<Vec<_>>()
+        };
+        let acting_before = acting(&simulation, 0);
         simulation.advance(pair)?;
         let before = std::mem::replace(&mut after, simulation.state());
         balance.work += step_work(rod, grid, k, &before, &after, &pair);
         balance.dissipation += step_dissipation(rod, grid.step, &before, &after);
-        let mut passive = [base_before, simulation.base_wrench(rod, &ends[1], &pair[1])];
+        let mut passive: Vec<[Wrench; 2]> = (acting_before.into_iter())
+            .zip(acting(&simulation, 1))
+            .map(|(before, after)| [before, after])
+            .collect();
         if let Some(internal) = &mut internal {
             let own = efforts::mean_inputs(rod, ends, pair);
             balance.dissipation += internal.advance(&after, own, &mut passive);
         }
-        if rod.driven_base(0.0).is_some() {
-            balance.work += drive_work(rod, &before, &after, &passive);
+        for (end, passive) in driven_nodes(rod).zip(&passive) {
+            balance.work += drive_work(rod, end, [&before, &after], passive);
         }
         let energy = Energy::of(rod, &after);
         balance.change = energy.total() - start.total();
@@ -259,29 +267,27 @@ impl<'a> InternalAccount<'a> {
         })
     }
 
-    /// Advances to the end of a step: returns the dissipation of Kelvin-Voigt damping, J, and adds the effects of the stresses on node 0 at
-    /// both ends.
-    fn advance(&mut self, after: &State, inputs: Vec<f64>, passive: &mut [Wrench; 2]) -> f64 {
+    /// Advances to the end of a step: returns the dissipation of Kelvin-Voigt damping, J, and adds the effects of the stresses on driven
+    /// nodes at both ends of the step.
+    fn advance(&mut self, after: &State, inputs: Vec<f64>, passive: &mut [[Wrench; 2]]) -> f64 {
         let (rod, h) = (self.rod, self.time_step);
         let Configuration {
             positions,
             rotations,
         } = &after.configuration;
         let end = interval::strains(rod, positions, rotations);
-        let mut stress = interval::stress(
-            &rod.elements[0],
-            self.weights,
-            &self.strains[0].0,
-            &end[0].0,
-        );
-        if rod.scheme == TimeScheme::Implicit {
-            let own = efforts::of_interval(rod, inputs, &self.strains, &end);
-            stress += efforts::stress(rod, 0, &((self.strains[0].0 + end[0].0) * 0.5), &own);
-        }
-        for (wrench, (_, b)) in passive.iter_mut().zip([&self.strains[0], &end[0]]) {
-            let pull = b.tr_mul(&stress);
-            wrench.force += pull.fixed_rows::<3>(0);
-            wrench.moment -= pull.fixed_rows::<3>(3);
+        let own = (rod.scheme == TimeScheme::Implicit)
+            .then(|| efforts::of_interval(rod, inputs, &self.strains, &end));
+        for (node, passive) in driven_nodes(rod).zip(passive) {
+            let e = element_beside(rod, node);
+            let (from, to) = (&self.strains[e], &end[e]);
+            let mut stress = interval::stress(&rod.elements[e], self.weights, &from.0, &to.0);
+            if let Some(own) = &own {
+                stress += efforts::stress(rod, e, &((from.0 + to.0) * 0.5), own);
+            }
+            for (wrench, (_, b)) in passive.iter_mut().zip([from, to]) {
+                take_pull(node, &b.tr_mul(&stress), wrench);
+            }
         }
         let start = std::mem::replace(&mut self.strains, end);
         interval::dissipation(rod, h, &start, &self.strains)
@@ -300,15 +306,38 @@ fn displacement(before: &State, after: &State, q: usize) -> (Vector3<f64>, Vecto
     )
 }
 
-/// Returns the work of the base's drive over one step: the change of node 0's kinetic energy, minus the work of all other wrenches on it
-/// (`passive`, at both ends of the step).
-fn drive_work(rod: &Rod, before: &State, after: &State, passive: &[Wrench; 2]) -> f64 {
+/// Returns the ends whose motion is given.
+fn driven_nodes(rod: &Rod) -> impl Iterator<Item = usize> {
+    [0, rod.tip()]
+        .into_iter()
+        .filter(|end| rod.driven_end(*end, 0.0).is_some())
+}
+
+/// Returns the element beside an end.
+fn element_beside(rod: &Rod, end: usize) -> usize {
+    if end == 0 { 0 } else { rod.n_elements() - 1 }
+}
+
+/// Adds to the wrench on an end that of the element beside it, from the derivative of its energy along its motion `(δx_b - δx_a, η_a, η_b)`.
+fn take_pull(end: usize, pull: &Nine, wrench: &mut Wrench) {
+    if end == 0 {
+        wrench.force += pull.fixed_rows::<3>(0);
+        wrench.moment -= pull.fixed_rows::<3>(3);
+    } else {
+        wrench.force -= pull.fixed_rows::<3>(0);
+        wrench.moment -= pull.fixed_rows::<3>(6);
+    }
+}
+
+/// Returns the work of the drive of an end over one step: the change of the kinetic energy of its node, minus the work of all other wrenches
+/// on it (`passive`, at both ends of the step).
+fn drive_work(rod: &Rod, end: usize, [before, after]: [&State; 2], passive: &[Wrench; 2]) -> f64 {
     let kinetic = |state: &State| {
-        let rotary = rod.rotary_at(&state.configuration.positions)[0];
-        let (p, pi) = (state.linear_momentum[0], state.angular_momentum[0]);
-        0.5 * (p.norm_squared() / rod.nodes[0].mass + pi.dot(&pi.component_div(&rotary)))
+        let rotary = rod.rotary_at(&state.configuration.positions)[end];
+        let (p, pi) = (state.linear_momentum[end], state.angular_momentum[end]);
+        0.5 * (p.norm_squared() / rod.nodes[end].mass + pi.dot(&pi.component_div(&rotary)))
     };
-    let (dx, turn) = displacement(before, after, 0);
+    let (dx, turn) = displacement(before, after, end);
     let done: f64 = passive
         .iter()
         .map(|wrench| 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn)))

@@ -15,19 +15,19 @@ use crate::mechanics::{NodeWrenches, Rod, State, Stepper, TimeGrid};
 pub struct StayReplay {
     /// Duration of the simulation, s.
     pub seconds: f64,
-    /// Largest distance of the tip from its target, m.
+    /// Largest distance of the tip, or of the node that has the goal, from its target, m.
     pub tip_error: f64,
     /// Time of the largest distance, in s after the task.
     pub at: f64,
     /// Largest speed of any node, m/s.
     pub node_speed: f64,
-    /// Largest possible distance of the tip from the place where the wrench holds it, m, to second order, by the energy that the arrival on
+    /// Largest possible distance of that node from the place where the wrench holds it, m, to second order, by the energy that the arrival on
     /// the solution's own grid leaves in every mode.
     pub bound: f64,
 }
 
-/// Simulates `rod` from `state`, at the end of the horizon, under constant wrenches; distances are those of the tip from the place where it
-/// should stay.
+/// Simulates `rod` from `state`, at the end of the horizon, under constant wrenches; distances are those of the node that has the
+/// goal from the place where it should stay.
 ///
 /// # Errors
 /// Returns [`CheckError`] if the motion breaks down.
@@ -39,9 +39,9 @@ pub(super) fn follow(
     bound: f64,
     mut observe: impl FnMut(&Stepper),
 ) -> Result<StayReplay, CheckError> {
-    let target = problem.goals[stay.goal].position;
-    let tip = rod.tip();
-    let place = target.unwrap_or(stay.shape.positions[problem.rod.tip()]);
+    let goal = &problem.goals[stay.goal];
+    let node = goal.node * (rod.n_elements() / problem.rod.n_elements());
+    let place = goal.position.unwrap_or(stay.shape.positions[goal.node]);
     let grid = TimeGrid {
         start: problem.grid.start + problem.grid.duration(),
         ..TimeGrid::covering(stay.seconds, step, 1)
@@ -49,7 +49,7 @@ pub(super) fn follow(
     let mut stepper = Stepper::new(rod, grid, state);
     let mut out = StayReplay {
         seconds: stay.seconds,
-        tip_error: (stepper.position(tip) - place).norm(),
+        tip_error: (stepper.position(node) - place).norm(),
         at: 0.0,
         node_speed: 0.0,
         bound,
@@ -61,7 +61,7 @@ pub(super) fn follow(
             which: ReplayKind::Held,
             source,
         })?;
-        let off = (stepper.position(tip) - place).norm();
+        let off = (stepper.position(node) - place).norm();
         if !(off <= out.tip_error) {
             (out.tip_error, out.at) = (off, (k + 1) as f64 * grid.step);
         }

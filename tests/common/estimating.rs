@@ -5,7 +5,7 @@ use softarm::mechanics::forms::NODE_COMPONENTS;
 use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::stability::automatic_step;
-use softarm::mechanics::{Material, Rod, State, TipSpring, Wrench, static_equilibrium};
+use softarm::mechanics::{Material, NodeSpring, Rod, State, Wrench, static_equilibrium};
 use softarm::mpc::{Command, Disturbance, KalmanSettings, Predictor, RandomWalk};
 use softarm::task::{Arm, Discretization};
 
@@ -95,7 +95,7 @@ pub fn normal(dice: &mut fastrand::Rng) -> f64 {
 
 /// In equilibrium with its loads.
 pub fn at_rest(rod: &Rod) -> State {
-    State::at_rest(static_equilibrium(rod, &rod.rest, 0.0, &TipSpring::default()).unwrap())
+    State::at_rest(static_equilibrium(rod, &rod.rest, 0.0, &NodeSpring::default()).unwrap())
 }
 
 /// A bent, twisted, sheared and moving state.

@@ -9,8 +9,8 @@ use softarm::mechanics::energy::{angular_momentum, linear_momentum};
 use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::{cay, exp, log, orthonormalized};
 use softarm::mechanics::{
-    BaseCondition, Energy, LoadFrame, Material, NodeInertia, NodeWrenches, Rod, RodModel,
-    RodParameters, Section, SectionProfile, State, StepError, StrainRule, TipSpring, stable_step,
+    BaseCondition, Energy, LoadFrame, Material, NodeInertia, NodeSpring, NodeWrenches, Rod,
+    RodModel, RodParameters, Section, SectionProfile, State, StepError, StrainRule, stable_step,
     static_equilibrium,
 };
 
@@ -156,7 +156,7 @@ pub fn arc_errors(
         arc.rotations[q] = exp(&Vector3::new(angle, 0.0, 0.0));
     }
     let tip = arc.positions[n_elements];
-    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
+    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).unwrap();
     let mut integrator = Stepper::new(&rod, 0.5 * stable_step(&rod), State::at_rest(arc));
     for _ in 0..200 {
         integrator.advance([NodeWrenches::NONE; 2]).unwrap();
@@ -189,7 +189,7 @@ pub fn locked_bending_error(n_elements: usize, slenderness: f64, youngs_modulus:
         ..parameters
     })
     .unwrap();
-    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
+    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).unwrap();
     log(&shape.rotations[n_elements]).x / 1e-3 - 1.0
 }
 

@@ -13,8 +13,8 @@ use softarm::mechanics::linearization::{RightHandSide, StateTangent};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
     BaseCondition, BaseMotion, Configuration, ControlSignal, DistributedLoad, Load, LoadFrame,
-    Material, MotionCurve, NodeInertia, Oscillation, Rod, RodModel, RodParameters, Section,
-    SectionProfile, SectionSegment, Shape, State, StrainRule, TimeGrid, TimeScheme, TipSpring,
+    Material, MotionCurve, NodeInertia, NodeSpring, Oscillation, Rod, RodModel, RodParameters,
+    Section, SectionProfile, SectionSegment, Shape, State, StrainRule, TimeGrid, TimeScheme,
     Trajectory, Wrench, static_equilibrium,
 };
 
@@ -210,7 +210,7 @@ pub fn equilibrium(parameters: &RodParameters, parts: usize) -> (Rod, Configurat
         p.gravity *= factor;
         let rod = Rod::new(&p).unwrap();
         let start = shape.take().unwrap_or_else(|| rod.rest.clone());
-        shape = Some(static_equilibrium(&rod, &start, 0.0, &TipSpring::default()).unwrap());
+        shape = Some(static_equilibrium(&rod, &start, 0.0, &NodeSpring::default()).unwrap());
         last = Some(rod);
     }
     (last.unwrap(), shape.unwrap())

@@ -9,9 +9,9 @@ use softarm::control::{
 use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Acting, Actuator, Density, Efforts, Material, Rod, RodModel, RodParameters, Route, Section,
-    SectionProfile, SharedActuator, State, StateView, StrainActuator, StrainRule, TimeGrid,
-    TimeScheme, TipSpring, Trajectory, Wrench, stable_step, static_equilibrium,
+    Acting, Actuator, Density, Efforts, Material, NodeSpring, Rod, RodModel, RodParameters, Route,
+    Section, SectionProfile, SharedActuator, State, StateView, StrainActuator, StrainRule,
+    TimeGrid, TimeScheme, Trajectory, Wrench, stable_step, static_equilibrium,
 };
 use softarm::solve::solve;
 use softarm::sqp::{LiftedProgram, LinearizationRequest};
@@ -194,7 +194,7 @@ fn tip_under(arm: &Arm, discretization: &Discretization, tensions: &[f64]) -> Ve
         actuator.effort = vec![(0.0, *tension)];
     }
     let rod = arm.rod(discretization).expect("a rod");
-    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).expect("a shape");
+    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).expect("a shape");
     shape.positions[rod.tip()]
 }
 

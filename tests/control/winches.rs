@@ -7,8 +7,8 @@ use softarm::control::{
 use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::signal::EffortTable;
 use softarm::mechanics::{
-    Density, Efforts, Material, NodeWrenches, Rod, RodModel, RodParameters, Route, Section,
-    SectionProfile, State, Stepper, StrainActuator, StrainRule, TimeGrid, TimeScheme, TipSpring,
+    Density, Efforts, Material, NodeSpring, NodeWrenches, Rod, RodModel, RodParameters, Route,
+    Section, SectionProfile, State, Stepper, StrainActuator, StrainRule, TimeGrid, TimeScheme,
     Winch, stable_step, static_equilibrium,
 };
 use softarm::solve::{Solution, solve};
@@ -150,7 +150,7 @@ fn tip_under(arm: &Arm, discretization: &Discretization, inputs: [f64; 2]) -> Ve
         actuator.effort = vec![(0.0, input)];
     }
     let rod = arm.rod(discretization).expect("a rod");
-    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).expect("a shape");
+    let shape = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).expect("a shape");
     shape.positions[rod.tip()]
 }
 

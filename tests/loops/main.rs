@@ -12,6 +12,7 @@ mod tracking;
 mod mpc;
 mod mpc_actuators;
 mod mpc_estimators;
+mod mpc_held;
 mod mpc_hold;
 mod mpc_kalman;
 mod mpc_limits;

@@ -29,7 +29,8 @@ pub fn retrace(arm: &Arm, task: &Task, asked: &Discretization, way: f64, most: f
     };
     let mut controller = Controller::new(arm, &task, asked, &settings).unwrap();
     let model = controller.rod().clone();
-    let planned: Vec<(f64, [f64; 3])> = controller.prediction(model.tip()).collect();
+    let node = controller.followed();
+    let planned: Vec<(f64, [f64; 3])> = controller.prediction(node).collect();
     let same = Discretization {
         blocks: 20,
         step: Some(controller.model_step()),
@@ -41,7 +42,7 @@ pub fn retrace(arm: &Arm, task: &Task, asked: &Discretization, way: f64, most: f
     let scheme = model.scheme;
     assert_eq!(trajectory.n_times(), planned.len());
     for (k, (t, there)) in planned.iter().enumerate() {
-        let gap = (trajectory.positions_at(k)[model.tip()] - Vector3::from(*there)).norm();
+        let gap = (trajectory.positions_at(k)[node] - Vector3::from(*there)).norm();
         assert!(gap < 1e-4 * way, "{scheme:?} t = {t}: {gap:e}");
     }
     let start = controller.expected().clone();
@@ -53,7 +54,7 @@ pub fn retrace(arm: &Arm, task: &Task, asked: &Discretization, way: f64, most: f
         let command = controller.feedback(&plant.measure()).unwrap();
         n_bounded += usize::from(command.record().subproblem.iterations > 0);
         plant.apply(&command).unwrap();
-        let here = plant.state().configuration.positions[model.tip()];
+        let here = plant.state().configuration.positions[node];
         let gap = (here - Vector3::from(planned[sample * steps].1)).norm();
         assert!(gap < most, "{scheme:?} sample {sample}: {gap:e}");
         if sample < 20 {
@@ -68,7 +69,7 @@ pub fn retrace(arm: &Arm, task: &Task, asked: &Discretization, way: f64, most: f
 pub fn filter_moves_as_its_model(model: &Rod, command: &Command, components: &[(usize, usize)]) {
     let scheme = model.scheme;
     let mut start = State::at_rest(model.rest.clone());
-    for q in 1..model.n_nodes() {
+    for q in (1..model.n_nodes()).filter(|q| model.joint(*q).is_none()) {
         let speed = Vector3::new(0.1, -0.2, 0.0) * q as f64;
         start.linear_momentum[q] = speed * model.nodes[q].mass;
     }

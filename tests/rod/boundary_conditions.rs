@@ -7,7 +7,7 @@ use std::f64::consts::{PI, TAU};
 use common::{Dice, RULES, bases, busy_arm, random_state, shaking, soft_arm};
 use nalgebra::Vector3;
 use softarm::mechanics::energy::{angular_momentum, linear_momentum};
-use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use softarm::mechanics::equilibrium::{NodeSpring, static_equilibrium};
 use softarm::mechanics::rotation::{exp, from_direction, log};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
@@ -464,7 +464,7 @@ fn payload_is_a_mass_on_a_spring() {
     );
 
     // Sag under its weight and that of the arm, half of which hangs at the end: exact, as stretch is linear.
-    let shape = static_equilibrium(&along, &along.rest, 0.0, &TipSpring::default()).unwrap();
+    let shape = static_equilibrium(&along, &along.rest, 0.0, &NodeSpring::default()).unwrap();
     let sag = (mass + 0.5 * own) * 10.0 / ea;
     assert!(((shape.positions[8].z - 1.0) / sag - 1.0).abs() < 1e-9);
 }

@@ -7,7 +7,7 @@ use common::{Dice, RULES, busy_arm, methods, random_state, soft_arm};
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::mechanics::Stepper;
 use softarm::mechanics::energy::angular_momentum;
-use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use softarm::mechanics::equilibrium::{NodeSpring, static_equilibrium};
 use softarm::mechanics::linearization::{Motion, StateTangent};
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::sensitivity::{Transition, transition};
@@ -334,7 +334,7 @@ fn damped_arm_comes_to_rest_in_its_equilibrium() {
             ..soft_arm(StrainRule::Helical, 6)
         })
         .unwrap();
-        let equilibrium = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
+        let equilibrium = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).unwrap();
         let h = match scheme {
             TimeScheme::Explicit => 0.5 * stable_step(&rod),
             TimeScheme::Implicit => 0.02,
@@ -594,7 +594,7 @@ fn an_arm_that_a_tendon_bends_takes_long_steps() {
     let ends = [by_tendon, by_moment].map(|parameters| {
         let rod = Rod::new(&parameters).unwrap();
         assert!(step > 30.0 * bent_step(&rod));
-        let shape = static_equilibrium(&rod, &rod.rest, 1.0, &TipSpring::default()).unwrap();
+        let shape = static_equilibrium(&rod, &rod.rest, 1.0, &NodeSpring::default()).unwrap();
         let bend = log(&shape.rotations[10]).norm();
         assert!((bend - 0.72).abs() < 0.02, "{bend}");
         let grid = TimeGrid {

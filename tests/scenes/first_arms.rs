@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use softarm::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
-use softarm::mechanics::{Load, LoadFrame, Rod, TimeScheme, TipSpring, static_equilibrium};
+use softarm::mechanics::{Load, LoadFrame, NodeSpring, Rod, TimeScheme, static_equilibrium};
 use softarm::scene::{MaterialPreset, Scene, Simulation};
 
 /// Each preset is written as the name in its row of the table, lies in its own range, and has positive figures of its kind.
@@ -264,7 +264,7 @@ fn the_force_that_holds_a_target_is_found() {
         frame: LoadFrame::Spatial,
         profile: Vec::new(),
     });
-    let shape = static_equilibrium(&rod, &rod.rest, 1.0, &TipSpring::default()).expect("a shape");
+    let shape = static_equilibrium(&rod, &rod.rest, 1.0, &NodeSpring::default()).expect("a shape");
     let target: [f64; 3] = shape.positions[rod.tip()].into();
     let found = held(&scene("force_max_n = 1\nmoment_max_n_m = 0", target));
     // The goal is met to 1e-6 of the length; the tip's stiffness is at most EA/L in force per length.

@@ -5,7 +5,7 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI, TAU};
 use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::rotation::{exp, log};
 use softarm::mechanics::{
-    Configuration, NodeWrenches, Rod, Stability, Stepper, TipSpring, static_equilibrium,
+    Configuration, NodeSpring, NodeWrenches, Rod, Stability, Stepper, static_equilibrium,
 };
 use softarm::scene::{Scene, builtin};
 use softarm::solve::{SolveOptions, StaticsOptions, solve_problem, statics};
@@ -59,7 +59,7 @@ fn tills_winch() {
     let expected = Vector3::new(0.20918, 0.0, 0.64047);
     assert!((tip - expected).amax() < 0.4e-3, "{tip}");
     assert!((tension / 5.7249 - 1.0).abs() < 2e-3, "{tension}");
-    let end = static_equilibrium(rod, &at, setup.grid.duration(), &TipSpring::default());
+    let end = static_equilibrium(rod, &at, setup.grid.duration(), &NodeSpring::default());
     let end = end.expect("an equilibrium");
     // The drag damps the slowest mode by exp(-4 t).
     let left = (-4.0 * (setup.grid.duration() - 0.315)).exp();

@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, Critical, EndCondition, Load, LoadFrame, LoadPath, Loss, Rod, RodParameters,
-    Section, SectionProfile, SmallMotions, Stability, StrainRule, TipSpring, Varied,
+    BaseCondition, Critical, EndCondition, Kept, Load, LoadFrame, LoadPath, Loss, NodeSpring, Rod,
+    RodParameters, Section, SectionProfile, SmallMotions, Stability, StrainRule, Varied,
     static_equilibrium,
 };
 use softarm::stop::StopSignal;
@@ -116,7 +116,7 @@ fn the_ends_carry_the_weight() {
             })
             .expect("a rod");
             let shape =
-                static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).expect("a shape");
+                static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).expect("a shape");
             let ends = [0, rod.tip()].map(|node| rod.static_reaction_at(node, &shape, 0.0));
             let weight = rod.gravity * rod.mass();
             let left = ends[0].force + ends[1].force + weight;
@@ -170,7 +170,7 @@ fn a_cable_hangs_as_a_catenary() {
             })
             .expect("a rod");
             let shape =
-                static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).expect("a shape");
+                static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).expect("a shape");
             let pull = rod.static_reaction_at(rod.tip(), &shape, 0.0).force;
             let lowest = shape.positions[n_elements / 2].z;
             assert!((shape.positions[rod.tip()] - Vector3::new(span, 0.0, 0.0)).norm() < 1e-12);
@@ -255,7 +255,7 @@ fn clamps_bend_an_arm_into_an_arc() {
         ..RodParameters::straight(1.0, 24, section(1e3, [1.0, 1.0, 1.0]))
     })
     .expect("a rod");
-    let none = TipSpring::default();
+    let none = NodeSpring::default();
     let shape = static_equilibrium(&rod, &rod.rest, 0.0, &none).expect("a shape");
     let reaction = rod.static_reaction_at(rod.tip(), &shape, 0.0);
     // Helical elements bend into an arc exactly; Newton's method ends at 1e-9 of EI/L.
@@ -290,10 +290,27 @@ fn a_cable_hangs_along_its_load_path() {
         "{:?}",
         own.stability
     );
-    let settled = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
+    let settled = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).unwrap();
     for (a, b) in own.shape.positions.iter().zip(&settled.positions) {
         assert!((a - b).norm() < 1e-8, "{a} {b}");
     }
     let sag = own.shape.positions.iter().map(|x| x.z).fold(0.0, f64::min);
     assert!(sag < -0.1, "{sag}");
+    // Without weight, and only then, the arm may turn about the line through its ends: stability is that of loads from factor 1 on, and the
+    // shape without them is that which the loads have chosen, no other one to which the arm jumps.
+    assert!(path.begins_loaded() && !start.jumped && !own.jumped);
+    match path.critical(&start).unwrap() {
+        Critical::Kept { factor, .. } => assert!(factor > 1.0, "{factor}"),
+        lost => panic!("{lost:?}"),
+    }
+    let weightless = LoadPath::new(&rod, Varied::Loads, 0.0, Vector3::zeros(), &stop).unwrap();
+    let start = weightless.start().unwrap();
+    let found = weightless.critical(&start).unwrap();
+    assert!(matches!(
+        found,
+        Critical::Kept {
+            why: Kept::Unloaded,
+            ..
+        }
+    ));
 }

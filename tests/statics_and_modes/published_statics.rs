@@ -19,7 +19,7 @@ use common::{
     Dice, RULES, assert_second_order, cowper_arm, equilibrium, paper_rod, soft_arm, tip_load,
 };
 use nalgebra::Vector3;
-use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
+use softarm::mechanics::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium};
 use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
@@ -155,7 +155,7 @@ fn constant_volume_stretches_up_to_its_barrier() {
             ..paper_rod(rule, 2)
         };
         let rod = Rod::new(&p).unwrap();
-        static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default())
+        static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default())
     };
     for rule in RULES {
         for share in [-0.5, 0.05, 0.1, 0.12, 0.5] {
@@ -206,8 +206,9 @@ fn end_wrench_makes_a_helix() {
             for r in start.rotations.iter_mut().skip(1) {
                 *r *= exp(&dice.borrow_mut().vector(0.01));
             }
-            let shape = static_equilibrium(&helix.rod(rule, n), &start, 0.0, &TipSpring::default())
-                .unwrap();
+            let shape =
+                static_equilibrium(&helix.rod(rule, n), &start, 0.0, &NodeSpring::default())
+                    .unwrap();
             (shape.positions[n] - helix.position(1.0)).norm()
         };
         let helical = error(StrainRule::Helical, 6);

@@ -8,7 +8,7 @@ use common::published::statics::{bent_across, elastica, post_buckling, unit_rod}
 use common::{RULES, equilibrium, soft_arm, tip_load};
 use nalgebra::Vector3;
 use softarm::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
-use softarm::mechanics::equilibrium::{EquilibriumError, TipSpring, static_equilibrium};
+use softarm::mechanics::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium};
 use softarm::mechanics::{
     BaseCondition, Critical, Kept, Load, LoadFrame, LoadPath, Loss, Material, Rod, RodParameters,
     Section, SectionProfile, SmallMotions, StrainRule, Varied,
@@ -124,7 +124,8 @@ fn springs_hold_the_tip() {
         let rod = Rod::new(&soft_arm(rule, 10)).unwrap();
         let target = Vector3::new(0.3, 0.2, 0.85);
         let turn = softarm::mechanics::rotation::exp(&Vector3::new(-0.3, 0.5, 0.4));
-        let spring = TipSpring {
+        let spring = NodeSpring {
+            node: rod.tip(),
             position: Some((target, 1e5)),
             rotation: Some((turn, 1e5)),
         };
@@ -163,7 +164,7 @@ fn rest_shape_is_free_of_stress() {
         p.rest_stretch = 1.1;
         let rod = Rod::new(&p).unwrap();
         assert!(rod.elastic_energy(&rod.rest.positions, &rod.rest.rotations) < 1e-25);
-        let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
+        let shape = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).unwrap();
         assert!((shape.positions[7] - rod.rest.positions[7]).norm() < 1e-12);
     }
 }
@@ -177,7 +178,7 @@ fn free_base_is_refused() {
     })
     .unwrap();
     assert_eq!(
-        static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()),
+        static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()),
         Err(EquilibriumError::FreeBase)
     );
 }
@@ -201,7 +202,8 @@ fn springs_bend_a_wire() {
     ] {
         let mut shape = rod.rest.clone();
         for stiffness in [1.0, 10.0, 100.0, 1e3, 1e4] {
-            let spring = TipSpring {
+            let spring = NodeSpring {
+                node: rod.tip(),
                 position: Some((target, stiffness * rod.scales.force / length)),
                 rotation: None,
             };
@@ -257,7 +259,7 @@ fn assert_holds(problem: &OptimalControlProblem, held: &Held) {
     assert!((held.shape.positions[tip] - target).norm() < 1e-6 * length);
     let rod = loaded(problem, held);
     let time = problem.grid.duration();
-    let again = static_equilibrium(&rod, &held.shape, time, &TipSpring::default()).unwrap();
+    let again = static_equilibrium(&rod, &held.shape, time, &NodeSpring::default()).unwrap();
     assert!((again.positions[tip] - target).norm() < 1e-6 * length);
     let motions = SmallMotions::about(&rod, &again, time);
     assert_eq!(motions.growth_rate(), None);
@@ -271,9 +273,9 @@ fn assert_holds(problem: &OptimalControlProblem, held: &Held) {
         frame: LoadFrame::Spatial,
         profile: Vec::new(),
     });
-    let there = static_equilibrium(&pushed, &again, time, &TipSpring::default()).unwrap();
+    let there = static_equilibrium(&pushed, &again, time, &NodeSpring::default()).unwrap();
     let moved = (there.positions[tip] - again.positions[tip]) / push;
-    let compliance = held.tip_compliance.column(0);
+    let compliance = held.compliance.column(0);
     assert!(
         (moved - compliance).norm() < 1e-2 * compliance.norm(),
         "{moved} {compliance}"
@@ -499,7 +501,7 @@ fn the_factor_multiplies_what_is_asked() {
         let path = LoadPath::new(&rod, varied, 0.0, Vector3::zeros(), &stop).unwrap();
         let grows = |factor: f64| {
             let rod = path.rod_at(factor);
-            let shape = static_equilibrium(&rod, &rod.rest, 0.0, &TipSpring::default()).unwrap();
+            let shape = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).unwrap();
             SmallMotions::about(&rod, &shape, 0.0)
                 .growth_rate()
                 .is_some()

@@ -649,7 +649,7 @@ fn existing_results_are_skipped() {
             "--skip-existing",
         ];
         let run = desk.run(&[&words[..], more].concat());
-        assert_eq!(run.code, DONE, "{}", run.stderr);
+        assert_eq!(run.code, Some(DONE), "{}", run.stderr);
         run.stderr.contains("there already")
     };
     let count = || fs::read_dir(desk.path("sweep")).unwrap().count();
@@ -682,7 +682,7 @@ fn existing_results_are_skipped() {
     fs::write(first.join("summary.json"), summary.to_string()).unwrap();
     assert!(!sweep(&[]));
     let run = desk.run(&["check", "scene.toml", "--skip-existing"]);
-    assert_eq!(run.code, USAGE, "{}", run.stderr);
+    assert_eq!(run.code, Some(USAGE), "{}", run.stderr);
 }
 
 /// Without its large files a result has its numbers, and `verify` says what is missing.
@@ -697,7 +697,7 @@ fn small_results_keep_their_numbers() {
         "--small",
         "--quiet",
     ]);
-    assert_eq!(run.code, DONE, "{}", run.stderr);
+    assert_eq!(run.code, Some(DONE), "{}", run.stderr);
     for gone in ["trajectory.npz", "report.html"] {
         assert!(!desk.path("small").join(gone).exists(), "{gone}");
     }
@@ -705,7 +705,7 @@ fn small_results_keep_their_numbers() {
         assert!(desk.path("small").join(kept).exists(), "{kept}");
     }
     let run = desk.run(&["verify", "small"]);
-    assert_eq!(run.code, USAGE, "{}", run.stderr);
+    assert_eq!(run.code, Some(USAGE), "{}", run.stderr);
     assert!(
         run.stderr.contains("trajectory.npz") && run.stderr.contains("--small"),
         "{}",
@@ -713,6 +713,6 @@ fn small_results_keep_their_numbers() {
     );
     // The whole result takes its place again.
     let run = desk.run(&["solve", "scene.toml", "--out", "small", "--quiet"]);
-    assert_eq!(run.code, DONE, "{}", run.stderr);
+    assert_eq!(run.code, Some(DONE), "{}", run.stderr);
     assert!(desk.path("small/trajectory.npz").exists());
 }

@@ -542,12 +542,14 @@ fn target_at_the_base() {
     );
     let light = [BASE, "task.hard=false", "task.weight=1.0"];
     desk.solve(&light, "", &[DONE, REJECTED]);
-    let heavy = [BASE, "task.hard=false", "task.weight=1e6"];
-    desk.solve(
-        &heavy,
-        "",
-        &[DONE, REJECTED, NOT_CONVERGED, NUMERICAL, INFEASIBLE],
-    );
+    // A soft goal is met by its own variable at any weight, and never infeasible.
+    let heavy = [
+        BASE,
+        "task.hard=false",
+        "task.weight=1e6",
+        "solver.max_iterations=100",
+    ];
+    desk.solve(&heavy, "", &[DONE, REJECTED, NOT_CONVERGED]);
     // Pressed straight down, the tip yields 17 mm under the 20 N; bent, it comes lower than that.
     let below = ["task.position_m=[0.0, 0.0, 0.9]"];
     let summary = desk.solve(&below, "", &[DONE, REJECTED, NOT_CONVERGED, INFEASIBLE]);

@@ -140,7 +140,7 @@ impl Quantity {
     }
 }
 
-/// Returns the deviation of the tip of `arm` from the planned motion.
+/// Returns the deviation of the tip of `arm`, or of the node that has the goal, from the planned motion.
 fn deviation(
     arm: &Rod,
     problem: &OptimalControlProblem,
@@ -152,7 +152,7 @@ fn deviation(
     let edges = problem.control.edges();
     let n_steps = problem.grid.n_steps;
     let mut stepper = Stepper::new(arm, problem.grid, moving_alike(&problem.rod, arm, problem));
-    let tip = arm.tip();
+    let tip = problem.goal_node();
     let mut found = TipDeviation {
         end_m: 0.0,
         largest_m: 0.0,

@@ -1,4 +1,4 @@
-//! The controls that hold the tip along a reference, from one pose to the next.
+//! The controls that hold a node along a reference, from one pose to the next.
 
 use nalgebra::{DMatrix, Matrix3, Vector3, Vector6};
 
@@ -6,7 +6,7 @@ use super::Search;
 use super::program::{Aim, HoldingPoint, LITTLE};
 use super::statics::{Statics, Target};
 use crate::control::problem::OptimalControlProblem;
-use crate::mechanics::equilibrium::TipSpring;
+use crate::mechanics::equilibrium::NodeSpring;
 use crate::mechanics::tangent::own_squared_frequency;
 
 /// An equilibrium that is led along a reference.
@@ -15,12 +15,12 @@ pub(crate) struct ControlsAlong {
     point: HoldingPoint,
 }
 
-/// Scaled controls that put the tip as near to a pose as their bounds allow, of least size: see [`Aim::Approach`].
+/// Scaled controls that put a node as near to a pose as their bounds allow, of least size: see [`Aim::Approach`].
 #[derive(Clone, Debug)]
 pub(crate) struct HoldingControls {
     pub controls: Vec<f64>,
-    /// Change of every control, within its bounds, that keeps the tip where it is under a wrench on it: per unit of force (spatial frame, N)
-    /// and moment (body frame, N m).
+    /// Change of every control, within its bounds, that keeps the node where it is under a wrench on the tip: per unit of force (spatial
+    /// frame, N) and moment (body frame, N m).
     pub bearing: Vec<[f64; 6]>,
     /// Tells whether small deviations stay small under constant controls.
     pub is_stable: bool,
@@ -37,11 +37,12 @@ impl ControlsAlong {
         }
     }
 
-    /// Moves the equilibrium to a pose of the tip, position (m) and rotation (body to space), under the loads of time `t` (s). Returns
+    /// Moves the equilibrium to a pose of `node`, position (m) and rotation (body to space), under the loads of time `t` (s). Returns
     /// `None`, and stays where it is, if no equilibrium is found.
     pub fn hold(
         &mut self,
         problem: &OptimalControlProblem,
+        node: usize,
         (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
         t: f64,
     ) -> Option<HoldingControls> {
@@ -51,7 +52,11 @@ impl ControlsAlong {
             time: t,
             problem,
         };
-        let target = Target { position, rotation };
+        let target = Target {
+            node,
+            position,
+            rotation,
+        };
         let search = Search {
             statics: &statics,
             target,
@@ -72,9 +77,9 @@ impl ControlsAlong {
     }
 }
 
-/// Returns the changes of the controls that are not at their bounds by which the tip stays where it is under each component of a wrench on
-/// it: the least of `½|J δu + C w|² + ½ε|δu|²`, as in the program, with the displacements `J` of the tip along the controls and `C` along
-/// the wrench.
+/// Returns the changes of the controls that are not at their bounds by which the node of the target stays where it is under each component
+/// of a wrench on the tip: the least of `½|J δu + C w|² + ½ε|δu|²`, as in the program, with the displacements `J` of the node along the
+/// controls and `C` along the wrench.
 fn bearing(statics: &Statics, target: &Target, point: &HoldingPoint) -> Option<Vec<[f64; 6]>> {
     let HoldingPoint { controls, shape } = point;
     let n_free = shape.positions.len() - statics.problem.rod.first_free_node();
@@ -82,10 +87,11 @@ fn bearing(statics: &Statics, target: &Target, point: &HoldingPoint) -> Option<V
     right.extend((0..6).map(|component| {
         let mut column = vec![Vector6::zeros(); n_free];
         column[n_free - 1][component] = 1.0;
+        statics.problem.rod.project_joints(&mut column);
         column
     }));
     let factor = statics
-        .tangent(shape, controls, &TipSpring::default())
+        .tangent(shape, controls, &NodeSpring::default())
         .factor()?;
     let steps = factor.solve(&right);
     let rows = target.n_equations();

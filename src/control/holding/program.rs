@@ -16,7 +16,7 @@ use super::statics::{LARGEST_TURN, Statics, Target, largest_turn};
 use crate::control::guess::SPRINGS;
 use crate::control::problem::Bound;
 use crate::mechanics::Configuration;
-use crate::mechanics::equilibrium::TipSpring;
+use crate::mechanics::equilibrium::NodeSpring;
 use crate::mechanics::tangent::{Mode, SLOWEST_GROWTH, TangentLu, dot};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
@@ -104,10 +104,10 @@ impl<'a> HoldingProgram<'a> {
         }
     }
 
-    fn springs(&self) -> TipSpring {
+    fn springs(&self) -> NodeSpring {
         match self.aim {
             Aim::Hold => self.target.springs(&self.statics.problem.rod, SPRING),
-            Aim::Approach { .. } => TipSpring::default(),
+            Aim::Approach { .. } => NodeSpring::default(),
         }
     }
 

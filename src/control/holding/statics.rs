@@ -8,16 +8,18 @@ use crate::control::problem::{Component, OptimalControlProblem};
 use crate::control::term::DIFFERENCE;
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::block_tridiagonal::BlockTridiagonal;
-use crate::mechanics::equilibrium::TipSpring;
+use crate::mechanics::equilibrium::NodeSpring;
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rotation::{exp, log, log_tangent};
 use crate::mechanics::strain_coordinates::retract_shape;
 use crate::mechanics::tangent::{Mode, Tangent};
 use crate::mechanics::{Configuration, NodeWrenches, Posed, Rod, StateView, Wrench};
 
-/// A target of the tip.
+/// A target of a node.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Target {
+    /// The node.
+    pub node: usize,
     /// Position, m.
     pub position: Option<Vector3<f64>>,
     /// Rotation, body to space.
@@ -30,28 +32,28 @@ impl Target {
         3 * (usize::from(self.position.is_some()) + usize::from(self.rotation.is_some()))
     }
 
-    /// Returns the residual of the tip: the position error divided by the length, then `log(R*ᵀ R)`, rad.
+    /// Returns the residual of the node: the position error divided by the length, then `log(R*ᵀ R)`, rad.
     pub fn residual(&self, rod: &Rod, shape: &Configuration) -> Vec<f64> {
-        let tip = rod.tip();
         let mut out = Vec::new();
         if let Some(target) = self.position {
-            let way = (shape.positions[tip] - target) / rod.scales.length;
+            let way = (shape.positions[self.node] - target) / rod.scales.length;
             out.extend(way.iter().copied());
         }
         if let Some(target) = self.rotation {
-            out.extend(log(&target.tr_mul(&shape.rotations[tip])).iter().copied());
+            let turn = log(&target.tr_mul(&shape.rotations[self.node]));
+            out.extend(turn.iter().copied());
         }
         out
     }
 
-    /// Returns the derivative of the residual along `(δx, η)` of the tip, row by row.
+    /// Returns the derivative of the residual along `(δx, η)` of the node, row by row.
     pub fn gradients(&self, rod: &Rod, shape: &Configuration) -> Vec<Vector6<f64>> {
         let mut out = Vec::new();
         if self.position.is_some() {
             out.extend((0..3).map(|axis| Vector6::ith(axis, 1.0 / rod.scales.length)));
         }
         if let Some(target) = self.rotation {
-            let psi = log(&target.tr_mul(&shape.rotations[rod.tip()]));
+            let psi = log(&target.tr_mul(&shape.rotations[self.node]));
             let slope = log_tangent(&psi).transpose();
             out.extend((0..3).map(|axis| {
                 Vector6::from_fn(|i, _| if i < 3 { 0.0 } else { slope[(axis, i - 3)] })
@@ -60,17 +62,19 @@ impl Target {
         out
     }
 
-    /// Returns springs that pull the tip to the target, of the given `stiffness` in units of EI/L³ and EI/L.
-    pub fn springs(&self, rod: &Rod, stiffness: f64) -> TipSpring {
+    /// Returns springs that pull the node to the target, of the given `stiffness` in units of EI/L³ and EI/L.
+    pub fn springs(&self, rod: &Rod, stiffness: f64) -> NodeSpring {
         let scales = &rod.scales;
-        TipSpring {
+        NodeSpring {
+            node: self.node,
             position: (self.position).map(|to| (to, stiffness * scales.force / scales.length)),
             rotation: (self.rotation).map(|to| (to, stiffness * scales.moment)),
         }
     }
 }
 
-/// The arm of a problem at the end of its horizon, under its controls and springs on the tip.
+/// The arm of a problem at the end of its horizon, under its controls and springs on a node. Motions that joints hold have no residual and
+/// no variation.
 pub(super) struct Statics<'a> {
     pub problem: &'a OptimalControlProblem,
     /// The actuated components; the controls are their values divided by the scales of their channels.
@@ -171,7 +175,7 @@ impl Statics<'_> {
         &self,
         shape: &Configuration,
         controls: &[f64],
-        springs: &TipSpring,
+        springs: &NodeSpring,
     ) -> Vec<Vector6<f64>> {
         let wrenches = self.wrenches(controls);
         let rod = &*self.rod_under(&wrenches);
@@ -179,18 +183,20 @@ impl Statics<'_> {
         forces.evaluate(rod, &shape.positions, &shape.rotations, self.time);
         let efforts = self.efforts(&wrenches);
         forces.add_active(rod, &shape.positions, &shape.rotations, &efforts);
-        let tip = rod.tip();
-        let pull = springs.wrench(&shape.positions[tip], &shape.rotations[tip]);
-        for (node, wrench) in self.nodal(shape, controls).into_iter().chain([(tip, pull)]) {
+        let at = springs.node;
+        let pull = springs.wrench(&shape.positions[at], &shape.rotations[at]);
+        for (node, wrench) in self.nodal(shape, controls).into_iter().chain([(at, pull)]) {
             forces.forces[node] += wrench.force;
             forces.moments[node] += wrench.moment;
         }
-        (rod.first_free_node()..rod.n_nodes())
+        let mut out: Vec<Vector6<f64>> = (rod.first_free_node()..rod.n_nodes())
             .map(|q| {
                 let (f, m) = (&forces.forces[q], &forces.moments[q]);
                 Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z)
             })
-            .collect()
+            .collect();
+        rod.project_joints(&mut out);
+        out
     }
 
     /// Returns the norm of a residual, with forces divided by EI/L² and moments by EI/L.
@@ -204,13 +210,24 @@ impl Statics<'_> {
     }
 
     /// Returns minus the derivative of the residual along the free nodes.
-    pub fn tangent(&self, shape: &Configuration, controls: &[f64], springs: &TipSpring) -> Tangent {
+    pub fn tangent(
+        &self,
+        shape: &Configuration,
+        controls: &[f64],
+        springs: &NodeSpring,
+    ) -> Tangent {
         let wrenches = self.wrenches(controls);
         let rod = &*self.rod_under(&wrenches);
         let first = rod.first_free_node();
         let mut out = Tangent::stiffness(rod, shape, self.time);
-        let tip = rod.tip() - first;
-        out.add(tip, tip, &springs.stiffness(&shape.rotations[rod.tip()]));
+        let add = |out: &mut Tangent, row: usize, column: usize, block: Matrix6<f64>| {
+            if row >= first && column >= first {
+                let block = rod.project_block((row, column), block);
+                out.add(row - first, column - first, &block);
+            }
+        };
+        let at = springs.node;
+        add(&mut out, at, at, springs.stiffness(&shape.rotations[at]));
         let efforts = self.efforts(&wrenches);
         if !efforts.is_empty() {
             let mut active = BlockTridiagonal::zeros(self.n_free());
@@ -221,7 +238,13 @@ impl Statics<'_> {
                 }
             }
             active.add_posed(rod, shape, (Posed::Driven, &efforts));
-            out.add_blocks(active);
+            for (i, block) in active.diagonal.iter().enumerate() {
+                add(&mut out, first + i, first + i, *block);
+            }
+            for (i, (below, above)) in active.below.iter().zip(&active.above).enumerate() {
+                add(&mut out, first + i + 1, first + i, *below);
+                add(&mut out, first + i, first + i + 1, *above);
+            }
         }
         for acting in self.looking() {
             let nodes = acting.actuator.nodes(rod);
@@ -231,10 +254,8 @@ impl Statics<'_> {
                 .configuration_jacobian(&self.view(shape), &u);
             for (i, &row) in nodes.iter().enumerate() {
                 for (j, &column) in nodes.iter().enumerate() {
-                    if row >= first && column >= first {
-                        let block = Matrix6::from_fn(|k, l| -slope[(6 * i + k, 6 * j + l)]);
-                        out.add(row - first, column - first, &block);
-                    }
+                    let block = Matrix6::from_fn(|k, l| -slope[(6 * i + k, 6 * j + l)]);
+                    add(&mut out, row, column, block);
                 }
             }
         }
@@ -285,6 +306,7 @@ impl Statics<'_> {
                         column[node - first][component.axis] = scale;
                     }
                 }
+                rod.project_joints(&mut column);
                 column
             })
             .collect()
@@ -319,7 +341,7 @@ impl Statics<'_> {
         controls: &[f64],
         count: usize,
     ) -> Option<Vec<Mode>> {
-        (self.tangent(shape, controls, &TipSpring::default())).lowest_modes(
+        (self.tangent(shape, controls, &NodeSpring::default())).lowest_modes(
             self.rod(),
             shape,
             self.unit,
@@ -497,7 +519,8 @@ impl Statics<'_> {
         -forms.sum::<f64>()
     }
 
-    /// Returns the shape whose strains follow `(δx, η)` of the free nodes linearly.
+    /// Returns the shape that a motion `(δx, η)` of the free nodes leads to: its strains follow the motion linearly, or, since that would
+    /// carry a held tip away, the pose of every node.
     pub fn moved(
         &self,
         shape: &Configuration,
@@ -512,7 +535,14 @@ impl Statics<'_> {
             rotations.push(s.fixed_rows::<3>(3) * length);
         }
         let mut out = shape.clone();
-        retract_shape(shape, &positions, &rotations, &mut out);
+        if self.rod().has_free_tip() {
+            retract_shape(shape, &positions, &rotations, &mut out);
+            return out;
+        }
+        for (q, (shift, turn)) in positions.iter().zip(&rotations).enumerate().skip(first) {
+            out.positions[q] += shift;
+            out.rotations[q] *= exp(turn);
+        }
         out
     }
 
@@ -521,7 +551,7 @@ impl Statics<'_> {
         &self,
         shape: &Configuration,
         controls: &[f64],
-        springs: &TipSpring,
+        springs: &NodeSpring,
     ) -> Option<Configuration> {
         let mut shape = shape.clone();
         let mut residual = self.residual(&shape, controls, springs);
@@ -549,9 +579,11 @@ impl Statics<'_> {
 
     /// Returns the derivative of the residual of `target` along a step.
     pub fn along(&self, target: &Target, shape: &Configuration, step: &[Vector6<f64>]) -> Vec<f64> {
-        let tip = step.len() - 1;
+        let Some(node) = target.node.checked_sub(self.rod().first_free_node()) else {
+            return vec![0.0; target.n_equations()];
+        };
         (target.gradients(self.rod(), shape).iter())
-            .map(|gradient| gradient.dot(&step[tip]))
+            .map(|gradient| gradient.dot(&step[node]))
             .collect()
     }
 
@@ -564,7 +596,7 @@ impl Statics<'_> {
 
     /// Returns the growth rate of small motions divided by the frequency of the arm at rest.
     pub fn growth(&self, shape: &Configuration, controls: &[f64]) -> Option<f64> {
-        let rate = (self.tangent(shape, controls, &TipSpring::default())).growth_rate(
+        let rate = (self.tangent(shape, controls, &NodeSpring::default())).growth_rate(
             self.rod(),
             shape,
             self.unit,

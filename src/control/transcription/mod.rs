@@ -764,6 +764,14 @@ impl LiftedProgram for Transcription<'_> {
         self.reset(point, &mut evaluation.constraints);
     }
 
+    fn absorbed(
+        &self,
+        point: &LiftedPoint,
+        evaluation: &Evaluation<Defects>,
+    ) -> Option<LiftedPoint> {
+        self.with_soft_residuals(point, &evaluation.constraints)
+    }
+
     fn retract(
         &self,
         point: &LiftedPoint,

@@ -10,6 +10,23 @@ use crate::sqp::norm;
 const ON_SURFACE: f64 = 1e-6;
 
 impl Transcription<'_> {
+    /// Returns the point whose variables of soft goals are the residuals of these goals; `None` if there are none, or they are already.
+    pub(super) fn with_soft_residuals(
+        &self,
+        point: &LiftedPoint,
+        constraints: &[f64],
+    ) -> Option<LiftedPoint> {
+        let mut out: Option<LiftedPoint> = None;
+        for (i, row) in self.goal_rows.iter().enumerate() {
+            let off = constraints[i] / self.slack_units[i];
+            let variable = self.slack_variables[i].filter(|_| off != 0.0);
+            if let (Some(variable), Some(_)) = (variable, self.problem.soft_weight(row)) {
+                out.get_or_insert_with(|| point.clone()).variables[variable] += off;
+            }
+        }
+        out
+    }
+
     /// Moves the variables of goals within a tolerance to the place where their constraints are violated least.
     pub(super) fn reset(&self, point: &mut LiftedPoint, constraints: &mut [f64]) {
         let mut first = 0;

@@ -232,7 +232,8 @@ impl Driver {
     /// Computes the sample at time `t` (s), which must be that of the [next](Self::next_sample) one or later. Samples that are left out are
     /// counted in [`next_sample`](Self::next_sample): the last command acts meanwhile, constant after its end, and the controller restarts.
     ///
-    /// The tip of the sample and its reference belong to the time of the last knowledge, [`known_at`](Self::known_at); the reference is
+    /// The tip of the sample, or the node that follows, and its reference belong to the time of the last knowledge,
+    /// [`known_at`](Self::known_at); the reference is
     /// `None` if nothing is known. [`Sample::prepare_s`] is set by [`Responded::prepare`].
     pub fn respond(&mut self, t: f64, known: Known) -> Responded<'_> {
         self.begin = Instant::now();
@@ -254,7 +255,7 @@ impl Driver {
             Known::Measurements => self.estimate(t, &mut sample),
             Known::Nothing(cause) => Some(cause),
         };
-        let tip = self.controller.rod().tip();
+        let tip = self.controller.followed();
         sample.tip = self.state.configuration.positions[tip].into();
         (sample.reference, sample.turn) = match known {
             Known::Nothing(_) => (None, None),
@@ -317,7 +318,8 @@ impl Driver {
         }
     }
 
-    /// Returns the predicted position of the model's tip at the end of the last command, m, from the state for which it was computed;
+    /// Returns the predicted position of the model's tip, or of the node that follows, at the end of the last command, m, from the state
+    /// for which it was computed;
     /// `None` if that state is unknown or the motion breaks down.
     pub(super) fn predicted_tip(&mut self, sample: &Sample) -> Option<Vector3<f64>> {
         if sample.fallback.is_some() {
@@ -329,7 +331,7 @@ impl Driver {
         let span = [sent.start, sent.end].map(|t| t + disturbance.delay);
         late_at(&self.sent, disturbance.delay, span, &mut self.late);
         let moved = (self.predictor).advance(&mut state, span, &self.late, &disturbance);
-        let tip = state.configuration.positions[self.controller.rod().tip()];
+        let tip = state.configuration.positions[self.controller.followed()];
         moved.ok().map(|()| tip)
     }
 

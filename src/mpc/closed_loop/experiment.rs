@@ -6,8 +6,9 @@ use std::sync::Arc;
 use super::{
     ClosedLoop, Computing, Driver, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
 };
+use crate::mechanics::beam::Beam;
 use crate::mechanics::{Rod, State, StepError};
-use crate::mpc::cantilever::{LINE_STIFFNESS, MOMENT_STIFFNESS, TIP_STIFFNESS, weakest_bending};
+use crate::mpc::beam::weakest_bending;
 use crate::mpc::controller::{Controller, MpcSettings};
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::{
@@ -242,6 +243,7 @@ impl Unknowns {
     pub fn settings(self, model: &Rod) -> KalmanSettings {
         let length = model.scales.length;
         let bending = weakest_bending(model);
+        let beam = Beam::of(model);
         let walk = |is_unknown: bool, size: f64| {
             is_unknown.then_some(RandomWalk {
                 initial: EXPECTED_DEFLECTION * size,
@@ -256,9 +258,12 @@ impl Unknowns {
         };
         KalmanSettings {
             change: self.unknown_forces() * length,
-            tip_force: walk(self.tip_force, TIP_STIFFNESS * bending / (length * length)),
-            tip_moment: walk(self.tip_moment, MOMENT_STIFFNESS * bending / length),
-            distributed: walk(self.distributed, LINE_STIFFNESS * bending / length.powi(3)),
+            tip_force: walk(
+                self.tip_force,
+                beam.by_force[0] * bending / (length * length),
+            ),
+            tip_moment: walk(self.tip_moment, beam.by_moment[0] * bending / length),
+            distributed: walk(self.distributed, beam.by_line * bending / length.powi(3)),
             stiffness: parameter(self.stiffness, EXPECTED_STIFFNESS),
             payload: parameter(self.payload, EXPECTED_PAYLOAD * model.mass()),
             viscous: parameter(self.viscous, EXPECTED_DAMPING / model.scales.time),

@@ -1,9 +1,10 @@
-//! The fallbacks for a sample without a command: the plan as it is, then damping at the tip, then a ramp to zero.
+//! The fallbacks for a sample without a command: the plan as it is, then damping at the tip or the node that follows a reference, then a ramp
+//! to zero.
 
 use nalgebra::Vector3;
 
 use crate::mechanics::{Rod, State, Wrench};
-use crate::mpc::cantilever::{modal_mass, tip_stiffness};
+use crate::mpc::beam::{modal_mass, weakest_stiffness};
 use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::estimator::EstimateError;
@@ -63,7 +64,7 @@ impl Cause {
 pub enum Action {
     /// The rest of the plan.
     Plan,
-    /// A force against the velocity of the tip.
+    /// A force against the velocity of the tip, or of the node that follows a reference.
     Damping,
     /// A ramp from the last command to zero.
     Ramp,
@@ -91,7 +92,7 @@ pub struct FallbackSettings {
     pub damping_samples: usize,
     /// Duration of a ramp to zero, s.
     pub ramp: f64,
-    /// Damping of the tip's force divided by the critical damping of a cantilever's first mode.
+    /// Damping of that force divided by the critical damping of a cantilever's first mode.
     pub damping: f64,
 }
 
@@ -154,13 +155,14 @@ impl FallbackSettings {
 pub(super) struct Fallback {
     settings: FallbackSettings,
     in_a_row: usize,
-    /// Damping coefficient `2 ζ sqrt(k m)` of a cantilever with tip stiffness `k = 3 EI/L³` and a quarter of its mass, kg/s.
+    /// Damping coefficient `2 ζ sqrt(k m)` of a cantilever with tip stiffness `k = 3 EI/L³` and a quarter of its mass, or of the middle
+    /// between two held ends, kg/s.
     damping: f64,
 }
 
 impl Fallback {
     pub(super) fn new(model: &Rod, settings: FallbackSettings) -> Self {
-        let critical = 2.0 * (tip_stiffness(model) * modal_mass(model)).sqrt();
+        let critical = 2.0 * (weakest_stiffness(model) * modal_mass(model)).sqrt();
         Self {
             damping: settings.damping * critical,
             settings,
@@ -196,7 +198,8 @@ impl Fallback {
             let _ = controller.plan_alone(start);
             Action::Plan
         } else if knows_velocity && self.in_a_row <= plan + self.settings.damping_samples {
-            controller.steer(start, Aim::Tip(self.damped(controller.rod(), state)));
+            let force = self.damped(controller.rod(), controller.followed(), state);
+            controller.steer(start, Aim::Follow(force));
             Action::Damping
         } else {
             let left = (1.0 - controller.settings().period / self.settings.ramp).max(0.0);
@@ -205,10 +208,9 @@ impl Fallback {
         }
     }
 
-    /// Returns a force against the velocity of the tip.
-    fn damped(&self, rod: &Rod, state: &State) -> Wrench {
-        let tip = rod.tip();
-        let velocity = state.linear_momentum[tip] / rod.nodes[tip].mass;
+    /// Returns a force against the velocity of a node.
+    fn damped(&self, rod: &Rod, node: usize, state: &State) -> Wrench {
+        let velocity = state.linear_momentum[node] / rod.nodes[node].mass;
         let is_finite = velocity.iter().all(|v| v.is_finite());
         Wrench {
             force: if is_finite {

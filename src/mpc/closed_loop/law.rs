@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::mechanics::{State, Wrench};
-use crate::mpc::cantilever::{modal_mass, tip_stiffness};
+use crate::mpc::beam::{modal_mass, weakest_stiffness};
 use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::holding::{Along, Holding};
@@ -20,14 +20,15 @@ pub enum Law {
     /// linear-quadratic regulator over the horizon (the controller's quadratic program with the measured deviation, about a plan that no
     /// measurement changes).
     Regulator,
-    /// A force at the tip: the force that holds the model at the reference, plus a spring and a damper towards the reference.
+    /// A force at the tip, or at the node that follows: the force that holds the model at the reference, plus a spring and a damper towards
+    /// the reference.
     Tip(TipGains),
 }
 
 /// Gains of [`Law::Tip`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TipGains {
-    /// Stiffness of the spring divided by that of a cantilever's tip, `3 EI/L³`.
+    /// Stiffness of the spring divided by that of a cantilever's tip, `3 EI/L³`, or of the middle between two held ends, `192 EI/L³`.
     pub stiffness: f64,
     /// Damping ratio of the arm's first mode with spring and damper.
     pub damping: f64,
@@ -52,7 +53,7 @@ impl TipGains {
     pub(super) const PERIODS: f64 = 2.0;
 }
 
-/// A law that acts on the tip.
+/// A law that acts on the node that follows.
 #[derive(Debug)]
 pub(super) struct TipLaw {
     holding: Holding,
@@ -65,20 +66,20 @@ impl TipLaw {
         let rod = controller.rod();
         if controller.reference(0.0).is_none() {
             return Err(MpcError::Unsupported(
-                "a law at the tip needs a reference: give the task a track or a target of the tip",
+                "a spring and a damper need a reference: give the task a track or a target",
             ));
         }
         let acts = (controller.actuators().iter())
-            .any(|actuator| actuator.node == rod.tip() && actuator.force.acts());
+            .any(|actuator| actuator.node == controller.followed() && actuator.force.acts());
         if !acts {
             return Err(MpcError::Unsupported(
-                "a law at the tip needs a force there: no actuator has one",
+                "a spring and a damper need a force on the node that follows the reference: no actuator has one",
             ));
         }
-        let own = tip_stiffness(rod);
+        let own = weakest_stiffness(rod);
         let Some(holding) = controller.holding(Along::All) else {
             return Err(MpcError::Unsupported(
-                "a law at the tip needs a reference of at most ten minutes",
+                "a spring and a damper need a reference of at most ten minutes",
             ));
         };
         let stiffness = gains.stiffness * own;
@@ -91,15 +92,14 @@ impl TipLaw {
 
     /// Lets the controller issue the command from `start` on, constant over a period as far as rates allow.
     pub(super) fn command(&self, controller: &mut Controller, state: &State, start: f64) {
-        let rod = controller.rod();
-        let tip = rod.tip();
+        let (rod, node) = (controller.rod(), controller.followed());
         let reference = |t: f64| Vector3::from(controller.reference(t).unwrap_or_default());
         let h = controller.settings().period;
         let wanted = (reference(start + h) - reference(start)) / h;
-        let velocity = state.linear_momentum[tip] / rod.nodes[tip].mass;
+        let velocity = state.linear_momentum[node] / rod.nodes[node].mass;
         let holding = self.holding.wrench(start, 1.0);
-        let off = reference(start) - state.configuration.positions[tip];
+        let off = reference(start) - state.configuration.positions[node];
         let force = holding.force + self.stiffness * off + self.damping * (wanted - velocity);
-        controller.steer(start, Aim::Tip(Wrench { force, ..holding }));
+        controller.steer(start, Aim::Follow(Wrench { force, ..holding }));
     }
 }

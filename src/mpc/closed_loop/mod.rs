@@ -216,9 +216,9 @@ impl<'a> ClosedLoop<'a> {
     pub fn sample(&mut self) -> Result<Sample, StepError> {
         let period = self.controller().settings().period;
         let t = self.driver.next_sample() as f64 * period;
-        let tip = self.arm.tip();
+        let (tip, rotation) = self.arm.pose_on_model(self.controller().followed());
         let turns = self.controller().reference_rotation(t).is_some();
-        let rotation = turns.then(|| self.arm.tip_rotation());
+        let rotation = turns.then_some(rotation);
         let responded = if self.driver.estimates() {
             self.deliver(t);
             self.driver.respond(t, Known::Measurements)

@@ -18,11 +18,11 @@ pub struct Sample {
     pub acts_from: f64,
     /// Age of the last measurement in the estimate.
     pub age: f64,
-    /// True position of the tip at the beginning, m.
+    /// True position at the beginning, m, of the tip, or of the node that [follows](crate::mpc::Controller::followed) a reference.
     pub tip: [f64; 3],
-    /// Reference position of the tip, m.
+    /// Its reference position, m.
     pub reference: Option<[f64; 3]>,
-    /// Angle between the true orientation of the tip and its reference, rad.
+    /// Angle between its true orientation and its reference, rad.
     pub turn: Option<f64>,
     /// Innovation of the last measurement.
     pub innovation: Option<Innovation>,

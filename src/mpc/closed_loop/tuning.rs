@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 
 use super::experiment::{Contender, Experiment};
 use super::law::{Law, TipGains};
-use crate::mpc::cantilever::FIRST_FREQUENCY;
+use crate::mpc::beam::frequencies;
 use crate::mpc::error::MpcError;
 use crate::task::DiscretizeError;
 
@@ -17,7 +17,7 @@ impl Experiment {
     /// As [`Experiment::run`], and [`MpcError::Stopped`].
     pub fn tuned_tip_gains(&self) -> Result<TipGains, MpcError> {
         let rod = (self.arm.rod(&self.discretization)).map_err(DiscretizeError::from)?;
-        let enough = TipGains::PERIODS * TAU / FIRST_FREQUENCY * rod.scales.time;
+        let enough = TipGains::PERIODS * TAU / frequencies(&rod)[0];
         let mut tried = self.clone();
         tried.duration = self.duration.min(self.counted_from + enough);
         let mut best = (f64::INFINITY, TipGains::default());

@@ -103,21 +103,21 @@ impl Controller {
         Ok(())
     }
 
-    /// Replaces the path of the tip's first track, from the next [feedback](Self::feedback) on: increasing times in s, and positions in m;
-    /// linear in between and constant outside. Along several positions effort is measured from zero, because computing the wrenches that
-    /// hold the arm at all of them would take longer than a sample.
+    /// Replaces the path of the first track of [the node that follows](Self::followed), from the next [feedback](Self::feedback) on:
+    /// increasing times in s, and positions in m; linear in between and constant outside. Along several positions effort is measured from
+    /// zero, because computing the wrenches that hold the arm at all of them would take longer than a sample.
     ///
     /// # Errors
     /// Returns [`MpcError::Unsupported`] for a task without such a track, and [`MpcError::Path`]; the path is then unchanged.
     pub fn follow(&mut self, path: &[(f64, Vector3<f64>)]) -> Result<(), MpcError> {
         let problem = &self.horizon.problem;
-        let tip = problem.rod.tip();
+        let node = self.followed();
         let tracks = &problem.objective.tracking;
         let Some(track) =
-            (tracks.iter()).position(|track| track.node == tip && !track.path.is_empty())
+            (tracks.iter()).position(|track| track.node == node && !track.path.is_empty())
         else {
             return Err(MpcError::Unsupported(
-                "nothing follows a path; give the task a track of the tip, whatever its path",
+                "nothing follows a path; give the task a track, whatever its path",
             ));
         };
         check_rows(path, |x| x.iter().all(|c| c.is_finite()))?;
@@ -133,13 +133,13 @@ impl Controller {
     /// As [`Self::follow`].
     pub fn turn(&mut self, rotations: &[(f64, Matrix3<f64>)]) -> Result<(), MpcError> {
         let problem = &self.horizon.problem;
-        let tip = problem.rod.tip();
+        let node = self.followed();
         let tracks = &problem.objective.tracking;
         let Some(track) =
-            (tracks.iter()).position(|track| track.node == tip && !track.rotations.is_empty())
+            (tracks.iter()).position(|track| track.node == node && !track.rotations.is_empty())
         else {
             return Err(MpcError::Unsupported(
-                "nothing turns the tip; give the task an orientation of the tip, whatever it is",
+                "nothing turns; give the task an orientation, whatever it is",
             ));
         };
         check_rows(rotations, |r| r.iter().all(|c| c.is_finite()))?;

@@ -1,4 +1,4 @@
-//! The reference of the tip, and the control from which effort is measured.
+//! The reference of the node that follows one, and the control from which effort is measured.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -6,14 +6,15 @@ use super::{Controller, EffortFrom};
 use crate::control::{Channel, OptimalControlProblem, Tracking};
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::log;
-use crate::mpc::holding::{Along, Held, HeldByControls, Holding, TipPose};
+use crate::mpc::holding::{Along, Held, HeldByControls, Holding, ReferencePose};
 
-/// The wrench that holds the model's tip at its reference and accelerates the arm's mass along it, at the time at which it is largest.
+/// The wrench that holds the model's tip, or the node that follows, at its reference and accelerates the arm's mass along it, at the time
+/// at which it is largest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceNeed {
     /// Time, s.
     pub t: f64,
-    /// Force (spatial frame, N) and moment (body frame, N m) on the tip.
+    /// Force (spatial frame, N) and moment (body frame, N m) on that node.
     pub wrench: Wrench,
     /// Excess of force (N) and moment (N m) over their bounds; 0 within.
     pub excess: [f64; 2],
@@ -24,78 +25,95 @@ pub struct ReferenceNeed {
 /// digit, twice as much in the fourth.
 const SAMPLES_A_HOLD: f64 = 5.0;
 
-/// Returns the tracks of the tip.
-fn tip_tracks(problem: &OptimalControlProblem) -> impl Iterator<Item = &Tracking> {
+/// Returns the node whose reference a loop is judged by: the tip, unless only other nodes have tracks or targets; then that of the first.
+pub(crate) fn followed(problem: &OptimalControlProblem) -> usize {
     let tip = problem.rod.tip();
-    (problem.objective.tracking.iter()).filter(move |track| track.node == tip)
+    let tracks = problem.objective.tracking.iter().map(|track| track.node);
+    let mut nodes = tracks.chain(problem.goals.iter().map(|goal| goal.node));
+    let first = nodes.clone().next().unwrap_or(tip);
+    if nodes.any(|node| node == tip) {
+        tip
+    } else {
+        first
+    }
 }
 
-/// Returns the track that prescribes the tip's position.
-fn tip_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
-    tip_tracks(problem).find(|track| !track.path.is_empty())
+/// Returns the track that prescribes the position of the node that follows.
+fn place_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
+    let node = followed(problem);
+    (problem.objective.tracking.iter()).find(|track| track.node == node && !track.path.is_empty())
 }
 
-/// Returns the track that prescribes the tip's orientation.
-fn tip_turns(problem: &OptimalControlProblem) -> Option<&Tracking> {
-    tip_tracks(problem).find(|track| !track.rotations.is_empty())
+/// Returns the track that prescribes its orientation.
+fn turn_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
+    let node = followed(problem);
+    (problem.objective.tracking.iter())
+        .find(|track| track.node == node && !track.rotations.is_empty())
 }
 
 impl Controller {
     /// Returns the time until which the reference changes, s.
     pub(in crate::mpc) fn reference_end(&self) -> f64 {
         let problem = &self.horizon.problem;
-        let place = tip_track(problem).and_then(|track| Some(track.path.last()?.0));
-        let turn = tip_turns(problem).and_then(|track| Some(track.rotations.last()?.0));
+        let place = place_track(problem).and_then(|track| Some(track.path.last()?.0));
+        let turn = turn_track(problem).and_then(|track| Some(track.rotations.last()?.0));
         place.unwrap_or(0.0).max(turn.unwrap_or(0.0))
     }
 
-    /// Returns the reference position of the tip at time `t` (s), m: that of the first track of the tip, or else of its first target.
+    /// Returns the node that follows a reference: the tip, unless only other nodes have tracks or targets; then that of the first of them.
+    #[must_use]
+    pub fn followed(&self) -> usize {
+        followed(&self.horizon.problem)
+    }
+
+    /// Returns the reference position of [the node that follows](Self::followed) at time `t` (s), m: that of its first track, or else of its
+    /// first target.
     #[must_use]
     pub fn reference(&self, t: f64) -> Option<[f64; 3]> {
         let problem = &self.horizon.problem;
-        let tip = problem.rod.tip();
-        let track = tip_track(problem);
+        let node = followed(problem);
+        let track = place_track(problem);
         let goal = || {
-            (problem.goals.iter()).find_map(|goal| (goal.node == tip).then_some(goal.position)?)
+            (problem.goals.iter()).find_map(|goal| (goal.node == node).then_some(goal.position)?)
         };
         (track.and_then(|track| track.position(t)).or_else(goal)).map(Into::into)
     }
 
-    /// Returns the reference orientation of the tip at time `t` (s), body to space: that of the first track of the tip that has one, or
-    /// else of its first target.
+    /// Returns the reference orientation of [the node that follows](Self::followed) at time `t` (s), body to space: that of its first track
+    /// that has one, or else of its first target.
     #[must_use]
     pub fn reference_rotation(&self, t: f64) -> Option<Matrix3<f64>> {
         let problem = &self.horizon.problem;
-        let tip = problem.rod.tip();
-        let track = tip_turns(problem);
+        let node = followed(problem);
+        let track = turn_track(problem);
         let goal = || {
-            (problem.goals.iter()).find_map(|goal| (goal.node == tip).then_some(goal.rotation)?)
+            (problem.goals.iter()).find_map(|goal| (goal.node == node).then_some(goal.rotation)?)
         };
         track.and_then(|track| track.rotation(t)).or_else(goal)
     }
 
-    /// Returns the angle between a rotation of the tip and its [reference](Self::reference_rotation) at time `t` (s), rad.
+    /// Returns the angle between a rotation of that node and its [reference](Self::reference_rotation) at time `t` (s), rad.
     pub(in crate::mpc) fn turn_from_reference(&self, t: f64, r: &Matrix3<f64>) -> Option<f64> {
         (self.reference_rotation(t)).map(|should| log(&(should.transpose() * r)).norm())
     }
 
-    /// Returns the wrenches that hold the tip along its reference; `None` without a reference, if it lasts more than ten minutes, and after
+    /// Returns the wrenches that hold the node along its reference; `None` without a reference, if it lasts more than ten minutes, and after
     /// a stop signal.
     pub(in crate::mpc) fn holding(&self, along: Along) -> Option<Holding> {
-        let tip = self.horizon.problem.rod.tip();
+        let followed = self.followed();
         let mut effects = self.horizon.effects.iter().flatten();
-        let turns = effects.any(|&(node, axis, _)| node == tip && axis >= 3);
-        let reference = |t: f64| self.tip_pose(t, turns);
-        if reference(0.0) == TipPose::default() {
+        let turns = effects.any(|&(node, axis, _)| node == followed && axis >= 3);
+        let reference = |t: f64| self.reference_pose(t, turns);
+        if reference(0.0) == ReferencePose::default() {
             return None;
         }
         let start = &self.horizon.problem.initial.configuration;
         let (times, stop) = (self.holding_times(), &self.horizon.stop);
-        Holding::along(self.rod(), start, reference, times, along, stop)
+        Holding::along((self.rod(), followed), start, reference, times, along, stop)
     }
 
-    fn tip_pose(&self, t: f64, turns: bool) -> TipPose {
-        TipPose {
+    fn reference_pose(&self, t: f64, turns: bool) -> ReferencePose {
+        ReferencePose {
             position: self.reference(t).map(Vector3::from),
             rotation: self.reference_rotation(t).filter(|_| turns),
         }
@@ -106,28 +124,30 @@ impl Controller {
         [SAMPLES_A_HOLD * self.settings.period, self.reference_end()]
     }
 
-    /// Returns the controls that hold the tip along its reference, or the wrenches on the tip if no actuator in the arm is driven.
+    /// Returns the controls that hold the node along its reference, or the wrenches on the tip if that follows and no actuator in the arm is
+    /// driven.
     fn held(&self, along: Along) -> Option<Held> {
         let problem = &self.horizon.problem;
-        if problem.efforts.is_none() {
+        let node = followed(problem);
+        if problem.efforts.is_none() && node == problem.rod.tip() {
             return self.holding(along).map(Held::ByWrench);
         }
-        let reference = |t: f64| self.tip_pose(t, true);
-        if reference(0.0) == TipPose::default() {
+        let reference = |t: f64| self.reference_pose(t, true);
+        if reference(0.0) == ReferencePose::default() {
             return None;
         }
         let (times, stop) = (self.holding_times(), &self.horizon.stop);
-        HeldByControls::along(problem, reference, times, along, stop).map(Held::ByControls)
+        HeldByControls::along((problem, node), reference, times, along, stop).map(Held::ByControls)
     }
 
     /// Returns the [need](ReferenceNeed) with the largest excess over the bounds, or within the bounds the largest need; `None` without a
-    /// reference of at most ten minutes, and if no force acts on the tip.
+    /// reference of at most ten minutes, and if no force acts on the node that follows.
     #[must_use]
     pub fn reference_need(&self) -> Option<ReferenceNeed> {
         let problem = &self.horizon.problem;
-        let tip = problem.rod.tip();
+        let node = followed(problem);
         let acts = (problem.wrench_actuators().iter())
-            .find(|actuator| actuator.node == tip && actuator.force.axes != [false; 3])
+            .find(|actuator| actuator.node == node && actuator.force.axes != [false; 3])
             .filter(|actuator| problem.efforts.is_none() || actuator.force.acts())?;
         let holding = self.holding(Along::All)?;
         let spacing = SAMPLES_A_HOLD * self.settings.period;
@@ -155,17 +175,17 @@ impl Controller {
             })
     }
 
-    /// Tells whether the reference of the tip is one position and one orientation for ever.
+    /// Tells whether the reference is one position and one orientation for ever.
     pub(super) fn is_reference_at_rest(&self) -> bool {
         let problem = &self.horizon.problem;
-        tip_track(problem).is_none_or(|track| track.path.len() <= 1)
-            && tip_turns(problem).is_none_or(|track| track.rotations.len() <= 1)
+        place_track(problem).is_none_or(|track| track.path.len() <= 1)
+            && turn_track(problem).is_none_or(|track| track.rotations.len() <= 1)
     }
 
-    /// Returns the time at which the path of the tip ends while it still moves, s; `None` without a path, and if it has come to rest by
+    /// Returns the time at which the path ends while it still moves, s; `None` without a path, and if it has come to rest by
     /// then.
     pub(in crate::mpc) fn path_breaks_off(&self) -> Option<f64> {
-        match &tip_track(&self.horizon.problem)?.path[..] {
+        match &place_track(&self.horizon.problem)?.path[..] {
             [.., (_, before), (end, last)] if before != last => Some(*end),
             _ => None,
         }
@@ -185,11 +205,11 @@ impl Controller {
     /// Writes the control that costs no effort at the coefficients of the present plan.
     pub(super) fn note_free(&mut self) {
         let horizon = &self.horizon;
-        let (tip, n_components) = (horizon.problem.rod.tip(), horizon.components.len());
-        let tracks = [tip_track(&horizon.problem), tip_turns(&horizon.problem)];
+        let (followed, n_components) = (self.followed(), horizon.components.len());
+        let tracks = [place_track(&horizon.problem), turn_track(&horizon.problem)];
         for coefficient in 0..horizon.knots.len() {
             let t = horizon.knots.time(coefficient) + horizon.delay();
-            // Before the track begins to count, no control holds the tip.
+            // Before the track begins to count, no control holds the arm.
             let holding = (self.holding.as_ref())
                 .filter(|_| (tracks.iter().flatten()).all(|track| track.counts(t)));
             let wrench = match holding {
@@ -203,7 +223,9 @@ impl Controller {
             };
             for (c, effects) in horizon.effects.iter().enumerate() {
                 let held = match (&wrench, &effects[..]) {
-                    (Some(wrench), &[(node, axis, effect)]) if node == tip => wrench[axis] / effect,
+                    (Some(wrench), &[(node, axis, effect)]) if node == followed => {
+                        wrench[axis] / effect
+                    }
                     _ => 0.0,
                 };
                 self.free[coefficient * n_components + c] =

@@ -7,7 +7,7 @@ use crate::control::{
     NodeForm, PathEnforcement, Shape, SharedTerm, StateCost, StateTerm, StateView,
 };
 use crate::mechanics::{
-    Density, Material, Rod, Route, StrainActuator, StrainRule, TimeScheme, TipSpring,
+    Density, Material, NodeSpring, Rod, Route, StrainActuator, StrainRule, TimeScheme,
     static_equilibrium,
 };
 use crate::mpc::estimator::Disturbance;
@@ -396,7 +396,7 @@ fn holding_efforts_hold() {
         let rod = arm.rod(&discretization).unwrap();
         let mut pulled = rod.clone();
         pulled.actuators = rod.actuators.with_efforts(efforts);
-        let none = TipSpring::default();
+        let none = NodeSpring::default();
         let shape = static_equilibrium(&pulled, &pulled.rest, 0.0, &none).unwrap();
         shape.positions[rod.tip()]
     };

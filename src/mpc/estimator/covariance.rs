@@ -229,11 +229,13 @@ impl Covariance {
         }
     }
 
-    /// Starts a correction from the present matrix, carried to another shape, and from the mean that is written to [`mean`](Self::mean).
-    /// The components of the state are those of the nodes from `first` on.
-    pub fn move_prior(&mut self, transport: &ShapeTransport, first: usize) {
+    /// Starts a correction from the present matrix, carried to another shape if there is a transport, and from the mean that is written to
+    /// [`mean`](Self::mean). The components of the state are those of the nodes from `first` on.
+    pub fn move_prior(&mut self, transport: Option<&ShapeTransport>, first: usize) {
         self.prior.copy_from(&self.matrix);
-        congruence(&mut self.prior, &mut self.columns, transport, first);
+        if let Some(transport) = transport {
+            congruence(&mut self.prior, &mut self.columns, transport, first);
+        }
     }
 
     /// Writes the corrected covariance to the next matrix, and the corrected error to [`correction`](Self::correction); returns the square

@@ -3,16 +3,16 @@
 use faer::Mat;
 use nalgebra::Vector3;
 
+use crate::mechanics::beam::Beam;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
-use crate::mechanics::rotation::orthonormalized;
+use crate::mechanics::rotation::{exp, orthonormalized};
 use crate::mechanics::sensitivity::RepeatedForward;
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::strain_coordinates::{ShapeTransport, retract_shape, shape_difference};
 use crate::mechanics::{
     Configuration, ControlSignal, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench,
 };
-use crate::mpc::cantilever::TIP_STIFFNESS;
 use crate::mpc::command::Command;
 use crate::mpc::error::MpcError;
 use crate::mpc::signal::{Measurement, Reading, Signal};
@@ -20,7 +20,7 @@ use crate::mpc::signal::{Measurement, Reading, Signal};
 use super::comparison::Comparison;
 use super::covariance::Covariance;
 use super::gate::Gate;
-use super::node_frames::NodeFrames;
+use super::node_frames::{NodeFrames, leave_free_motions};
 use super::parameter::N_PARAMETERS;
 use super::prediction::{Predictor, Steps};
 use super::readings::{self, Layout};
@@ -112,6 +112,23 @@ impl KalmanSettings {
         ]
     }
 
+    /// Refuses unknowns that change no motion because the tip is held.
+    fn check_tip(&self, model: &Rod) -> Result<(), MpcError> {
+        let tip = model.joint(model.tip());
+        if tip.is_some() && (self.tip_force.is_some() || self.payload.is_some()) {
+            return Err(MpcError::Unsupported(
+                "neither a force nor a mass on a tip that is held moves the arm, so that no filter finds them; leave tip_force and payload out, \
+                 and take distributed for what pushes",
+            ));
+        }
+        if tip.is_some_and(|joint| !joint.turns()) && self.tip_moment.is_some() {
+            return Err(MpcError::Unsupported(
+                "no moment on a clamped or driven tip moves the arm, so that no filter finds it; leave tip_moment out",
+            ));
+        }
+        Ok(())
+    }
+
     fn check(&self) -> Result<(), MpcError> {
         let at_least_zero =
             |name, value: f64| setting(name, value, value >= 0.0, "a finite number of at least 0");
@@ -163,7 +180,9 @@ const MOST_STEPS: usize = 15;
 ///
 /// To first order the error is the [difference](State::difference) of states. Finite corrections follow the strains: they move the strains
 /// of the elements linearly ([`retract_shape`]), so that an arm that is found bent is not found stretched, and carry the covariance to the
-/// tangent of the corrected shape. Deviations of stiff strains, which are known best, stay small that way. A correction after which the
+/// tangent of the corrected shape. Deviations of stiff strains, which are known best, stay small that way. Strains that change linearly would
+/// carry a held tip away; on such an arm the poses of the nodes are corrected one by one instead, to first order the same, and motions that
+/// an end holds have no error. A correction after which the
 /// measurement differs from its linearization is repeated from there (the iterated filter, a Gauss-Newton method for the most likely state;
 /// Bell and Cathey 1993), so that the arm is found from far as well.
 ///
@@ -188,7 +207,8 @@ pub struct KalmanFilter {
     /// Derivatives of the end of a motion along its start and along the disturbances.
     transition: [Mat<f64>; 2],
     comparison: Comparison,
-    transport: ShapeTransport,
+    /// Map of the poses' errors from one shape to another; `None` where the tip is held.
+    transport: Option<ShapeTransport>,
     slow: SlowPart,
     unknown_forces: UnknownForces,
     /// Point of linearization of a measurement; also memory for the next state.
@@ -217,7 +237,8 @@ impl KalmanFilter {
     ///
     /// # Errors
     /// Returns [`MpcError::Setting`] for a setting out of range, [`MpcError::Measurement`] for a state of another size or that is not
-    /// finite, [`MpcError::Unsupported`] for a model whose elastic energy is not positive definite about its stress-free shape.
+    /// finite, [`MpcError::Unsupported`] for a model whose elastic energy is not positive definite about its stress-free shape, and for
+    /// unknowns at a tip whose motion they do not change.
     pub fn new(
         model: &Rod,
         time: f64,
@@ -226,6 +247,7 @@ impl KalmanFilter {
     ) -> Result<Self, MpcError> {
         settings.check()?;
         check_start(model, time, state)?;
+        settings.check_tip(model)?;
         let mut parameters = settings.parameter_walks().map(|walk| walk.is_some());
         for (is_there, parameter) in parameters.iter_mut().zip(Parameter::ALL) {
             *is_there &= parameter.applies(model);
@@ -267,7 +289,7 @@ impl KalmanFilter {
             transition: [layout.n_state, layout.n_disturbances()]
                 .map(|columns| Mat::zeros(layout.n_state, columns)),
             comparison: Comparison::new(model),
-            transport: ShapeTransport::new(n_nodes),
+            transport: (model.has_free_tip()).then(|| ShapeTransport::new(n_nodes)),
             point: estimate.clone(),
             next: state.clone(),
             acting: Acting::default(),
@@ -460,12 +482,14 @@ impl KalmanFilter {
         let first = self.layout.first_free_node;
         let tangent = &mut self.tangent;
         there.state.difference_into(&here.state, tangent);
-        shape_difference(
-            &there.state.configuration,
-            &here.state.configuration,
-            &mut tangent.positions,
-            &mut tangent.rotations,
-        );
+        if self.transport.is_some() {
+            shape_difference(
+                &there.state.configuration,
+                &here.state.configuration,
+                &mut tangent.positions,
+                &mut tangent.rotations,
+            );
+        }
         let mean = &mut self.covariance.mean;
         for (mean, value) in mean.iter_mut().zip(tangent.components_from(first)) {
             *mean = value;
@@ -494,9 +518,10 @@ impl KalmanFilter {
                 mean[at] = parameter.of(&there.disturbance) - parameter.of(&here.disturbance);
             }
         }
-        let transport = &mut self.transport;
-        transport.between(&there.state.configuration, &here.state.configuration);
-        self.covariance.move_prior(transport, first);
+        if let Some(transport) = &mut self.transport {
+            transport.between(&there.state.configuration, &here.state.configuration);
+        }
+        self.covariance.move_prior(self.transport.as_ref(), first);
     }
 
     /// Keeps the parameters within their ranges: a correction that leads beyond is replaced by the most likely errors at the bound, by the
@@ -562,7 +587,14 @@ impl KalmanFilter {
         }
         let (positions, rotations) = (&tangent.positions, &tangent.rotations);
         let (here, there) = (&state.configuration, &mut next.configuration);
-        retract_shape(here, positions, rotations, there);
+        if self.transport.is_some() {
+            retract_shape(here, positions, rotations, there);
+        } else {
+            for node in first..n_nodes {
+                there.positions[node] += positions[node];
+                there.rotations[node] *= exp(&rotations[node]);
+            }
+        }
         for rotation in &mut there.rotations[first..] {
             *rotation = orthonormalized(rotation);
         }
@@ -593,9 +625,10 @@ impl KalmanFilter {
     /// Makes the point the estimate, and carries the covariance to its tangent from that of the point before.
     fn accept_point(&mut self) {
         let (here, there) = (&self.next.configuration, &self.point.state.configuration);
-        let transport = &mut self.transport;
-        transport.between(here, there);
-        (self.covariance).transport(transport, self.layout.first_free_node);
+        if let Some(transport) = &mut self.transport {
+            transport.between(here, there);
+            (self.covariance).transport(transport, self.layout.first_free_node);
+        }
         self.covariance.commit();
         std::mem::swap(&mut self.estimate.state, &mut self.point.state);
         self.estimate.disturbance = self.point.disturbance;
@@ -820,16 +853,19 @@ fn visit_disturbances(layout: &Layout, rod: &Rod, visit: &mut dyn FnMut(usize, u
     }
 }
 
-/// Returns the mean energy of a mode of a cantilever whose tip has this standard deviation: `3 EI/L³ σ²`, J, half of it in its bending.
+/// Returns the mean energy of a mode of a cantilever whose tip has this standard deviation, or of a beam between two held ends whose middle
+/// has it: `3 EI/L³ σ²` or `192 EI/L³ σ²`, J, half of it in its bending.
 fn energy(model: &Rod, deviation: f64) -> f64 {
-    TIP_STIFFNESS * model.scales.force / model.scales.length * deviation * deviation
+    Beam::of(model).by_force[0] * model.scales.force / model.scales.length * deviation * deviation
 }
 
-/// Returns the inverse of the Hessian of the energy at a shape: a covariance in which every mode has the mean energy ½.
+/// Returns the inverse of the Hessian of the energy at a shape: a covariance in which every mode has the mean energy ½, and motions that an
+/// end holds have no error.
 fn equal_energies(rod: &Rod, shape: &Configuration, layout: &Layout) -> Option<Mat<f64>> {
     let norm = EnergyNorm::at(rod, shape)?;
     let root = norm.columns_over(Mat::identity(layout.n_state, layout.n_state));
-    let covariance = &root * root.transpose();
+    let mut covariance = &root * root.transpose();
+    leave_free_motions(rod, &mut covariance, NODE_COMPONENTS);
     covariance.norm_max().is_finite().then_some(covariance)
 }
 

@@ -9,6 +9,32 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 /// Number of components of a pose, and of the momenta of a node.
 pub(super) const POSE: usize = 6;
 
+/// Leaves of a symmetric matrix over the free nodes, with `size` components each, the part along motions that the ends leave free, `P A P`:
+/// of a node, every six components are those of a displacement or force and of a turn or moment.
+pub(super) fn leave_free_motions(rod: &Rod, matrix: &mut Mat<f64>, size: usize) {
+    let n = matrix.nrows();
+    for joint in &rod.joints {
+        let own = size * (joint.node - rod.first_free_node());
+        for first in (own..own + size).step_by(POSE) {
+            for other in 0..n {
+                let row = joint.turning * Vector3::from_fn(|i, _| matrix[(first + 3 + i, other)]);
+                for i in 0..3 {
+                    matrix[(first + i, other)] = 0.0;
+                    matrix[(first + 3 + i, other)] = row[i];
+                }
+            }
+            for other in 0..n {
+                let column =
+                    joint.turning * Vector3::from_fn(|i, _| matrix[(other, first + 3 + i)]);
+                for i in 0..3 {
+                    matrix[(other, first + i)] = 0.0;
+                    matrix[(other, first + 3 + i)] = column[i];
+                }
+            }
+        }
+    }
+}
+
 /// The compliance `K⁻¹` of the free nodes about the stress-free shape, and their inertia `M`, both with respect to position and rotation of
 /// each node in its own frame.
 #[derive(Debug)]

@@ -204,7 +204,7 @@ impl BoundaryObserver {
     ///
     /// # Errors
     /// Returns [`MpcError::Setting`] for a gain or a time out of range, [`MpcError::Measurement`] for a state of another size or that is
-    /// not finite.
+    /// not finite, and [`MpcError::Unsupported`] for a model whose tip is held.
     pub fn new(
         model: &Rod,
         time: f64,
@@ -213,6 +213,11 @@ impl BoundaryObserver {
     ) -> Result<Self, MpcError> {
         settings.check()?;
         check_start(model, time, state)?;
+        if !model.has_free_tip() {
+            return Err(MpcError::Unsupported(
+                "an observer corrects its model by a wrench on the tip, which moves no arm whose tip is held; take estimator.kind = \"kalman\"",
+            ));
+        }
         let estimate = Estimate {
             time,
             state: state.clone(),

@@ -20,7 +20,7 @@ use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::{Configuration, Rod};
 
 use super::node_frames::{NodeFrames, POSE};
-use crate::mpc::cantilever::FIFTH_FREQUENCY;
+use crate::mpc::beam::frequencies;
 
 /// Projects changes of a rod's state to their slow part.
 #[derive(Debug)]
@@ -36,7 +36,8 @@ impl SlowPart {
         let n = frames.inertia.len();
         let moved = &frames.compliance_times_inertia;
         // (M + θ K)⁻¹ M = (K⁻¹ M + θ)⁻¹ K⁻¹ M
-        let theta = (model.scales.time / FIFTH_FREQUENCY).powi(2);
+        let [_, fifth] = frequencies(model);
+        let theta = fifth.powi(-2);
         let sum = Mat::from_fn(n, n, |i, j| {
             moved[(i, j)] + if i == j { theta } else { 0.0 }
         });

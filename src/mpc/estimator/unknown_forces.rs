@@ -22,8 +22,8 @@ use nalgebra::Matrix3;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::{Configuration, Rod};
 
-use super::node_frames::{NodeFrames, POSE};
-use crate::mpc::cantilever::FIRST_FREQUENCY;
+use super::node_frames::{NodeFrames, POSE, leave_free_motions};
+use crate::mpc::beam::frequencies;
 
 /// `ε`: energy that every mode gains, divided by that of the first bending mode; measured (decision 49).
 const ROUGH: f64 = 0.1;
@@ -39,12 +39,13 @@ pub(super) struct UnknownForces {
 impl UnknownForces {
     pub fn new(model: &Rod, frames: &NodeFrames) -> Self {
         let n = frames.inertia.len();
-        let squared = (FIRST_FREQUENCY / model.scales.time).powi(2);
+        let [first, _] = frequencies(model);
+        let squared = first.powi(2);
         let smooth = |i: usize, j: usize| {
             squared * frames.inertia[i] * frames.compliance_times_inertia[(i, j)]
         };
         // Rounding makes the triangles differ; the lower one is used.
-        let covariance = Mat::from_fn(n, n, |i, j| {
+        let mut covariance = Mat::from_fn(n, n, |i, j| {
             let rough = if i == j {
                 ROUGH * frames.inertia[i]
             } else {
@@ -52,6 +53,7 @@ impl UnknownForces {
             };
             smooth(i.max(j), i.min(j)) + rough
         });
+        leave_free_motions(model, &mut covariance, POSE);
         Self {
             first_free_node: frames.first_free_node,
             covariance,

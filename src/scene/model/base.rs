@@ -231,6 +231,13 @@ struct End<'a> {
     motion: Option<&'a BaseMotion>,
 }
 
+impl super::Scene {
+    /// Returns the condition of the tip.
+    pub(in crate::scene) fn tip_kind(&self) -> EndKind {
+        self.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind)
+    }
+}
+
 impl Keys<'_> {
     pub(in crate::scene) fn check_base(&self, base: &Base) -> Checked {
         self.finite("base.position_m", &base.position_m)?;

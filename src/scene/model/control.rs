@@ -201,7 +201,7 @@ impl Keys<'_> {
         let acts =
             |parts: [Option<Bound>; 2]| parts.into_iter().flatten().any(|part| !part.is_zero());
         let mut nothing = !acts([control.force_max_n, control.moment_max_n_m]);
-        let tip = scene.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind);
+        let tip = scene.tip_kind();
         for (key, bound, answers) in [
             (
                 "control.force_max_n",

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::super::check::MOST_ELEMENTS;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number};
+use super::base::EndKind;
 use crate::mpc::{EstimatorChoice, Sensing, SensorChoice, SensorSettings, Unknowns};
 
 /// Estimator of the state from sensors.
@@ -23,7 +24,8 @@ pub struct Estimator {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub elements: Option<usize>,
     /// Unknowns that are estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or
-    /// nothing. Absent: for a Kalman filter all of them, for an observer nothing.
+    /// nothing. Absent: for a Kalman filter all of them that move the arm (a tip that is held answers to no force and no mass, and turns only
+    /// if it is pinned), for an observer nothing.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub disturbances: Option<Vec<Unknown>>,
     /// Rate of change of the unknown wrenches of a Kalman filter: the deflection over the length that they typically
@@ -70,12 +72,14 @@ pub enum Unknown {
 }
 
 impl Estimator {
-    /// Unknowns that are estimated besides the state.
-    pub(crate) fn unknowns(&self) -> &[Unknown] {
+    /// Unknowns that are estimated besides the state, on an arm with this kind of tip.
+    pub(crate) fn unknowns(&self, tip: EndKind) -> Vec<Unknown> {
         match (&self.disturbances, self.kind) {
-            (Some(named), _) => named,
-            (None, EstimatorKind::Kalman) => &Unknown::ALL,
-            (None, EstimatorKind::None | EstimatorKind::Observer) => &[],
+            (Some(named), _) => named.clone(),
+            (None, EstimatorKind::Kalman) => (Unknown::ALL.into_iter())
+                .filter(|unknown| unknown.moves(tip))
+                .collect(),
+            (None, EstimatorKind::None | EstimatorKind::Observer) => Vec::new(),
         }
     }
 }
@@ -92,12 +96,27 @@ impl Unknown {
         Self::Internal,
         Self::Delay,
     ];
+
+    /// Tells whether it changes the motion of an arm with this kind of tip.
+    fn moves(self, tip: EndKind) -> bool {
+        match self {
+            Self::TipForce | Self::Payload => tip == EndKind::Free,
+            Self::TipMoment => matches!(tip, EndKind::Free | EndKind::Pinned),
+            _ => true,
+        }
+    }
 }
 
 impl Estimator {
     /// Returns the sensing that estimates the state and the unknowns from these sensors, or that knows the true state at once.
-    pub(in crate::scene) fn sensing(&self, sensors: &[SensorSettings], seed: u32) -> Sensing {
-        let has = |unknown| self.unknowns().contains(&unknown);
+    pub(in crate::scene) fn sensing(
+        &self,
+        sensors: &[SensorSettings],
+        seed: u32,
+        tip: EndKind,
+    ) -> Sensing {
+        let unknowns = self.unknowns(tip);
+        let has = |unknown| unknowns.contains(&unknown);
         let estimator = match self.kind {
             EstimatorKind::None => return Sensing::Everything,
             EstimatorKind::Observer => EstimatorChoice::Observer {
@@ -130,6 +149,7 @@ impl Keys<'_> {
         &self,
         estimator: &Estimator,
         no_sensor: bool,
+        tip: EndKind,
     ) -> Checked {
         if estimator.kind != EstimatorKind::None && no_sensor {
             return Err(self.missing("sensor", "an estimator needs one; preset = \"mocap\""));
@@ -137,8 +157,25 @@ impl Keys<'_> {
         if let Some(elements) = estimator.elements {
             self.count("estimator.elements", elements, MOST_ELEMENTS)?;
         }
-        let named = estimator.unknowns();
+        if estimator.kind == EstimatorKind::Observer && tip != EndKind::Free {
+            let message = format!(
+                "an observer corrects its model by a wrench on the tip, and a tip that is {} does not answer to it",
+                tip.name()
+            );
+            let help = "give kind = \"kalman\"".to_string();
+            return Err((self.source).error_at("estimator.kind", message, Some(help)));
+        }
+        let named = estimator.unknowns(tip);
         for (index, one) in named.iter().enumerate() {
+            if !one.moves(tip) {
+                let key = format!("estimator.disturbances.{index}");
+                let message = format!(
+                    "it does not move an arm whose tip is {}, so that no filter finds it",
+                    tip.name()
+                );
+                let help = "leave it out; \"distributed\" is what pushes such an arm".to_string();
+                return Err(self.source.error_at(&key, message, Some(help)));
+            }
             if named[..index].contains(one) {
                 let key = format!("estimator.disturbances.{index}");
                 return Err(self.source.error_at(&key, "is named twice", None));

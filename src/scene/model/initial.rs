@@ -211,7 +211,7 @@ const POSE: usize = 8;
 
 impl Keys<'_> {
     pub(in crate::scene) fn check_initial(&self, initial: &Initial, scene: &Scene) -> Checked {
-        let tip = scene.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind);
+        let tip = scene.tip_kind();
         if let Some(state) = &initial.state {
             self.check_initial_state(initial, state)?;
         }

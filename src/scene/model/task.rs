@@ -40,15 +40,16 @@ pub struct Task {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub free_duration: Option<FreeDuration>,
     /// Motion at `at_s`: with true, the whole arm comes to rest and stays there with the last wrench held, which needs
-    /// a base that is not pinned and a free tip; with "tip", the tip has neither velocity nor angular velocity at that
-    /// instant; with false, the tip passes.
+    /// an end that keeps the arm from spinning (not ball joints alone); with "tip", the tip, or `node`, has neither
+    /// velocity nor angular velocity at that instant; with false, it passes.
     #[serde(default)]
     pub at_rest: AtRest,
     /// Time in s for which the arm stays, positive. Only with `at_rest = true`. Absent: one first period of the held
     /// arm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_s: Option<Positive<values::Duration>>,
-    /// Largest distance of the tip from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a hundredth of
+    /// Largest distance of the tip, or of `node`, from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a
+    /// hundredth of
     /// `rod.length_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_m: Option<Positive<values::Distance>>,
@@ -201,7 +202,7 @@ impl Keys<'_> {
             ));
         }
         self.node("task.node", task.node, scene.rod.elements)?;
-        let tip = scene.tip.as_ref().map_or(EndKind::Free, |tip| tip.kind);
+        let tip = scene.tip_kind();
         if tip != EndKind::Free && task.node.index(&scene.mesh()) == scene.mesh().n_elements() {
             let message = format!("the tip is {}, and has no target", tip.name());
             let help =
@@ -211,17 +212,21 @@ impl Keys<'_> {
                 .error_at("task.node", message, Some(help.to_string())));
         }
         if task.at_rest == AtRest::Staying {
-            let ends = [("base", scene.base.kind), ("tip", tip)];
-            let held = |&(end, kind): &(&str, EndKind)| {
-                kind == EndKind::Pinned || (end == "tip" && kind != EndKind::Free)
-            };
-            if let Some((end, kind)) = ends.into_iter().find(held) {
+            let own = scene.tip.as_ref().and_then(|tip| tip.axis);
+            let ends = [
+                ("base", scene.base.kind, scene.base.axis),
+                ("tip", tip, own),
+            ];
+            let is_ball = |kind, axis: Option<[f64; 3]>| kind == EndKind::Pinned && axis.is_none();
+            let spins =
+                (ends.iter()).all(|&(_, kind, axis)| is_ball(kind, axis) || kind == EndKind::Free);
+            let ball = ends.iter().find(|&&(_, kind, axis)| is_ball(kind, axis));
+            if let (true, Some((end, ..))) = (spins, ball) {
                 let message = format!(
-                    "the {end} is {}, and what holds such an arm at its target is not looked for: it follows from the reactions of both \
-                     ends as well",
-                    kind.name()
+                    "the {end} is pinned by a ball joint, and no other end keeps the arm from turning: all sections may turn about their own \
+                     axes, and nothing brings them back"
                 );
-                let help = "let the node stop for an instant: at_rest = \"tip\"";
+                let help = "clamp an end, or give a pinned one an axis; or let the node stop for an instant: at_rest = \"tip\"";
                 return Err(self
                     .source
                     .error_at("task.at_rest", message, Some(help.to_string())));

@@ -166,14 +166,14 @@ fn load_name(setup: &ClosedLoopSetup, index: usize) -> &'static str {
     }
 }
 
-/// The references of the tip, and how far it is from them at the frames.
+/// The references of the tip, or of the node that follows, and how far it is from them at the frames.
 fn path(setup: &ClosedLoopSetup, samples: &[&SampleRow], record: &MotionRecord) -> ReportPath {
     let t: Vec<f64> = samples.iter().map(|sample| sample.t).collect();
     let x: Vec<[f64; 3]> = samples
         .iter()
         .filter_map(|sample| sample.reference)
         .collect();
-    let tip = setup.plant.tip();
+    let tip = setup.followed;
     let off = |row: usize| {
         let now = record.t[row];
         let next = t.partition_point(|&time| time <= now).min(t.len() - 1);

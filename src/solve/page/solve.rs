@@ -127,7 +127,7 @@ fn posed(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Value {
         acts.then(|| largest.iter().map(|sizes| sizes[part]).fold(0.0, f64::max))
     };
     json!({
-        "start": <[f64; 3]>::from(problem.initial.configuration.positions[problem.rod.tip()]),
+        "start": <[f64; 3]>::from(problem.initial.configuration.positions[problem.goal_node()]),
         "goal": goal,
         "on_the_way": via(problem).len(),
         "tracks": problem.objective.tracking.len(),
@@ -163,9 +163,9 @@ fn target(problem: &OptimalControlProblem) -> Option<ReportTarget> {
 
 /// The positions of all other goals.
 fn via(problem: &OptimalControlProblem) -> Vec<ReportVia> {
-    let (tip, last) = (problem.rod.tip(), problem.grid.n_steps);
+    let (node, last) = (problem.goal_node(), problem.grid.n_steps);
     (problem.goals.iter())
-        .filter(|goal| (goal.node, goal.time_node) != (tip, last))
+        .filter(|goal| (goal.node, goal.time_node) != (node, last))
         .filter_map(|goal| {
             Some(ReportVia {
                 name: goal.name.clone(),

@@ -18,8 +18,8 @@ pub(crate) const NOT_FOUND: &str = "not-found";
 /// Fraction of the length below which a coordinate of an equilibrium is rounding: the scaled residual that an equilibrium may leave.
 const PLACE_ROUNDING: f64 = 1e-9;
 
-/// Says whether and by what the tip can be held at its goal, over a stay if the arm should stay; `None` where it has none, or the search
-/// was stopped.
+/// Says whether and by what the tip, or the node of the task, can be held at its goal, over a stay if the arm should stay; `None` where it
+/// has none, or the search was stopped.
 pub(super) fn need(
     problem: &OptimalControlProblem,
     staying: Option<Staying>,
@@ -54,15 +54,15 @@ pub(super) fn need(
                 CannotHold::NothingActuated
                 | CannotHold::TooFewControls { .. }
                 | CannotHold::Drifts
-                | CannotHold::BaseMoves { .. } => (CANNOT, None),
+                | CannotHold::EndMoves { .. } => (CANNOT, None),
             };
             let mut out = summary(verdict, held, Some(why.to_string()));
             out.nearest = nearest.map(|(held, distance_m)| NearestHeldSummary {
                 position_m: {
                     // Rounding of a place in a plane of symmetry is nothing.
                     let least = PLACE_ROUNDING * problem.rod.scales.length;
-                    let tip = held.shape.positions[problem.rod.tip()];
-                    tip.map(|x| if x.abs() < least { 0.0 } else { x }).into()
+                    let place = held.shape.positions[problem.goal_node()];
+                    place.map(|x| if x.abs() < least { 0.0 } else { x }).into()
                 },
                 distance_m,
                 wrenches: wrenches(problem, &held),
@@ -93,9 +93,9 @@ fn controls(problem: &OptimalControlProblem, held: &Held) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// Distance of the target from where the tip starts, m.
+/// Distance of the target from where its node starts, m.
 pub(super) fn distance(problem: &OptimalControlProblem) -> Option<f64> {
-    let start = problem.initial.configuration.positions[problem.rod.tip()];
+    let start = problem.initial.configuration.positions[problem.goal_node()];
     let target = problem.final_goals().find_map(|goal| goal.position)?;
     Some((target - start).norm())
 }

@@ -12,6 +12,7 @@ use super::super::norms::norm;
 use super::super::program::Multipliers;
 use super::super::program::{ConvexSet, LiftedProgram, Linearization, Softness};
 use super::super::quadratic_program::QpSolution;
+use super::super::trial::Accepted;
 use super::super::trust_region::{GOOD_RATIO, POOR_RATIO, TrustRegion};
 use super::{Breakdown, INFEASIBLE_PROGRESS, Run, SHRINKAGES, Step};
 
@@ -65,6 +66,20 @@ impl<P: LiftedProgram> Run<'_, P> {
             self.arrive(there);
             self.feasibility.phase = Some(phase);
             return Ok(Step::Taken);
+        }
+        // A soft constraint is met by its own variable, whose price makes it too long a step for the proximal term.
+        if let Some(there) = self.absorbing() {
+            let after = self.program.infeasibility(&there.evaluation);
+            if after <= RESTORATION_GAIN * before {
+                self.trace.note_step(&there, 0.0);
+                self.arrive(there);
+                self.feasibility.phase = Some(phase);
+                if after <= self.settings.tolerance {
+                    self.feasibility.phase = None;
+                    self.filter = Filter::new(after);
+                }
+                return Ok(Step::Taken);
+            }
         }
         for _ in 0..=SHRINKAGES {
             let mut matrix = Mat::<f64>::identity(n, n);
@@ -135,6 +150,18 @@ impl<P: LiftedProgram> Run<'_, P> {
             return Ok(Step::Taken);
         }
         Ok(Step::Refused)
+    }
+
+    /// Returns the point at which soft constraints are met by their own variables, unless it is the present one.
+    fn absorbing(&self) -> Option<Accepted<P>> {
+        let point = (self.program).absorbed(&self.iterate.point, &self.iterate.evaluation)?;
+        let evaluation = self.program.evaluate(&point).ok()?;
+        Some(Accepted {
+            point,
+            evaluation,
+            rolled_out: false,
+            corrections: 0,
+        })
     }
 
     /// Stores multipliers and point of a stationary infeasibility: the multipliers, in units of the infeasibility, tell which conditions

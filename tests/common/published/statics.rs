@@ -3,7 +3,7 @@
 use std::f64::consts::{FRAC_PI_4, PI};
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
-use softarm::mechanics::equilibrium::{TipSpring, static_equilibrium};
+use softarm::mechanics::equilibrium::{NodeSpring, static_equilibrium};
 use softarm::mechanics::forces::NodalForces;
 use softarm::mechanics::rotation::{exp, hat};
 use softarm::mechanics::{
@@ -338,7 +338,7 @@ fn held(rule: StrainRule, n: usize, stiffness: f64, forces: &[Triple]) -> Vec<Co
             })
             .unwrap();
             let start = shape.take().unwrap_or_else(|| rod.rest.clone());
-            let found = static_equilibrium(&rod, &start, 0.0, &TipSpring::default()).unwrap();
+            let found = static_equilibrium(&rod, &start, 0.0, &NodeSpring::default()).unwrap();
             shape = Some(found.clone());
             found
         })
@@ -591,7 +591,7 @@ fn follower_error_from(
 ) -> f64 {
     let n = parameters.n_elements;
     let rod = Rod::new(parameters).unwrap();
-    let shape = static_equilibrium(&rod, start, 0.0, &TipSpring::default()).unwrap();
+    let shape = static_equilibrium(&rod, start, 0.0, &NodeSpring::default()).unwrap();
     (shape.positions[n] - exact.positions[n]).norm() / parameters.length
 }
 
