@@ -94,11 +94,10 @@ struct Global {
     /// 0, or mpc.seed]
     #[arg(long, global = true, value_name = "N")]
     seed: Option<u64>,
-    /// Write the result into a folder of --out [default: results] that is named by a hash of verb, options and scene; if it is there, do
-    /// nothing but print its summary
+    /// Write into the folder of --out that a hash of the task names, and do nothing if it is there
     #[arg(long, global = true)]
     skip_existing: bool,
-    /// Keep the numbers of a result alone: no trajectory, diagnostics, checkpoint and page
+    /// Keep the numbers of a result alone
     #[arg(long, global = true)]
     small: bool,
 }
