@@ -161,7 +161,7 @@ struct SceneArgument {
     scene: String,
 }
 
-#[derive(Debug, Args)]
+#[derive(Debug, Default, Args)]
 struct SceneAndOut {
     /// Path to a scene file, or the name of a built-in scene
     scene: String,

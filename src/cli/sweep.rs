@@ -9,6 +9,7 @@ use super::console::Console;
 use super::error::CliError;
 use super::{Command, Global, Outcome, SceneAndOut, exit};
 use crate::output::{OutputError, ResultKind};
+use crate::scene::Scene;
 
 /// The large files of a result, which its scene leads to again.
 const LARGE: [&str; 4] = [
@@ -46,49 +47,40 @@ pub(super) fn run(
     if !(global.skip_existing || global.small) {
         return run(command);
     }
-    if command.result().is_none() {
+    let Some((arguments, kind)) = command.result() else {
         let words =
             "--skip-existing and --small go with simulate, equilibrium, solve, mpc and tradeoff";
         return Err(CliError::Directory(words.into()));
-    }
+    };
+    let mut own = std::mem::take(arguments);
     if global.skip_existing {
-        let key = key(command, global, console)?;
-        let Some((arguments, kind)) = command.result() else {
-            return run(command);
-        };
-        let folder = (arguments.out.take()).unwrap_or_else(|| PathBuf::from("results"));
-        let place = folder.join(key);
+        let folder = (own.out.take()).unwrap_or_else(|| PathBuf::from("results"));
+        let (scene, _) = console.load(&own.scene, global)?;
+        let place = folder.join(key(command, global, &scene));
         if let Some(summary) = finished(&place, kind)? {
             console.say(&format!("{}: there already", place.display()));
             console.summary(&summary);
             return Ok(exit::DONE);
         }
-        arguments.out = Some(place);
+        own.out = Some(place);
+    }
+    let place = own.directory(kind.command());
+    if let Some((arguments, _)) = command.result() {
+        *arguments = own;
     }
     let code = run(command)?;
-    if global.small
-        && let Some((arguments, kind)) = command.result()
-    {
-        shrink(&arguments.directory(kind.command()), kind)?;
+    if global.small {
+        shrink(&place, kind)?;
     }
     Ok(code)
 }
 
-/// Returns the name of the result of a verb: a hash of all that the result depends on.
-fn key(command: &mut Command, global: &Global, console: &Console) -> Result<String, CliError> {
-    let Some((arguments, _)) = command.result() else {
-        return Ok(String::new());
-    };
-    let (scene, _) = console.load(&arguments.scene, global)?;
-    let out = arguments.out.take();
-    let name = std::mem::take(&mut arguments.scene);
+/// Returns the name of the result of a verb whose scene and directory are left out: a hash of all that it depends on.
+fn key(command: &Command, global: &Global, scene: &Scene) -> String {
     let mut hasher = DefaultHasher::new();
     (format!("{command:?}"), global.seed).hash(&mut hasher);
     (scene.to_toml(), env!("CARGO_PKG_VERSION")).hash(&mut hasher);
-    if let Some((arguments, _)) = command.result() {
-        (arguments.scene, arguments.out) = (name, out);
-    }
-    Ok(format!("{:016x}", hasher.finish()))
+    format!("{:016x}", hasher.finish())
 }
 
 /// Returns the summary of a finished result of this kind; `None` if there is none, or one whose files were being replaced.

@@ -1,4 +1,4 @@
-//! Beams: how they give under a load, and how they swing, by how their ends are held. Weights, laws and priors are in these units, those of
+//! Stiffness, frequencies and modal mass of beams, by the way in which their ends are held. Weights, laws and priors are in these units, those of
 //! the point that moves most: the tip of a cantilever, or the middle between two ends.
 
 use super::ends::EndCondition;

@@ -4,7 +4,9 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::rotation::{exp, log};
 use super::state_tangent::StateTangent;
-use super::strain_actuator::Poses;
+
+/// Positions (m) and rotations of all nodes.
+pub type Poses<'a> = (&'a [Vector3<f64>], &'a [Matrix3<f64>]);
 
 /// Position and rotation of every node.
 #[derive(Debug, PartialEq)]
@@ -13,6 +15,14 @@ pub struct Configuration {
     pub positions: Vec<Vector3<f64>>,
     /// Rotations, body to space.
     pub rotations: Vec<Matrix3<f64>>,
+}
+
+impl Configuration {
+    /// Returns positions and rotations.
+    #[must_use]
+    pub fn poses(&self) -> Poses<'_> {
+        (&self.positions, &self.rotations)
+    }
 }
 
 /// A configuration with its momenta at the same instant.

@@ -673,15 +673,23 @@ fn moved(at: &Configuration, step: &[Vector6<f64>], first: usize) -> Configurati
 
 /// Returns the shape after a step along which the strains of all elements are linear.
 fn strained(at: &Configuration, step: &[Vector6<f64>], first: usize) -> Configuration {
-    let mut positions = vec![Vector3::zeros(); first];
-    let mut rotations = positions.clone();
-    for s in step {
-        positions.push(s.fixed_rows::<3>(0).into());
-        rotations.push(s.fixed_rows::<3>(3).into());
-    }
+    let [positions, rotations] = of_all_nodes(step, first, 1.0);
     let mut out = at.clone();
     retract_shape(at, &positions, &rotations, &mut out);
     out
+}
+
+/// Returns positions and rotations of `length` times a step `(δx, η)` of the nodes from `first` on; those before do not move.
+pub(crate) fn of_all_nodes(
+    step: &[Vector6<f64>],
+    first: usize,
+    length: f64,
+) -> [Vec<Vector3<f64>>; 2] {
+    [0, 3].map(|part| {
+        let still = std::iter::repeat_n(Vector3::zeros(), first);
+        let moving = step.iter().map(|s| s.fixed_rows::<3>(part) * length);
+        still.chain(moving).collect()
+    })
 }
 
 /// Returns the largest change of the turn between the ends of an element, rad.

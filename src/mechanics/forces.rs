@@ -2,10 +2,11 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::configuration::Poses;
 use super::element::ElementGradient;
 use super::pose_actuator::Posed;
 use super::rod::Rod;
-use super::strain_actuator::{EffortLaw, Poses};
+use super::strain_actuator::EffortLaw;
 use super::time::{TimeNode, TimeScheme};
 use super::{Configuration, Wrench};
 
@@ -190,6 +191,34 @@ impl NodalForces {
 }
 
 impl Rod {
+    /// Writes the wrenches of a unit effort of one actuator at the mean strain of an interval on the nodes at both of its ends.
+    pub(in crate::mechanics) fn write_interval_pulls(
+        &self,
+        actuator: usize,
+        ends: [Poses; 2],
+        out: [&mut NodalForces; 2],
+    ) {
+        let [start, end] = out;
+        start.clear();
+        end.clear();
+        let unit = |other: usize| f64::from(u8::from(other == actuator));
+        for (q, element) in self.elements.iter().enumerate() {
+            if !(self.actuators.on(q).iter()).any(|point| point.actuator == actuator) {
+                continue;
+            }
+            let poses = ends.map(|(x, r)| Self::element_pose(q, x, r));
+            let strains =
+                (poses.each_ref()).map(|pose| self.strain_rule.strain(element.length, pose));
+            let mean = strains[0].mean(&strains[1]);
+            let Some(stress) = self.active_stress_under(q, &mean, &unit) else {
+                continue;
+            };
+            for (out, pose) in [&mut *start, &mut *end].into_iter().zip(&poses) {
+                out.add_gradient(q, &element.gradient_under(self.strain_rule, pose, &stress));
+            }
+        }
+    }
+
     /// Returns the wrench of the base on an arm at rest in a shape, under the loads at time `t`: force in the spatial frame, moment in the
     /// frame of the base.
     #[must_use]

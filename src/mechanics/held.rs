@@ -9,6 +9,7 @@ use super::ends::{EndCondition, Joint};
 use super::load::Wrench;
 use super::rod::Rod;
 use super::rotation::{exp, log};
+use super::strain_coordinates::retract_shape;
 
 impl Rod {
     /// Returns the joint at a node.
@@ -39,6 +40,23 @@ impl Rod {
     #[must_use]
     pub fn has_free_tip(&self) -> bool {
         self.tip_end == EndCondition::Free
+    }
+
+    /// Writes the shape to which a tangent `(δx, ζ)` of every node leads: the strains of its elements [follow it linearly](retract_shape), or,
+    /// since that would carry a held tip away, the pose of every node does.
+    pub(crate) fn retract(
+        &self,
+        from: &Configuration,
+        (positions, rotations): (&[Vector3<f64>], &[Vector3<f64>]),
+        to: &mut Configuration,
+    ) {
+        if self.has_free_tip() {
+            return retract_shape(from, positions, rotations, to);
+        }
+        for q in 0..self.n_nodes() {
+            to.positions[q] = from.positions[q] + positions[q];
+            to.rotations[q] = from.rotations[q] * exp(&rotations[q]);
+        }
     }
 
     /// Tells whether the tip follows a motion that is given.
@@ -147,7 +165,7 @@ impl Rod {
         }
     }
 
-    /// Leaves of a vector over the free nodes, of forces and moments or of motions, the part along the motions that joints leave free.
+    /// Projects a vector over the free nodes, of forces and moments or of motions, onto the motions that joints leave free.
     pub(crate) fn project_joints(&self, vector: &mut [Vector6<f64>]) {
         for joint in &self.joints {
             let own = &mut vector[joint.node - self.first_free_node()];

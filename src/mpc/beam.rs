@@ -1,4 +1,4 @@
-//! How an arm gives under a load, and how it swings, as a [`Beam`] of its ends. Laws and priors of a loop are in these units.
+//! Stiffness, frequencies and modal mass of an arm as those of a [`Beam`] with its ends. Laws and priors of a loop are in these units.
 
 use crate::mechanics::Rod;
 use crate::mechanics::beam::Beam;

@@ -16,6 +16,7 @@ use crate::control::{
 use crate::mechanics::Trajectory;
 use crate::scene::OptimalControl;
 use crate::sqp::{ConvexSet, Failure, LiftedProgram as _, LinearizationRequest, Multipliers};
+use crate::stop::StopSignal;
 
 /// The discrete problem of a scene: `Program(name, text=None, overrides=[])`.
 #[pyclass(module = "softarm._softarm", frozen)]
@@ -25,6 +26,10 @@ pub(super) struct Program {
 
 /// Positions `(N+1, K+1, 3)` and rotations `(N+1, K+1, 3, 3)`.
 type Motion<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray4<f64>>);
+/// Objective, constraints and inequalities.
+type Values<'py> = (f64, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
+/// `A` and `B` of a block.
+type Block<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
 /// Changes of positions and rotations, `(N+1, K+1, 3)` each.
 type Change<'py> = (Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>);
 
@@ -69,16 +74,18 @@ impl Program {
         numbers("variables", variables, &[self.problem().n_variables()])
     }
 
-    /// Returns the program with the simulated motion of given variables.
-    fn at(&self, variables: Vec<f64>) -> Result<(Transcription<'_>, LiftedPoint), Failure> {
-        let program = Transcription::new(self.problem(), 1);
-        let start = LiftedPoint {
-            trajectory: Trajectory::with_capacity(self.problem().rod.n_nodes(), 0),
-            variables: vec![0.0; variables.len()],
-        };
-        let point = program.rollout(&start, &variables)?;
-        Ok((program, point))
+    fn transcription(&self) -> Transcription<'_> {
+        Transcription::new(self.problem(), 1)
     }
+}
+
+/// Returns the point with the simulated motion of given variables.
+fn at(program: &Transcription<'_>, variables: &[f64]) -> Result<LiftedPoint, Failure> {
+    let start = LiftedPoint {
+        trajectory: Trajectory::with_capacity(program.problem().rod.n_nodes(), 0),
+        variables: vec![0.0; variables.len()],
+    };
+    program.rollout(&start, variables)
 }
 
 #[pymethods]
@@ -92,8 +99,9 @@ impl Program {
         overrides: Vec<String>,
     ) -> PyResult<Self> {
         let (scene, source) = read(py, name, text, &overrides)?;
-        let setup = (py.detach(|| scene.optimal_control(&source)))
-            .map_err(|error| scene_error(py, &error))?;
+        // A deadline of the scene is one of its solves.
+        let posed = || scene.optimal_control_until(&source, &StopSignal::default());
+        let setup = py.detach(posed).map_err(|error| scene_error(py, &error))?;
         Ok(Self { setup })
     }
 
@@ -156,7 +164,7 @@ impl Program {
     /// The convex sets of the variables as dictionaries.
     #[getter]
     fn sets<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
-        let program = Transcription::new(self.problem(), 1);
+        let program = self.transcription();
         let out = PyList::empty(py);
         for set in program.sets() {
             let own = PyDict::new(py);
@@ -203,21 +211,17 @@ impl Program {
     /// The motion under given variables.
     fn rollout<'py>(&self, py: Python<'py>, variables: Numbers<'_>) -> PyResult<Motion<'py>> {
         let variables = self.variables(&variables)?;
-        let (_, point) =
-            (py.detach(|| self.at(variables))).map_err(|failure| failed(py, &failure))?;
+        let point = py.detach(|| at(&self.transcription(), &variables));
+        let point = point.map_err(|failure| failed(py, &failure))?;
         Ok(motion(py, &point.trajectory))
     }
 
     /// Objective, constraints and inequalities on the motion under given variables.
-    fn evaluate<'py>(
-        &self,
-        py: Python<'py>,
-        variables: Numbers<'_>,
-    ) -> PyResult<(f64, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>)> {
+    fn evaluate<'py>(&self, py: Python<'py>, variables: Numbers<'_>) -> PyResult<Values<'py>> {
         let variables = self.variables(&variables)?;
         let values = py.detach(|| {
-            let (program, point) = self.at(variables)?;
-            program.evaluate(&point)
+            let program = self.transcription();
+            program.evaluate(&at(&program, &variables)?)
         });
         let values = values.map_err(|failure| failed(py, &failure))?;
         Ok((
@@ -240,7 +244,7 @@ impl Program {
         rows: Option<Vec<usize>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let variables = self.variables(&variables)?;
-        let program = Transcription::new(self.problem(), 1);
+        let program = self.transcription();
         let (n_constraints, n_rows) = (program.goal_rows().len(), program.n_path_rows());
         if let Some(rows) = &rows
             && !(rows.is_sorted_by(|a, b| a < b) && rows.last().is_none_or(|last| *last < n_rows))
@@ -259,7 +263,7 @@ impl Program {
             multipliers.inequalities = numbers("inequality_multipliers", given, &[n_rows])?;
         }
         let found = py.detach(|| {
-            let (program, point) = self.at(variables)?;
+            let point = at(&program, &variables)?;
             let values = program.evaluate(&point)?;
             let near = |row: &usize| {
                 values.inequalities[*row] > -program.screening_margin()
@@ -302,7 +306,8 @@ impl Program {
         let variables = self.variables(&variables)?;
         let change = numbers("change", &change, &[variables.len()])?;
         let found = py.detach(|| {
-            let (program, point) = self.at(variables)?;
+            let program = self.transcription();
+            let point = at(&program, &variables)?;
             let values = program.evaluate(&point)?;
             program.expand(&point, &values.defects, &change)
         });
@@ -319,11 +324,11 @@ impl Program {
         &self,
         py: Python<'py>,
         variables: Numbers<'_>,
-    ) -> PyResult<Vec<(Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)>> {
+    ) -> PyResult<Vec<Block<'py>>> {
         let variables = self.variables(&variables)?;
         let found = py.detach(|| {
             let coefficients = self.problem().wrenches(&variables);
-            let (_, point) = self.at(variables)?;
+            let point = at(&self.transcription(), &variables)?;
             block_transitions(self.problem(), &point.trajectory, &coefficients, 1)
                 .map_err(|error| Failure(error.to_string()))
         });

@@ -654,12 +654,12 @@ fn existing_results_are_skipped() {
     };
     let count = || fs::read_dir(desk.path("sweep")).unwrap().count();
     assert!(!sweep(&[]));
-    let [first] = [fs::read_dir(desk.path("sweep"))
+    let first = fs::read_dir(desk.path("sweep"))
         .unwrap()
         .next()
         .unwrap()
         .unwrap()
-        .path()];
+        .path();
     let written = fs::metadata(first.join("trajectory.npz"))
         .unwrap()
         .modified()

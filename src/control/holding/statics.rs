@@ -8,10 +8,9 @@ use crate::control::problem::{Component, OptimalControlProblem};
 use crate::control::term::DIFFERENCE;
 use crate::mechanics::actuator::Acting;
 use crate::mechanics::block_tridiagonal::BlockTridiagonal;
-use crate::mechanics::equilibrium::NodeSpring;
+use crate::mechanics::equilibrium::{NodeSpring, of_all_nodes};
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rotation::{exp, log, log_tangent};
-use crate::mechanics::strain_coordinates::retract_shape;
 use crate::mechanics::tangent::{Mode, Tangent};
 use crate::mechanics::{Configuration, NodeWrenches, Posed, Rod, StateView, Wrench};
 
@@ -519,30 +518,17 @@ impl Statics<'_> {
         -forms.sum::<f64>()
     }
 
-    /// Returns the shape that a motion `(δx, η)` of the free nodes leads to: its strains follow the motion linearly, or, since that would
-    /// carry a held tip away, the pose of every node.
+    /// Returns the shape to which `length` times a motion `(δx, η)` of the free nodes [leads](Rod::retract).
     pub fn moved(
         &self,
         shape: &Configuration,
         step: &[Vector6<f64>],
         length: f64,
     ) -> Configuration {
-        let first = self.rod().first_free_node();
-        let mut positions = vec![Vector3::zeros(); first];
-        let mut rotations = positions.clone();
-        for s in step {
-            positions.push(s.fixed_rows::<3>(0) * length);
-            rotations.push(s.fixed_rows::<3>(3) * length);
-        }
+        let rod = self.rod();
+        let [positions, rotations] = of_all_nodes(step, rod.first_free_node(), length);
         let mut out = shape.clone();
-        if self.rod().has_free_tip() {
-            retract_shape(shape, &positions, &rotations, &mut out);
-            return out;
-        }
-        for (q, (shift, turn)) in positions.iter().zip(&rotations).enumerate().skip(first) {
-            out.positions[q] += shift;
-            out.rotations[q] *= exp(turn);
-        }
+        rod.retract(shape, (&positions, &rotations), &mut out);
         out
     }
 

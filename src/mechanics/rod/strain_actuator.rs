@@ -8,18 +8,17 @@
 //! An explicit step takes this stress at the time nodes, like the elastic one. An implicit step takes it at the mean strain of the
 //! interval, with the mean of the efforts at its two ends.
 
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
 use super::contact::Contact;
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
 use super::{Rod, RodError, require};
-use crate::mechanics::configuration::Trajectory;
+use crate::mechanics::configuration::{Poses, Trajectory};
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
     ElementStrain, IntervalStress, StrainRule, Stress,
 };
-use crate::mechanics::forces::NodalForces;
 use crate::mechanics::load::profile;
 use crate::mechanics::mesh::Mesh;
 use crate::mechanics::rows;
@@ -606,9 +605,6 @@ impl RodActuators {
     }
 }
 
-/// Positions (m) and rotations of all nodes.
-pub type Poses<'a> = (&'a [Vector3<f64>], &'a [Matrix3<f64>]);
-
 /// Returns a strain times the length of the element.
 fn stretched(strain: &ElementStrain, length: f64) -> ([Vec3<Scalar>; 2], Vec3<Scalar>) {
     (
@@ -631,7 +627,7 @@ impl Rod {
     }
 
     /// Returns [`Self::active_stress`] where `effort` gives the effort of an actuator.
-    fn active_stress_under(
+    pub(in crate::mechanics) fn active_stress_under(
         &self,
         q: usize,
         strain: &ElementStrain,
@@ -756,34 +752,6 @@ impl Rod {
             b.transpose() * tangent * b_end,
             bent(1) + b_end.transpose() * tangent * b_end,
         ])
-    }
-
-    /// Writes the wrenches of a unit effort of one actuator at the mean strain of an interval on the nodes at both of its ends.
-    pub(in crate::mechanics) fn write_interval_pulls(
-        &self,
-        actuator: usize,
-        ends: [Poses; 2],
-        out: [&mut NodalForces; 2],
-    ) {
-        let [start, end] = out;
-        start.clear();
-        end.clear();
-        let unit = |other: usize| f64::from(u8::from(other == actuator));
-        for (q, element) in self.elements.iter().enumerate() {
-            if !(self.actuators.on(q).iter()).any(|point| point.actuator == actuator) {
-                continue;
-            }
-            let poses = ends.map(|(x, r)| Self::element_pose(q, x, r));
-            let strains =
-                (poses.each_ref()).map(|pose| self.strain_rule.strain(element.length, pose));
-            let mean = strains[0].mean(&strains[1]);
-            let Some(stress) = self.active_stress_under(q, &mean, &unit) else {
-                continue;
-            };
-            for (out, pose) in [&mut *start, &mut *end].into_iter().zip(&poses) {
-                out.add_gradient(q, &element.gradient_under(self.strain_rule, pose, &stress));
-            }
-        }
     }
 
     /// Returns the largest efforts of the actuators at any time. Of a winch it is the tension that the arm at rest puts up against the

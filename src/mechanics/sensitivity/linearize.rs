@@ -18,7 +18,6 @@ use super::step::{
     ActingKick, LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_loads,
     square,
 };
-use super::winches::finish;
 use crate::mechanics::buffer::Buffer;
 use crate::mechanics::configuration::Trajectory;
 use crate::mechanics::curvature::{
@@ -94,9 +93,7 @@ impl Memory {
                         &mut single.intervals[0]
                     }
                 };
-                if !step.solve.is_empty() {
-                    finish(along.motion, k, step)?;
-                }
+                step.finish_winches(along.motion, k)?;
                 if let (Some(multipliers), Some(curvature)) =
                     (along.multipliers, &mut step.curvature)
                 {

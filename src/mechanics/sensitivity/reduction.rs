@@ -26,7 +26,7 @@ pub(super) struct Record<'a> {
     own_product: Vec<f64>,
     /// Ends of those of each time node of the round.
     own_ends: Vec<usize>,
-    /// What the forms of the next time node have of the present one, form by form.
+    /// Products of the present rows with the earlier parts of the forms of the next time node, form by form.
     earlier: Vec<f64>,
     /// Tells whether any column of the tile has begun to act.
     active: bool,

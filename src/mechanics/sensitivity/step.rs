@@ -3,14 +3,15 @@
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 
 use super::TILE;
-use super::winches::WinchDrift;
+use super::winches::{WinchDrift, finish};
 use crate::mechanics::actuator::ActingDerivative;
 use crate::mechanics::curvature::{IntervalCurvature, NodeCurvature};
 use crate::mechanics::ends::Joint;
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::forms::NODE_COMPONENTS;
-use crate::mechanics::linearization::LoadDerivative;
+use crate::mechanics::linearization::{LoadDerivative, Motion};
 use crate::mechanics::rod::Rod;
+use crate::mechanics::step_error::StepError;
 
 /// The linearized equations of motion of one time node, laid out for the sweeps: a kick with the stiffness at `k`, whose weight is
 /// multiplied in, then the drift to `k + 1`.
@@ -348,6 +349,23 @@ fn add_row(data: &mut [f64], to: usize, from: usize, factor: f64) {
 }
 
 impl LinearizedStep {
+    /// Computes the changes of the winches in the step from time node `k`, whose drift is factored if it is solved for.
+    ///
+    /// # Errors
+    /// Returns [`StepError`] if the equations of the step have no solution.
+    pub(super) fn finish_winches(&mut self, motion: &Motion, k: usize) -> Result<(), StepError> {
+        if self.solve.is_empty() {
+            return Ok(());
+        }
+        let mut winches = std::mem::take(&mut self.solve.winches);
+        let (solve, first) = (&self.solve, self.first_free_node);
+        finish(motion, k, &mut winches, &|momenta, out| {
+            solve.answer(first, momenta, out)
+        })?;
+        self.solve.winches = winches;
+        Ok(())
+    }
+
     /// Tells whether it is the last of its stretch, which has a kick and no drift.
     pub(super) fn is_last(&self) -> bool {
         self.drifts.is_empty() && self.solve.is_empty()

@@ -20,7 +20,6 @@ use pulp::Arch;
 use super::TILE;
 use super::along::Along;
 use super::combined::{Combined, Spread};
-use super::step::{LinearizedStep, SolvedDrift};
 use crate::mechanics::curvature::{IntervalCurvature, Multipliers};
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::forms::NODE_COMPONENTS;
@@ -62,22 +61,21 @@ impl WinchDrift {
         self.slope == 0.0
     }
 
-    /// Computes `v` from the drift with the winches `before` this one.
+    /// Computes `v` from the drift with the winches `before` this one, of which `answer` is that without any.
     fn find_change(
         &mut self,
-        solve: &SolvedDrift,
-        first: usize,
+        n_nodes: usize,
+        answer: Answer,
         before: &[Self],
         [leaving, arriving]: [f64; 2],
     ) {
-        let n_nodes = solve.nodes.len();
         let out = &mut self.change;
         out.clear();
         out.resize(NODE_COMPONENTS * n_nodes, 0.0);
         if self.slope == 0.0 {
             return;
         }
-        solve.answer(first, &self.start, out);
+        answer(&self.start, out);
         for other in before.iter().filter(|other| !other.is_slack()) {
             let y = on_poses(&other.end, out);
             for (out, change) in out.iter_mut().zip(&other.change) {
@@ -166,6 +164,9 @@ fn on_poses(form: &[f64], column: &[f64]) -> f64 {
         .sum()
 }
 
+/// Writes what the drift without winches returns for a column that has momenta alone, six of every node.
+pub(super) type Answer<'a> = &'a dyn Fn(&[f64], &mut [f64]);
+
 /// Computes the changes of the winches in a step from time node `k` whose drift is factored.
 ///
 /// # Errors
@@ -173,25 +174,19 @@ fn on_poses(form: &[f64], column: &[f64]) -> f64 {
 pub(super) fn finish(
     motion: &Motion,
     k: usize,
-    step: &mut LinearizedStep,
+    winches: &mut [WinchDrift],
+    answer: Answer,
 ) -> Result<(), StepError> {
-    let first = step.first_free_node;
-    let mut winches = std::mem::take(&mut step.solve.winches);
     for index in 0..winches.len() {
         let (before, rest) = winches.split_at_mut(index);
-        rest[0].find_change(&step.solve, first, before, impulses(motion));
+        rest[0].find_change(motion.rod.n_nodes(), answer, before, impulses(motion));
         let sum: f64 = rest[0].change.iter().sum();
         if !sum.is_finite() {
-            let time = motion.grid.time(k);
-            return Err(not_finite(
-                first,
-                k,
-                time,
-                "the inverse of the implicit step with winches",
-            ));
+            let what = "the inverse of the implicit step with winches";
+            let first = motion.rod.first_free_node();
+            return Err(not_finite(first, k, motion.grid.time(k), what));
         }
     }
-    step.solve.winches = winches;
     Ok(())
 }
 

@@ -6,10 +6,10 @@ use nalgebra::Vector3;
 use crate::mechanics::beam::Beam;
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
-use crate::mechanics::rotation::{exp, orthonormalized};
+use crate::mechanics::rotation::orthonormalized;
 use crate::mechanics::sensitivity::RepeatedForward;
 use crate::mechanics::stability::automatic_step;
-use crate::mechanics::strain_coordinates::{ShapeTransport, retract_shape, shape_difference};
+use crate::mechanics::strain_coordinates::{ShapeTransport, shape_difference};
 use crate::mechanics::{
     Configuration, ControlSignal, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench,
 };
@@ -179,7 +179,7 @@ const MOST_STEPS: usize = 15;
 /// An extended Kalman filter whose error is `(δx, ζ, δp, δπ)` of every free node, and that of the disturbances.
 ///
 /// To first order the error is the [difference](State::difference) of states. Finite corrections follow the strains: they move the strains
-/// of the elements linearly ([`retract_shape`]), so that an arm that is found bent is not found stretched, and carry the covariance to the
+/// of the elements linearly ([`retract_shape`](crate::mechanics::strain_coordinates::retract_shape)), so that an arm that is found bent is not found stretched, and carry the covariance to the
 /// tangent of the corrected shape. Deviations of stiff strains, which are known best, stay small that way. Strains that change linearly would
 /// carry a held tip away; on such an arm the poses of the nodes are corrected one by one instead, to first order the same, and motions that
 /// an end holds have no error. A correction after which the
@@ -191,7 +191,6 @@ const MOST_STEPS: usize = 15;
 /// disturbance is a random walk. A standard deviation of 0 is replaced by 1e-6 of the arm's own scales.
 ///
 /// No call after the first of its kind allocates memory if steps are explicit.
-/// No call after the first of its kind asks for memory, where steps are explicit.
 pub struct KalmanFilter {
     settings: KalmanSettings,
     estimate: Estimate,
@@ -587,14 +586,7 @@ impl KalmanFilter {
         }
         let (positions, rotations) = (&tangent.positions, &tangent.rotations);
         let (here, there) = (&state.configuration, &mut next.configuration);
-        if self.transport.is_some() {
-            retract_shape(here, positions, rotations, there);
-        } else {
-            for node in first..n_nodes {
-                there.positions[node] += positions[node];
-                there.rotations[node] *= exp(&rotations[node]);
-            }
-        }
+        (self.predictor.model()).retract(here, (positions, rotations), there);
         for rotation in &mut there.rotations[first..] {
             *rotation = orthonormalized(rotation);
         }

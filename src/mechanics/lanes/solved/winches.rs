@@ -16,7 +16,6 @@ use super::chain::{Chain, Column, SIZE};
 use crate::mechanics::configuration::Configuration;
 use crate::mechanics::forces::NodalForces;
 use crate::mechanics::rod::Rod;
-use crate::mechanics::strain_actuator::Poses;
 
 /// `A⁻¹p` and `q` of every winch, node by node from the first free one.
 #[derive(Clone, Debug, Default)]
@@ -53,7 +52,10 @@ impl<'a> Winches<'a> {
     /// Finds the efforts for a trial of the poses at the end.
     pub fn find(&mut self, end: &Configuration) {
         let mut coordinates = vec![0.0; self.inputs.len()];
-        (self.rod).write_interval_coordinates([&self.start, end].map(poses), &mut coordinates);
+        (self.rod).write_interval_coordinates(
+            [&self.start, end].map(Configuration::poses),
+            &mut coordinates,
+        );
         for (i, y) in coordinates.into_iter().enumerate() {
             let law = self.rod.actuators.law(i, self.inputs[i], y);
             self.efforts[i] = law.effort;
@@ -77,7 +79,7 @@ impl<'a> Winches<'a> {
                 continue;
             }
             let [mut near, mut far] = [0, 1].map(|_| NodalForces::zeros(self.rod.n_nodes()));
-            let ends = [&self.start, end].map(poses);
+            let ends = [&self.start, end].map(Configuration::poses);
             (self.rod).write_interval_pulls(i, ends, [&mut near, &mut far]);
             let [p, q] = [near, far].map(|pull| {
                 let nodes = pull
@@ -124,10 +126,6 @@ impl<'a> Winches<'a> {
             }
         }
     }
-}
-
-fn poses(at: &Configuration) -> Poses<'_> {
-    (&at.positions, &at.rotations)
 }
 
 /// Returns the sum of products over all nodes.
