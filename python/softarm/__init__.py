@@ -15,6 +15,7 @@ from ._softarm import Batch, __version__, builtin_scenes
 from .control import Command, Controller, Plant, State
 from .errors import InternalError, ModelError, ResultError, SceneError, SoftarmError, Stopped
 from .program import Component, Program, Quadratic
+from .progress import progress
 from .results import Certificate, Result, load, verify
 from .scene import Scene, batch, run, schema
 from .shortcuts import arm, figure_eight, reach
@@ -43,6 +44,7 @@ __all__ = [
     "builtin_scenes",
     "figure_eight",
     "load",
+    "progress",
     "reach",
     "run",
     "schema",

@@ -4,6 +4,8 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
+from .control import State
+
 __all__ = ["Batch", "Controller", "Plant", "Program", "__version__", "builtin_scenes", "call", "main", "parse", "schema"]
 
 __version__: str
@@ -80,6 +82,7 @@ class Batch:
         text: str | None = None,
         overrides: list[str] = ...,
         threads: int | None = None,
+        each: list[list[str]] | None = None,
     ) -> Batch: ...
     def __len__(self) -> int: ...
     @property
@@ -94,19 +97,26 @@ class Batch:
     @property
     def actuators(self) -> list[str]:
         """Names of the actuators, in the order of efforts."""
-    def state(
-        self, index: int
-    ) -> tuple[
-        npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]
-    ]:
-        """Returns positions, rotations, velocities and angular velocities of one arm, as those of `State`."""
+    def state(self, index: int) -> State:
+        """Returns the state of one arm."""
     def step(
         self, dt: float, wrenches: npt.ArrayLike | None = None, efforts: npt.ArrayLike | None = None
     ) -> list[str | None]:
         """Moves every arm by `dt` seconds, under wrenches (n, 6) on the tips and efforts (n, m) of the actuators, as `Plant.step` does.
 
-        Returns for every arm None, or why it broke down, now or before; such an arm stays where it was until its reset.
+        Returns for every arm None, or why it broke down, now or before; such an arm stays where it was until its reset. Ctrl-C ends the call;
+        arms that were not done yet stay where they were.
         """
+    def set_state(
+        self,
+        index: int,
+        positions: npt.ArrayLike,
+        rotations: npt.ArrayLike,
+        velocities: npt.ArrayLike | None = None,
+        angular_velocities: npt.ArrayLike | None = None,
+        time: float | None = None,
+    ) -> None:
+        """Puts one arm into a state, as `Plant.set_state`; an arm that broke down moves again."""
     def reset(self, indices: list[int] | None = None) -> None:
         """Puts the arms with these indices, or all, back to the start of the scene."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -63,6 +63,19 @@ class Command:
     def efforts(self) -> dict[str, tuple[float, float]]:
         return {own["name"]: (own["from"], own["to"]) for own in self.answer.get("efforts", [])}
 
+    def _part(self, time: float) -> float:
+        return min(max((time - self.start) / (self.end - self.start), 0.0), 1.0)
+
+    def wrenches_at(self, time: float) -> dict[float, np.ndarray]:
+        """Returns the wrench `(6,)` at every place at a time in s; after its end a command holds its last values."""
+        part = self._part(time)
+        return {place: begin + (end - begin) * part for place, (begin, end) in self.wrenches.items()}
+
+    def efforts_at(self, time: float) -> dict[str, float]:
+        """Returns the effort of every actuator at a time in s."""
+        part = self._part(time)
+        return {name: begin + (end - begin) * part for name, (begin, end) in self.efforts.items()}
+
     @property
     def force(self) -> np.ndarray:
         """Mean force on the last actuated node, N, (3,)."""
@@ -79,6 +92,11 @@ class Command:
     def fallback(self) -> dict[str, str] | None:
         return self.answer["fallback"]
 
+    @property
+    def innovation(self) -> dict[str, Any] | None:
+        """With an estimator: how far the last measurement was from what it expected, and how many signals of it were refused."""
+        return self.answer["innovation"]
+
     def __repr__(self) -> str:
         acts = ", ".join(f"{name} {to:.4g}" for name, (_, to) in self.efforts.items())
         if self.answer["wrenches"]:
@@ -86,13 +104,31 @@ class Command:
         return f"<softarm.Command {self.start:.6g} s to {self.end:.6g} s: {acts}>"
 
 
+def _finite(reading: Mapping[str, Any], place: str, faults: list[dict[str, Any]]) -> dict[str, Any]:
+    """Returns a reading without the fields that have numbers that are not finite, which JSON does not know."""
+    out = {}
+    for name, value in reading.items():
+        if name != "time_s" and isinstance(value, (list, tuple, np.ndarray)) and not np.isfinite(np.asarray(value, dtype=float)).all():
+            message = f"{np.asarray(value).tolist()} is not finite"
+            faults.append({"type": "error", "where": f"{place}.{name}", "message": message, "help": "leave out what was not measured"})
+        else:
+            out[name] = value
+    return out
+
+
 class Controller:
     """The controller of a scene, for a plant of one's own: `command = controller.step(state)` once every `period`."""
 
-    def __init__(self, native: _softarm.Controller):
-        self._native = native
-        self.greeting: dict[str, Any] = json.loads(native.greeting)
+    def __init__(self, make: Callable[[], _softarm.Controller]):
+        self._make = make
+        self.reset()
+
+    def reset(self) -> None:
+        """Begins anew, at time 0 and without an estimate."""
+        self._native = self._make()
+        self.greeting: dict[str, Any] = json.loads(self._native.greeting)
         self._places = [node["place"] for node in self.greeting["nodes"]]
+        self._sent: list[Command] = []
 
     @property
     def period(self) -> float:
@@ -129,25 +165,42 @@ class Controller:
     ) -> Command:
         """Answers a measurement at `time` (s; the next sample's if it is left out), and prepares the next sample.
 
-        A measurement is a `state` on the nodes of the model, poses of them, or `readings` of sensors. `reference` has rows (t, x, y, z) of
-        another path for the tip; fields of readings and obstacles are those of `docs/serving.md`. A faulty measurement raises nothing: it is
-        answered by a fallback, and `command.refused` says what was wrong.
+        A measurement is a `state` on the nodes of the model (positions, rotations and, else unknown, velocities and angular velocities), poses of
+        them, or `readings` of sensors. `reference` has rows (t, x, y, z) of another path for the tip; fields of readings and obstacles are
+        those of `docs/serving.md`. A faulty measurement raises nothing, and numbers that are not finite are one: what cannot be used is left
+        out or, if nothing is left, answered by a fallback, and `command.refused` says what was wrong. An array of another shape is a
+        `ValueError`.
         """
         if state is not None:
-            positions, rotations, velocities, angular_velocities = state
+            positions, rotations, velocities, angular_velocities = [*state, None, None][:4]
+        faults: list[dict[str, Any]] = []
         more = None
         if readings is not None or reference is not None or obstacles is not None:
             fields: dict[str, Any] = {"type": "measurement"}
             if readings is not None:
-                fields["readings"] = [dict(own) for own in readings]
+                fields["readings"] = [_finite(own, f"readings[{i}]", faults) for i, own in enumerate(readings)]
             if reference is not None:
-                fields["reference_m"] = np.asarray(reference, dtype=float)
+                rows = np.asarray(reference, dtype=float)
+                if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all():
+                    raise ValueError(f"reference has the shape {rows.shape}; expected rows (t, x, y, z) of finite numbers, (n, 4)")
+                fields["reference_m"] = rows
             if obstacles is not None:
                 fields["obstacles"] = [dict(own) for own in obstacles]
             more = json.dumps(fields, default=lambda own: own.tolist())
         lines = self._native.step(time, positions, rotations, velocities, angular_velocities, more)
         *refused, answer = map(json.loads, lines.splitlines())
-        return Command(answer, refused, self._places)
+        command = Command(answer, faults + refused, self._places)
+        # A command begins after its sample, and at the latest when the next is sent.
+        self._sent = [*self._sent[-1:], command]
+        return command
+
+    def acting(self, time: float) -> Command | None:
+        """Returns the command that acts at a time in s, from the sample before last on; None where none has begun yet.
+
+        A command may begin later than it is computed, by the time that the loop is said to need; until then the one before acts.
+        """
+        begun = [command for command in self._sent if command.start <= time + 1e-9]
+        return begun[-1] if begun else None
 
 
 class Plant:
@@ -241,17 +294,14 @@ class Plant:
         ends: list[Any] = [None, None]
         efforts: list[Any] = [None, None]
         if command is not None:
-            span = command.end - command.start
-            parts = [min(max((t - command.start) / span, 0.0), 1.0) for t in (self.time, until)]
             if command.wrenches:
-                ends = [np.zeros((len(self.places), 6)) for _ in parts]
-                for place, (begin, end) in command.wrenches.items():
-                    node = int(np.argmin(np.abs(self.places - place)))
-                    for all_nodes, part in zip(ends, parts):
-                        all_nodes[node] += begin + (end - begin) * part
+                ends = [np.zeros((len(self.places), 6)) for _ in ends]
+                for all_nodes, time in zip(ends, (self.time, until)):
+                    for place, wrench in command.wrenches_at(time).items():
+                        all_nodes[int(np.argmin(np.abs(self.places - place)))] += wrench
             if self.actuators and command.efforts:
-                named = [command.efforts[name] for name in self.actuators]
-                efforts = [np.array([begin + (end - begin) * part for begin, end in named]) for part in parts]
+                named = [command.efforts_at(time) for time in (self.time, until)]
+                efforts = [np.array([own[name] for name in self.actuators]) for own in named]
         self._native.step(dt, ends[0], efforts[0], ends[1], efforts[1])
 
     def reset(self) -> State:

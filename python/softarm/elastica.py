@@ -14,9 +14,39 @@ from typing import Any
 
 import numpy as np
 
-from .control import State
+from .control import Controller, State
 
-__all__ = ["arrays", "put", "state"]
+try:
+    from elastica import NoForces  # type: ignore[import-not-found,import-untyped,unused-ignore]
+except ImportError:
+    NoForces = object
+
+__all__ = ["Commanded", "arrays", "put", "state"]
+
+
+class Commanded(NoForces):  # type: ignore[misc,unused-ignore]
+    """What a controller commands, as a forcing of a rod: `simulator.add_forcing_to(rod).using(Commanded, controller)`.
+
+    A force acts on the node nearest to its place, and a moment on the element there.
+    """
+
+    def __init__(self, controller: Controller):
+        super().__init__()
+        self.controller = controller
+
+    def _wrenches(self, time: float) -> dict[float, np.ndarray]:
+        command = self.controller.acting(float(time))
+        return {} if command is None else command.wrenches_at(float(time))
+
+    def apply_forces(self, system: Any, time: Any = 0.0) -> None:
+        last = system.position_collection.shape[1] - 1
+        for place, wrench in self._wrenches(time).items():
+            system.external_forces[:, round(place * last)] += wrench[:3]
+
+    def apply_torques(self, system: Any, time: Any = 0.0) -> None:
+        last = system.director_collection.shape[2] - 1
+        for place, wrench in self._wrenches(time).items():
+            system.external_torques[:, min(int(place * (last + 1)), last)] += wrench[3:]
 
 
 def arrays(state: State) -> dict[str, np.ndarray]:

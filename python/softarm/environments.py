@@ -46,6 +46,8 @@ class Task:
         plant = self.scene.plant()
         self.places = plant.places
         self.n_efforts = len(plant.actuators)
+        self.rest = np.zeros(self.n_efforts)
+        """Efforts at the start of an episode."""
         self.nodes = [int(np.argmin(np.abs(self.places - place))) for place in observed]
         self.n_observations = 6 * len(self.nodes) + self.n_efforts + 6
 
@@ -194,16 +196,52 @@ class TendonTracking(Task):
         return -(distances / 0.2 + np.maximum(rates, 0.0) / 0.3) + 1.5 * (distances < self.near)
 
 
-TASKS: dict[str, type[Task]] = {"ElasticaCase1": ElasticaCase1, "SoftArmTracking": SoftArmTracking, "TendonTracking": TendonTracking}
+class ChamberTracking(Task):
+    """Three pressure chambers bend and stretch a STIFF-FLOP module of 50 mm, whose tip follows a target on a circle about the axis.
+
+    Actions are changes of the three pressures, Pa; these stay between 0 and 100 kPa.
+    """
+
+    period, steps, near, lost = 0.05, 120, 0.001, -100.0
+    most = 1e5
+    """Largest pressure, Pa."""
+    height, radii, turns = -0.0539, (0.002, 0.006), (2.0, 6.0)
+    """Height of the circle, m, and between which bounds its radius, m, and the time of a turn, s, are."""
+
+    def __init__(self, *, elements: int = 5, changes: Mapping[str, Any] | None = None):
+        whole = Scene.load("stiff-flop").replace({"rod.elements": elements}).to_dict()
+        keys = {name: whole[name] for name in ("rod", "base", "gravity", "damping", "payload", "chamber", "initial")}
+        keys["time"] = {"end_s": self.period * self.steps, "integrator": "implicit", "step_s": 0.01}
+        for chamber in keys["chamber"]:
+            chamber["rest_pressure_pa"] = 4e4
+        keys["initial"] = {"shape": "equilibrium"}
+        super().__init__(keys, low=3 * [-5e3], high=3 * [5e3], changes=changes)
+        self.rest = np.full(3, 4e4)
+
+    def path(self, rng: np.random.Generator) -> np.ndarray:
+        radius, turn, phase = rng.uniform(*self.radii), rng.uniform(*self.turns), rng.uniform(0.0, 2.0 * np.pi)
+        angle = phase + rng.choice([-1.0, 1.0]) * 2.0 * np.pi / turn * self.period * np.arange(self.steps + 1)
+        return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full_like(angle, self.height)], axis=1)
+
+    def commands(self, actions: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        return np.clip(efforts + actions, 0.0, self.most), None
+
+    def rewards(self, distances: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        return -distances / 0.01 + 1.5 * (distances < self.near)
+
+
+TASKS: dict[str, type[Task]] = {
+    own.__name__: own for own in (ElasticaCase1, SoftArmTracking, TendonTracking, ChamberTracking)
+}
 """The tasks by their names."""
 
 
 class Arms:
-    """Many arms at the same task. Numbers of an arm do not depend on how many others there are."""
+    """Many arms at the same task, with values of their own for the keys of `each`. Numbers of an arm do not depend on how many others there are."""
 
-    def __init__(self, task: Task, n: int, *, threads: int | None = None):
+    def __init__(self, task: Task, n: int, *, each: Mapping[str, Sequence[Any]] | None = None, threads: int | None = None):
         self.task, self.n = task, n
-        self.batch = batch(task.scene, n, threads=threads)
+        self.batch = batch(task.scene, n, each=each, threads=threads)
         self.taken = np.zeros(n, dtype=int)
         """Number of actions that every arm has taken."""
         self.efforts = np.zeros((n, task.n_efforts))
@@ -215,7 +253,7 @@ class Arms:
         self.batch.reset(indices)
         for index in indices:
             self.taken[index] = 0
-            self.efforts[index] = 0.0
+            self.efforts[index] = self.task.rest
             self._paths[index] = self.task.path(generators[index])
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str | None]]:

@@ -1,10 +1,10 @@
-"""Environments of Gymnasium: `import softarm.gym` registers `softarm/ElasticaCase1-v0`, `softarm/SoftArmTracking-v0` and
-`softarm/TendonTracking-v0`, single ones and vectors of them.
+"""Environments of Gymnasium: `import softarm.gym` registers `softarm/ElasticaCase1-v0`, `softarm/SoftArmTracking-v0`,
+`softarm/TendonTracking-v0` and `softarm/ChamberTracking-v0`, single ones and vectors of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium  # type: ignore[import-not-found,import-untyped,unused-ignore]
@@ -80,7 +80,8 @@ class ArmVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     `autoreset_mode` is that of Gymnasium: an arm whose episode has ended is reset by the next step, whose action it does not take (`NEXT_STEP`),
     by the same step, with its last observation in `infos["final_obs"]` (`SAME_STEP`), or by `reset` with
-    `options={"reset_mask": mask}` (`DISABLED`).
+    `options={"reset_mask": mask}` (`DISABLED`). `each` has values of the scene that differ from arm to arm, such as
+    `{"rod.material.youngs_modulus_pa": [2e5, 3e5]}` for two arms.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc,unused-ignore]
@@ -90,6 +91,7 @@ class ArmVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         task: str | Task,
         num_envs: int = 1,
         *,
+        each: Mapping[str, Sequence[Any]] | None = None,
         threads: int | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: None = None,
@@ -103,7 +105,7 @@ class ArmVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.single_observation_space, self.single_action_space = _spaces(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.arms = Arms(self.task, num_envs, threads=threads)
+        self.arms = Arms(self.task, num_envs, each=each, threads=threads)
         self._generators: list[np.random.Generator] = []
         self._seeds: list[int] = []
         self._over = np.zeros(num_envs, dtype=bool)

@@ -188,9 +188,15 @@ class Result:
         return f'<iframe srcdoc="{page}" style="width:100%;height:720px;border:0"></iframe>'
 
     def __repr__(self) -> str:
-        parts = [f"softarm.Result of {self.command} {self.summary.get('scene')!r}: {self.status}"]
+        summary = self.summary
+        parts = [f"softarm.Result of {self.command} {summary.get('scene')!r}: {self.status}"]
         if self.command == "solve":
             parts.append(self.certificate.verdict)
+            parts.append(f"objective {summary['objective']:.6g}, tip {1e3 * summary['tip_error_m']:.3g} mm off")
+        if self.command == "mpc" and summary["tip_error_m"]["rms"] is not None:
+            parts.append(f"tip {1e3 * summary['tip_error_m']['rms']:.3g} mm off (rms), {summary['overruns']} of {summary['samples']} samples late")
+        if "wall_s" in summary:
+            parts.append(f"{summary['wall_s']:.3g} s")
         return f"<{', '.join(parts)}>"
 
     def __reduce__(self):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import json
 import logging
 import os
@@ -18,7 +17,8 @@ from .program import Program
 from .results import Result
 
 Event = Callable[[dict[str, Any]], None]
-VERBS = ("simulate", "solve", "mpc", "equilibrium", "tradeoff", "fit")
+TASK_VERBS = ("simulate", "solve", "mpc", "equilibrium", "tradeoff")
+"""Verbs of tasks; a fit depends on files, and has `Scene.fit` alone."""
 LOG = logging.getLogger("softarm")
 
 
@@ -82,6 +82,18 @@ def _toml(keys: Mapping[str, Any]) -> str:
     return "\n".join(values + sections) + "\n"
 
 
+def _remove(keys: dict[str, Any], path: str) -> None:
+    """Takes the key at a dotted path away, where it is."""
+    *parents, last = path.split(".")
+    at: Any = keys
+    try:
+        for part in parents:
+            at = at[int(part)] if isinstance(at, list) else at[part]
+        del at[int(last) if isinstance(at, list) else last]
+    except (KeyError, IndexError, ValueError, TypeError):
+        raise KeyError(f"{path} is no key of this scene, and cannot be taken away") from None
+
+
 class Scene:
     """A scene: a dictionary with the keys of a scene file, or the text of one.
 
@@ -111,8 +123,16 @@ class Scene:
         return scene
 
     def replace(self, keys: Mapping[str, Any] | None = None, /, **more: Any) -> Scene:
-        """Returns the scene with other values of some keys: `scene.replace({"rod.elements": 40, "load.0.force_n": [0, 0, 1]})`."""
+        """Returns the scene with other values of some keys: `scene.replace({"rod.elements": 40, "load.0.force_n": [0, 0, 1]})`. A value of None
+        takes the key away, so that its default holds.
+        """
         given = {**(keys or {}), **more}
+        if gone := [key for key, value in given.items() if value is None]:
+            rest = self.to_dict()
+            for key in gone:
+                _remove(rest, key)
+            kept = {key: value for key, value in given.items() if value is not None}
+            return Scene(rest, name=self._name).replace(kept)
         overrides = (*self._overrides, *(f"{key}={_literal(_plain(value))}" for key, value in given.items()))
         _, resolved = _softarm.parse(self._name, self._text, list(overrides))
         return self._of(self._name, self._text, overrides, resolved)
@@ -272,7 +292,7 @@ class Scene:
 
     def controller(self) -> Controller:
         """Returns the controller of the closed loop, for a plant of one's own."""
-        return Controller(_softarm.Controller(self._name, self._text, list(self._overrides)))
+        return Controller(lambda: _softarm.Controller(self._name, self._text, list(self._overrides)))
 
     def program(self) -> Program:
         """Returns the optimal-control problem as arrays, for a solver of one's own."""
@@ -311,17 +331,48 @@ def _call(
     return code, summary
 
 
-def batch(scene: Scene, n: int, *, threads: int | None = None) -> _softarm.Batch:
-    """Returns `n` arms of a scene that move at the same time, on several threads."""
-    return _softarm.Batch(n, scene._name, scene._text, list(scene._overrides), threads)
+def batch(
+    scene: Scene, n: int, *, each: Mapping[str, Sequence[Any]] | None = None, threads: int | None = None
+) -> _softarm.Batch:
+    """Returns `n` arms of a scene that move at the same time, on several threads. `each` has values of their own for some keys:
+    `sa.batch(scene, 3, each={"rod.material.youngs_modulus_pa": [1e5, 2e5, 3e5]})`.
+    """
+    own = None
+    if each is not None:
+        for key, values in each.items():
+            if len(values) != n:
+                raise ValueError(f"{key} has {len(values)} values; expected one for each of the {n} arms")
+        own = [[f"{key}={_literal(_plain(values[i]))}" for key, values in each.items()] for i in range(n)]
+    return _softarm.Batch(n, scene._name, scene._text, list(scene._overrides), threads, own)
 
 
-def run(task: Mapping[str, Any], folder: str | os.PathLike[str] | None = None) -> dict[str, Any]:
+class _TaskScene(Scene):
+    """A scene whose results are kept in folders with names by what they depend on, as `--skip-existing` does."""
+
+    __slots__ = ("_more", "_told")
+
+    def __init__(self, scene: Scene, more: list[str], told: dict[str, Any]):
+        self._name, self._text, self._overrides, self._keys = scene._name, scene._text, scene._overrides, scene._keys
+        self._more, self._told = more, told
+
+    def _run(self, verb: str, out: Any, words: list[str], on_event: Event | None) -> Any:
+        def hear(event: dict[str, Any]) -> None:
+            if event["event"] == "result":
+                self._told.update(event)
+            elif on_event is not None:
+                on_event(event)
+
+        return self._call(verb, ["--skip-existing", "--out", os.fspath(out), *self._more, *words], hear)
+
+
+def run(task: Mapping[str, Any], folder: str | os.PathLike[str] | None = None, *, small: bool = False) -> dict[str, Any]:
     """Runs one task of a sweep: `{"verb": "solve", "scene": ..., "set": {...}, "options": {...}}`. It is pure and picklable.
 
-    `scene` is a `Scene`, a dictionary or a name, `verb` one of `VERBS`, and `options` its arguments. Returns `{"key": ..., "exit_code": ..., "summary": ...}`. With a folder the result is kept in `folder/KEY`, where KEY is a hash
-    of verb, options and the scene with all defaults, and a result that is there already is not computed again. An exception is returned as
-    `"error"`, so that one task does not end a sweep.
+    `scene` is a `Scene`, a dictionary or a name, `verb` one of `TASK_VERBS`, and `options` its arguments. Returns
+    `{"key": ..., "exit_code": ..., "summary": ...}`. With a folder the result is kept in `folder/KEY`, as `softarm VERB --skip-existing`
+    keeps it, where KEY is a hash of verb, options, version and the scene with all defaults; a result that is there already is not computed
+    again (`"skipped"`). `small` keeps its numbers alone. What a scene or a computation has wrong is returned as `"error"`, so that one task
+    does not end a sweep; a task of another form is a `ValueError`.
     """
     from .errors import SoftarmError
 
@@ -329,23 +380,18 @@ def run(task: Mapping[str, Any], folder: str | os.PathLike[str] | None = None) -
     if unknown:
         raise ValueError(f"a task has verb, scene, set and options, and no {sorted(unknown)}")
     verb = task.get("verb", "solve")
-    if verb not in VERBS:
-        raise ValueError(f"verb = {verb!r}; expected one of {VERBS}")
-    options = dict(task.get("options", {}))
-    try:
-        given = task["scene"]
-        scene = given if isinstance(given, Scene) else Scene.load(given) if isinstance(given, str) else Scene(given)
-        scene = scene.replace(task.get("set", {}))
-    except SoftarmError as error:
-        return {"key": None, "exit_code": None, "summary": {}, "error": str(error)}
-    identity = json.dumps([verb, options, scene.to_dict(), _softarm.__version__], sort_keys=True, default=str)
-    key = hashlib.sha256(identity.encode()).hexdigest()[:20]
-    out = None if folder is None else Path(folder) / key
-    if out is not None and (out / "summary.json").is_file():
-        result = Result(out)
-        return {"key": key, "exit_code": None, "summary": result.summary, "skipped": True}
-    try:
-        result = getattr(scene, verb)(out, **options)
-    except SoftarmError as error:
-        return {"key": key, "exit_code": None, "summary": {}, "error": str(error)}
-    return {"key": key, "exit_code": result.exit_code, "summary": result.summary}
+    if verb not in TASK_VERBS:
+        raise ValueError(f"verb = {verb!r}; expected one of {TASK_VERBS}")
+    told: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory(prefix="softarm-") as passing:
+        try:
+            given = task["scene"]
+            scene = given if isinstance(given, Scene) else Scene.load(given) if isinstance(given, str) else Scene(given)
+            scene = scene.replace(task.get("set", {}))
+            own = _TaskScene(scene, ["--small"] if small else [], told)
+            code, summary = getattr(own, verb)(passing if folder is None else folder, **task.get("options", {}))
+        except SoftarmError as error:
+            return {"key": told.get("key"), "exit_code": None, "summary": {}, "error": str(error)}
+    if told["there"]:
+        return {"key": told["key"], "exit_code": None, "summary": summary, "skipped": True}
+    return {"key": told["key"], "exit_code": code, "summary": summary}

@@ -17,9 +17,11 @@ def arm(
     direction: Sequence[float] = (0.0, 0.0, -1.0),
     gravity: bool = True,
     damping: float = 0.0,
+    at_rest: bool = True,
 ) -> dict[str, Any]:
     """Returns the keys of a cylinder that is clamped at the origin and points along `direction`: lengths in m, modulus in Pa, density in
-    kg/m^3, viscous damping in 1/s; gravity acts along -z.
+    kg/m^3, viscous damping in 1/s; gravity acts along -z. The arm begins at rest in equilibrium, or without `at_rest` straight, from where
+    it falls.
     """
     keys: dict[str, Any] = {
         "rod": {
@@ -36,7 +38,8 @@ def arm(
     }
     if gravity:
         keys["gravity"] = {"acceleration_m_s2": [0.0, 0.0, -9.81]}
-        keys["initial"] = {"shape": "equilibrium"}
+        if at_rest:
+            keys["initial"] = {"shape": "equilibrium"}
     if damping:
         keys["damping"] = {"viscous_1_s": damping}
     return keys

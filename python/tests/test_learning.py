@@ -70,6 +70,24 @@ def test_paths_of_targets_are_as_fast_as_said(name):
             # Chords of the course, whose curvature over a step is below 1 / 10 mm.
             assert np.allclose(np.linalg.norm(path - task.center, axis=1), task.radius)
             assert speed.max() <= task.speed * (1 + 1e-3)
+        if name == "ChamberTracking":
+            radius = np.hypot(path[0, 0], path[0, 1])
+            assert speed.max() <= 2 * np.pi * radius / task.turns[0] * (1 + 1e-9)
+
+
+def test_pressures_at_rest_hold_the_module():
+    """Without actions the arm stays where it hangs; as much more pressure in all chambers stretches it, and does not bend it."""
+    arms = environments.Arms(environments.ChamberTracking(), 1)
+    arms.reset([0], [np.random.default_rng(0)])
+    before = arms.batch.positions[0, -1]
+    for _ in range(4):
+        arms.step(np.zeros((1, 3)))
+    assert np.abs(arms.batch.positions[0, -1] - before).max() < 1e-9
+    for _ in range(20):
+        arms.step(np.full((1, 3), 5e3 / 20))
+    after = arms.batch.positions[0, -1]
+    # Three chambers of 39.3 mm^2 under 5 kPa more pull the 50 mm of 63.43 N by 0.46 mm.
+    assert before[2] - after[2] == pytest.approx(3 * 3.927e-5 * 5e3 / 63.43 * 0.05, rel=0.05) and np.abs(after[:2]).max() < 1e-6
 
 
 def test_a_target_may_stay():

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -211,6 +212,51 @@ def test_a_faulty_measurement_is_answered():
     controller = scene.controller()
     command = controller.step(positions=np.zeros((2, 3)), rotations=np.tile(np.eye(3), (len(controller.places), 1, 1)))
     assert command.refused[0]["where"] == "positions_m" and command.end > command.start
+    with pytest.raises(ValueError, match=r"expected \[11, 3\]"):
+        controller.step(positions=np.zeros((3, 11)), rotations=np.tile(np.eye(3), (11, 1, 1)))
+    with pytest.raises(ValueError, match="rows"):
+        controller.step(reference=[[0.0, 0.0, 1.0]])
+
+
+def test_measurements_that_cannot_be_are_left_out():
+    """NaN and millimeters in the place of meters: a loop goes on with what is left, and says what it left out."""
+    scene = sa.Scene.load("mpc-track-circle").replace({"estimator.kind": "none", "estimator.disturbances": []})
+    controller, plant = scene.controller(), scene.plant()
+    state = plant.state_on(controller)
+    x = state.x.copy()
+    x[4, 1] = np.nan
+    for positions, words in ((x, "not finite"), (1e3 * state.x, "away from the clamp")):
+        command = controller.step(positions=positions, rotations=state.R)
+        assert command.fallback and words in command.refused[0]["message"]
+    controller.reset()
+    assert controller.next_time == 0.0 and controller.step((state.x, state.R)).fallback is None
+    # An estimator takes the other markers, and notes a jump of one.
+    seen = sa.Scene.load("mpc-track-circle").controller()
+    markers = [{"place": place, "position_m": plant.state.x[int(40 * place)].copy()} for place in (0.5, 0.75, 1.0)]
+    markers[1]["position_m"][2] = np.nan
+    command = seen.step(readings=markers)
+    assert command.refused[0]["where"] == "readings[1].position_m" and command.fallback is None
+    markers[1]["position_m"][2] = 100.0
+    assert "away from the clamp" in seen.step(readings=markers).refused[0]["message"]
+
+
+def test_keys_are_taken_away():
+    scene = sa.Scene.load("mpc-tendons")
+    with pytest.raises(KeyError, match="no key of this scene"):
+        scene.replace({"rod.elemens": None})
+    given = scene.replace({"damping.viscous_1_s": 3.0})
+    assert given.replace({"damping.viscous_1_s": None})["damping.viscous_1_s"] == 0.0
+
+
+def test_simulations_tell_their_progress(capsys):
+    told = []
+    sa.Scene.load("swing").replace(SHORT).simulate(on_event=told.append)
+    assert told[-1]["step"] == told[-1]["steps"] and [own["event"] for own in told] == ["progress"] * len(told)
+    listen = sa.progress(every=0.0)
+    for event in told:
+        listen(event)
+    assert "step" in capsys.readouterr().err
+
 
 
 def test_many_arms_move_like_one():
@@ -252,6 +298,70 @@ def test_an_interrupt_ends_a_solve_with_its_partial_result():
     assert caught.value.partial.status == "interrupted"
 
 
+def interrupted_after(seconds, work):
+    """Sends SIGINT to a work after some seconds."""
+    timer = threading.Timer(seconds, signal.raise_signal, [signal.SIGINT])
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    timer.join()
+
+
+def test_an_interrupt_ends_a_loop_with_its_partial_result():
+    begun = threading.Event()
+
+    def interrupt():
+        begun.wait(60)
+        signal.raise_signal(signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt) as caught:
+        sa.Scene.load("mpc-push").mpc(on_event=lambda event: begun.set())
+    thread.join()
+    partial = caught.value.partial
+    assert partial.status == "interrupted" and len(partial.table("samples.csv")) > 0
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_interrupt_ends_a_batch(threads):
+    """Arms under a call of hours stay where they were, and move on afterwards."""
+    arms = sa.batch(sa.Scene.load("swing"), 4, threads=threads)
+    before = arms.positions
+    interrupted_after(0.2, lambda: arms.step(1e4))
+    assert np.array_equal(arms.positions, before) and (arms.times == 0.0).all()
+    assert arms.step(0.01) == [None] * 4
+
+
+def test_an_interrupt_ends_a_plant():
+    plant = sa.Scene.load("swing").plant()
+    before = plant.state.x
+    interrupted_after(0.2, lambda: plant.step(1e4))
+    assert np.array_equal(plant.state.x, before) and plant.time == 0.0
+
+
+def test_arms_of_a_batch_with_values_of_their_own():
+    """Every arm moves as a plant of its own scene does, from a start of its own."""
+    key = "rod.material.youngs_modulus_pa"
+    scene, moduli = sa.Scene.load("swing"), [8e5, 1e6, 2e6]
+    arms = sa.batch(scene, 3, each={key: moduli}, threads=2)
+    for index, modulus in enumerate(moduli):
+        alone = scene.replace({key: modulus}).plant()
+        state = alone.state
+        moved = (state.x + [0.0, 0.1 * index, 0.0], state.R)
+        alone.set_state(*moved)
+        arms.set_state(index, *moved)
+        alone.step(0.02)
+        arms.step(0.02)
+        assert np.array_equal(alone.state.x, arms.positions[index])
+        arms.reset()
+    assert arms.step(0.02) == [None] * 3
+    with pytest.raises(ValueError, match="each of the 3 arms"):
+        sa.batch(scene, 3, each={key: [1e6]})
+    with pytest.raises(ValueError, match="as many nodes"):
+        sa.batch(scene, 2, each={"rod.elements": [4, 5]})
+
+
 def test_exceptions_of_listeners_end_the_work():
     def fail(event):
         raise RuntimeError("enough")
@@ -285,6 +395,9 @@ def test_tasks_of_a_sweep(tmp_path):
     again = sa.run(task, tmp_path)
     assert first["exit_code"] == 0 and again["skipped"] and again["summary"] == first["summary"]
     assert sa.run({**task, "set": {"time.end_s": 0.06}}, tmp_path)["key"] != first["key"]
+    small = sa.run(task, tmp_path / "small", small=True)
+    assert small["summary"]["tip"] == first["summary"]["tip"]
+    assert not (tmp_path / "small" / small["key"] / "trajectory.npz").exists()
     assert "elemens" in sa.run({"scene": "swing", "set": {"rod.elemens": 1}})["error"]
     with pytest.raises(ValueError):
         sa.run({"scene": "swing", "verbs": "solve"})

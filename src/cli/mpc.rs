@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
 
 use super::console::Console;
 use super::error::CliError;
@@ -70,7 +71,10 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
         stop: &stop,
     };
     let ended = order.run(directory, &mut |event| match event {
-        LoopEvent::Sample(sample) => progress.see(sample),
+        LoopEvent::Sample(sample) => {
+            progress.see(sample);
+            console.event("sample", &SampleEvent::of(sample));
+        }
         LoopEvent::Ended => progress.bar.finish_and_clear(),
         LoopEvent::Baseline(contender) => console.say(&format!("running {}", label(contender))),
         LoopEvent::Tuned(gains) => console.say(&format!(
@@ -104,6 +108,33 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
         }
         (None, None) => exit::DONE,
     })
+}
+
+/// A sample as it ends.
+#[derive(Serialize)]
+struct SampleEvent {
+    /// Time at which it began, s.
+    t_s: f64,
+    /// Position of the tip, m.
+    tip_m: [f64; 3],
+    /// Distance from its reference, m.
+    error_m: Option<f64>,
+    /// Reason why the command is not of the plan.
+    cause: Option<String>,
+    /// Time that the controller took, s.
+    sample_s: f64,
+}
+
+impl SampleEvent {
+    fn of(sample: &Sample) -> Self {
+        Self {
+            t_s: sample.t,
+            tip_m: sample.tip,
+            error_m: sample.reference.map(|_| sample.tip_error()),
+            cause: (sample.fallback.as_ref()).map(|(cause, _)| cause.to_string()),
+            sample_s: sample.sample_s,
+        }
+    }
 }
 
 fn announce(setup: &ClosedLoopSetup, console: &Console) {

@@ -1,6 +1,9 @@
 //! `softarm simulate SCENE [--out DIR] [--resume]`: forward simulation with rows on disk and checkpoints.
 
+use std::cell::Cell;
 use std::time::Instant;
+
+use serde_json::json;
 
 use super::accuracy::of_simulation as accurate;
 use super::console::Console;
@@ -49,6 +52,7 @@ pub(super) fn run(
     }
 
     let n_steps = setup.grid.n_steps;
+    let (told, h) = (Cell::new(0), setup.grid.step);
     let bar = console.progress(n_steps as u64);
     let tell = |event| match event {
         SimulationEvent::Begins { step, time } => {
@@ -60,7 +64,17 @@ pub(super) fn run(
             bar.set_position(step as u64);
             bar.reset_eta();
         }
-        SimulationEvent::Step(step) => bar.set_position(step as u64),
+        SimulationEvent::Step(step) => {
+            bar.set_position(step as u64);
+            let percent = 100 * step / n_steps.max(1);
+            if percent > told.replace(percent.max(told.get())) {
+                let t = step as f64 * h;
+                console.event(
+                    "progress",
+                    &json!({ "step": step, "steps": n_steps, "t_s": t }),
+                );
+            }
+        }
     };
     let name = scene_name(&arguments.scene);
     let ended = run.run(&name, &scene, accuracy, &stop, &tell);

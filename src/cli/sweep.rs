@@ -5,6 +5,8 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use serde_json::json;
+
 use super::console::Console;
 use super::error::CliError;
 use super::{Command, Global, Outcome, SceneAndOut, exit};
@@ -56,8 +58,12 @@ pub(super) fn run(
     if global.skip_existing {
         let folder = (own.out.take()).unwrap_or_else(|| PathBuf::from("results"));
         let (scene, _) = console.load(&own.scene, global)?;
-        let place = folder.join(key(command, global, &scene));
-        if let Some(summary) = finished(&place, kind)? {
+        let key = key(command, global, &scene);
+        let place = folder.join(&key);
+        let before = finished(&place, kind)?;
+        let there = before.is_some();
+        console.event("result", &json!({ "key": key, "there": there }));
+        if let Some(summary) = before {
             console.say(&format!("{}: there already", place.display()));
             console.summary(&summary);
             return Ok(exit::DONE);
@@ -78,7 +84,7 @@ pub(super) fn run(
 /// Returns the name of the result of a verb whose scene and directory are left out: a hash of all that it depends on.
 fn key(command: &Command, global: &Global, scene: &Scene) -> String {
     let mut hasher = DefaultHasher::new();
-    (format!("{command:?}"), global.seed).hash(&mut hasher);
+    (format!("{command:?}"), global.seed, global.small).hash(&mut hasher);
     (scene.to_toml(), env!("CARGO_PKG_VERSION")).hash(&mut hasher);
     format!("{:016x}", hasher.finish())
 }

@@ -9,12 +9,11 @@ use pyo3::prelude::*;
 /// An array of numbers, or what numpy makes one of.
 pub(super) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 
-/// Returns the numbers of an array of the given shape, in C order.
+/// Returns the numbers of an array of the given shape, in C order, which need not be finite.
 ///
 /// # Errors
-/// Returns a `ValueError` that names the array, the shape that it should have and the one that it has, or the first entry that is not a
-/// finite number.
-pub(super) fn numbers(name: &str, array: &Numbers<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
+/// Returns a `ValueError` that names the array, the shape that it should have and the one that it has.
+pub(super) fn any_numbers(name: &str, array: &Numbers<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
     let view = array.as_array();
     if view.shape() != shape {
         return Err(PyValueError::new_err(format!(
@@ -22,7 +21,15 @@ pub(super) fn numbers(name: &str, array: &Numbers<'_>, shape: &[usize]) -> PyRes
             view.shape()
         )));
     }
-    let numbers: Vec<f64> = view.iter().copied().collect();
+    Ok(view.iter().copied().collect())
+}
+
+/// Returns the numbers of an array of the given shape, in C order.
+///
+/// # Errors
+/// As [`any_numbers`], and a `ValueError` that names the first entry that is not a finite number.
+pub(super) fn numbers(name: &str, array: &Numbers<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
+    let numbers = any_numbers(name, array, shape)?;
     match numbers.iter().position(|number| !number.is_finite()) {
         Some(index) => Err(PyValueError::new_err(format!(
             "{name}: entry {index} in C order is {}; expected a finite number",

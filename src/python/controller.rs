@@ -1,9 +1,10 @@
 //! The controller of a closed loop whose plant is a program in Python.
 
+use nalgebra::Matrix3;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Numbers, matrices, vectors};
+use super::arrays::{Numbers, any_numbers};
 use super::{raise, read, scene_error};
 use crate::mpc::{MeasurementLine, ServeError, Server, rotation_rows};
 use crate::scene::{Scene, SceneSource};
@@ -107,21 +108,30 @@ impl Controller {
             serde_json::from_str(more.unwrap_or("{\"type\":\"measurement\"}"))
                 .map_err(|error| PyValueError::new_err(error.to_string()))?;
         let n = self.n_nodes;
+        // Numbers that are not finite and nodes that lack are faults of the measurement, which the loop survives; other shapes are faults of the
+        // program.
+        let rows_of = |array: &Numbers<'_>, row: &[usize]| {
+            let shape = array.as_array().shape().to_vec();
+            let rows = if shape.get(1..) == Some(row) {
+                shape[0]
+            } else {
+                n
+            };
+            [&[rows], row].concat()
+        };
         let read = |name: &str, array: &Numbers<'_>| {
-            let rows = array.as_array().shape().first().copied().unwrap_or(0);
-            Ok::<_, PyErr>(
-                (vectors(name, array, rows)?.into_iter())
-                    .map(Into::into)
-                    .collect::<Vec<[f64; 3]>>(),
-            )
+            let numbers = any_numbers(name, array, &rows_of(array, &[3]))?;
+            let rows = numbers.chunks_exact(3).map(|v| [v[0], v[1], v[2]]);
+            Ok::<Vec<[f64; 3]>, PyErr>(rows.collect())
         };
         line.time_s = Some(time.unwrap_or_else(|| self.server.next_time()));
         if let Some(own) = &positions {
             line.positions_m = Some(read("positions", own)?);
         }
         if let Some(own) = &rotations {
-            let own = matrices("rotations", own, n)?;
-            line.rotations = Some(own.iter().map(rotation_rows).collect());
+            let numbers = any_numbers("rotations", own, &rows_of(own, &[3, 3]))?;
+            let own = numbers.chunks_exact(9).map(Matrix3::from_row_slice);
+            line.rotations = Some(own.map(|matrix| rotation_rows(&matrix)).collect());
         }
         if let Some(own) = &velocities {
             line.velocities_m_s = Some(read("velocities", own)?);

@@ -1,6 +1,8 @@
 //! Simulated arms that a program in Python moves: one, or many at a time.
 
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::Instant;
 
 use nalgebra::{Matrix3, Vector3};
 use numpy::ndarray::Array3;
@@ -10,7 +12,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Numbers, array_of_matrices, array_of_vectors, matrices, numbers, vectors};
 use super::controller::Controller;
-use super::{raise, read, scene_error};
+use super::{GLANCE, raise, read, scene_error};
 use crate::mechanics::energy::kinetic_energy;
 use crate::mechanics::rotation::{orthonormalized, stray};
 use crate::mechanics::stability::automatic_step;
@@ -26,6 +28,61 @@ const MOST_STEPS: f64 = 1e9;
 /// An entry of a rotation matrix may be off by about this much, as far as single precision and hand-typed digits go; it is then replaced
 /// by the nearest rotation.
 const NEARLY_A_ROTATION: f64 = 1e-6;
+/// Number of steps between two looks at the clock.
+const LOOK_EVERY: usize = 32;
+
+/// The reason why an arm does not get to the end of a call, and stays where it was.
+enum Halt {
+    /// A step has no solution.
+    Broken(StepError),
+    /// Python has a signal to handle.
+    Interrupted,
+}
+
+/// Looks at the signals of Python during long work without the lock of the interpreter, on the thread that called.
+struct Watch<'a> {
+    /// Asks the other threads of the work to stop.
+    stop: &'a AtomicBool,
+    last: Instant,
+    steps: usize,
+    raised: Option<PyErr>,
+}
+
+impl<'a> Watch<'a> {
+    fn new(stop: &'a AtomicBool) -> Self {
+        Self {
+            stop,
+            last: Instant::now(),
+            steps: 0,
+            raised: None,
+        }
+    }
+
+    /// Tells whether the work goes on after a step.
+    fn goes_on(&mut self) -> bool {
+        self.steps += 1;
+        if self.steps.is_multiple_of(LOOK_EVERY) && self.last.elapsed() >= GLANCE {
+            self.look();
+        }
+        self.raised.is_none()
+    }
+
+    /// Handles the signals of Python, whose exception ends the work.
+    fn look(&mut self) {
+        if self.raised.is_none()
+            && let Err(error) = Python::attach(|py| py.check_signals())
+        {
+            self.stop.store(true, Ordering::Relaxed);
+            self.raised = Some(error);
+        }
+        self.last = Instant::now();
+    }
+
+    /// Returns the exception of a signal.
+    fn end(self) -> PyResult<()> {
+        self.raised.map_or(Ok(()), Err)
+    }
+}
 
 /// An arm in motion.
 struct Arm {
@@ -106,8 +163,50 @@ impl Arm {
         self.time = 0.0;
     }
 
-    /// Moves the arm by `n` steps of `step` (s).
-    fn advance(&mut self, acting: &Acting, n: usize, step: f64) -> Result<(), StepError> {
+    /// Puts the arm into a state at a time, s: positions, velocities and angular velocities of the nodes, of which those that are not given
+    /// are zero, and rotations.
+    fn put(
+        &mut self,
+        vectors_of: [Option<Numbers<'_>>; 3],
+        rotations: &Numbers<'_>,
+        time: f64,
+    ) -> PyResult<()> {
+        let n = self.rod.n_nodes();
+        let names = ["positions", "velocities", "angular_velocities"];
+        let mut found = Vec::new();
+        for (name, own) in names.into_iter().zip(&vectors_of) {
+            let still = || Ok(vec![Vector3::zeros(); n]);
+            found.push(
+                own.as_ref()
+                    .map_or_else(still, |own| vectors(name, own, n))?,
+            );
+        }
+        let rotations = (matrices("rotations", rotations, n)?.into_iter().enumerate())
+            .map(|(q, matrix)| rotation(q, &matrix))
+            .collect::<PyResult<Vec<_>>>()?;
+        if !time.is_finite() {
+            return Err(PyValueError::new_err(format!(
+                "time = {time}; expected a finite time in s"
+            )));
+        }
+        let state = &mut self.state;
+        for (q, node) in self.rod.nodes.iter().enumerate() {
+            state.configuration.positions[q] = found[0][q];
+            state.linear_momentum[q] = found[1][q] * node.mass;
+            state.angular_momentum[q] = found[2][q].component_mul(&node.rotary);
+        }
+        state.configuration.rotations = rotations;
+        self.time = time;
+        Ok(())
+    }
+
+    /// Moves the arm by `n` steps of `step` (s), or leaves it where it is, if `goes_on` says no after one of them.
+    fn advance(
+        &mut self,
+        acting: &Acting,
+        (n, step): (usize, f64),
+        goes_on: &mut dyn FnMut() -> bool,
+    ) -> Result<(), Halt> {
         let rod = Arc::clone(&self.rod);
         let mut memory = match self.memory.take() {
             Some(memory) => memory,
@@ -123,7 +222,10 @@ impl Arm {
                 k as f64 / n as f64,
                 self.time + k as f64 * step,
             );
-            stepper.advance([now.view(), next.view()])?;
+            (stepper.advance([now.view(), next.view()])).map_err(Halt::Broken)?;
+            if !goes_on() {
+                return Err(Halt::Interrupted);
+            }
             now = next;
         }
         stepper.write_state(&mut self.state);
@@ -231,10 +333,6 @@ fn state_arrays<'py>(py: Python<'py>, rod: &Rod, state: &State) -> StateArrays<'
         array_of_vectors(py, &velocities),
         array_of_vectors(py, &spins),
     )
-}
-
-fn step_error(py: Python<'_>, error: &StepError) -> PyErr {
-    raise(py, "ModelError", error.to_string())
 }
 
 /// A simulated arm that a program moves.
@@ -363,10 +461,14 @@ impl Plant {
             let to = efforts_to.map(|own| kind.efforts("efforts_to", &own));
             acting.efforts = [from.clone(), to.transpose()?.unwrap_or(from)];
         }
-        let (n, step) = self.kind.steps(dt)?;
+        let steps = self.kind.steps(dt)?;
         let arm = &mut self.arm;
-        py.detach(|| arm.advance(&acting, n, step))
-            .map_err(|error| step_error(py, &error))
+        let stop = AtomicBool::new(false);
+        let mut watch = Watch::new(&stop);
+        match py.detach(|| arm.advance(&acting, steps, &mut || watch.goes_on())) {
+            Err(Halt::Broken(error)) => Err(raise(py, "ModelError", error.to_string())),
+            _ => watch.end(),
+        }
     }
 
     /// Puts the arm back to the start of its scene.
@@ -384,35 +486,9 @@ impl Plant {
         angular_velocities: Option<Numbers<'_>>,
         time: Option<f64>,
     ) -> PyResult<()> {
-        let rod = &self.kind.rod;
-        let n = rod.n_nodes();
-        let positions = vectors("positions", &positions, n)?;
-        let rotations = (matrices("rotations", &rotations, n)?
-            .into_iter()
-            .enumerate())
-        .map(|(q, matrix)| rotation(q, &matrix))
-        .collect::<PyResult<Vec<_>>>()?;
-        let still = || Ok(vec![Vector3::zeros(); n]);
-        let linear = velocities.map_or_else(still, |own| vectors("velocities", &own, n))?;
-        let angular =
-            angular_velocities.map_or_else(still, |own| vectors("angular_velocities", &own, n))?;
         let time = time.unwrap_or(self.arm.time);
-        if !time.is_finite() {
-            return Err(PyValueError::new_err(format!(
-                "time = {time}; expected a finite time in s"
-            )));
-        }
-        let state = &mut self.arm.state;
-        state.configuration.positions = positions;
-        state.configuration.rotations = rotations;
-        state.linear_momentum = (linear.iter().zip(&rod.nodes))
-            .map(|(v, node)| v * node.mass)
-            .collect();
-        state.angular_momentum = (angular.iter().zip(&rod.nodes))
-            .map(|(w, node)| w.component_mul(&node.rotary))
-            .collect();
-        self.arm.time = time;
-        Ok(())
+        let given = [Some(positions), velocities, angular_velocities];
+        self.arm.put(given, &rotations, time)
     }
 
     /// Returns another arm in the same state.
@@ -458,10 +534,11 @@ fn rotation(node: usize, matrix: &Matrix3<f64>) -> PyResult<Matrix3<f64>> {
 
 /// Many arms of one scene, which move at the same time on several threads.
 ///
-/// `Batch(n, name, text=None, overrides=[], threads=None)`.
+/// `Batch(n, name, text=None, overrides=[], threads=None, each=None)`; `each` has for every arm the overrides of its own.
 #[pyclass(module = "softarm._softarm")]
 pub(super) struct Batch {
-    kind: Arc<Kind>,
+    /// The kind of every arm.
+    kinds: Vec<Arc<Kind>>,
     arms: Vec<Arm>,
     /// Reasons why arms broke down since their last reset.
     errors: Vec<Option<String>>,
@@ -471,7 +548,7 @@ pub(super) struct Batch {
 #[pymethods]
 impl Batch {
     #[new]
-    #[pyo3(signature = (n, name, text=None, overrides=Vec::new(), threads=None))]
+    #[pyo3(signature = (n, name, text=None, overrides=Vec::new(), threads=None, each=None))]
     fn new(
         py: Python<'_>,
         n: usize,
@@ -479,14 +556,44 @@ impl Batch {
         text: Option<&str>,
         overrides: Vec<String>,
         threads: Option<usize>,
+        each: Option<Vec<Vec<String>>>,
     ) -> PyResult<Self> {
-        let kind = Arc::new(Kind::of(py, name, text, &overrides)?);
+        let kinds = match each {
+            None => {
+                let kind = Arc::new(Kind::of(py, name, text, &overrides)?);
+                vec![kind; n]
+            }
+            Some(each) if each.len() == n => (each.iter())
+                .map(|own| {
+                    let overrides = [&overrides[..], own].concat();
+                    Kind::of(py, name, text, &overrides).map(Arc::new)
+                })
+                .collect::<PyResult<Vec<_>>>()?,
+            Some(each) => {
+                return Err(PyValueError::new_err(format!(
+                    "values of {} arms; expected one for each of the {n} arms",
+                    each.len()
+                )));
+            }
+        };
+        for (index, kind) in kinds.iter().enumerate() {
+            let first = &kinds[0];
+            if kind.rod.n_nodes() != first.rod.n_nodes() || kind.names != first.names {
+                return Err(PyValueError::new_err(format!(
+                    "arm {index} has {} nodes and actuators {:?}, arm 0 has {} and {:?}; arms of a batch have as many nodes and the same actuators",
+                    kind.rod.n_nodes(),
+                    kind.names,
+                    first.rod.n_nodes(),
+                    first.names
+                )));
+            }
+        }
         let cores = || std::thread::available_parallelism().map_or(1, usize::from);
         Ok(Self {
-            arms: (0..n).map(|_| kind.arm()).collect(),
+            arms: kinds.iter().map(|kind| kind.arm()).collect(),
             errors: vec![None; n],
             threads: threads.unwrap_or_else(cores).max(1),
-            kind,
+            kinds,
         })
     }
 
@@ -503,29 +610,49 @@ impl Batch {
     /// Positions of all nodes, m, `(n, K+1, 3)`.
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f64>> {
-        self.array(py, |state| &state.configuration.positions, |_, v| *v)
+        self.array(py, |_, state, q| state.configuration.positions[q])
     }
 
     /// Velocities of all nodes, m/s, spatial, `(n, K+1, 3)`.
     #[getter]
     fn velocities<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f64>> {
-        let rod = Arc::clone(&self.kind.rod);
-        self.array(
-            py,
-            |state| &state.linear_momentum,
-            move |q, v| v / rod.nodes[q].mass,
-        )
+        self.array(py, |kind, state, q| {
+            state.linear_momentum[q] / kind.rod.nodes[q].mass
+        })
     }
 
     /// Names of the actuators, in the order of efforts.
     #[getter]
     fn actuators(&self) -> Vec<String> {
-        self.kind.names.clone()
+        self.kinds
+            .first()
+            .map_or_else(Vec::new, |kind| kind.names.clone())
     }
 
     /// The state of one arm, as `Plant.state`.
-    fn state<'py>(&self, py: Python<'py>, index: usize) -> PyResult<StateArrays<'py>> {
-        Ok(state_arrays(py, &self.kind.rod, &self.arm(index)?.state))
+    fn state<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyAny>> {
+        let arm = self.arm(index)?;
+        (py.import("softarm.control")?.getattr("State")?)
+            .call1(state_arrays(py, &arm.rod, &arm.state))
+    }
+
+    /// Puts one arm into a state, as `Plant.set_state`; an arm that broke down moves again.
+    #[pyo3(signature = (index, positions, rotations, velocities=None, angular_velocities=None, time=None))]
+    #[allow(clippy::too_many_arguments)]
+    fn set_state(
+        &mut self,
+        index: usize,
+        positions: Numbers<'_>,
+        rotations: Numbers<'_>,
+        velocities: Option<Numbers<'_>>,
+        angular_velocities: Option<Numbers<'_>>,
+        time: Option<f64>,
+    ) -> PyResult<()> {
+        let time = time.unwrap_or(self.arm(index)?.time);
+        let given = [Some(positions), velocities, angular_velocities];
+        self.arms[index].put(given, &rotations, time)?;
+        self.errors[index] = None;
+        Ok(())
     }
 
     /// Moves every arm by `dt` seconds, under wrenches `(n, 6)` on the tips or `(n, K+1, 6)` on all nodes, and efforts `(n, m)` of the
@@ -539,8 +666,10 @@ impl Batch {
         wrenches: Option<Numbers<'_>>,
         efforts: Option<Numbers<'_>>,
     ) -> PyResult<Vec<Option<String>>> {
-        let (n, m) = (self.arms.len(), self.kind.names.len());
-        let nodes = self.kind.rod.n_nodes();
+        let Some(first) = self.kinds.first() else {
+            return Ok(Vec::new());
+        };
+        let (n, m, nodes) = (self.arms.len(), first.names.len(), first.rod.n_nodes());
         let wrenches = wrenches
             .map(|own| match own.as_array().ndim() {
                 3 => numbers("wrenches", &own, &[n, nodes, 6]),
@@ -550,7 +679,9 @@ impl Batch {
         let efforts = efforts
             .map(|own| numbers("efforts", &own, &[n, m]))
             .transpose()?;
-        let (steps, step) = self.kind.steps(dt)?;
+        let steps = (self.kinds.iter())
+            .map(|kind| kind.steps(dt))
+            .collect::<PyResult<Vec<_>>>()?;
         let acting = |index: usize| {
             let mut acting = Acting::default();
             if let Some(own) = &wrenches {
@@ -569,27 +700,50 @@ impl Batch {
         };
         let share = n.div_ceil(self.threads).max(1);
         let (arms, errors) = (&mut self.arms, &mut self.errors);
-        py.detach(|| {
-            let work = |first: usize, arms: &mut [Arm], errors: &mut [Option<String>]| {
-                for (i, (arm, error)) in arms.iter_mut().zip(errors).enumerate() {
-                    if error.is_none() {
-                        let done = arm.advance(&acting(first + i), steps, step);
-                        *error = done.err().map(|error| error.to_string());
+        let stop = AtomicBool::new(false);
+        let mut watch = Watch::new(&stop);
+        let work = |first: usize,
+                    arms: &mut [Arm],
+                    errors: &mut [Option<String>],
+                    goes_on: &mut dyn FnMut() -> bool| {
+            for (i, (arm, error)) in (first..).zip(arms.iter_mut().zip(errors)) {
+                if error.is_none() {
+                    match arm.advance(&acting(i), steps[i], goes_on) {
+                        Err(Halt::Broken(reason)) => *error = Some(reason.to_string()),
+                        Err(Halt::Interrupted) => return,
+                        Ok(()) => {}
                     }
                 }
-            };
+            }
+        };
+        py.detach(|| {
             std::thread::scope(|scope| {
-                let shares = arms.chunks_mut(share).zip(errors.chunks_mut(share));
-                for (index, (arms, errors)) in shares.enumerate() {
-                    if share >= n {
-                        work(0, arms, errors);
-                    } else {
-                        let work = &work;
-                        scope.spawn(move || work(index * share, arms, errors));
-                    }
+                let mut shares = (0..).zip(arms.chunks_mut(share).zip(errors.chunks_mut(share)));
+                // The thread that called takes the first share, and looks at the signals of Python until the others are done with theirs.
+                let own = shares.next();
+                let (done, ended) = mpsc::channel::<()>();
+                let mut others = 0;
+                for (index, (arms, errors)) in shares {
+                    let (work, stop, done) = (&work, &stop, done.clone());
+                    others += 1;
+                    scope.spawn(move || {
+                        let mut goes_on = || !stop.load(Ordering::Relaxed);
+                        work(index * share, arms, errors, &mut goes_on);
+                        drop(done);
+                    });
+                }
+                drop(done);
+                if let Some((_, (arms, errors))) = own {
+                    work(0, arms, errors, &mut || watch.goes_on());
+                }
+                while others > 0
+                    && ended.recv_timeout(GLANCE) == Err(mpsc::RecvTimeoutError::Timeout)
+                {
+                    watch.look();
                 }
             });
         });
+        watch.end()?;
         Ok(self.errors.clone())
     }
 
@@ -601,7 +755,7 @@ impl Batch {
             self.arm(index)?;
         }
         for index in indices {
-            self.arms[index].restart(&self.kind);
+            self.arms[index].restart(&self.kinds[index]);
             self.errors[index] = None;
         }
         Ok(())
@@ -616,17 +770,17 @@ impl Batch {
         })
     }
 
+    /// Returns a vector of every node of every arm.
     fn array<'py>(
         &self,
         py: Python<'py>,
-        of: impl Fn(&State) -> &Vec<Vector3<f64>>,
-        scaled: impl Fn(usize, &Vector3<f64>) -> Vector3<f64>,
+        of: impl Fn(&Kind, &State, usize) -> Vector3<f64>,
     ) -> Bound<'py, PyArray3<f64>> {
-        let nodes = self.kind.rod.n_nodes();
+        let nodes = self.kinds.first().map_or(0, |kind| kind.rod.n_nodes());
         let mut out = Array3::zeros((self.arms.len(), nodes, 3));
-        for (index, arm) in self.arms.iter().enumerate() {
-            for (q, vector) in of(&arm.state).iter().enumerate() {
-                let vector = scaled(q, vector);
+        for (index, (arm, kind)) in self.arms.iter().zip(&self.kinds).enumerate() {
+            for q in 0..nodes {
+                let vector = of(kind, &arm.state, q);
                 for i in 0..3 {
                     out[(index, q, i)] = vector[i];
                 }

@@ -19,7 +19,7 @@ const PREFACE: [&str; 3] = [
 ];
 
 /// Units by the end of a key, longer ends first.
-const UNITS: [(&str, &str); 31] = [
+const UNITS: [(&str, &str); 33] = [
     ("_kg_m2_s", "kg m²/s"),
     ("_kg_m_s", "kg m/s"),
     ("rotary_kg_m", "kg m"),
@@ -34,7 +34,9 @@ const UNITS: [(&str, &str); 31] = [
     ("_t_m_s", "T/m/s"),
     ("_m_s2", "m/s²"),
     ("_a_m2", "A m²"),
+    ("_pa_s", "Pa/s"),
     ("_m3", "m³"),
+    ("_m2", "m²"),
     ("_t_m", "T/m"),
     ("_t_s", "T/s"),
     ("_1_m", "1/m"),

@@ -244,7 +244,7 @@ fn equilibrium_remedy(error: &EquilibriumError) -> &'static str {
         }
         EquilibriumError::NotConverged { .. } => {
             "set initial.shape = \"rest\" and let it settle (damping.viscous_1_s, or a profile that raises a [[load]] from 0), or \
-             make gravity and loads smaller or the rod stiffer"
+             make gravity and loads smaller or the rod stiffer, if no unit was mistaken"
         }
         EquilibriumError::Overstretched { .. } => {
             "make the loads smaller or the rod stiffer; rod.model = \"standard\" bears any pull"

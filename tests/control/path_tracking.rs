@@ -193,6 +193,7 @@ radius_m = 0.02
 viscous_1_s = 1.0
 [time]
 end_s = 2.0
+integrator = \"implicit\"
 [task]
 position_m = [0.3, 0.0, 0.05]
 orientation_wxyz = [{}, 0.0, {}, 0.0]

@@ -24,6 +24,7 @@ radius_m = 0.02
 internal_s = 0.015
 [time]
 end_s = 1.0
+integrator = "implicit"
 [control]
 blocks = 10
 force_max_n = 8.0

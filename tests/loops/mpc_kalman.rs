@@ -832,7 +832,7 @@ fn delays_and_internal_damping_are_found() {
 /// in the root mean square, and by four where unknown forces are as strong in fast motions as in slow ones.
 #[test]
 fn parameters_are_not_surer_than_the_filter_says() {
-    const RUNS: u64 = 6;
+    const RUNS: u64 = 4;
     const N: usize = 5;
     let mut model = rod(&upright(), 6);
     model.scheme = TimeScheme::Implicit;

@@ -46,6 +46,9 @@ const BETTER_FIT: f64 = 0.05;
 /// default (`task.stays_m`).
 const FARTHEST_BASE: f64 = 0.01;
 
+/// Farthest that a position may be from the clamp, in lengths of the arm, as for an estimator.
+const FARTHEST: f64 = 2.0;
+
 /// The motion of all nodes: momenta, or velocities.
 struct Moving {
     vectors: Vec<Vector3<f64>>,
@@ -194,7 +197,7 @@ impl Intake {
                     },
                 );
             }
-            self.read(&name, &reading, &mut found[at].signals)?;
+            self.read(&name, &reading, &mut found[at].signals, &mut refusals)?;
         }
         let blocks = found.iter().flat_map(|measurement| {
             let blocks = measurement.signals.chunks(BLOCK);
@@ -233,6 +236,11 @@ impl Intake {
         self.fits("positions_m", positions.len())?;
         self.fits("rotations", rotations.len())?;
         let positions: Vec<Vector3<f64>> = positions.iter().map(|x| Vector3::from(*x)).collect();
+        for (q, x) in positions.iter().enumerate() {
+            if let Some(refusal) = self.unlikely(&format!("positions_m[{q}]"), x) {
+                return Err(refusal);
+            }
+        }
         let rotations = (rotations.iter().enumerate())
             .map(|(q, given)| self.rotation(&format!("rotations[{q}]"), given))
             .collect::<Result<Vec<_>, _>>()?;
@@ -254,6 +262,23 @@ impl Intake {
             name,
             format!("{found} of them, and the model has {n} nodes"),
             "give one a node of the hello line, from the base to the tip",
+        ))
+    }
+
+    /// Returns the refusal of a position that is not finite, or where no node can be.
+    fn unlikely(&self, place: &str, x: &Vector3<f64>) -> Option<Refusal> {
+        if let Some(refusal) = not_finite(place, x) {
+            return Some(refusal);
+        }
+        let off = (x - self.rod.rest.positions[0]).norm();
+        let length = self.rod.scales.length;
+        if !matches!(self.rod.base, BaseCondition::Clamped) || off <= FARTHEST * length {
+            return None;
+        }
+        Some(Refusal::new(
+            place,
+            format!("{off} m away from the clamp of the model, and the arm has {length} m"),
+            "give positions in m and in the frame of the scene; a marker that was not seen is left out",
         ))
     }
 
@@ -321,9 +346,16 @@ impl Intake {
                 ));
             }
         };
-        self.fits(names[usize::from(!is_momentum)], given.len())?;
+        let name = names[usize::from(!is_momentum)];
+        self.fits(name, given.len())?;
+        let vectors: Vec<Vector3<f64>> = given.iter().map(|v| Vector3::from(*v)).collect();
+        for (q, v) in vectors.iter().enumerate() {
+            if let Some(refusal) = not_finite(&format!("{name}[{q}]"), v) {
+                return Err(refusal);
+            }
+        }
         Ok(Some(Moving {
-            vectors: given.iter().map(|v| Vector3::from(*v)).collect(),
+            vectors,
             is_momentum,
         }))
     }
@@ -388,12 +420,13 @@ impl Intake {
             .collect())
     }
 
-    /// Adds the signals of a reading.
+    /// Adds the signals of a reading; a vector that cannot be is left out with its refusal.
     fn read(
         &mut self,
         name: &str,
         reading: &ReadingLine,
         signals: &mut Vec<Signal>,
+        refusals: &mut Vec<Refusal>,
     ) -> Result<(), Refusal> {
         let place = reading.place.unwrap_or(1.0);
         if !(0.0..=1.0).contains(&place) {
@@ -403,43 +436,51 @@ impl Intake {
                 "give the arc length from the base over the length of the arm; without it the place is the tip, 1",
             ));
         }
-        let vector = |given: Option<Vector>| given.map(Vector3::from);
+        let mut vector = |field: &str, given: Option<Vector>| {
+            let given = Vector3::from(given?);
+            let place = format!("{name}.{field}");
+            let refusal = match field {
+                "position_m" => self.unlikely(&place, &given),
+                _ => not_finite(&place, &given),
+            };
+            let is_usable = refusal.is_none();
+            refusals.extend(refusal);
+            is_usable.then_some(given)
+        };
+        let position = vector("position_m", reading.position_m);
+        let velocity = vector("velocity_m_s", reading.velocity_m_s);
+        let spin = vector("angular_velocity_rad_s", reading.angular_velocity_rad_s);
+        let curvature = vector("curvature_1_m", reading.curvature_1_m);
+        let base_force = vector("base_force_n", reading.base_force_n);
+        let base_moment = vector("base_moment_n_m", reading.base_moment_n_m);
         let rotation = (reading.rotation.as_ref())
             .map(|given| self.rotation(&format!("{name}.rotation"), given))
             .transpose()?;
         type Sigma = fn(&SensorSettings) -> Option<f64>;
         let own: [(&str, Option<Reading>, Sigma); 7] = [
-            (
-                "position_m",
-                vector(reading.position_m).map(Reading::Position),
-                |own| own.position,
-            ),
+            ("position_m", position.map(Reading::Position), |own| {
+                own.position
+            }),
             ("rotation", rotation.map(Reading::Rotation), |own| {
                 own.rotation
             }),
-            (
-                "velocity_m_s",
-                vector(reading.velocity_m_s).map(Reading::Velocity),
-                |own| own.velocity,
-            ),
+            ("velocity_m_s", velocity.map(Reading::Velocity), |own| {
+                own.velocity
+            }),
             (
                 "angular_velocity_rad_s",
-                vector(reading.angular_velocity_rad_s).map(Reading::AngularVelocity),
+                spin.map(Reading::AngularVelocity),
                 |own| own.angular_velocity,
             ),
-            (
-                "curvature_1_m",
-                vector(reading.curvature_1_m).map(Reading::Curvature),
-                |own| own.curvature,
-            ),
-            (
-                "base_force_n",
-                vector(reading.base_force_n).map(Reading::BaseForce),
-                |own| own.base_force,
-            ),
+            ("curvature_1_m", curvature.map(Reading::Curvature), |own| {
+                own.curvature
+            }),
+            ("base_force_n", base_force.map(Reading::BaseForce), |own| {
+                own.base_force
+            }),
             (
                 "base_moment_n_m",
-                vector(reading.base_moment_n_m).map(Reading::BaseMoment),
+                base_moment.map(Reading::BaseMoment),
                 |own| own.base_moment,
             ),
         ];
@@ -460,6 +501,15 @@ impl Intake {
         }
         Ok(())
     }
+}
+
+/// Returns the refusal of a vector that is not finite.
+fn not_finite(place: &str, v: &Vector3<f64>) -> Option<Refusal> {
+    let help = "leave out what was not measured";
+    (!v.iter().all(|x| x.is_finite())).then(|| {
+        let words = format!("{:?} is not finite", v.as_slice());
+        Refusal::new(place, words, help)
+    })
 }
 
 /// Refuses transposed rotations. The third director of a section points along the arm, up to a small shear; if that of the transposed

@@ -270,7 +270,17 @@ pub(super) struct CommandLine {
     pub rotation_change: Option<f64>,
     pub skipped_samples: usize,
     pub disturbance: Option<DisturbanceLine>,
+    pub innovation: Option<InnovationLine>,
     pub phases_s: Phases,
+}
+
+/// The last measurement that an estimator used, compared with its prediction.
+#[derive(Debug, Serialize)]
+pub(super) struct InnovationLine {
+    pub numbers: usize,
+    pub rms: f64,
+    pub distance_m: Option<f64>,
+    pub refused_signals: usize,
 }
 
 #[derive(Debug, Serialize)]

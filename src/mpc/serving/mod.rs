@@ -25,7 +25,8 @@ use nalgebra::{Matrix3, Vector3};
 use self::intake::{Intake, MOST_READINGS, Refusal};
 use self::message::{
     ActuatorLine, CommandLine, DisturbanceLine, EffortLimits, EffortLine, ErrorLine, FallbackLine,
-    Hello, Kind, Line, NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows, version_message,
+    Hello, InnovationLine, Kind, Line, NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows,
+    version_message,
 };
 use super::closed_loop::{Cause, Driver, Experiment, Known, Percentiles, Sample, TipError};
 use super::error::MpcError;
@@ -527,6 +528,12 @@ impl<W: Write> Server<W> {
             (responded.estimates()).then(|| DisturbanceLine::of(responded.disturbance()));
         let predicted_tip_m = responded.predicted_tip().map(Into::into);
         let sample = responded.sample();
+        let innovation = sample.innovation.map(|found| InnovationLine {
+            numbers: found.n,
+            rms: found.rms,
+            distance_m: found.distance,
+            refused_signals: found.refused,
+        });
         let phases_s = Phases {
             read,
             estimate: sample.estimate_s,
@@ -540,6 +547,7 @@ impl<W: Write> Server<W> {
             predicted_tip_m,
             skipped_samples: n_skipped,
             disturbance,
+            innovation,
             phases_s,
             ..command(&responded, sample.t, self.intake.rotation_change)
         };
@@ -661,6 +669,7 @@ fn command(driver: &Driver, time_s: f64, rotation_change: Option<f64>) -> Comman
         rotation_change,
         skipped_samples: 0,
         disturbance: None,
+        innovation: None,
         phases_s: Phases::default(),
     }
 }

@@ -25,7 +25,7 @@ pub struct Base {
     /// Direction of the arm at the base, of any length but zero. Default: [0, 0, 1].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 3]>,
-    /// Rotation about `direction` in rad, after the shortest rotation of +z onto it. Default: 0.
+    /// Rotation about `direction` in rad, after the shortest rotation of +z onto it, for -z a half turn about +x. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
     /// Orientation of the base as a quaternion, scalar first, of any length but zero; instead of `direction` and
@@ -57,7 +57,7 @@ pub struct Tip {
     /// Direction in which the arm arrives at its tip, of any length but zero. Default: that of the arm at rest.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 3]>,
-    /// Rotation about `direction` in rad, after the shortest rotation of +z onto it. Default: 0.
+    /// Rotation about `direction` in rad, after the shortest rotation of +z onto it, for -z a half turn about +x. Default: 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
     /// Orientation of the tip as a quaternion, scalar first, of any length but zero; instead of `direction` and

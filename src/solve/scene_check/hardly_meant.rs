@@ -64,7 +64,7 @@ pub(super) fn hardly_meant(scene: &Scene, rod: &Rod) -> Vec<String> {
         Figure {
             key: "rod.section",
             value: thickest / length,
-            unit: "of the length is the radius",
+            unit: "(radius over length)",
             range: [0.0, 0.25],
             of: "a thread and the thickest arm that is still a rod",
         },

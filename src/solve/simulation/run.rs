@@ -168,6 +168,7 @@ impl<'a> Run<'a> {
                 self.note_rows();
             }
             if k == n_steps {
+                tell(k);
                 break End::Completed;
             }
             if stop.check_at(k).is_err() {
