@@ -8,10 +8,11 @@ use super::console::Console;
 use super::error::CliError;
 use super::tradeoff::Applied;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
-use crate::fit::{FitError, FitOptions, FitSummary, Sighting, fit};
+use crate::fit::{FitError, FitOptions, FitSummary, fit};
 use crate::output::quantity::{digits, quantity};
 use crate::output::replace::Writer;
-use crate::output::{ResultKind, RunDirectory};
+use crate::output::{ResultKind, RunDirectory, json_value, render_report, write_residuals};
+use crate::solve::fit_page;
 
 /// Arguments of `fit`.
 #[derive(Debug, Args)]
@@ -71,9 +72,28 @@ pub(super) fn run(arguments: &FitArguments, global: &Global, console: &Console) 
     conclude(&summary, console);
     let written = directory.publish_or_rescue(|result| {
         result.write_text("scene.toml", &found.scene.to_toml())?;
-        result.write_text("residuals.csv", &residuals(&summary.sightings))?;
+        if found.shapes.n_rows() > 0 {
+            (found.shapes).write_npz(&result.path().join("trajectory.npz"))?;
+        }
+        write_residuals(&result.path().join("residuals.csv"), &found.rows)?;
+        let value = json_value(&summary);
+        let page = fit_page(
+            &found.scene,
+            &found.arm,
+            &found.rod,
+            &found.shapes,
+            &found.rows,
+            &value,
+        )?;
+        result.write_text("report.html", &render_report(&page))?;
         result.write_json("summary.json", &summary)
     });
+    if let Ok(directory) = &written {
+        console.say(&format!(
+            "report: {}",
+            directory.join("report.html").display()
+        ));
+    }
     console.summary(&summary);
     written?;
     if let Some(place) = &applied {
@@ -93,29 +113,6 @@ pub(super) fn run(arguments: &FitArguments, global: &Global, console: &Console) 
         "converged" => exit::DONE,
         _ => exit::NOT_CONVERGED,
     })
-}
-
-/// Returns the table of all places.
-fn residuals(sightings: &[Sighting]) -> String {
-    use std::fmt::Write as _;
-    let mut out = String::from(
-        "case,marker,t_s,x_m,y_m,z_m,predicted_x_m,predicted_y_m,predicted_z_m,off_m,outlier\n",
-    );
-    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
-    for own in sightings {
-        let [x, y, z] = own.measured_m;
-        let [px, py, pz] = own.predicted_m;
-        let _ = writeln!(
-            out,
-            "{},{},{:?},{x:?},{y:?},{z:?},{px:?},{py:?},{pz:?},{:?},{}",
-            quoted(&own.case),
-            quoted(&own.marker),
-            own.t_s,
-            own.off_m,
-            own.is_outlier
-        );
-    }
-    out
 }
 
 fn conclude(summary: &FitSummary, console: &Console) {

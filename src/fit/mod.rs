@@ -12,11 +12,13 @@ use nalgebra::{DVector, Vector3};
 
 use self::data::{Case, Data, Marker};
 use self::least_squares::Problem;
-pub use self::report::{FitSummary, Sighting};
+pub use self::report::FitSummary;
 use crate::mechanics::place::{locate, pose};
-use crate::mechanics::{Configuration, NodeWrenches, Stepper};
+use crate::mechanics::{Configuration, NodeWrenches, Rod, Stepper};
+use crate::output::{MotionRecord, ResidualRow};
 use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::{Stop, StopSignal};
+use crate::task::Arm;
 
 /// The reason why nothing is fitted.
 #[derive(Debug, thiserror::Error)]
@@ -56,8 +58,16 @@ pub struct FitOptions {
 pub struct Fit {
     /// The scene with the fitted numbers.
     pub scene: Scene,
+    /// Its arm.
+    pub arm: Arm,
+    /// Its rod.
+    pub rod: Rod,
     /// Estimates, their errors and the residuals.
     pub summary: FitSummary,
+    /// Every place that was seen, in the order of the cases.
+    pub rows: Vec<ResidualRow>,
+    /// The predicted shapes at rest, with their numbers from one on as times; those with other elements than the scene are left out.
+    pub shapes: MotionRecord,
 }
 
 /// Fits numbers of a scene to a file of measurements.
@@ -97,17 +107,28 @@ pub fn fit(
         groups,
     };
     let found = problem.minimize(&model.start())?;
-    let (scene, _) =
+    let (scene, own) =
         Scene::from_toml(&source.name, &source.text, &model.overrides(&found.at, &[]))?;
+    let arm = scene.arm(&own)?;
+    let rod = (arm.rod(&scene.discretization()))
+        .map_err(|error| scene.discretize_error(&own, error.into()))?;
     let predicted = model.predicted(&found.at, &steps)?;
-    let summary = report::summary(
+    let shapes = model.shapes(&found.at, &rod)?;
+    let (summary, rows) = report::summary(
         &model,
         &found,
         &predicted,
         n_places,
         begun.elapsed().as_secs_f64(),
     );
-    Ok(Fit { scene, summary })
+    Ok(Fit {
+        scene,
+        arm,
+        rod,
+        summary,
+        rows,
+        shapes,
+    })
 }
 
 /// A number that is fitted.
@@ -373,6 +394,21 @@ impl Model<'_> {
         (0..self.cases.len())
             .map(|index| self.case(at, index, steps))
             .collect()
+    }
+
+    /// Returns the shapes at rest of arms with as many nodes as a rod.
+    fn shapes(&self, at: &[f64], like: &Rod) -> Result<MotionRecord, FitError> {
+        let mut out = MotionRecord::empty(like.n_nodes());
+        let resting = self.cases.iter().filter(|case| case.is_static);
+        for (index, case) in resting.enumerate() {
+            let (scene, source) = self.scene(at, case, None)?;
+            let setup = scene.simulation_until(&source, self.stop)?;
+            if setup.rod.n_nodes() == like.n_nodes() {
+                let shape = &setup.initial.configuration;
+                out.push_at_rest((index + 1) as f64, &setup.rod, shape, 0.0);
+            }
+        }
+        Ok(out)
     }
 
     /// Returns the residuals at several points, in standard deviations: those of fitted cases, then those of priors.

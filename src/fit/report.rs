@@ -6,6 +6,7 @@ use serde::Serialize;
 use super::Model;
 use super::least_squares::{Minimum, weigh};
 use crate::TOOL;
+use crate::output::ResidualRow;
 use crate::output::summary::SCHEMA_VERSION;
 
 /// A direction of the parameters is undetermined where the residuals change by less than this part of what they change along the one that
@@ -39,6 +40,8 @@ pub struct FitSummary {
     pub sigma_m: f64,
     /// Standard deviation of a coordinate as the residuals have it, m: noise and error of the model.
     pub scatter_m: f64,
+    /// Distance from which a place is an outlier, m.
+    pub outliers_beyond_m: f64,
     /// The fitted numbers.
     pub parameters: Vec<Parameter>,
     /// Correlations of the estimates, row by row; empty if a combination is undetermined.
@@ -47,9 +50,6 @@ pub struct FitSummary {
     pub undetermined: Vec<Undetermined>,
     /// Shapes and recordings.
     pub cases: Vec<CaseSummary>,
-    /// Every place that was seen.
-    #[serde(skip)]
-    pub sightings: Vec<Sighting>,
     /// Result directory.
     pub directory: String,
 }
@@ -84,6 +84,8 @@ pub struct Undetermined {
 pub struct CaseSummary {
     /// Name.
     pub name: String,
+    /// Tells whether it is a shape at rest.
+    pub at_rest: bool,
     /// Tells whether it was compared only.
     pub held_out: bool,
     /// Places.
@@ -96,37 +98,18 @@ pub struct CaseSummary {
     pub outliers: usize,
 }
 
-/// A place of a marker, measured and predicted.
-#[derive(Clone, Debug, Serialize)]
-pub struct Sighting {
-    /// Shape or recording.
-    pub case: String,
-    /// Marker.
-    pub marker: String,
-    /// Time, s.
-    pub t_s: f64,
-    /// Measured place, m.
-    pub measured_m: [f64; 3],
-    /// Predicted place, m.
-    pub predicted_m: [f64; 3],
-    /// Distance, m.
-    pub off_m: f64,
-    /// Tells whether it is further off than four standard deviations.
-    pub is_outlier: bool,
-}
-
 fn rms(squares: f64, n: usize) -> f64 {
     (squares / n.max(1) as f64).sqrt()
 }
 
-/// Describes a minimum.
+/// Describes a minimum, and every place that was seen.
 pub(super) fn summary(
     model: &Model,
     found: &Minimum,
     predicted: &[Vec<Vector3<f64>>],
     n_places: usize,
     wall: f64,
-) -> FitSummary {
+) -> (FitSummary, Vec<ResidualRow>) {
     let free = model.parameters;
     let n = free.len();
     let weighted = weigh(&found.jacobian, &found.weights);
@@ -170,7 +153,7 @@ pub(super) fn summary(
             .collect()
     });
     let limit = OUTLIER * scatter * model.sigma;
-    let mut sightings = Vec::new();
+    let mut seen = Vec::new();
     let mut cases = Vec::new();
     let (mut fitted, mut held, mut n_held) = (0.0, 0.0, 0);
     let mut row = 0;
@@ -181,20 +164,26 @@ pub(super) fn summary(
             let off = (place - Vector3::from(sight.position)).norm();
             squares += off * off;
             outliers += usize::from(off > limit);
-            sightings.push(Sighting {
+            let [x_m, y_m, z_m] = sight.position;
+            seen.push(ResidualRow {
                 case: case.name.clone(),
                 marker: model.markers[sight.marker].name.clone(),
                 t_s: sight.time,
-                measured_m: sight.position,
-                predicted_m: (*place).into(),
+                x_m,
+                y_m,
+                z_m,
+                predicted_x_m: place.x,
+                predicted_y_m: place.y,
+                predicted_z_m: place.z,
                 off_m: off,
-                is_outlier: off > limit,
+                outlier: off > limit,
             });
         }
         let count = case.sights.len();
         let rows = if case.held_out { 0 } else { 3 * count };
         cases.push(CaseSummary {
             name: case.name.clone(),
+            at_rest: case.is_static,
             held_out: case.held_out,
             places: count,
             rms_m: rms(squares, count),
@@ -212,7 +201,7 @@ pub(super) fn summary(
             fitted += squares;
         }
     }
-    FitSummary {
+    let summary = FitSummary {
         schema_version: SCHEMA_VERSION,
         tool: TOOL,
         command: "fit",
@@ -228,13 +217,14 @@ pub(super) fn summary(
         held_out_rms_m: (n_held > 0).then(|| rms(held, n_held)),
         sigma_m: model.sigma,
         scatter_m: scatter * model.sigma,
+        outliers_beyond_m: limit,
         parameters,
         correlations,
         undetermined,
         cases,
-        sightings,
         directory: String::new(),
-    }
+    };
+    (summary, seen)
 }
 
 /// Returns the sum of squares of the residuals of some rows under the estimates without them, to first order.

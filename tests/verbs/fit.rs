@@ -34,6 +34,15 @@ fn value(summary: &Value, index: usize, key: &str) -> f64 {
         .unwrap_or_else(|| panic!("{key} of {:#}", summary["parameters"]))
 }
 
+/// The data of a page.
+fn page_data(page: &str) -> Value {
+    let (_, rest) = page
+        .split_once("<script id=\"data\" type=\"application/json\">")
+        .unwrap();
+    let (data, _) = rest.split_once("</script>").unwrap();
+    serde_json::from_str(data).unwrap()
+}
+
 /// SoRoMoX' eight shapes: modulus and density as an independent program fitted them to the same data, 3.745e5 Pa +- 1.3 % and 1162 kg/m³ +-
 /// 2.9 %, markers 12.3 mm off, from a start 20 % away. The noise alone would give standard errors some 35 times as small.
 #[test]
@@ -83,6 +92,28 @@ fn published_shapes() {
     }
     let rows = fs::read_to_string(folder.path().join("fit/residuals.csv")).unwrap();
     assert_eq!(rows.lines().count(), 1 + 32);
+    // The picture of the page has the places of the table at the shapes of their cases, and `report` makes the same page of the files.
+    let page = fs::read_to_string(folder.path().join("fit/report.html")).unwrap();
+    let data = page_data(&page);
+    let marks = data["marks"].as_array().unwrap();
+    for (mark, row) in marks.iter().zip(rows.lines().skip(1)) {
+        let cells: Vec<&str> = row.split(',').collect();
+        let frame = mark["frame"].as_u64().unwrap() as usize;
+        assert_eq!(data["motion"]["names"][frame], cells[0]);
+        assert_eq!(mark["name"], cells[1]);
+        for (part, (measured, predicted)) in (cells[3..6].iter().zip(&cells[6..9])).enumerate() {
+            assert_eq!(mark["measured"][part], measured.parse::<f64>().unwrap());
+            assert_eq!(mark["predicted"][part], predicted.parse::<f64>().unwrap());
+        }
+    }
+    assert_eq!(marks.len(), 32);
+    // The last marker is 8 mm beyond the tip: the frames are the shapes under these predictions.
+    let (tip, last) = (&data["motion"]["tip"][0], &marks[0]["predicted"]);
+    let apart = (0..3).map(|i| (tip[i].as_f64().unwrap() - last[i].as_f64().unwrap()).powi(2));
+    assert!((apart.sum::<f64>().sqrt() - 8e-3).abs() < 1e-9);
+    fs::remove_file(folder.path().join("fit/report.html")).unwrap();
+    assert_eq!(run(folder.path(), &["report", "fit"]).0, DONE);
+    assert!(page == fs::read_to_string(folder.path().join("fit/report.html")).unwrap());
     // The scene that is written has the numbers.
     let text = fs::read_to_string(folder.path().join("fit/scene.toml")).unwrap();
     let scene: toml::Table = text.parse().unwrap();

@@ -290,7 +290,7 @@ fn sentence(clauses: &[&str]) -> String {
     plain(&out)
 }
 
-/// A curve: `name: color | column of x | column of y`, and behind these `hold`, `dashed`, and `band` with a column.
+/// A curve: `name: color | column of x | column of y`, and behind these `hold`, `dashed`, `dots`, and `band` with a column.
 fn curve(row: Row, columns: &Columns) -> Result<ReportCurve, Error> {
     let column = |name: &str| {
         (columns.get(name).cloned()).ok_or_else(|| fault(format!("no column `{name}` to draw")))
@@ -302,6 +302,7 @@ fn curve(row: Row, columns: &Columns) -> Result<ReportCurve, Error> {
         hold: false,
         band: Vec::new(),
         dashed: false,
+        dots: false,
         name: row.name,
     };
     for option in row.cells.iter().skip(3) {
@@ -309,6 +310,7 @@ fn curve(row: Row, columns: &Columns) -> Result<ReportCurve, Error> {
             Some(("band", name)) => curve.band = column(name)?,
             _ if option == "hold" => curve.hold = true,
             _ if option == "dashed" => curve.dashed = true,
+            _ if option == "dots" => curve.dots = true,
             _ => return Err(fault(format!("no curve is `{option}`"))),
         }
     }
