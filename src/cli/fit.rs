@@ -136,9 +136,26 @@ fn conclude(summary: &FitSummary, console: &Console) {
         let parts: Vec<String> = (own.exponents.iter())
             .map(|(key, exponent)| format!("{key}^{}", digits(*exponent)))
             .collect();
+        let (parts, remedy) = (parts.join(", "), "fix one of them, or give it a prior");
+        console.warn(&match own.standard_error {
+            None => format!("the data cannot tell how large these are together: {parts}; {remedy}"),
+            Some(error) => format!(
+                "the data hardly tell how large these are together, to a factor of {}: {parts}; {remedy}",
+                digits(error.exp())
+            ),
+        });
+    }
+    for own in &summary.exchanged {
+        let [first, second] = &own.markers;
+        let [off, exchanged] = [own.off_m, own.exchanged_off_m].map(|off| off.map(|x| quantity(x, "m")));
         console.warn(&format!(
-            "the data cannot tell how large these are together: {}; fix one of them, or give it a prior",
-            parts.join(", ")
+            "{}, t = {} s: {first} and {second} seem to be exchanged; they are {} and {} off, and {} and {} if they are named the other way round",
+            own.case,
+            digits(own.t_s),
+            off[0],
+            off[1],
+            exchanged[0],
+            exchanged[1]
         ));
     }
     for (i, row) in summary.correlations.iter().enumerate() {

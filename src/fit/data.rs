@@ -78,9 +78,12 @@ pub struct Recording {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Free {
-    /// Dotted path of a number of the scene.
+    /// Dotted path of a number of the scene; with `times` the name of a factor.
     pub key: String,
-    /// Where the search begins; the value of the scene, if it is left out.
+    /// Dotted paths of numbers that the factor multiplies, in every case those that the case has.
+    #[serde(default)]
+    pub times: Vec<String>,
+    /// Where the search begins; the value of the scene, or 1 of a factor, if it is left out.
     pub start: Option<f64>,
     /// Least value.
     pub lower: Option<f64>,

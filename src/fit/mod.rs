@@ -81,12 +81,17 @@ pub fn fit(
     stop: &StopSignal,
 ) -> Result<Fit, FitError> {
     let (data, cases) = data::read(path).map_err(FitError::Data)?;
-    let parameters = parameters(source, &data, options)?;
+    let own = entries(source, &[])?;
+    let tables: Vec<toml::Table> = (cases.iter())
+        .map(|case| entries(source, &case.set))
+        .collect::<Result<_, _>>()?;
+    let parameters = parameters(&own, &tables, &data, options)?;
     let begun = std::time::Instant::now();
     let model = Model {
         source,
         markers: &data.marker,
         cases: &cases,
+        tables: &tables,
         parameters: &parameters,
         sigma: data.sigma_m,
         n_threads: options.n_threads,
@@ -107,11 +112,11 @@ pub fn fit(
         groups,
     };
     let found = problem.minimize(&model.start())?;
-    let (scene, own) =
-        Scene::from_toml(&source.name, &source.text, &model.overrides(&found.at, &[]))?;
-    let arm = scene.arm(&own)?;
+    let overrides = model.overrides(&found.at, &[], &own);
+    let (scene, fitted) = Scene::from_toml(&source.name, &source.text, &overrides)?;
+    let arm = scene.arm(&fitted)?;
     let rod = (arm.rod(&scene.discretization()))
-        .map_err(|error| scene.discretize_error(&own, error.into()))?;
+        .map_err(|error| scene.discretize_error(&fitted, error.into()))?;
     let predicted = model.predicted(&found.at, &steps)?;
     let shapes = model.shapes(&found.at, &rod)?;
     let (summary, rows) = report::summary(
@@ -134,6 +139,8 @@ pub fn fit(
 /// A number that is fitted.
 struct Free {
     key: String,
+    /// Paths of the numbers that it multiplies; empty for the number at `key` itself.
+    times: Vec<String>,
     start: f64,
     /// Unit of the search.
     scale: f64,
@@ -145,22 +152,39 @@ impl Free {
     fn scaled_bounds(&self) -> [f64; 2] {
         self.bounds.map(|bound| bound / self.scale)
     }
+
+    /// Returns the values of the scene that follow from this one, as `KEY=VALUE`; `table` has those that a factor multiplies.
+    fn overrides(&self, value: f64, table: &toml::Table) -> Vec<String> {
+        if self.times.is_empty() {
+            return vec![format!("{}={value:e}", self.key)];
+        }
+        let products = self.times.iter().filter_map(|path| {
+            let product = value * number(table, path)?;
+            Some(format!("{path}={product:e}"))
+        });
+        products.collect()
+    }
 }
 
-/// Returns the numbers that are fitted, with their starts.
+/// Returns the entries of a resolved scene.
+fn entries(source: &SceneSource, set: &[String]) -> Result<toml::Table, FitError> {
+    let overrides = [&source.overrides, set].concat();
+    let (scene, _) = Scene::from_toml(&source.name, &source.text, &overrides)?;
+    toml::from_str(&scene.to_toml()).map_err(|error| FitError::Data(error.to_string()))
+}
+
+/// Returns the numbers that are fitted, with their starts; `own` are the entries of the scene, and `tables` those of the cases.
 fn parameters(
-    source: &SceneSource,
+    own: &toml::Table,
+    tables: &[toml::Table],
     data: &Data,
     options: &FitOptions,
 ) -> Result<Vec<Free>, FitError> {
     let refuse = |words: String| Err(FitError::Data(words));
-    let (scene, _) = Scene::from_toml(&source.name, &source.text, &source.overrides)?;
-    let table: toml::Table =
-        toml::from_str(&scene.to_toml()).map_err(|error| FitError::Data(error.to_string()))?;
     let mut keys: Vec<&str> = options.free.iter().map(String::as_str).collect();
-    for own in &data.free {
-        if !keys.contains(&own.key.as_str()) {
-            keys.push(&own.key);
+    for free in &data.free {
+        if !keys.contains(&free.key.as_str()) {
+            keys.push(&free.key);
         }
     }
     if keys.is_empty() {
@@ -170,29 +194,41 @@ fn parameters(
     }
     let mut out: Vec<Free> = Vec::new();
     for key in keys {
-        let described = data.free.iter().find(|own| own.key == key);
-        let given = described
-            .and_then(|own| own.start)
-            .or_else(|| number(&table, key));
+        let described = data.free.iter().find(|free| free.key == key);
+        let times = described.map_or(&[][..], |free| &free.times);
+        for path in times {
+            if !tables.iter().chain([own]).any(|table| number(table, path).is_some()) {
+                return refuse(format!(
+                    "{path}, of which {key} is a factor, has no number in this scene"
+                ));
+            }
+        }
+        let given = described.and_then(|free| free.start).or_else(|| {
+            if times.is_empty() {
+                number(own, key)
+            } else {
+                Some(1.0)
+            }
+        });
         let Some(start) = given else {
             return refuse(format!(
                 "{key} has no number in this scene; give the key of a number, or its start in [[free]] of the data"
             ));
         };
-        let own = |part: fn(&data::Free) -> Option<f64>| described.and_then(part);
+        let part = |of: fn(&data::Free) -> Option<f64>| described.and_then(of);
         let bounds = [
-            own(|own| own.lower).unwrap_or(if start > 0.0 {
+            part(|free| free.lower).unwrap_or(if start > 0.0 {
                 1e-3 * start
             } else {
                 f64::NEG_INFINITY
             }),
-            own(|own| own.upper).unwrap_or(if start > 0.0 {
+            part(|free| free.upper).unwrap_or(if start > 0.0 {
                 1e3 * start
             } else {
                 f64::INFINITY
             }),
         ];
-        let prior = match [own(|own| own.prior), own(|own| own.prior_sigma)] {
+        let prior = match [part(|free| free.prior), part(|free| free.prior_sigma)] {
             [Some(prior), Some(sigma)] if sigma > 0.0 && (prior + sigma).is_finite() => {
                 Some([prior, sigma])
             }
@@ -203,8 +239,14 @@ fn parameters(
                 ));
             }
         };
-        if out.iter().any(|known| known.key == key) {
-            return refuse(format!("{key} is free twice"));
+        let paths = |free: &Free| [&[free.key.clone()][..], &free.times].concat();
+        let taken: Vec<String> = out.iter().flat_map(paths).collect();
+        let new = [&[key.to_string()][..], times].concat();
+        if let Some(path) = (new.iter().enumerate())
+            .find(|(i, path)| taken.contains(path) || new[..*i].contains(path))
+            .map(|(_, path)| path)
+        {
+            return refuse(format!("{path} is free twice"));
         }
         if !(start.is_finite() && bounds[0] <= start && start <= bounds[1] && bounds[0] < bounds[1])
         {
@@ -224,6 +266,7 @@ fn parameters(
         };
         out.push(Free {
             key: key.into(),
+            times: times.to_vec(),
             start,
             scale,
             bounds,
@@ -256,6 +299,8 @@ struct Model<'a> {
     source: &'a SceneSource,
     markers: &'a [Marker],
     cases: &'a [Case],
+    /// Entries of the scenes of the cases.
+    tables: &'a [toml::Table],
     parameters: &'a [Free],
     sigma: f64,
     n_threads: usize,
@@ -280,11 +325,11 @@ impl Model<'_> {
         self.cases.iter().filter(|case| !case.held_out)
     }
 
-    /// Returns the overrides of a case under parameters.
-    fn overrides(&self, at: &[f64], set: &[String]) -> Vec<String> {
+    /// Returns the overrides of a case under parameters; `table` has the entries of its scene.
+    fn overrides(&self, at: &[f64], set: &[String], table: &toml::Table) -> Vec<String> {
         let own = self.source.overrides.iter().chain(set).cloned();
         let fitted = (self.parameters.iter().zip(at))
-            .map(|(own, at)| format!("{}={:e}", own.key, at * own.scale));
+            .flat_map(|(own, at)| own.overrides(at * own.scale, table));
         own.chain(fitted).collect()
     }
 
@@ -303,13 +348,13 @@ impl Model<'_> {
     /// Returns the time steps of recordings.
     fn steps(&self, at: &[f64]) -> Result<Steps, FitError> {
         let mut out = Steps::new();
-        for (index, case) in self
+        for (index, _) in self
             .cases
             .iter()
             .enumerate()
             .filter(|(_, case)| !case.is_static)
         {
-            let (scene, source) = self.scene(at, case, None)?;
+            let (scene, source) = self.scene(at, index, None)?;
             let setup = scene.simulation_until(&source, self.stop)?;
             out.insert(index, STEP * setup.grid.step);
         }
@@ -319,10 +364,11 @@ impl Model<'_> {
     fn scene(
         &self,
         at: &[f64],
-        case: &Case,
+        index: usize,
         step: Option<f64>,
     ) -> Result<(Scene, SceneSource), FitError> {
-        let mut overrides = self.overrides(at, &case.set);
+        let case = &self.cases[index];
+        let mut overrides = self.overrides(at, &case.set, &self.tables[index]);
         if case.is_static {
             overrides.push("initial.shape=\"equilibrium\"".into());
         } else {
@@ -343,7 +389,7 @@ impl Model<'_> {
     fn case(&self, at: &[f64], index: usize, steps: &Steps) -> Result<Vec<Vector3<f64>>, FitError> {
         let case = &self.cases[index];
         self.stop.check().map_err(FitError::Stopped)?;
-        let (scene, source) = self.scene(at, case, steps.get(&index).copied())?;
+        let (scene, source) = self.scene(at, index, steps.get(&index).copied())?;
         let setup = scene.simulation_until(&source, self.stop)?;
         let nodes = setup.rod.places();
         let place = |shape: &Configuration, marker: usize| self.place(&nodes, shape, marker);
@@ -399,7 +445,7 @@ impl Model<'_> {
     /// Returns the shapes at rest of arms with as many nodes as a rod.
     fn shapes(&self, at: &[f64], like: &Rod) -> Result<MotionRecord, FitError> {
         let mut out = MotionRecord::empty(like.n_nodes());
-        let resting = self.cases.iter().filter(|case| case.is_static);
+        let resting = (0..self.cases.len()).filter(|&index| self.cases[index].is_static);
         for (index, case) in resting.enumerate() {
             let (scene, source) = self.scene(at, case, None)?;
             let setup = scene.simulation_until(&source, self.stop)?;

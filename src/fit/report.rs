@@ -12,6 +12,11 @@ use crate::output::summary::SCHEMA_VERSION;
 /// A direction of the parameters is undetermined where the residuals change by less than this part of what they change along the one that
 /// is determined best; differences of the residuals are exact to about 1e-8.
 const UNDETERMINED: f64 = 1e-6;
+/// A direction of the logarithms of the parameters, a unit vector, is hardly determined where one standard error along it is more than this:
+/// a factor of 1.65 for a parameter alone.
+const HARDLY_DETERMINED: f64 = 0.5;
+/// Exponents below this part of the largest one of a direction are left out.
+const SMALL_EXPONENT: f64 = 1e-2;
 /// A place is an outlier where it is further off than this many standard deviations of all: one of 1100 normal places is.
 const OUTLIER: f64 = 4.0;
 
@@ -44,10 +49,12 @@ pub struct FitSummary {
     pub outliers_beyond_m: f64,
     /// The fitted numbers.
     pub parameters: Vec<Parameter>,
-    /// Correlations of the estimates, row by row; empty if a combination is undetermined.
+    /// Correlations of the estimates, row by row; empty if a combination has no effect at all.
     pub correlations: Vec<Vec<f64>>,
-    /// Combinations that the data cannot tell.
+    /// Combinations that the data cannot tell, or hardly.
     pub undetermined: Vec<Undetermined>,
+    /// Markers that seem to be exchanged.
+    pub exchanged: Vec<Exchanged>,
     /// Shapes and recordings.
     pub cases: Vec<CaseSummary>,
     /// Result directory.
@@ -57,8 +64,11 @@ pub struct FitSummary {
 /// A fitted number.
 #[derive(Clone, Debug, Serialize)]
 pub struct Parameter {
-    /// Dotted path.
+    /// Dotted path, or name of a factor.
     pub key: String,
+    /// Dotted paths of the numbers that a factor multiplies.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub times: Vec<String>,
     /// Value at the start.
     pub start: f64,
     /// Estimate.
@@ -71,12 +81,29 @@ pub struct Parameter {
     pub at_bound: bool,
 }
 
-/// A combination of parameters that the data cannot tell.
+/// A combination of parameters that the data cannot tell, or hardly.
 #[derive(Clone, Debug, Serialize)]
 pub struct Undetermined {
     /// Keys, with the exponents with which they may change together: `value_i` times `f` to the power of its exponent leaves the residuals
-    /// as they are.
+    /// as they are, or nearly. The largest exponent is one.
     pub exponents: Vec<(String, f64)>,
+    /// Standard error of the logarithm of `f`, by the scatter of the residuals; null where `f` has no effect at all.
+    pub standard_error: Option<f64>,
+}
+
+/// Two markers of one shape, or of one time of a recording, that are outliers as they are named and none if their names are exchanged.
+#[derive(Clone, Debug, Serialize)]
+pub struct Exchanged {
+    /// Shape or recording.
+    pub case: String,
+    /// Time, s.
+    pub t_s: f64,
+    /// The markers.
+    pub markers: [String; 2],
+    /// Their distances as they are named, m.
+    pub off_m: [f64; 2],
+    /// Those with the names exchanged, m.
+    pub exchanged_off_m: [f64; 2],
 }
 
 /// Residuals of a shape or recording.
@@ -119,8 +146,9 @@ pub(super) fn summary(
         .sum();
     let freedom = found.residuals.len().saturating_sub(n).max(1);
     let scatter = (chi / freedom as f64).sqrt();
-    let undetermined = undetermined(model, &found.jacobian, &found.at);
-    let inverse = (undetermined.is_empty())
+    let undetermined = undetermined(model, found, scatter);
+    let inverse = (undetermined.iter())
+        .all(|own| own.standard_error.is_some())
         .then(|| normal.clone().try_inverse())
         .flatten();
     let error = |i: usize| {
@@ -131,6 +159,7 @@ pub(super) fn summary(
             let value = found.at[i] * own.scale;
             Parameter {
                 key: own.key.clone(),
+                times: own.times.clone(),
                 start: own.start,
                 value,
                 standard_error: error(i).map(|error| error * scatter),
@@ -153,11 +182,13 @@ pub(super) fn summary(
             .collect()
     });
     let limit = OUTLIER * scatter * model.sigma;
-    let mut seen = Vec::new();
+    let mut seen: Vec<ResidualRow> = Vec::new();
+    let mut exchanges = Vec::new();
     let mut cases = Vec::new();
     let (mut fitted, mut held, mut n_held) = (0.0, 0.0, 0);
     let mut row = 0;
     for (case, places) in model.cases.iter().zip(predicted) {
+        let first = seen.len();
         let mut squares = 0.0;
         let mut outliers = 0;
         for (sight, place) in case.sights.iter().zip(places) {
@@ -179,6 +210,7 @@ pub(super) fn summary(
                 outlier: off > limit,
             });
         }
+        exchanges.extend(exchanged(&seen[first..], limit));
         let count = case.sights.len();
         let rows = if case.held_out { 0 } else { 3 * count };
         cases.push(CaseSummary {
@@ -221,6 +253,7 @@ pub(super) fn summary(
         parameters,
         correlations,
         undetermined,
+        exchanged: exchanges,
         cases,
         directory: String::new(),
     };
@@ -241,31 +274,94 @@ fn left_out(found: &Minimum, normal: &DMatrix<f64>, first: usize, rows: usize) -
     Some((residuals + jacobian * step).norm_squared())
 }
 
-/// Returns the combinations of parameters along which the residuals do not change.
-fn undetermined(model: &Model, jacobian: &DMatrix<f64>, at: &[f64]) -> Vec<Undetermined> {
-    // Along the logarithms of the parameters, so that products and quotients are directions; a parameter of zero has none.
-    let mut relative = jacobian.clone();
-    for (j, mut column) in relative.column_iter_mut().enumerate() {
-        if at[j] != 0.0 {
-            column *= at[j];
+/// Returns the combinations of parameters along which the residuals do not change, and then those along which they hardly do, the worst
+/// first.
+///
+/// Both are directions in the logarithms of the parameters, so that products and quotients are directions. The second ones are axes of the
+/// covariance of the logarithms of parameters that are positive throughout: others have no such scale.
+fn undetermined(model: &Model, found: &Minimum, scatter: f64) -> Vec<Undetermined> {
+    let free = model.parameters;
+    let n = free.len();
+    let mut relative = weigh(&found.jacobian, &found.weights.map(f64::sqrt));
+    for (mut column, at) in relative.column_iter_mut().zip(&found.at) {
+        if *at != 0.0 {
+            column *= *at;
         }
     }
     let svd = relative.svd(false, true);
     let Some(directions) = svd.v_t else {
         return Vec::new();
     };
-    let most = svd.singular_values.max();
-    (0..directions.nrows())
-        .filter(|&k| !(svd.singular_values[k] > UNDETERMINED * most))
-        .map(|k| {
-            let row = directions.row(k);
-            let largest = (0..row.len()).max_by(|&i, &j| row[i].abs().total_cmp(&row[j].abs()));
-            let largest = row[largest.unwrap_or(0)];
-            let exponents = (model.parameters.iter().zip(row.iter()))
+    let combination = |parts: &[f64], standard_error: Option<f64>| {
+        let largest = (parts.iter().copied())
+            .max_by(|a, b| a.abs().total_cmp(&b.abs()))
+            .unwrap_or(1.0);
+        Undetermined {
+            exponents: (free.iter().zip(parts))
                 .map(|(own, part)| (own.key.clone(), part / largest))
-                .filter(|(_, part)| part.abs() > 1e-3)
-                .collect();
-            Undetermined { exponents }
+                .filter(|(_, part)| part.abs() > SMALL_EXPONENT)
+                .collect(),
+            standard_error: standard_error.map(|error| error * largest.abs()),
+        }
+    };
+    let most = svd.singular_values.max();
+    let mut out = Vec::new();
+    let mut covariance = DMatrix::zeros(n, n);
+    for (direction, &value) in directions.row_iter().zip(&svd.singular_values) {
+        if value > UNDETERMINED * most {
+            covariance += direction.tr_mul(&direction) * (scatter / value).powi(2);
+        } else {
+            let parts: Vec<f64> = direction.iter().copied().collect();
+            out.push(combination(&parts, None));
+        }
+    }
+    if covariance.iter().any(|part| !part.is_finite()) {
+        return out;
+    }
+    let positive: Vec<usize> = (0..n).filter(|&i| free[i].bounds[0] > 0.0).collect();
+    if positive.is_empty() {
+        return out;
+    }
+    let axes = (covariance.select_rows(&positive))
+        .select_columns(&positive)
+        .symmetric_eigen();
+    let mut hardly: Vec<(f64, Vec<f64>)> = (axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()))
+        .map(|(square, axis)| {
+            let mut parts = vec![0.0; n];
+            for (&i, part) in positive.iter().zip(axis.iter()) {
+                parts[i] = *part;
+            }
+            (square.max(0.0).sqrt(), parts)
         })
-        .collect()
+        .filter(|(error, _)| *error > HARDLY_DETERMINED)
+        .collect();
+    hardly.sort_by(|a, b| b.0.total_cmp(&a.0));
+    out.extend((hardly.iter()).map(|(error, parts)| combination(parts, Some(*error))));
+    out
+}
+
+/// Returns the pairs of outliers at one time that are none if their markers are exchanged, among the places of a case.
+fn exchanged(seen: &[ResidualRow], limit: f64) -> Vec<Exchanged> {
+    let off = |measured: &ResidualRow, predicted: &ResidualRow| {
+        let [from, to] = [measured.places()[0], predicted.places()[1]].map(Vector3::from);
+        (to - from).norm()
+    };
+    let outliers: Vec<&ResidualRow> = seen.iter().filter(|row| row.outlier).collect();
+    let mut out = Vec::new();
+    for (i, a) in outliers.iter().enumerate() {
+        let same_time = |b: &&&ResidualRow| b.t_s == a.t_s;
+        for b in outliers[..i].iter().rev().take_while(same_time) {
+            let exchanged_off_m = [off(b, a), off(a, b)];
+            if exchanged_off_m.iter().all(|off| *off <= limit) {
+                out.push(Exchanged {
+                    case: a.case.clone(),
+                    t_s: a.t_s,
+                    markers: [b.marker.clone(), a.marker.clone()],
+                    off_m: [b.off_m, a.off_m],
+                    exchanged_off_m,
+                });
+            }
+        }
+    }
+    out
 }
