@@ -168,28 +168,42 @@ fn conclude(summary: &FitSummary, console: &Console) {
             }
         }
     }
+    let known = |value: Option<f64>, unit: &str| {
+        value.map_or_else(|| "-".into(), |value| quantity(value, unit))
+    };
     console.say("                                       off, rms   without it");
     for case in &summary.cases {
-        let without = case
-            .left_out_rms_m
-            .map_or_else(|| "held out".into(), |off| quantity(off, "m"));
+        let without = match case.held_out {
+            true => "held out".into(),
+            false => known(case.left_out_rms_m, "m"),
+        };
+        let turned = (case.rms_rad)
+            .map_or_else(String::new, |angle| format!(", turned by {}", quantity(angle, "rad")));
         let outliers = if case.outliers > 0 {
             format!(", {} outliers", case.outliers)
         } else {
             String::new()
         };
         console.say(&format!(
-            "  {:36} {:>9}   {without:>9}{outliers}",
+            "  {:36} {:>9}   {without:>9}{turned}{outliers}",
             case.name,
-            quantity(case.rms_m, "m")
+            known(case.rms_m, "m")
         ));
     }
     console.say(&format!(
         "places are off by {} in the root of the mean square, coordinates scatter by {}, and the noise was said to be {}",
-        quantity(summary.rms_m, "m"),
+        known(summary.rms_m, "m"),
         quantity(summary.scatter_m, "m"),
         quantity(summary.sigma_m, "m")
     ));
+    if let Some(angle) = summary.rms_rad {
+        console.say(&format!(
+            "orientations are off by {} in the root of the mean square, and scatter by {} about an axis; the noise was said to be {}",
+            quantity(angle, "rad"),
+            known(summary.scatter_rad, "rad"),
+            known(summary.sigma_rad, "rad")
+        ));
+    }
     let good = summary.status == "converged";
     console.verdict(
         good,

@@ -8,12 +8,13 @@ mod report;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::{DVector, Vector3};
+use nalgebra::{DVector, Matrix3, Vector3};
 
-use self::data::{Case, Data, Marker};
+use self::data::{Case, Data, Marker, Sight};
 use self::least_squares::Problem;
 pub use self::report::FitSummary;
 use crate::mechanics::place::{locate, pose};
+use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{Configuration, NodeWrenches, Rod, Stepper};
 use crate::output::{MotionRecord, ResidualRow};
 use crate::scene::{Scene, SceneError, SceneSource};
@@ -93,16 +94,19 @@ pub fn fit(
         cases: &cases,
         tables: &tables,
         parameters: &parameters,
-        sigma: data.sigma_m,
+        sigma: Sigma {
+            place: data.sigma_m,
+            angle: data.sigma_rad.unwrap_or(1.0),
+        },
         n_threads: options.n_threads,
         stop,
     };
     model.check_count()?;
     let steps = model.steps(&model.start())?;
     let residuals = |points: &[Vec<f64>]| model.residuals(points, &steps);
-    let n_places = model.fitted().map(|case| case.sights.len()).sum::<usize>();
+    let n_seen = model.fitted().map(Case::n_seen).sum::<usize>();
     let groups = if options.robust {
-        (0..n_places).map(|i| 3 * i..3 * i + 3).collect()
+        (0..n_seen).map(|i| 3 * i..3 * i + 3).collect()
     } else {
         Vec::new()
     };
@@ -123,7 +127,6 @@ pub fn fit(
         &model,
         &found,
         &predicted,
-        n_places,
         begun.elapsed().as_secs_f64(),
     );
     Ok(Fit {
@@ -294,6 +297,35 @@ fn number(table: &toml::Table, key: &str) -> Option<f64> {
     }
 }
 
+/// Standard deviations of the noise.
+#[derive(Clone, Copy)]
+struct Sigma {
+    /// Of a coordinate, m.
+    place: f64,
+    /// Of an orientation about an axis, rad.
+    angle: f64,
+}
+
+/// A marker as it is predicted.
+struct Pose {
+    /// Place, m.
+    place: Vector3<f64>,
+    /// Rotation from the frame of its section to space.
+    section: Matrix3<f64>,
+}
+
+impl Pose {
+    /// Returns the vector from the measured to the predicted place, m.
+    fn off(&self, sight: &Sight) -> Option<Vector3<f64>> {
+        Some(self.place - sight.position?)
+    }
+
+    /// Returns the rotation vector from the measured to the predicted orientation, in the frame of the measured section, rad.
+    fn turn(&self, sight: &Sight) -> Option<Vector3<f64>> {
+        Some(log(&sight.orientation?.tr_mul(&self.section)))
+    }
+}
+
 /// Predicts what was measured.
 struct Model<'a> {
     source: &'a SceneSource,
@@ -302,7 +334,7 @@ struct Model<'a> {
     /// Entries of the scenes of the cases.
     tables: &'a [toml::Table],
     parameters: &'a [Free],
-    sigma: f64,
+    sigma: Sigma,
     n_threads: usize,
     stop: &'a StopSignal,
 }
@@ -335,9 +367,7 @@ impl Model<'_> {
 
     /// Checks that there are no fewer numbers than keys.
     fn check_count(&self) -> Result<(), FitError> {
-        if self.cases.iter().flat_map(|case| &case.sights).count()
-            < self.parameters.len().div_ceil(3)
-        {
+        if self.fitted().map(Case::n_seen).sum::<usize>() < self.parameters.len().div_ceil(3) {
             return Err(FitError::Data(
                 "there are fewer numbers than free keys; measure more, or fit less".into(),
             ));
@@ -385,20 +415,20 @@ impl Model<'_> {
         )?)
     }
 
-    /// Returns the predicted places of all sights of a case.
-    fn case(&self, at: &[f64], index: usize, steps: &Steps) -> Result<Vec<Vector3<f64>>, FitError> {
+    /// Returns the predictions of all sights of a case.
+    fn case(&self, at: &[f64], index: usize, steps: &Steps) -> Result<Vec<Pose>, FitError> {
         let case = &self.cases[index];
         self.stop.check().map_err(FitError::Stopped)?;
         let (scene, source) = self.scene(at, index, steps.get(&index).copied())?;
         let setup = scene.simulation_until(&source, self.stop)?;
         let nodes = setup.rod.places();
-        let place = |shape: &Configuration, marker: usize| self.place(&nodes, shape, marker);
+        let pose = |shape: &Configuration, marker: usize| self.pose(&nodes, shape, marker);
         if case.is_static {
             let shape = &setup.initial.configuration;
             return Ok(case
                 .sights
                 .iter()
-                .map(|sight| place(shape, sight.marker))
+                .map(|sight| pose(shape, sight.marker))
                 .collect());
         }
         let mut stepper = Stepper::new(&setup.rod, setup.grid, setup.initial.clone());
@@ -419,24 +449,29 @@ impl Model<'_> {
                 now = stepper.state().configuration;
                 self.stop.check().map_err(FitError::Stopped)?;
             }
-            // Linear between the two time nodes beside the sight.
+            // Linear between the two time nodes beside the sight, and along the shortest turn.
             let part = 1.0 - (stepper.step() as f64 - sight.time / h).clamp(0.0, 1.0);
-            let [from, to] = [&before, &now].map(|shape| place(shape, sight.marker));
-            out.push(from + (to - from) * part);
+            let [from, to] = [&before, &now].map(|shape| pose(shape, sight.marker));
+            let turn = log(&from.section.tr_mul(&to.section));
+            out.push(Pose {
+                place: from.place + (to.place - from.place) * part,
+                section: from.section * exp(&(turn * part)),
+            });
         }
         Ok(out)
     }
 
-    /// Returns the place of a marker, m, given the [places of the nodes](crate::mechanics::Rod::places).
-    fn place(&self, nodes: &[f64], shape: &Configuration, marker: usize) -> Vector3<f64> {
+    /// Returns the pose of a marker, given the [places of the nodes](crate::mechanics::Rod::places).
+    fn pose(&self, nodes: &[f64], shape: &Configuration, marker: usize) -> Pose {
         let marker = &self.markers[marker];
         let (q, part) = locate(nodes, marker.at);
-        let (x, r) = pose(shape, q, part);
-        x + r * Vector3::from(marker.offset_m)
+        let (x, section) = pose(shape, q, part);
+        let place = x + section * Vector3::from(marker.offset_m);
+        Pose { place, section }
     }
 
-    /// Returns the predicted places of all cases.
-    fn predicted(&self, at: &[f64], steps: &Steps) -> Result<Vec<Vec<Vector3<f64>>>, FitError> {
+    /// Returns the predictions of all cases.
+    fn predicted(&self, at: &[f64], steps: &Steps) -> Result<Vec<Vec<Pose>>, FitError> {
         (0..self.cases.len())
             .map(|index| self.case(at, index, steps))
             .collect()
@@ -464,7 +499,7 @@ impl Model<'_> {
             .filter(|(_, case)| !self.cases[*case].held_out)
             .collect();
         let share = work.len().div_ceil(self.n_threads.max(1)).max(1);
-        let mut found: Vec<Result<Vec<Vector3<f64>>, FitError>> = Vec::new();
+        let mut found: Vec<Result<Vec<Pose>, FitError>> = Vec::new();
         std::thread::scope(|scope| {
             let threads: Vec<_> = (work.chunks(share))
                 .map(|work| {
@@ -488,13 +523,15 @@ impl Model<'_> {
             .map(|point| {
                 let mut out = Vec::new();
                 let mut fault = None;
-                while let Some((&(_, case), places)) = found.next_if(|((own, _), _)| *own == point)
-                {
-                    match places {
-                        Ok(places) => {
-                            for (place, sight) in places.iter().zip(&self.cases[case].sights) {
-                                let off = (place - Vector3::from(sight.position)) / self.sigma;
-                                out.extend_from_slice(off.as_slice());
+                while let Some((&(_, case), poses)) = found.next_if(|((own, _), _)| *own == point) {
+                    match poses {
+                        Ok(poses) => {
+                            for (pose, sight) in poses.iter().zip(&self.cases[case].sights) {
+                                let off = pose.off(sight).map(|off| off / self.sigma.place);
+                                let turn = pose.turn(sight).map(|turn| turn / self.sigma.angle);
+                                for part in [off, turn].into_iter().flatten() {
+                                    out.extend_from_slice(part.as_slice());
+                                }
                             }
                         }
                         Err(error) => fault = Some(error),

@@ -1,10 +1,13 @@
 //! Standard errors, correlations, undetermined combinations, and residuals of a fit.
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
 
-use super::Model;
+use super::data::Case;
 use super::least_squares::{Minimum, weigh};
+use super::{Model, Pose};
 use crate::TOOL;
 use crate::output::ResidualRow;
 use crate::output::summary::SCHEMA_VERSION;
@@ -37,8 +40,8 @@ pub struct FitSummary {
     pub iterations: usize,
     /// Duration, s.
     pub wall_s: f64,
-    /// Root of the mean square of the distances of fitted places, m.
-    pub rms_m: f64,
+    /// Root of the mean square of the distances of fitted places, m; null without any.
+    pub rms_m: Option<f64>,
     /// That of the places that were held out, m; null without any.
     pub held_out_rms_m: Option<f64>,
     /// Standard deviation of the measurements as given, m.
@@ -47,6 +50,21 @@ pub struct FitSummary {
     pub scatter_m: f64,
     /// Distance from which a place is an outlier, m.
     pub outliers_beyond_m: f64,
+    /// Root of the mean square of the angles of fitted orientations, rad; absent without any, as the following ones.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_rad: Option<f64>,
+    /// That of the orientations that were held out, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held_out_rms_rad: Option<f64>,
+    /// Standard deviation of an orientation about an axis as given, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_rad: Option<f64>,
+    /// That as the residuals have it, those of places among them, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scatter_rad: Option<f64>,
+    /// Angle from which an orientation is an outlier, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub outliers_beyond_rad: Option<f64>,
     /// The fitted numbers.
     pub parameters: Vec<Parameter>,
     /// Correlations of the estimates, row by row; empty if a combination has no effect at all.
@@ -115,26 +133,48 @@ pub struct CaseSummary {
     pub at_rest: bool,
     /// Tells whether it was compared only.
     pub held_out: bool,
-    /// Places.
+    /// Places and orientations of markers, each marker counted once for a time.
     pub places: usize,
-    /// Root of the mean square of the distances, m.
-    pub rms_m: f64,
+    /// Root of the mean square of the distances, m; null without a place.
+    pub rms_m: Option<f64>,
+    /// That of the angles, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_rad: Option<f64>,
     /// That under the estimates without this case, to first order, m; null for a case that was held out.
     pub left_out_rms_m: Option<f64>,
     /// Places that are further off than four standard deviations.
     pub outliers: usize,
 }
 
-fn rms(squares: f64, n: usize) -> f64 {
-    (squares / n.max(1) as f64).sqrt()
+/// Sums of squares of distances and angles.
+#[derive(Clone, Copy, Default)]
+struct Squares {
+    /// Of distances, m², and their number.
+    places: (f64, usize),
+    /// Of angles, rad², and their number.
+    angles: (f64, usize),
+}
+
+impl Squares {
+    fn add(&mut self, other: &Self) {
+        for (own, other) in [(&mut self.places, other.places), (&mut self.angles, other.angles)] {
+            own.0 += other.0;
+            own.1 += other.1;
+        }
+    }
+
+    /// Returns the root of the mean square of the distances, m, and that of the angles, rad.
+    fn rms(&self) -> [Option<f64>; 2] {
+        [self.places, self.angles]
+            .map(|(squares, n)| (n > 0).then(|| (squares / n as f64).sqrt()))
+    }
 }
 
 /// Describes a minimum, and every place that was seen.
 pub(super) fn summary(
     model: &Model,
     found: &Minimum,
-    predicted: &[Vec<Vector3<f64>>],
-    n_places: usize,
+    predicted: &[Vec<Pose>],
     wall: f64,
 ) -> (FitSummary, Vec<ResidualRow>) {
     let free = model.parameters;
@@ -181,21 +221,20 @@ pub(super) fn summary(
             })
             .collect()
     });
-    let limit = OUTLIER * scatter * model.sigma;
+    let [limit, limit_rad] =
+        [model.sigma.place, model.sigma.angle].map(|sigma| OUTLIER * scatter * sigma);
     let mut seen: Vec<ResidualRow> = Vec::new();
     let mut exchanges = Vec::new();
     let mut cases = Vec::new();
-    let (mut fitted, mut held, mut n_held) = (0.0, 0.0, 0);
+    let (mut fitted, mut held) = (Squares::default(), Squares::default());
     let mut row = 0;
-    for (case, places) in model.cases.iter().zip(predicted) {
+    for (case, poses) in model.cases.iter().zip(predicted) {
         let first = seen.len();
-        let mut squares = 0.0;
-        let mut outliers = 0;
-        for (sight, place) in case.sights.iter().zip(places) {
-            let off = (place - Vector3::from(sight.position)).norm();
-            squares += off * off;
-            outliers += usize::from(off > limit);
-            let [x_m, y_m, z_m] = sight.position;
+        for (sight, pose) in case.sights.iter().zip(poses) {
+            let off_m = pose.off(sight).map(|off| off.norm());
+            let turn = pose.turn(sight);
+            let [x_m, y_m, z_m] = [0, 1, 2].map(|i| sight.position.map(|x| x[i]));
+            let [turn_x_rad, turn_y_rad, turn_z_rad] = [0, 1, 2].map(|i| turn.map(|turn| turn[i]));
             seen.push(ResidualRow {
                 case: case.name.clone(),
                 marker: model.markers[sight.marker].name.clone(),
@@ -203,36 +242,51 @@ pub(super) fn summary(
                 x_m,
                 y_m,
                 z_m,
-                predicted_x_m: place.x,
-                predicted_y_m: place.y,
-                predicted_z_m: place.z,
-                off_m: off,
-                outlier: off > limit,
+                predicted_x_m: pose.place.x,
+                predicted_y_m: pose.place.y,
+                predicted_z_m: pose.place.z,
+                off_m,
+                outlier: off_m.is_some_and(|off| off > limit)
+                    || turn.is_some_and(|turn| turn.norm() > limit_rad),
+                turn_x_rad,
+                turn_y_rad,
+                turn_z_rad,
             });
         }
-        exchanges.extend(exchanged(&seen[first..], limit));
-        let count = case.sights.len();
-        let rows = if case.held_out { 0 } else { 3 * count };
+        let own = &seen[first..];
+        exchanges.extend(exchanged(own, limit));
+        let mut squares = Squares::default();
+        for seen in own {
+            for (sum, value) in [
+                (&mut squares.places, seen.off_m),
+                (&mut squares.angles, seen.turned()),
+            ] {
+                sum.0 += value.map_or(0.0, |value| value * value);
+                sum.1 += usize::from(value.is_some());
+            }
+        }
+        let rows = if case.held_out { 0 } else { 3 * case.n_seen() };
+        let [rms_m, rms_rad] = squares.rms();
         cases.push(CaseSummary {
             name: case.name.clone(),
             at_rest: case.is_static,
             held_out: case.held_out,
-            places: count,
-            rms_m: rms(squares, count),
+            places: own.len(),
+            rms_m,
+            rms_rad,
             left_out_rms_m: (!case.held_out)
-                .then(|| left_out(found, &normal, row, rows))
-                .flatten()
-                .map(|squares| model.sigma * rms(squares, count)),
-            outliers,
+                .then(|| left_out(model, case, found, &normal, row..row + rows))
+                .flatten(),
+            outliers: own.iter().filter(|seen| seen.outlier).count(),
         });
         row += rows;
-        if case.held_out {
-            held += squares;
-            n_held += count;
-        } else {
-            fitted += squares;
-        }
+        let sum = if case.held_out { &mut held } else { &mut fitted };
+        sum.add(&squares);
     }
+    let has_angles = seen.iter().any(|seen| seen.turned().is_some());
+    let of_angles = |value: f64| has_angles.then_some(value);
+    let [rms_m, rms_rad] = fitted.rms();
+    let [held_out_rms_m, held_out_rms_rad] = held.rms();
     let summary = FitSummary {
         schema_version: SCHEMA_VERSION,
         tool: TOOL,
@@ -245,11 +299,16 @@ pub(super) fn summary(
         },
         iterations: found.iterations,
         wall_s: wall,
-        rms_m: rms(fitted, n_places),
-        held_out_rms_m: (n_held > 0).then(|| rms(held, n_held)),
-        sigma_m: model.sigma,
-        scatter_m: scatter * model.sigma,
+        rms_m,
+        held_out_rms_m,
+        sigma_m: model.sigma.place,
+        scatter_m: scatter * model.sigma.place,
         outliers_beyond_m: limit,
+        rms_rad,
+        held_out_rms_rad,
+        sigma_rad: of_angles(model.sigma.angle),
+        scatter_rad: of_angles(scatter * model.sigma.angle),
+        outliers_beyond_rad: of_angles(limit_rad),
         parameters,
         correlations,
         undetermined,
@@ -260,18 +319,35 @@ pub(super) fn summary(
     (summary, seen)
 }
 
-/// Returns the sum of squares of the residuals of some rows under the estimates without them, to first order.
-fn left_out(found: &Minimum, normal: &DMatrix<f64>, first: usize, rows: usize) -> Option<f64> {
-    let jacobian = found.jacobian.rows(first, rows).into_owned();
-    let residuals = found.residuals.rows(first, rows).into_owned();
-    let weights = found.weights.rows(first, rows).into_owned();
+/// Returns the root of the mean square of the distances of a case, m, under the estimates without its rows, to first order.
+fn left_out(
+    model: &Model,
+    case: &Case,
+    found: &Minimum,
+    normal: &DMatrix<f64>,
+    rows: Range<usize>,
+) -> Option<f64> {
+    let (first, n) = (rows.start, rows.len());
+    let jacobian = found.jacobian.rows(first, n).into_owned();
+    let residuals = found.residuals.rows(first, n).into_owned();
+    let weights = found.weights.rows(first, n).into_owned();
     let weighted = weigh(&jacobian, &weights);
     let without = normal - weighted.transpose() * &jacobian;
     // Without these rows the gradient is minus their own.
     let step = without
         .cholesky()?
         .solve(&(weighted.transpose() * &residuals));
-    Some((residuals + jacobian * step).norm_squared())
+    let residuals = residuals + jacobian * step;
+    let (mut squares, mut n, mut row) = (0.0, 0, 0);
+    for sight in &case.sights {
+        if sight.position.is_some() {
+            squares += residuals.rows(row, 3).norm_squared();
+            n += 1;
+            row += 3;
+        }
+        row += 3 * usize::from(sight.orientation.is_some());
+    }
+    (n > 0).then(|| model.sigma.place * (squares / f64::from(n)).sqrt())
 }
 
 /// Returns the combinations of parameters along which the residuals do not change, and then those along which they hardly do, the worst
@@ -343,22 +419,28 @@ fn undetermined(model: &Model, found: &Minimum, scatter: f64) -> Vec<Undetermine
 /// Returns the pairs of outliers at one time that are none if their markers are exchanged, among the places of a case.
 fn exchanged(seen: &[ResidualRow], limit: f64) -> Vec<Exchanged> {
     let off = |measured: &ResidualRow, predicted: &ResidualRow| {
-        let [from, to] = [measured.places()[0], predicted.places()[1]].map(Vector3::from);
-        (to - from).norm()
+        let from = measured.measured()?;
+        Some((Vector3::from(predicted.predicted()) - Vector3::from(from)).norm())
     };
-    let outliers: Vec<&ResidualRow> = seen.iter().filter(|row| row.outlier).collect();
+    let is_far = |row: &&ResidualRow| row.off_m.is_some_and(|off| off > limit);
+    let outliers: Vec<&ResidualRow> = seen.iter().filter(is_far).collect();
     let mut out = Vec::new();
     for (i, a) in outliers.iter().enumerate() {
         let same_time = |b: &&&ResidualRow| b.t_s == a.t_s;
         for b in outliers[..i].iter().rev().take_while(same_time) {
-            let exchanged_off_m = [off(b, a), off(a, b)];
-            if exchanged_off_m.iter().all(|off| *off <= limit) {
+            let (Some(own), Some(others)) = (
+                b.off_m.zip(a.off_m).map(<[f64; 2]>::from),
+                off(a, b).zip(off(b, a)).map(<[f64; 2]>::from),
+            ) else {
+                continue;
+            };
+            if others.iter().all(|off| *off <= limit) {
                 out.push(Exchanged {
                     case: a.case.clone(),
                     t_s: a.t_s,
                     markers: [b.marker.clone(), a.marker.clone()],
-                    off_m: [b.off_m, a.off_m],
-                    exchanged_off_m,
+                    off_m: own,
+                    exchanged_off_m: others,
                 });
             }
         }

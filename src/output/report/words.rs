@@ -382,7 +382,8 @@ fn measure(value: f64, unit: &str, digits: usize) -> String {
 /// The templates, and what they may call.
 ///
 /// Filters: `number` (NaN for what is none), `figure(digits)`, `m(unit)` (three digits and a unit), `percent`, `vector`, `significant`
-/// (without rounding of other components), `size` (Euclidean norm), `exp`, `counted(noun)`, `words` (of a key or a number), `fixed(decimals)`, `power(decimals)` (as in 1.5e-3).
+/// (without rounding of other components), `size` (Euclidean norm), `exp`, `counted(noun)`, `words` (of a key or a number),
+/// `fixed(decimals)`, `power(decimals)` (as in 1.5e-3).
 /// The test `known` holds for finite numbers.
 fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment<'static>, Error> {
     let mut out = Environment::new();

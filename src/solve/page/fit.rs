@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::{ROWS, arm, drawn_arm, words};
+use super::{ROWS, add_components, arm, drawn_arm, words};
 use crate::mechanics::Rod;
 use crate::output::{
     Columns, MotionRecord, OutputError, ReportCommand, ReportData, ReportMark, ReportMotion,
@@ -38,8 +38,15 @@ pub(crate) fn fit_page(
         over_time(&moving, &mut columns),
     ];
     let outliers = (rows.iter().filter(|row| row.outlier)).map(|row| {
-        let [measured, predicted] = row.places();
-        json!({ "case": row.case, "marker": row.marker, "t": row.t_s, "measured": measured, "predicted": predicted, "off": row.off_m })
+        json!({
+            "case": row.case,
+            "marker": row.marker,
+            "t": row.t_s,
+            "measured": row.measured(),
+            "predicted": row.predicted(),
+            "off": row.off_m,
+            "turned": row.turned(),
+        })
     });
     let context = json!({
         "summary": summary,
@@ -49,7 +56,9 @@ pub(crate) fn fit_page(
         "recordings": charts[1],
         "outliers": outliers.take(MOST_OUTLIERS).collect::<Vec<_>>(),
         "n_outliers": rows.iter().filter(|row| row.outlier).count(),
+        "n_charts": columns.keys().filter(|name| name.starts_with("predicted_") && name.ends_with("_x")).count(),
         "most_charts": MOST_CHARTS,
+        "turns": rows.iter().any(|row| row.turned().is_some()),
     });
     let words = words("fit.jinja", &context, &columns)?;
     let mut motion = ReportMotion::thinned(shapes, usize::MAX);
@@ -63,15 +72,14 @@ pub(crate) fn fit_page(
             ));
         };
         motion.names.push(case.name.into());
-        marks.extend(case.rows.iter().map(|row| {
-            let [measured, predicted] = row.places();
-            ReportMark {
+        marks.extend(case.rows.iter().filter_map(|row| {
+            Some(ReportMark {
                 frame,
                 name: row.marker.clone(),
-                measured,
-                predicted,
+                measured: row.measured()?,
+                predicted: row.predicted(),
                 outlier: row.outlier,
-            }
+            })
         }));
     }
     let drawn = drawn_arm(own, rod);
@@ -121,55 +129,60 @@ fn markers<'a>(rows: impl Iterator<Item = &'a ResidualRow>) -> Vec<&'a str> {
     out
 }
 
-/// A column of numbers of some rows.
-fn column<'a>(
-    rows: impl Iterator<Item = &'a ResidualRow>,
-    of: impl Fn(&ResidualRow) -> f64,
-) -> Vec<f64> {
-    rows.map(of).collect()
-}
-
-/// Distances of every marker over the number of the shape, with the distance from which places are outliers.
+/// Distances and angles of every marker over the number of the shape, with those from which places and orientations are outliers.
 fn over_shapes(resting: &[Case], summary: &Value, columns: &mut Columns) -> Vec<Value> {
-    let limit = summary["outliers_beyond_m"].as_f64().unwrap_or(f64::NAN);
     columns.insert("shape_ends".into(), vec![1.0, resting.len() as f64]);
-    columns.insert("shape_limit".into(), vec![limit; 2]);
-    let all = || (resting.iter()).flat_map(|case| case.rows.iter());
+    for unit in ["m", "rad"] {
+        let limit = summary[format!("outliers_beyond_{unit}")].as_f64();
+        columns.insert(format!("limit_{unit}"), vec![limit.unwrap_or(f64::NAN); 2]);
+    }
+    let rows = || {
+        let numbered = resting.iter().zip(1..);
+        numbered.flat_map(|(case, number)| case.rows.iter().map(move |row| (number, row)))
+    };
     let mut out = Vec::new();
-    for (i, marker) in markers(all()).into_iter().enumerate() {
-        let (mut numbers, mut off) = (Vec::new(), Vec::new());
-        for (index, case) in resting.iter().enumerate() {
-            for row in case.rows.iter().filter(|row| row.marker == marker) {
-                numbers.push((index + 1) as f64);
-                off.push(row.off_m);
-            }
-        }
-        columns.insert(format!("shape_{i}"), numbers);
-        columns.insert(format!("shape_off_{i}"), off);
-        out.push(json!({ "name": marker, "color": COLORS[i % COLORS.len()], "key": i }));
+    for (i, marker) in markers(rows().map(|(_, row)| row)).into_iter().enumerate() {
+        let own: Vec<_> = rows().filter(|(_, row)| row.marker == marker).collect();
+        let numbers = own.iter().map(|(number, _)| f64::from(*number)).collect();
+        let key = format!("shape_{i}");
+        add_residuals(columns, &key, numbers, own.iter().map(|(_, row)| *row));
+        out.push(json!({ "name": marker, "color": COLORS[i % COLORS.len()], "key": key }));
     }
     out
 }
 
-/// Distances and places of the markers of every recording over time.
+/// Adds the columns of a marker: the abscissa, distances, and angles.
+fn add_residuals<'a>(
+    columns: &mut Columns,
+    key: &str,
+    abscissa: Vec<f64>,
+    rows: impl Iterator<Item = &'a ResidualRow> + Clone,
+) {
+    let off = rows.clone().map(|row| row.off_m.unwrap_or(f64::NAN));
+    let turned = rows.map(|row| row.turned().unwrap_or(f64::NAN));
+    columns.insert(format!("off_{key}"), off.collect());
+    columns.insert(format!("turned_{key}"), turned.collect());
+    columns.insert(key.into(), abscissa);
+}
+
+/// Distances, angles and places of the markers of every recording over time.
 fn over_time(moving: &[Case], columns: &mut Columns) -> Vec<Value> {
     let mut n_charts = 0;
     let mut out = Vec::new();
     for (index, case) in moving.iter().enumerate() {
         let mut own = Vec::new();
         for (i, marker) in markers(case.rows.iter()).into_iter().enumerate() {
-            let seen: Vec<&ResidualRow> =
-                (case.rows.iter()).filter(|row| row.marker == marker).collect();
-            let some = || seen.iter().copied().step_by(seen.len().div_ceil(ROWS).max(1));
-            let key = format!("{index}_{i}");
-            columns.insert(format!("t_{key}"), column(some(), |row| row.t_s));
-            columns.insert(format!("off_{key}"), column(some(), |row| row.off_m));
-            for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
-                for (word, which) in [("measured", 0), ("predicted", 1)] {
-                    let values = column(some(), |row| row.places()[which][axis]);
-                    columns.insert(format!("{word}_{letter}_{key}"), values);
-                }
-            }
+            let seen: Vec<_> = (case.rows.iter())
+                .filter(|row| row.marker == marker)
+                .collect();
+            let some = || (seen.iter().copied()).step_by(seen.len().div_ceil(ROWS).max(1));
+            let key = format!("t_{index}_{i}");
+            add_residuals(columns, &key, some().map(|row| row.t_s).collect(), some());
+            let unseen = [f64::NAN; 3];
+            let measured: Vec<_> = some().map(|row| row.measured().unwrap_or(unseen)).collect();
+            let predicted: Vec<_> = some().map(ResidualRow::predicted).collect();
+            add_components(columns, &format!("measured_{key}"), measured.iter());
+            add_components(columns, &format!("predicted_{key}"), predicted.iter());
             n_charts += 1;
             own.push(json!({
                 "name": marker,
