@@ -147,7 +147,8 @@ fn conclude(summary: &FitSummary, console: &Console) {
     }
     for own in &summary.exchanged {
         let [first, second] = &own.markers;
-        let [off, exchanged] = [own.off_m, own.exchanged_off_m].map(|off| off.map(|x| quantity(x, "m")));
+        let [off, exchanged] =
+            [own.off_m, own.exchanged_off_m].map(|off| off.map(|x| quantity(x, "m")));
         console.warn(&format!(
             "{}, t = {} s: {first} and {second} seem to be exchanged; they are {} and {} off, and {} and {} if they are named the other way round",
             own.case,
@@ -177,8 +178,9 @@ fn conclude(summary: &FitSummary, console: &Console) {
             true => "held out".into(),
             false => known(case.left_out_rms_m, "m"),
         };
-        let turned = (case.rms_rad)
-            .map_or_else(String::new, |angle| format!(", turned by {}", quantity(angle, "rad")));
+        let turned = (case.rms_rad).map_or_else(String::new, |angle| {
+            format!(", turned by {}", quantity(angle, "rad"))
+        });
         let outliers = if case.outliers > 0 {
             format!(", {} outliers", case.outliers)
         } else {

@@ -303,10 +303,15 @@ fn rows(
     };
     let mut markers: Vec<Columns> = Vec::new();
     for (index, head) in heads.iter().enumerate().filter(|(index, _)| *index != time) {
-        let Some((name, ends)) = (PARTS.iter())
-            .find_map(|ends| Some((head.strip_suffix(ends[0])?, *ends)))
+        let Some((name, ends)) =
+            (PARTS.iter()).find_map(|ends| Some((head.strip_suffix(ends[0])?, *ends)))
         else {
-            if PARTS.iter().copied().flatten().any(|end| head.ends_with(end)) {
+            if PARTS
+                .iter()
+                .copied()
+                .flatten()
+                .any(|end| head.ends_with(end))
+            {
                 continue;
             }
             return Err(at(
@@ -323,7 +328,9 @@ fn rows(
             columns.push(place.ok_or_else(|| at(1, format!("{head:?} without {other:?}")))?);
         }
         let marker = marker_of(name)?;
-        let place = markers.iter().position(|own: &Columns| own.marker == marker);
+        let place = markers
+            .iter()
+            .position(|own: &Columns| own.marker == marker);
         let place = place.unwrap_or_else(|| {
             markers.push(Columns {
                 marker,
@@ -359,8 +366,7 @@ fn rows(
             ));
         }
         before = t;
-        let seen =
-            |columns: &[usize]| columns.iter().any(|&index| record.get(index) != Some(""));
+        let seen = |columns: &[usize]| columns.iter().any(|&index| record.get(index) != Some(""));
         for own in &markers {
             let mut sight = Sight {
                 marker: own.marker,
@@ -376,7 +382,10 @@ fn rows(
                 let [w, x, y, z] = columns.map(number);
                 let found = rotation([w?, x?, y?, z?]).ok_or_else(|| {
                     let head = &heads[columns[0]];
-                    at(line, format!("{head:?} and the next are no quaternion of length one"))
+                    at(
+                        line,
+                        format!("{head:?} and the next are no quaternion of length one"),
+                    )
                 })?;
                 sight.orientation = Some(found);
             }

@@ -123,12 +123,8 @@ pub fn fit(
         .map_err(|error| scene.discretize_error(&fitted, error.into()))?;
     let predicted = model.predicted(&found.at, &steps)?;
     let shapes = model.shapes(&found.at, &rod)?;
-    let (summary, rows) = report::summary(
-        &model,
-        &found,
-        &predicted,
-        begun.elapsed().as_secs_f64(),
-    );
+    let (summary, rows) =
+        report::summary(&model, &found, &predicted, begun.elapsed().as_secs_f64());
     Ok(Fit {
         scene,
         arm,
@@ -171,7 +167,7 @@ impl Free {
 
 /// Returns the entries of a resolved scene.
 fn entries(source: &SceneSource, set: &[String]) -> Result<toml::Table, FitError> {
-    let overrides = [&source.overrides, set].concat();
+    let overrides = [&source.overrides[..], set].concat();
     let (scene, _) = Scene::from_toml(&source.name, &source.text, &overrides)?;
     toml::from_str(&scene.to_toml()).map_err(|error| FitError::Data(error.to_string()))
 }
@@ -200,7 +196,11 @@ fn parameters(
         let described = data.free.iter().find(|free| free.key == key);
         let times = described.map_or(&[][..], |free| &free.times);
         for path in times {
-            if !tables.iter().chain([own]).any(|table| number(table, path).is_some()) {
+            if !tables
+                .iter()
+                .chain([own])
+                .any(|table| number(table, path).is_some())
+            {
                 return refuse(format!(
                     "{path}, of which {key} is a factor, has no number in this scene"
                 ));

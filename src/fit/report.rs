@@ -15,8 +15,8 @@ use crate::output::summary::SCHEMA_VERSION;
 /// A direction of the parameters is undetermined where the residuals change by less than this part of what they change along the one that
 /// is determined best; differences of the residuals are exact to about 1e-8.
 const UNDETERMINED: f64 = 1e-6;
-/// A direction of the logarithms of the parameters, a unit vector, is hardly determined where one standard error along it is more than this:
-/// a factor of 1.65 for a parameter alone.
+/// A direction of the logarithms of the parameters, a unit vector, is hardly determined where two standard errors along it are more than
+/// this: a factor of 1.65 either way.
 const HARDLY_DETERMINED: f64 = 0.5;
 /// Exponents below this part of the largest one of a direction are left out.
 const SMALL_EXPONENT: f64 = 1e-2;
@@ -157,7 +157,10 @@ struct Squares {
 
 impl Squares {
     fn add(&mut self, other: &Self) {
-        for (own, other) in [(&mut self.places, other.places), (&mut self.angles, other.angles)] {
+        for (own, other) in [
+            (&mut self.places, other.places),
+            (&mut self.angles, other.angles),
+        ] {
             own.0 += other.0;
             own.1 += other.1;
         }
@@ -165,8 +168,7 @@ impl Squares {
 
     /// Returns the root of the mean square of the distances, m, and that of the angles, rad.
     fn rms(&self) -> [Option<f64>; 2] {
-        [self.places, self.angles]
-            .map(|(squares, n)| (n > 0).then(|| (squares / n as f64).sqrt()))
+        [self.places, self.angles].map(|(squares, n)| (n > 0).then(|| (squares / n as f64).sqrt()))
     }
 }
 
@@ -280,7 +282,11 @@ pub(super) fn summary(
             outliers: own.iter().filter(|seen| seen.outlier).count(),
         });
         row += rows;
-        let sum = if case.held_out { &mut held } else { &mut fitted };
+        let sum = if case.held_out {
+            &mut held
+        } else {
+            &mut fitted
+        };
         sum.add(&squares);
     }
     let has_angles = seen.iter().any(|seen| seen.turned().is_some());
@@ -401,16 +407,17 @@ fn undetermined(model: &Model, found: &Minimum, scatter: f64) -> Vec<Undetermine
     let axes = (covariance.select_rows(&positive))
         .select_columns(&positive)
         .symmetric_eigen();
-    let mut hardly: Vec<(f64, Vec<f64>)> = (axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()))
-        .map(|(square, axis)| {
-            let mut parts = vec![0.0; n];
-            for (&i, part) in positive.iter().zip(axis.iter()) {
-                parts[i] = *part;
-            }
-            (square.max(0.0).sqrt(), parts)
-        })
-        .filter(|(error, _)| *error > HARDLY_DETERMINED)
-        .collect();
+    let mut hardly: Vec<(f64, Vec<f64>)> =
+        (axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()))
+            .map(|(square, axis)| {
+                let mut parts = vec![0.0; n];
+                for (&i, part) in positive.iter().zip(axis.iter()) {
+                    parts[i] = *part;
+                }
+                (square.max(0.0).sqrt(), parts)
+            })
+            .filter(|(error, _)| 2.0 * error > HARDLY_DETERMINED)
+            .collect();
     hardly.sort_by(|a, b| b.0.total_cmp(&a.0));
     out.extend((hardly.iter()).map(|(error, parts)| combination(parts, Some(*error))));
     out

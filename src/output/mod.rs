@@ -53,9 +53,9 @@ pub(crate) use report::Columns;
 pub use report::{
     ArrowKind, Bound, Facts, Hold, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportChart,
     ReportCheck, ReportClock, ReportCommand, ReportControls, ReportCurve, ReportData, ReportEnergy,
-    ReportField, ReportFields, ReportIteration, ReportMark, ReportMotion, ReportObstacle, ReportObstacles,
-    ReportPath, ReportRoute, ReportSensitivity, ReportShape, ReportTable, ReportTarget,
-    ReportVerdict, ReportVia, Words, figure, render_report,
+    ReportField, ReportFields, ReportIteration, ReportMark, ReportMotion, ReportObstacle,
+    ReportObstacles, ReportPath, ReportRoute, ReportSensitivity, ReportShape, ReportTable,
+    ReportTarget, ReportVerdict, ReportVia, Words, figure, render_report,
 };
 #[cfg(feature = "cli")]
 #[doc(hidden)]

@@ -60,7 +60,8 @@ impl ResidualRow {
     }
 
     fn cells(&self) -> [String; 14] {
-        let known = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:?}"));
+        let known =
+            |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:?}"));
         [
             self.case.clone(),
             self.marker.clone(),
@@ -107,9 +108,7 @@ const OF_ORIENTATIONS: usize = 3;
 pub fn write_residuals(path: &Path, rows: &[ResidualRow]) -> Result<(), OutputError> {
     let turns = rows.iter().any(|row| row.turned().is_some());
     let n = COLUMNS.len() - if turns { 0 } else { OF_ORIENTATIONS };
-    let cells: Vec<Vec<String>> = (rows.iter())
-        .map(|row| row.cells()[..n].to_vec())
-        .collect();
+    let cells: Vec<Vec<String>> = (rows.iter()).map(|row| row.cells()[..n].to_vec()).collect();
     write_rows(path, &COLUMNS[..n], &cells)
 }
 

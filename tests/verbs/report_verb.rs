@@ -541,9 +541,21 @@ fn pages_work_in_a_browser() {
         "--quiet",
     ]);
     desk.done(&["equilibrium", "sag.toml", "--out", "rests", "--quiet"]);
-    let shapes = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/data/soromox-shapes.toml");
+    let shapes = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/examples/data/soromox-shapes.toml"
+    );
     let modulus = "rod.material.youngs_modulus_pa";
-    let fit = ["fit", "soromox-tendons", "--data", shapes, "--free", modulus, "--out", "fit"];
+    let fit = [
+        "fit",
+        "soromox-tendons",
+        "--data",
+        shapes,
+        "--free",
+        modulus,
+        "--out",
+        "fit",
+    ];
     desk.done(&[&fit[..], &["--quiet"]].concat());
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/report_page.py");
     let pages = [

@@ -101,16 +101,18 @@ function tipAt({ motion }, t) {
 }
 
 /**
- * The most telling instant: the end of a motion with a target, or else when a node is farthest from where it began; of several runs,
+ * The most telling instant: of a fit the shape with the marker that is farthest off, the end of a motion with a target, or else when a node is farthest from where it began; of several runs,
  * when the tips are farthest from that of the first.
  */
 function tellingInstant() {
-  const { motion, target, via } = runs[0];
+  const { motion, target, via, marks } = runs[0];
   if (COMPARING) {
     const apart = (t) => Math.max(...runs.map((run) => norm(sub(tipAt(run, t), tipAt(runs[0], t)))));
     const best = motion.t.reduce((best, t) => apart(t) > apart(best) ? t : best, motion.t[0] ?? 0);
     if (apart(best) > 0) return best;
   }
+  const apart = ({ measured, predicted }) => norm(sub(measured, predicted));
+  if (marks) return motion.t[marks.reduce((worst, mark) => apart(mark) > apart(worst) ? mark : worst).frame];
   const last = motion.t.length - 1;
   if (target || via.length || last < 1) return motion.t[last] ?? 0;
   let best = last, most = -1;

@@ -137,7 +137,7 @@ fn over_shapes(resting: &[Case], summary: &Value, columns: &mut Columns) -> Vec<
         columns.insert(format!("limit_{unit}"), vec![limit.unwrap_or(f64::NAN); 2]);
     }
     let rows = || {
-        let numbered = resting.iter().zip(1..);
+        let numbered = resting.iter().zip(1_u32..);
         numbered.flat_map(|(case, number)| case.rows.iter().map(move |row| (number, row)))
     };
     let mut out = Vec::new();
