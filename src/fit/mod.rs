@@ -15,7 +15,7 @@ use self::least_squares::Problem;
 pub use self::report::FitSummary;
 use crate::mechanics::place::{locate, pose};
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{Configuration, NodeWrenches, Rod, Stepper};
+use crate::mechanics::{Configuration, NodeWrenches, Rod, Stepper, TimeScheme};
 use crate::output::{MotionRecord, ResidualRow};
 use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::{Stop, StopSignal};
@@ -339,11 +339,15 @@ struct Model<'a> {
     stop: &'a StopSignal,
 }
 
-/// The time step of every recording, s, which the search keeps: a step that changed with the stiffness would make the residuals jump.
-type Steps = BTreeMap<usize, f64>;
+/// Time step and scheme of every recording, as overrides, which the search keeps: those that changed with the stiffness would make the
+/// residuals jump.
+type Steps = BTreeMap<usize, [String; 2]>;
 
-/// Part of the automatic step with which recordings are simulated, so that the arm may become stiffer by a factor of four in the search.
-const STEP: f64 = 0.5;
+/// Part of the automatic step with which recordings are simulated by explicit steps, so that the arm may become stiffer by a factor of four
+/// in the search.
+const EXPLICIT_STEP: f64 = 0.5;
+/// That of implicit steps, whose automatic step has an error that would show beside standard errors (docs/fitting.md).
+const IMPLICIT_STEP: f64 = 0.125;
 
 impl Model<'_> {
     fn start(&self) -> Vec<f64> {
@@ -375,7 +379,7 @@ impl Model<'_> {
         Ok(())
     }
 
-    /// Returns the time steps of recordings.
+    /// Returns time steps and schemes of recordings.
     fn steps(&self, at: &[f64]) -> Result<Steps, FitError> {
         let mut out = Steps::new();
         for (index, _) in self
@@ -386,7 +390,12 @@ impl Model<'_> {
         {
             let (scene, source) = self.scene(at, index, None)?;
             let setup = scene.simulation_until(&source, self.stop)?;
-            out.insert(index, STEP * setup.grid.step);
+            let (part, scheme) = match setup.rod.scheme {
+                TimeScheme::Explicit => (EXPLICIT_STEP, "explicit"),
+                TimeScheme::Implicit => (IMPLICIT_STEP, "implicit"),
+            };
+            let step = format!("time.step_s={:e}", part * setup.grid.step);
+            out.insert(index, [step, format!("time.integrator=\"{scheme}\"")]);
         }
         Ok(out)
     }
@@ -395,7 +404,7 @@ impl Model<'_> {
         &self,
         at: &[f64],
         index: usize,
-        step: Option<f64>,
+        step: Option<&[String; 2]>,
     ) -> Result<(Scene, SceneSource), FitError> {
         let case = &self.cases[index];
         let mut overrides = self.overrides(at, &case.set, &self.tables[index]);
@@ -404,9 +413,7 @@ impl Model<'_> {
         } else {
             let last = case.sights.last().map_or(0.0, |sight| sight.time);
             overrides.push(format!("time.end_s={:e}", last.max(1e-9)));
-            if let Some(step) = step {
-                overrides.push(format!("time.step_s={step:e}"));
-            }
+            overrides.extend(step.into_iter().flatten().cloned());
         }
         Ok(Scene::from_toml(
             &self.source.name,
@@ -419,7 +426,7 @@ impl Model<'_> {
     fn case(&self, at: &[f64], index: usize, steps: &Steps) -> Result<Vec<Pose>, FitError> {
         let case = &self.cases[index];
         self.stop.check().map_err(FitError::Stopped)?;
-        let (scene, source) = self.scene(at, index, steps.get(&index).copied())?;
+        let (scene, source) = self.scene(at, index, steps.get(&index))?;
         let setup = scene.simulation_until(&source, self.stop)?;
         let nodes = setup.rod.places();
         let pose = |shape: &Configuration, marker: usize| self.pose(&nodes, shape, marker);
