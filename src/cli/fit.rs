@@ -181,10 +181,10 @@ fn conclude(summary: &FitSummary, console: &Console) {
         let turned = (case.rms_rad).map_or_else(String::new, |angle| {
             format!(", turned by {}", quantity(angle, "rad"))
         });
-        let outliers = if case.outliers > 0 {
-            format!(", {} outliers", case.outliers)
-        } else {
-            String::new()
+        let outliers = match case.outliers {
+            0 => String::new(),
+            1 => ", 1 outlier".into(),
+            n => format!(", {n} outliers"),
         };
         console.say(&format!(
             "  {:36} {:>9}   {without:>9}{turned}{outliers}",
