@@ -516,6 +516,15 @@ fn a_load_cell_is_calibrated() {
         summary["parameters"][0]["times"][0],
         "tendon.0.pretension_n"
     );
+    // With --small the numbers stay; --skip-existing would not see that a file of data has changed.
+    let fit = ["fit", "arm.toml", "--data", "data.toml", "--out", "fit"];
+    assert_eq!(desk.run(&[&fit[..], &["--small"]].concat()).0, DONE);
+    let is_there = |name: &str| desk.0.path().join("fit").join(name).exists();
+    assert!(!is_there("report.html") && !is_there("trajectory.npz"));
+    assert!(is_there("residuals.csv") && is_there("summary.json"));
+    let (code, _, talk) = desk.run(&[&fit[..], &["--skip-existing"]].concat());
+    assert_eq!(code, USAGE);
+    assert!(talk.contains("--data"), "{talk}");
 }
 
 /// Two markers of one published shape, exchanged by hand as the authors' files have them: both are outliers, and the pair is named, with the
