@@ -154,8 +154,8 @@ class Result:
         return target
 
     def plot(self, ax: Any = None) -> Any:
-        """Draws the arm at its first, last and some times (of an equilibrium, load factors) between, and the path of the tip; needs matplotlib.
-        Returns the axes.
+        """Draws the arm at its first, last and some times (of an equilibrium, load factors; of a fit, shapes) between, and the path of the tip;
+        needs matplotlib. Returns the axes.
         """
         import matplotlib.pyplot as plt  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
@@ -164,7 +164,8 @@ class Result:
         rows = np.unique(np.linspace(0, len(self.t) - 1, 6).round().astype(int))
         for row in rows:
             shade = 0.25 + 0.75 * row / max(len(self.t) - 1, 1)
-            label = f"load factor {self.t[row]:.3g}" if self.command == "equilibrium" else f"t = {self.t[row]:.3g} s"
+            words = {"equilibrium": f"load factor {self.t[row]:.3g}", "fit": f"shape {self.t[row]:.0f}"}
+            label = words.get(self.command, f"t = {self.t[row]:.3g} s")
             ax.plot(*self.x[row].T, color=(0.1, 0.35, 0.6, shade), lw=2.5, label=label)
         ax.plot(*self.tip.T, color="0.3", lw=0.8)
         ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)", title=f"{self.summary.get('scene')}: {self.status}")

@@ -439,5 +439,6 @@ def test_published_shapes_are_fitted():
     modulus, density = (own["value"] for own in result.summary["parameters"])
     assert modulus == pytest.approx(3.745e5, rel=0.5 * 0.013) and density == pytest.approx(1162, rel=0.5 * 0.029)
     assert result.scene["rod.material.density_kg_m3"] == density
+    assert result.x.shape[:2] == (8, 16) and "m1 at 7.6923 N" in result._repr_html_()
     with pytest.raises(sa.ResultError, match="no number"):
         sa.Scene.load("soromox-tendons").fit(data, ["rod.material.youngs"])

@@ -8,10 +8,11 @@ use super::console::Console;
 use super::error::CliError;
 use super::tradeoff::Applied;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
-use crate::fit::{FitError, FitOptions, FitSummary, Sighting, fit};
+use crate::fit::{FitError, FitOptions, FitSummary, fit};
 use crate::output::quantity::{digits, quantity};
 use crate::output::replace::Writer;
-use crate::output::{ResultKind, RunDirectory};
+use crate::output::{ResultKind, RunDirectory, json_value, render_report, write_residuals};
+use crate::solve::fit_page;
 
 /// Arguments of `fit`.
 #[derive(Debug, Args)]
@@ -71,9 +72,28 @@ pub(super) fn run(arguments: &FitArguments, global: &Global, console: &Console) 
     conclude(&summary, console);
     let written = directory.publish_or_rescue(|result| {
         result.write_text("scene.toml", &found.scene.to_toml())?;
-        result.write_text("residuals.csv", &residuals(&summary.sightings))?;
+        if found.shapes.n_rows() > 0 {
+            (found.shapes).write_npz(&result.path().join("trajectory.npz"))?;
+        }
+        write_residuals(&result.path().join("residuals.csv"), &found.rows)?;
+        let value = json_value(&summary);
+        let page = fit_page(
+            &found.scene,
+            &found.arm,
+            &found.rod,
+            &found.shapes,
+            &found.rows,
+            &value,
+        )?;
+        result.write_text("report.html", &render_report(&page))?;
         result.write_json("summary.json", &summary)
     });
+    if let Ok(directory) = &written {
+        console.say(&format!(
+            "report: {}",
+            directory.join("report.html").display()
+        ));
+    }
     console.summary(&summary);
     written?;
     if let Some(place) = &applied {
@@ -93,29 +113,6 @@ pub(super) fn run(arguments: &FitArguments, global: &Global, console: &Console) 
         "converged" => exit::DONE,
         _ => exit::NOT_CONVERGED,
     })
-}
-
-/// Returns the table of all places.
-fn residuals(sightings: &[Sighting]) -> String {
-    use std::fmt::Write as _;
-    let mut out = String::from(
-        "case,marker,t_s,x_m,y_m,z_m,predicted_x_m,predicted_y_m,predicted_z_m,off_m,outlier\n",
-    );
-    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
-    for own in sightings {
-        let [x, y, z] = own.measured_m;
-        let [px, py, pz] = own.predicted_m;
-        let _ = writeln!(
-            out,
-            "{},{},{:?},{x:?},{y:?},{z:?},{px:?},{py:?},{pz:?},{:?},{}",
-            quoted(&own.case),
-            quoted(&own.marker),
-            own.t_s,
-            own.off_m,
-            own.is_outlier
-        );
-    }
-    out
 }
 
 fn conclude(summary: &FitSummary, console: &Console) {
@@ -139,9 +136,27 @@ fn conclude(summary: &FitSummary, console: &Console) {
         let parts: Vec<String> = (own.exponents.iter())
             .map(|(key, exponent)| format!("{key}^{}", digits(*exponent)))
             .collect();
+        let (parts, remedy) = (parts.join(", "), "fix one of them, or give it a prior");
+        console.warn(&match own.standard_error {
+            None => format!("the data cannot tell how large these are together: {parts}; {remedy}"),
+            Some(error) => format!(
+                "the data hardly tell how large these are together, to a factor of {}: {parts}; {remedy}",
+                digits(error.exp())
+            ),
+        });
+    }
+    for own in &summary.exchanged {
+        let [first, second] = &own.markers;
+        let [off, exchanged] =
+            [own.off_m, own.exchanged_off_m].map(|off| off.map(|x| quantity(x, "m")));
         console.warn(&format!(
-            "the data cannot tell how large these are together: {}; fix one of them, or give it a prior",
-            parts.join(", ")
+            "{}, t = {} s: {first} and {second} seem to be exchanged; they are {} and {} off, and {} and {} if they are named the other way round",
+            own.case,
+            digits(own.t_s),
+            off[0],
+            off[1],
+            exchanged[0],
+            exchanged[1]
         ));
     }
     for (i, row) in summary.correlations.iter().enumerate() {
@@ -154,28 +169,43 @@ fn conclude(summary: &FitSummary, console: &Console) {
             }
         }
     }
+    let known = |value: Option<f64>, unit: &str| {
+        value.map_or_else(|| "-".into(), |value| quantity(value, unit))
+    };
     console.say("                                       off, rms   without it");
     for case in &summary.cases {
-        let without = case
-            .left_out_rms_m
-            .map_or_else(|| "held out".into(), |off| quantity(off, "m"));
-        let outliers = if case.outliers > 0 {
-            format!(", {} outliers", case.outliers)
-        } else {
-            String::new()
+        let without = match case.held_out {
+            true => "held out".into(),
+            false => known(case.left_out_rms_m, "m"),
+        };
+        let turned = (case.rms_rad).map_or_else(String::new, |angle| {
+            format!(", turned by {}", quantity(angle, "rad"))
+        });
+        let outliers = match case.outliers {
+            0 => String::new(),
+            1 => ", 1 outlier".into(),
+            n => format!(", {n} outliers"),
         };
         console.say(&format!(
-            "  {:36} {:>9}   {without:>9}{outliers}",
+            "  {:36} {:>9}   {without:>9}{turned}{outliers}",
             case.name,
-            quantity(case.rms_m, "m")
+            known(case.rms_m, "m")
         ));
     }
     console.say(&format!(
         "places are off by {} in the root of the mean square, coordinates scatter by {}, and the noise was said to be {}",
-        quantity(summary.rms_m, "m"),
+        known(summary.rms_m, "m"),
         quantity(summary.scatter_m, "m"),
         quantity(summary.sigma_m, "m")
     ));
+    if let Some(angle) = summary.rms_rad {
+        console.say(&format!(
+            "orientations are off by {} in the root of the mean square, and scatter by {} about an axis; the noise was said to be {}",
+            quantity(angle, "rad"),
+            known(summary.scatter_rad, "rad"),
+            known(summary.sigma_rad, "rad")
+        ));
+    }
     let good = summary.status == "converged";
     console.verdict(
         good,

@@ -30,6 +30,7 @@ impl Command {
             Self::Solve(arguments) => Some((&mut arguments.scene, ResultKind::Solve)),
             Self::Mpc(arguments) => Some((&mut arguments.scene, ResultKind::Mpc)),
             Self::Tradeoff(arguments) => Some((&mut arguments.scene, ResultKind::Tradeoff)),
+            Self::Fit(arguments) => Some((&mut arguments.scene, ResultKind::Fit)),
             _ => None,
         }
     }
@@ -39,7 +40,7 @@ impl Command {
 ///
 /// With `--skip-existing` the result directory is named by a hash of the verb, its options, the scene with all defaults, and the version of
 /// softarm: a folder of its own in `--out`, by default in `results`. A result that is there ends the verb at once. Files that options name
-/// count by their names; a fit, which is made of little else, has none of this.
+/// count by their names; for a fit, which is made of little else, there is only `--small`.
 pub(super) fn run(
     command: &mut Command,
     global: &Global,
@@ -49,11 +50,17 @@ pub(super) fn run(
     if !(global.skip_existing || global.small) {
         return run(command);
     }
+    let refuse = |words: &str| Err(CliError::Directory(words.into()));
     let Some((arguments, kind)) = command.result() else {
-        let words =
-            "--skip-existing and --small go with simulate, equilibrium, solve, mpc and tradeoff";
-        return Err(CliError::Directory(words.into()));
+        return refuse(
+            "--skip-existing and --small go with simulate, equilibrium, solve, mpc and tradeoff, and --small with fit",
+        );
     };
+    if global.skip_existing && kind == ResultKind::Fit {
+        return refuse(
+            "--skip-existing: a fit depends on what its --data holds, and not only on the name of that file",
+        );
+    }
     let mut own = std::mem::take(arguments);
     if global.skip_existing {
         let folder = (own.out.take()).unwrap_or_else(|| PathBuf::from("results"));

@@ -1,7 +1,9 @@
 //! Measurements: markers on the arm, its static shapes, and recorded motions, from a TOML file and the tables that it names.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use crate::output::read_text;
@@ -15,6 +17,8 @@ const LARGEST: u64 = 1 << 28;
 pub struct Data {
     /// Standard deviation of the noise of a coordinate, m.
     pub sigma_m: f64,
+    /// Standard deviation of the noise of an orientation about each axis, rad.
+    pub sigma_rad: Option<f64>,
     /// Markers on the arm.
     #[serde(default)]
     pub marker: Vec<Marker>,
@@ -42,7 +46,7 @@ pub struct Marker {
     pub offset_m: [f64; 3],
 }
 
-/// Positions of markers in a shape at rest.
+/// Poses of markers in a shape at rest.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shape {
@@ -52,13 +56,17 @@ pub struct Shape {
     #[serde(default)]
     pub set: Vec<String>,
     /// Positions by the name of the marker, m; markers that were not seen are left out.
-    pub positions_m: std::collections::BTreeMap<String, [f64; 3]>,
+    #[serde(default)]
+    pub positions_m: BTreeMap<String, [f64; 3]>,
+    /// Orientations of the sections of markers by their names, as quaternions from the frame of the section to space, scalar first.
+    #[serde(default)]
+    pub orientations_wxyz: BTreeMap<String, [f64; 4]>,
     /// Tells whether the shape is compared only, and not fitted.
     #[serde(default)]
     pub held_out: bool,
 }
 
-/// Positions of markers over time.
+/// Poses of markers over time.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recording {
@@ -67,7 +75,8 @@ pub struct Recording {
     /// Values of the scene when it was measured, as `KEY=VALUE`.
     #[serde(default)]
     pub set: Vec<String>,
-    /// Table beside the file: columns `t_s`, and `NAME_x_m`, `NAME_y_m`, `NAME_z_m` of markers; empty cells were not seen.
+    /// Table beside the file: columns `t_s`, of markers `NAME_x_m`, `NAME_y_m`, `NAME_z_m`, and of the orientations of their sections `NAME_qw`,
+    /// `NAME_qx`, `NAME_qy`, `NAME_qz`; empty cells were not seen.
     pub csv: String,
     /// Tells whether the recording is compared only, and not fitted.
     #[serde(default)]
@@ -78,9 +87,12 @@ pub struct Recording {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Free {
-    /// Dotted path of a number of the scene.
+    /// Dotted path of a number of the scene; with `times` the name of a factor.
     pub key: String,
-    /// Where the search begins; the value of the scene, if it is left out.
+    /// Dotted paths of numbers that the factor multiplies, in every case those that the case has.
+    #[serde(default)]
+    pub times: Vec<String>,
+    /// Where the search begins; the value of the scene, or 1 of a factor, if it is left out.
     pub start: Option<f64>,
     /// Least value.
     pub lower: Option<f64>,
@@ -92,7 +104,7 @@ pub struct Free {
     pub prior_sigma: Option<f64>,
 }
 
-/// The positions of one marker at one time that were measured.
+/// What was measured of one marker at one time, the place or the orientation at least.
 #[derive(Clone, Debug)]
 pub struct Sight {
     /// Index of the marker.
@@ -100,7 +112,22 @@ pub struct Sight {
     /// Time, s; zero in a shape at rest.
     pub time: f64,
     /// Position, m.
-    pub position: [f64; 3],
+    pub position: Option<Vector3<f64>>,
+    /// Rotation from the frame of the section to space.
+    pub orientation: Option<Matrix3<f64>>,
+}
+
+/// Largest distance of the length of a quaternion from one.
+const UNIT: f64 = 1e-2;
+
+/// Returns the rotation of a quaternion, scalar first, whose length is one but for rounding and noise.
+fn rotation([w, x, y, z]: [f64; 4]) -> Option<Matrix3<f64>> {
+    let quaternion = Quaternion::new(w, x, y, z);
+    ((quaternion.norm() - 1.0).abs() <= UNIT).then(|| {
+        UnitQuaternion::from_quaternion(quaternion)
+            .to_rotation_matrix()
+            .into_inner()
+    })
 }
 
 /// A shape or a recording.
@@ -114,8 +141,19 @@ pub struct Case {
     pub is_static: bool,
     /// Tells whether it is compared only.
     pub held_out: bool,
-    /// Places of markers that were seen, in the order of time.
+    /// Poses of markers that were seen, in the order of time.
     pub sights: Vec<Sight>,
+}
+
+impl Case {
+    /// Returns the number of positions and orientations that were seen.
+    pub fn n_seen(&self) -> usize {
+        let sights = self.sights.iter();
+        let seen = |sight: &Sight| {
+            usize::from(sight.position.is_some()) + usize::from(sight.orientation.is_some())
+        };
+        sights.map(seen).sum()
+    }
 }
 
 /// Reads a file of measurements, and the tables that it names.
@@ -135,6 +173,13 @@ pub fn read(path: &Path) -> Result<(Data, Vec<Case>), String> {
         return refuse(format!(
             "sigma_m = {}: give the standard deviation of a coordinate in m, above 0",
             data.sigma_m
+        ));
+    }
+    if let Some(sigma) = data.sigma_rad
+        && !(sigma > 0.0 && sigma.is_finite())
+    {
+        return refuse(format!(
+            "sigma_rad = {sigma}: give the standard deviation of an orientation about an axis in rad, above 0"
         ));
     }
     for (index, marker) in data.marker.iter().enumerate() {
@@ -165,14 +210,24 @@ pub fn read(path: &Path) -> Result<(Data, Vec<Case>), String> {
     for (index, shape) in data.shape.iter().enumerate() {
         let name = (shape.name.clone()).unwrap_or_else(|| format!("shape {}", index + 1));
         let mut sights = Vec::new();
-        for (marker, position) in &shape.positions_m {
-            if position.iter().any(|x| !x.is_finite()) {
+        let seen = (shape.positions_m.keys()).chain(shape.orientations_wxyz.keys());
+        for marker in seen.collect::<std::collections::BTreeSet<_>>() {
+            let position = shape.positions_m.get(marker).map(|x| Vector3::from(*x));
+            if position.is_some_and(|x| x.iter().any(|x| !x.is_finite())) {
                 return refuse(format!("{name}: the position of {marker:?} is not finite"));
+            }
+            let wxyz = shape.orientations_wxyz.get(marker);
+            let orientation = wxyz.and_then(|wxyz| rotation(*wxyz));
+            if wxyz.is_some() && orientation.is_none() {
+                return refuse(format!(
+                    "{name}: the orientation of {marker:?} is no quaternion of length one"
+                ));
             }
             sights.push(Sight {
                 marker: marker_of(marker)?,
                 time: 0.0,
-                position: *position,
+                position,
+                orientation,
             });
         }
         cases.push(Case {
@@ -205,11 +260,29 @@ pub fn read(path: &Path) -> Result<(Data, Vec<Case>), String> {
                 .into(),
         );
     }
+    let mut sights = cases.iter().flat_map(|case| &case.sights);
+    if data.sigma_rad.is_none() && sights.any(|sight| sight.orientation.is_some()) {
+        return refuse(
+            "there are orientations and no sigma_rad: give their standard deviation about an axis in rad"
+                .into(),
+        );
+    }
     Ok((data, cases))
 }
 
 fn text_of(path: &Path) -> Result<String, String> {
     read_text(path, LARGEST).map_err(|error| error.to_string())
+}
+
+/// Ends of the names of the columns of a marker: those of its position, and those of the orientation of its section.
+const PARTS: [&[&str]; 2] = [&["_x_m", "_y_m", "_z_m"], &["_qw", "_qx", "_qy", "_qz"]];
+
+/// Places of the columns of a marker.
+#[derive(Default)]
+struct Columns {
+    marker: usize,
+    position: Option<[usize; 3]>,
+    orientation: Option<[usize; 4]>,
 }
 
 /// Reads the table of a recording.
@@ -228,23 +301,48 @@ fn rows(
     let Some(time) = column("t_s") else {
         return Err(at(1, "there is no column t_s".into()));
     };
-    let mut markers = Vec::new();
+    let mut markers: Vec<Columns> = Vec::new();
     for (index, head) in heads.iter().enumerate().filter(|(index, _)| *index != time) {
-        let Some(name) = head.strip_suffix("_x_m") else {
-            let is_other = ["_y_m", "_z_m"].iter().any(|end| head.ends_with(end));
-            if is_other {
+        let Some((name, ends)) =
+            (PARTS.iter()).find_map(|ends| Some((head.strip_suffix(ends[0])?, *ends)))
+        else {
+            if PARTS
+                .iter()
+                .copied()
+                .flatten()
+                .any(|end| head.ends_with(end))
+            {
                 continue;
             }
             return Err(at(
                 1,
-                format!("{head:?} is no column; expected t_s, and NAME_x_m, NAME_y_m, NAME_z_m"),
+                format!(
+                    "{head:?} is no column; expected t_s, NAME_x_m, NAME_y_m, NAME_z_m, and NAME_qw, NAME_qx, NAME_qy, NAME_qz"
+                ),
             ));
         };
-        let others = ["y", "z"].map(|axis| column(&format!("{name}_{axis}_m")));
-        let [Some(y), Some(z)] = others else {
-            return Err(at(1, format!("{head:?} without {name}_y_m and {name}_z_m")));
-        };
-        markers.push((marker_of(name)?, [index, y, z]));
+        let mut columns = vec![index];
+        for end in &ends[1..] {
+            let other = format!("{name}{end}");
+            let place = column(&other);
+            columns.push(place.ok_or_else(|| at(1, format!("{head:?} without {other:?}")))?);
+        }
+        let marker = marker_of(name)?;
+        let place = markers
+            .iter()
+            .position(|own: &Columns| own.marker == marker);
+        let place = place.unwrap_or_else(|| {
+            markers.push(Columns {
+                marker,
+                ..Columns::default()
+            });
+            markers.len() - 1
+        });
+        match columns[..] {
+            [x, y, z] => markers[place].position = Some([x, y, z]),
+            [w, x, y, z] => markers[place].orientation = Some([w, x, y, z]),
+            _ => {}
+        }
     }
     let mut sights = Vec::new();
     let mut before = f64::NEG_INFINITY;
@@ -268,16 +366,32 @@ fn rows(
             ));
         }
         before = t;
-        for (marker, columns) in &markers {
-            if columns.iter().all(|&index| record.get(index) == Some("")) {
-                continue;
-            }
-            let [x, y, z] = columns.map(number);
-            sights.push(Sight {
-                marker: *marker,
+        let seen = |columns: &[usize]| columns.iter().any(|&index| record.get(index) != Some(""));
+        for own in &markers {
+            let mut sight = Sight {
+                marker: own.marker,
                 time: t,
-                position: [x?, y?, z?],
-            });
+                position: None,
+                orientation: None,
+            };
+            if let Some(columns) = own.position.filter(|columns| seen(columns)) {
+                let [x, y, z] = columns.map(number);
+                sight.position = Some(Vector3::new(x?, y?, z?));
+            }
+            if let Some(columns) = own.orientation.filter(|columns| seen(columns)) {
+                let [w, x, y, z] = columns.map(number);
+                let found = rotation([w?, x?, y?, z?]).ok_or_else(|| {
+                    let head = &heads[columns[0]];
+                    at(
+                        line,
+                        format!("{head:?} and the next are no quaternion of length one"),
+                    )
+                })?;
+                sight.orientation = Some(found);
+            }
+            if sight.position.is_some() || sight.orientation.is_some() {
+                sights.push(sight);
+            }
         }
     }
     Ok(sights)

@@ -8,15 +8,18 @@ mod report;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::{DVector, Vector3};
+use nalgebra::{DVector, Matrix3, Vector3};
 
-use self::data::{Case, Data, Marker};
+use self::data::{Case, Data, Marker, Sight};
 use self::least_squares::Problem;
-pub use self::report::{FitSummary, Sighting};
+pub use self::report::FitSummary;
 use crate::mechanics::place::{locate, pose};
-use crate::mechanics::{Configuration, NodeWrenches, Stepper};
+use crate::mechanics::rotation::{exp, log};
+use crate::mechanics::{Configuration, NodeWrenches, Rod, Stepper, TimeScheme};
+use crate::output::{MotionRecord, ResidualRow};
 use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::{Stop, StopSignal};
+use crate::task::Arm;
 
 /// The reason why nothing is fitted.
 #[derive(Debug, thiserror::Error)]
@@ -56,8 +59,16 @@ pub struct FitOptions {
 pub struct Fit {
     /// The scene with the fitted numbers.
     pub scene: Scene,
+    /// Its arm.
+    pub arm: Arm,
+    /// Its rod.
+    pub rod: Rod,
     /// Estimates, their errors and the residuals.
     pub summary: FitSummary,
+    /// Every place that was seen, in the order of the cases.
+    pub rows: Vec<ResidualRow>,
+    /// The predicted shapes at rest, with their numbers from one on as times; those with other elements than the scene are left out.
+    pub shapes: MotionRecord,
 }
 
 /// Fits numbers of a scene to a file of measurements.
@@ -71,23 +82,31 @@ pub fn fit(
     stop: &StopSignal,
 ) -> Result<Fit, FitError> {
     let (data, cases) = data::read(path).map_err(FitError::Data)?;
-    let parameters = parameters(source, &data, options)?;
+    let own = entries(source, &[])?;
+    let tables: Vec<toml::Table> = (cases.iter())
+        .map(|case| entries(source, &case.set))
+        .collect::<Result<_, _>>()?;
+    let parameters = parameters(&own, &tables, &data, options)?;
     let begun = std::time::Instant::now();
     let model = Model {
         source,
         markers: &data.marker,
         cases: &cases,
+        tables: &tables,
         parameters: &parameters,
-        sigma: data.sigma_m,
+        sigma: Sigma {
+            place: data.sigma_m,
+            angle: data.sigma_rad.unwrap_or(1.0),
+        },
         n_threads: options.n_threads,
         stop,
     };
     model.check_count()?;
     let steps = model.steps(&model.start())?;
     let residuals = |points: &[Vec<f64>]| model.residuals(points, &steps);
-    let n_places = model.fitted().map(|case| case.sights.len()).sum::<usize>();
+    let n_seen = model.fitted().map(Case::n_seen).sum::<usize>();
     let groups = if options.robust {
-        (0..n_places).map(|i| 3 * i..3 * i + 3).collect()
+        (0..n_seen).map(|i| 3 * i..3 * i + 3).collect()
     } else {
         Vec::new()
     };
@@ -97,22 +116,30 @@ pub fn fit(
         groups,
     };
     let found = problem.minimize(&model.start())?;
-    let (scene, _) =
-        Scene::from_toml(&source.name, &source.text, &model.overrides(&found.at, &[]))?;
+    let overrides = model.overrides(&found.at, &[], &own);
+    let (scene, fitted) = Scene::from_toml(&source.name, &source.text, &overrides)?;
+    let arm = scene.arm(&fitted)?;
+    let rod = (arm.rod(&scene.discretization()))
+        .map_err(|error| scene.discretize_error(&fitted, error.into()))?;
     let predicted = model.predicted(&found.at, &steps)?;
-    let summary = report::summary(
-        &model,
-        &found,
-        &predicted,
-        n_places,
-        begun.elapsed().as_secs_f64(),
-    );
-    Ok(Fit { scene, summary })
+    let shapes = model.shapes(&found.at, &rod)?;
+    let (summary, rows) =
+        report::summary(&model, &found, &predicted, begun.elapsed().as_secs_f64());
+    Ok(Fit {
+        scene,
+        arm,
+        rod,
+        summary,
+        rows,
+        shapes,
+    })
 }
 
 /// A number that is fitted.
 struct Free {
     key: String,
+    /// Paths of the numbers that it multiplies; empty for the number at `key` itself.
+    times: Vec<String>,
     start: f64,
     /// Unit of the search.
     scale: f64,
@@ -124,22 +151,39 @@ impl Free {
     fn scaled_bounds(&self) -> [f64; 2] {
         self.bounds.map(|bound| bound / self.scale)
     }
+
+    /// Returns the values of the scene that follow from this one, as `KEY=VALUE`; `table` has those that a factor multiplies.
+    fn overrides(&self, value: f64, table: &toml::Table) -> Vec<String> {
+        if self.times.is_empty() {
+            return vec![format!("{}={value:e}", self.key)];
+        }
+        let products = self.times.iter().filter_map(|path| {
+            let product = value * number(table, path)?;
+            Some(format!("{path}={product:e}"))
+        });
+        products.collect()
+    }
 }
 
-/// Returns the numbers that are fitted, with their starts.
+/// Returns the entries of a resolved scene.
+fn entries(source: &SceneSource, set: &[String]) -> Result<toml::Table, FitError> {
+    let overrides = [&source.overrides[..], set].concat();
+    let (scene, _) = Scene::from_toml(&source.name, &source.text, &overrides)?;
+    toml::from_str(&scene.to_toml()).map_err(|error| FitError::Data(error.to_string()))
+}
+
+/// Returns the numbers that are fitted, with their starts; `own` are the entries of the scene, and `tables` those of the cases.
 fn parameters(
-    source: &SceneSource,
+    own: &toml::Table,
+    tables: &[toml::Table],
     data: &Data,
     options: &FitOptions,
 ) -> Result<Vec<Free>, FitError> {
     let refuse = |words: String| Err(FitError::Data(words));
-    let (scene, _) = Scene::from_toml(&source.name, &source.text, &source.overrides)?;
-    let table: toml::Table =
-        toml::from_str(&scene.to_toml()).map_err(|error| FitError::Data(error.to_string()))?;
     let mut keys: Vec<&str> = options.free.iter().map(String::as_str).collect();
-    for own in &data.free {
-        if !keys.contains(&own.key.as_str()) {
-            keys.push(&own.key);
+    for free in &data.free {
+        if !keys.contains(&free.key.as_str()) {
+            keys.push(&free.key);
         }
     }
     if keys.is_empty() {
@@ -149,29 +193,45 @@ fn parameters(
     }
     let mut out: Vec<Free> = Vec::new();
     for key in keys {
-        let described = data.free.iter().find(|own| own.key == key);
-        let given = described
-            .and_then(|own| own.start)
-            .or_else(|| number(&table, key));
+        let described = data.free.iter().find(|free| free.key == key);
+        let times = described.map_or(&[][..], |free| &free.times);
+        for path in times {
+            if !tables
+                .iter()
+                .chain([own])
+                .any(|table| number(table, path).is_some())
+            {
+                return refuse(format!(
+                    "{path}, of which {key} is a factor, has no number in this scene"
+                ));
+            }
+        }
+        let given = described.and_then(|free| free.start).or_else(|| {
+            if times.is_empty() {
+                number(own, key)
+            } else {
+                Some(1.0)
+            }
+        });
         let Some(start) = given else {
             return refuse(format!(
                 "{key} has no number in this scene; give the key of a number, or its start in [[free]] of the data"
             ));
         };
-        let own = |part: fn(&data::Free) -> Option<f64>| described.and_then(part);
+        let part = |of: fn(&data::Free) -> Option<f64>| described.and_then(of);
         let bounds = [
-            own(|own| own.lower).unwrap_or(if start > 0.0 {
+            part(|free| free.lower).unwrap_or(if start > 0.0 {
                 1e-3 * start
             } else {
                 f64::NEG_INFINITY
             }),
-            own(|own| own.upper).unwrap_or(if start > 0.0 {
+            part(|free| free.upper).unwrap_or(if start > 0.0 {
                 1e3 * start
             } else {
                 f64::INFINITY
             }),
         ];
-        let prior = match [own(|own| own.prior), own(|own| own.prior_sigma)] {
+        let prior = match [part(|free| free.prior), part(|free| free.prior_sigma)] {
             [Some(prior), Some(sigma)] if sigma > 0.0 && (prior + sigma).is_finite() => {
                 Some([prior, sigma])
             }
@@ -182,8 +242,14 @@ fn parameters(
                 ));
             }
         };
-        if out.iter().any(|known| known.key == key) {
-            return refuse(format!("{key} is free twice"));
+        let paths = |free: &Free| [&[free.key.clone()][..], &free.times].concat();
+        let taken: Vec<String> = out.iter().flat_map(paths).collect();
+        let new = [&[key.to_string()][..], times].concat();
+        if let Some(path) = (new.iter().enumerate())
+            .find(|(i, path)| taken.contains(path) || new[..*i].contains(path))
+            .map(|(_, path)| path)
+        {
+            return refuse(format!("{path} is free twice"));
         }
         if !(start.is_finite() && bounds[0] <= start && start <= bounds[1] && bounds[0] < bounds[1])
         {
@@ -203,6 +269,7 @@ fn parameters(
         };
         out.push(Free {
             key: key.into(),
+            times: times.to_vec(),
             start,
             scale,
             bounds,
@@ -230,22 +297,57 @@ fn number(table: &toml::Table, key: &str) -> Option<f64> {
     }
 }
 
+/// Standard deviations of the noise.
+#[derive(Clone, Copy)]
+struct Sigma {
+    /// Of a coordinate, m.
+    place: f64,
+    /// Of an orientation about an axis, rad.
+    angle: f64,
+}
+
+/// A marker as it is predicted.
+struct Pose {
+    /// Place, m.
+    place: Vector3<f64>,
+    /// Rotation from the frame of its section to space.
+    section: Matrix3<f64>,
+}
+
+impl Pose {
+    /// Returns the vector from the measured to the predicted place, m.
+    fn off(&self, sight: &Sight) -> Option<Vector3<f64>> {
+        Some(self.place - sight.position?)
+    }
+
+    /// Returns the rotation vector from the measured to the predicted orientation, in the frame of the measured section, rad.
+    fn turn(&self, sight: &Sight) -> Option<Vector3<f64>> {
+        Some(log(&sight.orientation?.tr_mul(&self.section)))
+    }
+}
+
 /// Predicts what was measured.
 struct Model<'a> {
     source: &'a SceneSource,
     markers: &'a [Marker],
     cases: &'a [Case],
+    /// Entries of the scenes of the cases.
+    tables: &'a [toml::Table],
     parameters: &'a [Free],
-    sigma: f64,
+    sigma: Sigma,
     n_threads: usize,
     stop: &'a StopSignal,
 }
 
-/// The time step of every recording, s, which the search keeps: a step that changed with the stiffness would make the residuals jump.
-type Steps = BTreeMap<usize, f64>;
+/// Time step and scheme of every recording, as overrides, which the search keeps: those that changed with the stiffness would make the
+/// residuals jump.
+type Steps = BTreeMap<usize, [String; 2]>;
 
-/// Part of the automatic step with which recordings are simulated, so that the arm may become stiffer by a factor of four in the search.
-const STEP: f64 = 0.5;
+/// Part of the automatic step with which recordings are simulated by explicit steps, so that the arm may become stiffer by a factor of four
+/// in the search.
+const EXPLICIT_STEP: f64 = 0.5;
+/// That of implicit steps, whose automatic step has an error that would show beside standard errors (docs/fitting.md).
+const IMPLICIT_STEP: f64 = 0.125;
 
 impl Model<'_> {
     fn start(&self) -> Vec<f64> {
@@ -259,19 +361,17 @@ impl Model<'_> {
         self.cases.iter().filter(|case| !case.held_out)
     }
 
-    /// Returns the overrides of a case under parameters.
-    fn overrides(&self, at: &[f64], set: &[String]) -> Vec<String> {
+    /// Returns the overrides of a case under parameters; `table` has the entries of its scene.
+    fn overrides(&self, at: &[f64], set: &[String], table: &toml::Table) -> Vec<String> {
         let own = self.source.overrides.iter().chain(set).cloned();
         let fitted = (self.parameters.iter().zip(at))
-            .map(|(own, at)| format!("{}={:e}", own.key, at * own.scale));
+            .flat_map(|(own, at)| own.overrides(at * own.scale, table));
         own.chain(fitted).collect()
     }
 
     /// Checks that there are no fewer numbers than keys.
     fn check_count(&self) -> Result<(), FitError> {
-        if self.cases.iter().flat_map(|case| &case.sights).count()
-            < self.parameters.len().div_ceil(3)
-        {
+        if self.fitted().map(Case::n_seen).sum::<usize>() < self.parameters.len().div_ceil(3) {
             return Err(FitError::Data(
                 "there are fewer numbers than free keys; measure more, or fit less".into(),
             ));
@@ -279,18 +379,23 @@ impl Model<'_> {
         Ok(())
     }
 
-    /// Returns the time steps of recordings.
+    /// Returns time steps and schemes of recordings.
     fn steps(&self, at: &[f64]) -> Result<Steps, FitError> {
         let mut out = Steps::new();
-        for (index, case) in self
+        for (index, _) in self
             .cases
             .iter()
             .enumerate()
             .filter(|(_, case)| !case.is_static)
         {
-            let (scene, source) = self.scene(at, case, None)?;
+            let (scene, source) = self.scene(at, index, None)?;
             let setup = scene.simulation_until(&source, self.stop)?;
-            out.insert(index, STEP * setup.grid.step);
+            let (part, scheme) = match setup.rod.scheme {
+                TimeScheme::Explicit => (EXPLICIT_STEP, "explicit"),
+                TimeScheme::Implicit => (IMPLICIT_STEP, "implicit"),
+            };
+            let step = format!("time.step_s={:e}", part * setup.grid.step);
+            out.insert(index, [step, format!("time.integrator=\"{scheme}\"")]);
         }
         Ok(out)
     }
@@ -298,18 +403,17 @@ impl Model<'_> {
     fn scene(
         &self,
         at: &[f64],
-        case: &Case,
-        step: Option<f64>,
+        index: usize,
+        step: Option<&[String; 2]>,
     ) -> Result<(Scene, SceneSource), FitError> {
-        let mut overrides = self.overrides(at, &case.set);
+        let case = &self.cases[index];
+        let mut overrides = self.overrides(at, &case.set, &self.tables[index]);
         if case.is_static {
             overrides.push("initial.shape=\"equilibrium\"".into());
         } else {
             let last = case.sights.last().map_or(0.0, |sight| sight.time);
             overrides.push(format!("time.end_s={:e}", last.max(1e-9)));
-            if let Some(step) = step {
-                overrides.push(format!("time.step_s={step:e}"));
-            }
+            overrides.extend(step.into_iter().flatten().cloned());
         }
         Ok(Scene::from_toml(
             &self.source.name,
@@ -318,20 +422,20 @@ impl Model<'_> {
         )?)
     }
 
-    /// Returns the predicted places of all sights of a case.
-    fn case(&self, at: &[f64], index: usize, steps: &Steps) -> Result<Vec<Vector3<f64>>, FitError> {
+    /// Returns the predictions of all sights of a case.
+    fn case(&self, at: &[f64], index: usize, steps: &Steps) -> Result<Vec<Pose>, FitError> {
         let case = &self.cases[index];
         self.stop.check().map_err(FitError::Stopped)?;
-        let (scene, source) = self.scene(at, case, steps.get(&index).copied())?;
+        let (scene, source) = self.scene(at, index, steps.get(&index))?;
         let setup = scene.simulation_until(&source, self.stop)?;
         let nodes = setup.rod.places();
-        let place = |shape: &Configuration, marker: usize| self.place(&nodes, shape, marker);
+        let pose = |shape: &Configuration, marker: usize| self.pose(&nodes, shape, marker);
         if case.is_static {
             let shape = &setup.initial.configuration;
             return Ok(case
                 .sights
                 .iter()
-                .map(|sight| place(shape, sight.marker))
+                .map(|sight| pose(shape, sight.marker))
                 .collect());
         }
         let mut stepper = Stepper::new(&setup.rod, setup.grid, setup.initial.clone());
@@ -352,27 +456,47 @@ impl Model<'_> {
                 now = stepper.state().configuration;
                 self.stop.check().map_err(FitError::Stopped)?;
             }
-            // Linear between the two time nodes beside the sight.
+            // Linear between the two time nodes beside the sight, and along the shortest turn.
             let part = 1.0 - (stepper.step() as f64 - sight.time / h).clamp(0.0, 1.0);
-            let [from, to] = [&before, &now].map(|shape| place(shape, sight.marker));
-            out.push(from + (to - from) * part);
+            let [from, to] = [&before, &now].map(|shape| pose(shape, sight.marker));
+            let turn = log(&from.section.tr_mul(&to.section));
+            out.push(Pose {
+                place: from.place + (to.place - from.place) * part,
+                section: from.section * exp(&(turn * part)),
+            });
         }
         Ok(out)
     }
 
-    /// Returns the place of a marker, m, given the [places of the nodes](crate::mechanics::Rod::places).
-    fn place(&self, nodes: &[f64], shape: &Configuration, marker: usize) -> Vector3<f64> {
+    /// Returns the pose of a marker, given the [places of the nodes](crate::mechanics::Rod::places).
+    fn pose(&self, nodes: &[f64], shape: &Configuration, marker: usize) -> Pose {
         let marker = &self.markers[marker];
         let (q, part) = locate(nodes, marker.at);
-        let (x, r) = pose(shape, q, part);
-        x + r * Vector3::from(marker.offset_m)
+        let (x, section) = pose(shape, q, part);
+        let place = x + section * Vector3::from(marker.offset_m);
+        Pose { place, section }
     }
 
-    /// Returns the predicted places of all cases.
-    fn predicted(&self, at: &[f64], steps: &Steps) -> Result<Vec<Vec<Vector3<f64>>>, FitError> {
+    /// Returns the predictions of all cases.
+    fn predicted(&self, at: &[f64], steps: &Steps) -> Result<Vec<Vec<Pose>>, FitError> {
         (0..self.cases.len())
             .map(|index| self.case(at, index, steps))
             .collect()
+    }
+
+    /// Returns the shapes at rest of arms with as many nodes as a rod.
+    fn shapes(&self, at: &[f64], like: &Rod) -> Result<MotionRecord, FitError> {
+        let mut out = MotionRecord::empty(like.n_nodes());
+        let resting = (0..self.cases.len()).filter(|&index| self.cases[index].is_static);
+        for (index, case) in resting.enumerate() {
+            let (scene, source) = self.scene(at, case, None)?;
+            let setup = scene.simulation_until(&source, self.stop)?;
+            if setup.rod.n_nodes() == like.n_nodes() {
+                let shape = &setup.initial.configuration;
+                out.push_at_rest((index + 1) as f64, &setup.rod, shape, 0.0);
+            }
+        }
+        Ok(out)
     }
 
     /// Returns the residuals at several points, in standard deviations: those of fitted cases, then those of priors.
@@ -382,7 +506,7 @@ impl Model<'_> {
             .filter(|(_, case)| !self.cases[*case].held_out)
             .collect();
         let share = work.len().div_ceil(self.n_threads.max(1)).max(1);
-        let mut found: Vec<Result<Vec<Vector3<f64>>, FitError>> = Vec::new();
+        let mut found: Vec<Result<Vec<Pose>, FitError>> = Vec::new();
         std::thread::scope(|scope| {
             let threads: Vec<_> = (work.chunks(share))
                 .map(|work| {
@@ -406,13 +530,15 @@ impl Model<'_> {
             .map(|point| {
                 let mut out = Vec::new();
                 let mut fault = None;
-                while let Some((&(_, case), places)) = found.next_if(|((own, _), _)| *own == point)
-                {
-                    match places {
-                        Ok(places) => {
-                            for (place, sight) in places.iter().zip(&self.cases[case].sights) {
-                                let off = (place - Vector3::from(sight.position)) / self.sigma;
-                                out.extend_from_slice(off.as_slice());
+                while let Some((&(_, case), poses)) = found.next_if(|((own, _), _)| *own == point) {
+                    match poses {
+                        Ok(poses) => {
+                            for (pose, sight) in poses.iter().zip(&self.cases[case].sights) {
+                                let off = pose.off(sight).map(|off| off / self.sigma.place);
+                                let turn = pose.turn(sight).map(|turn| turn / self.sigma.angle);
+                                for part in [off, turn].into_iter().flatten() {
+                                    out.extend_from_slice(part.as_slice());
+                                }
                             }
                         }
                         Err(error) => fault = Some(error),

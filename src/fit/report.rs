@@ -1,16 +1,25 @@
 //! Standard errors, correlations, undetermined combinations, and residuals of a fit.
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
 
-use super::Model;
+use super::data::Case;
 use super::least_squares::{Minimum, weigh};
+use super::{Model, Pose};
 use crate::TOOL;
+use crate::output::ResidualRow;
 use crate::output::summary::SCHEMA_VERSION;
 
 /// A direction of the parameters is undetermined where the residuals change by less than this part of what they change along the one that
 /// is determined best; differences of the residuals are exact to about 1e-8.
 const UNDETERMINED: f64 = 1e-6;
+/// A direction of the logarithms of the parameters, a unit vector, is hardly determined where two standard errors along it are more than
+/// this: a factor of 1.65 either way.
+const HARDLY_DETERMINED: f64 = 0.5;
+/// Exponents below this part of the largest one of a direction are left out.
+const SMALL_EXPONENT: f64 = 1e-2;
 /// A place is an outlier where it is further off than this many standard deviations of all: one of 1100 normal places is.
 const OUTLIER: f64 = 4.0;
 
@@ -31,25 +40,41 @@ pub struct FitSummary {
     pub iterations: usize,
     /// Duration, s.
     pub wall_s: f64,
-    /// Root of the mean square of the distances of fitted places, m.
-    pub rms_m: f64,
+    /// Root of the mean square of the distances of fitted places, m; null without any.
+    pub rms_m: Option<f64>,
     /// That of the places that were held out, m; null without any.
     pub held_out_rms_m: Option<f64>,
     /// Standard deviation of the measurements as given, m.
     pub sigma_m: f64,
     /// Standard deviation of a coordinate as the residuals have it, m: noise and error of the model.
     pub scatter_m: f64,
+    /// Distance from which a place is an outlier, m.
+    pub outliers_beyond_m: f64,
+    /// Root of the mean square of the angles of fitted orientations, rad; absent without any, as the following ones.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_rad: Option<f64>,
+    /// That of the orientations that were held out, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held_out_rms_rad: Option<f64>,
+    /// Standard deviation of an orientation about an axis as given, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_rad: Option<f64>,
+    /// That as the residuals have it, those of places among them, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scatter_rad: Option<f64>,
+    /// Angle from which an orientation is an outlier, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub outliers_beyond_rad: Option<f64>,
     /// The fitted numbers.
     pub parameters: Vec<Parameter>,
-    /// Correlations of the estimates, row by row; empty if a combination is undetermined.
+    /// Correlations of the estimates, row by row; empty if a combination has no effect at all.
     pub correlations: Vec<Vec<f64>>,
-    /// Combinations that the data cannot tell.
+    /// Combinations that the data cannot tell, or hardly.
     pub undetermined: Vec<Undetermined>,
+    /// Markers that seem to be exchanged.
+    pub exchanged: Vec<Exchanged>,
     /// Shapes and recordings.
     pub cases: Vec<CaseSummary>,
-    /// Every place that was seen.
-    #[serde(skip)]
-    pub sightings: Vec<Sighting>,
     /// Result directory.
     pub directory: String,
 }
@@ -57,8 +82,11 @@ pub struct FitSummary {
 /// A fitted number.
 #[derive(Clone, Debug, Serialize)]
 pub struct Parameter {
-    /// Dotted path.
+    /// Dotted path, or name of a factor.
     pub key: String,
+    /// Dotted paths of the numbers that a factor multiplies.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub times: Vec<String>,
     /// Value at the start.
     pub start: f64,
     /// Estimate.
@@ -71,12 +99,29 @@ pub struct Parameter {
     pub at_bound: bool,
 }
 
-/// A combination of parameters that the data cannot tell.
+/// A combination of parameters that the data cannot tell, or hardly.
 #[derive(Clone, Debug, Serialize)]
 pub struct Undetermined {
     /// Keys, with the exponents with which they may change together: `value_i` times `f` to the power of its exponent leaves the residuals
-    /// as they are.
+    /// as they are, or nearly. The largest exponent is one.
     pub exponents: Vec<(String, f64)>,
+    /// Standard error of the logarithm of `f`, by the scatter of the residuals; null where `f` has no effect at all.
+    pub standard_error: Option<f64>,
+}
+
+/// Two markers of one shape, or of one time of a recording, that are outliers as they are named and none if their names are exchanged.
+#[derive(Clone, Debug, Serialize)]
+pub struct Exchanged {
+    /// Shape or recording.
+    pub case: String,
+    /// Time, s.
+    pub t_s: f64,
+    /// The markers.
+    pub markers: [String; 2],
+    /// Their distances as they are named, m.
+    pub off_m: [f64; 2],
+    /// Those with the names exchanged, m.
+    pub exchanged_off_m: [f64; 2],
 }
 
 /// Residuals of a shape or recording.
@@ -84,49 +129,56 @@ pub struct Undetermined {
 pub struct CaseSummary {
     /// Name.
     pub name: String,
+    /// Tells whether it is a shape at rest.
+    pub at_rest: bool,
     /// Tells whether it was compared only.
     pub held_out: bool,
-    /// Places.
+    /// Places and orientations of markers, each marker counted once for a time.
     pub places: usize,
-    /// Root of the mean square of the distances, m.
-    pub rms_m: f64,
+    /// Root of the mean square of the distances, m; null without a place.
+    pub rms_m: Option<f64>,
+    /// That of the angles, rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rms_rad: Option<f64>,
     /// That under the estimates without this case, to first order, m; null for a case that was held out.
     pub left_out_rms_m: Option<f64>,
     /// Places that are further off than four standard deviations.
     pub outliers: usize,
 }
 
-/// A place of a marker, measured and predicted.
-#[derive(Clone, Debug, Serialize)]
-pub struct Sighting {
-    /// Shape or recording.
-    pub case: String,
-    /// Marker.
-    pub marker: String,
-    /// Time, s.
-    pub t_s: f64,
-    /// Measured place, m.
-    pub measured_m: [f64; 3],
-    /// Predicted place, m.
-    pub predicted_m: [f64; 3],
-    /// Distance, m.
-    pub off_m: f64,
-    /// Tells whether it is further off than four standard deviations.
-    pub is_outlier: bool,
+/// Sums of squares of distances and angles.
+#[derive(Clone, Copy, Default)]
+struct Squares {
+    /// Of distances, m², and their number.
+    places: (f64, usize),
+    /// Of angles, rad², and their number.
+    angles: (f64, usize),
 }
 
-fn rms(squares: f64, n: usize) -> f64 {
-    (squares / n.max(1) as f64).sqrt()
+impl Squares {
+    fn add(&mut self, other: &Self) {
+        for (own, other) in [
+            (&mut self.places, other.places),
+            (&mut self.angles, other.angles),
+        ] {
+            own.0 += other.0;
+            own.1 += other.1;
+        }
+    }
+
+    /// Returns the root of the mean square of the distances, m, and that of the angles, rad.
+    fn rms(&self) -> [Option<f64>; 2] {
+        [self.places, self.angles].map(|(squares, n)| (n > 0).then(|| (squares / n as f64).sqrt()))
+    }
 }
 
-/// Describes a minimum.
+/// Describes a minimum, and every place that was seen.
 pub(super) fn summary(
     model: &Model,
     found: &Minimum,
-    predicted: &[Vec<Vector3<f64>>],
-    n_places: usize,
+    predicted: &[Vec<Pose>],
     wall: f64,
-) -> FitSummary {
+) -> (FitSummary, Vec<ResidualRow>) {
     let free = model.parameters;
     let n = free.len();
     let weighted = weigh(&found.jacobian, &found.weights);
@@ -136,8 +188,9 @@ pub(super) fn summary(
         .sum();
     let freedom = found.residuals.len().saturating_sub(n).max(1);
     let scatter = (chi / freedom as f64).sqrt();
-    let undetermined = undetermined(model, &found.jacobian, &found.at);
-    let inverse = (undetermined.is_empty())
+    let undetermined = undetermined(model, found, scatter);
+    let inverse = (undetermined.iter())
+        .all(|own| own.standard_error.is_some())
         .then(|| normal.clone().try_inverse())
         .flatten();
     let error = |i: usize| {
@@ -148,6 +201,7 @@ pub(super) fn summary(
             let value = found.at[i] * own.scale;
             Parameter {
                 key: own.key.clone(),
+                times: own.times.clone(),
                 start: own.start,
                 value,
                 standard_error: error(i).map(|error| error * scatter),
@@ -169,50 +223,77 @@ pub(super) fn summary(
             })
             .collect()
     });
-    let limit = OUTLIER * scatter * model.sigma;
-    let mut sightings = Vec::new();
+    let [limit, limit_rad] =
+        [model.sigma.place, model.sigma.angle].map(|sigma| OUTLIER * scatter * sigma);
+    let mut seen: Vec<ResidualRow> = Vec::new();
+    let mut exchanges = Vec::new();
     let mut cases = Vec::new();
-    let (mut fitted, mut held, mut n_held) = (0.0, 0.0, 0);
+    let (mut fitted, mut held) = (Squares::default(), Squares::default());
     let mut row = 0;
-    for (case, places) in model.cases.iter().zip(predicted) {
-        let mut squares = 0.0;
-        let mut outliers = 0;
-        for (sight, place) in case.sights.iter().zip(places) {
-            let off = (place - Vector3::from(sight.position)).norm();
-            squares += off * off;
-            outliers += usize::from(off > limit);
-            sightings.push(Sighting {
+    for (case, poses) in model.cases.iter().zip(predicted) {
+        let first = seen.len();
+        for (sight, pose) in case.sights.iter().zip(poses) {
+            let off_m = pose.off(sight).map(|off| off.norm());
+            let turn = pose.turn(sight);
+            let [x_m, y_m, z_m] = [0, 1, 2].map(|i| sight.position.map(|x| x[i]));
+            let [turn_x_rad, turn_y_rad, turn_z_rad] = [0, 1, 2].map(|i| turn.map(|turn| turn[i]));
+            seen.push(ResidualRow {
                 case: case.name.clone(),
                 marker: model.markers[sight.marker].name.clone(),
                 t_s: sight.time,
-                measured_m: sight.position,
-                predicted_m: (*place).into(),
-                off_m: off,
-                is_outlier: off > limit,
+                x_m,
+                y_m,
+                z_m,
+                predicted_x_m: pose.place.x,
+                predicted_y_m: pose.place.y,
+                predicted_z_m: pose.place.z,
+                off_m,
+                outlier: off_m.is_some_and(|off| off > limit)
+                    || turn.is_some_and(|turn| turn.norm() > limit_rad),
+                turn_x_rad,
+                turn_y_rad,
+                turn_z_rad,
             });
         }
-        let count = case.sights.len();
-        let rows = if case.held_out { 0 } else { 3 * count };
+        let own = &seen[first..];
+        exchanges.extend(exchanged(own, limit));
+        let mut squares = Squares::default();
+        for seen in own {
+            for (sum, value) in [
+                (&mut squares.places, seen.off_m),
+                (&mut squares.angles, seen.turned()),
+            ] {
+                sum.0 += value.map_or(0.0, |value| value * value);
+                sum.1 += usize::from(value.is_some());
+            }
+        }
+        let rows = if case.held_out { 0 } else { 3 * case.n_seen() };
+        let [rms_m, rms_rad] = squares.rms();
         cases.push(CaseSummary {
             name: case.name.clone(),
+            at_rest: case.is_static,
             held_out: case.held_out,
-            places: count,
-            rms_m: rms(squares, count),
+            places: own.len(),
+            rms_m,
+            rms_rad,
             left_out_rms_m: (!case.held_out)
-                .then(|| left_out(found, &normal, row, rows))
-                .flatten()
-                .map(|squares| model.sigma * rms(squares, count)),
-            outliers,
+                .then(|| left_out(model, case, found, &normal, row..row + rows))
+                .flatten(),
+            outliers: own.iter().filter(|seen| seen.outlier).count(),
         });
         row += rows;
-        if case.held_out {
-            held += squares;
-            n_held += count;
+        let sum = if case.held_out {
+            &mut held
         } else {
-            fitted += squares;
-        }
+            &mut fitted
+        };
+        sum.add(&squares);
     }
-    FitSummary {
+    let has_angles = seen.iter().any(|seen| seen.turned().is_some());
+    let of_angles = |value: f64| has_angles.then_some(value);
+    let [rms_m, rms_rad] = fitted.rms();
+    let [held_out_rms_m, held_out_rms_rad] = held.rms();
+    let summary = FitSummary {
         schema_version: SCHEMA_VERSION,
         tool: TOOL,
         command: "fit",
@@ -224,58 +305,152 @@ pub(super) fn summary(
         },
         iterations: found.iterations,
         wall_s: wall,
-        rms_m: rms(fitted, n_places),
-        held_out_rms_m: (n_held > 0).then(|| rms(held, n_held)),
-        sigma_m: model.sigma,
-        scatter_m: scatter * model.sigma,
+        rms_m,
+        held_out_rms_m,
+        sigma_m: model.sigma.place,
+        scatter_m: scatter * model.sigma.place,
+        outliers_beyond_m: limit,
+        rms_rad,
+        held_out_rms_rad,
+        sigma_rad: of_angles(model.sigma.angle),
+        scatter_rad: of_angles(scatter * model.sigma.angle),
+        outliers_beyond_rad: of_angles(limit_rad),
         parameters,
         correlations,
         undetermined,
+        exchanged: exchanges,
         cases,
-        sightings,
         directory: String::new(),
-    }
+    };
+    (summary, seen)
 }
 
-/// Returns the sum of squares of the residuals of some rows under the estimates without them, to first order.
-fn left_out(found: &Minimum, normal: &DMatrix<f64>, first: usize, rows: usize) -> Option<f64> {
-    let jacobian = found.jacobian.rows(first, rows).into_owned();
-    let residuals = found.residuals.rows(first, rows).into_owned();
-    let weights = found.weights.rows(first, rows).into_owned();
+/// Returns the root of the mean square of the distances of a case, m, under the estimates without its rows, to first order.
+fn left_out(
+    model: &Model,
+    case: &Case,
+    found: &Minimum,
+    normal: &DMatrix<f64>,
+    rows: Range<usize>,
+) -> Option<f64> {
+    let (first, n) = (rows.start, rows.len());
+    let jacobian = found.jacobian.rows(first, n).into_owned();
+    let residuals = found.residuals.rows(first, n).into_owned();
+    let weights = found.weights.rows(first, n).into_owned();
     let weighted = weigh(&jacobian, &weights);
     let without = normal - weighted.transpose() * &jacobian;
     // Without these rows the gradient is minus their own.
     let step = without
         .cholesky()?
         .solve(&(weighted.transpose() * &residuals));
-    Some((residuals + jacobian * step).norm_squared())
+    let residuals = residuals + jacobian * step;
+    let (mut squares, mut n, mut row) = (0.0, 0, 0);
+    for sight in &case.sights {
+        if sight.position.is_some() {
+            squares += residuals.rows(row, 3).norm_squared();
+            n += 1;
+            row += 3;
+        }
+        row += 3 * usize::from(sight.orientation.is_some());
+    }
+    (n > 0).then(|| model.sigma.place * (squares / f64::from(n)).sqrt())
 }
 
-/// Returns the combinations of parameters along which the residuals do not change.
-fn undetermined(model: &Model, jacobian: &DMatrix<f64>, at: &[f64]) -> Vec<Undetermined> {
-    // Along the logarithms of the parameters, so that products and quotients are directions; a parameter of zero has none.
-    let mut relative = jacobian.clone();
-    for (j, mut column) in relative.column_iter_mut().enumerate() {
-        if at[j] != 0.0 {
-            column *= at[j];
+/// Returns the combinations of parameters along which the residuals do not change, and then those along which they hardly do, the worst
+/// first.
+///
+/// Both are directions in the logarithms of the parameters, so that products and quotients are directions. The second ones are axes of the
+/// covariance of the logarithms of parameters that are positive throughout: others have no such scale.
+fn undetermined(model: &Model, found: &Minimum, scatter: f64) -> Vec<Undetermined> {
+    let free = model.parameters;
+    let n = free.len();
+    let mut relative = weigh(&found.jacobian, &found.weights.map(f64::sqrt));
+    for (mut column, at) in relative.column_iter_mut().zip(&found.at) {
+        if *at != 0.0 {
+            column *= *at;
         }
     }
     let svd = relative.svd(false, true);
     let Some(directions) = svd.v_t else {
         return Vec::new();
     };
-    let most = svd.singular_values.max();
-    (0..directions.nrows())
-        .filter(|&k| !(svd.singular_values[k] > UNDETERMINED * most))
-        .map(|k| {
-            let row = directions.row(k);
-            let largest = (0..row.len()).max_by(|&i, &j| row[i].abs().total_cmp(&row[j].abs()));
-            let largest = row[largest.unwrap_or(0)];
-            let exponents = (model.parameters.iter().zip(row.iter()))
+    let combination = |parts: &[f64], standard_error: Option<f64>| {
+        let largest = (parts.iter().copied())
+            .max_by(|a, b| a.abs().total_cmp(&b.abs()))
+            .unwrap_or(1.0);
+        Undetermined {
+            exponents: (free.iter().zip(parts))
                 .map(|(own, part)| (own.key.clone(), part / largest))
-                .filter(|(_, part)| part.abs() > 1e-3)
-                .collect();
-            Undetermined { exponents }
-        })
-        .collect()
+                .filter(|(_, part)| part.abs() > SMALL_EXPONENT)
+                .collect(),
+            standard_error: standard_error.map(|error| error * largest.abs()),
+        }
+    };
+    let most = svd.singular_values.max();
+    let mut out = Vec::new();
+    let mut covariance = DMatrix::zeros(n, n);
+    for (direction, &value) in directions.row_iter().zip(&svd.singular_values) {
+        if value > UNDETERMINED * most {
+            covariance += direction.tr_mul(&direction) * (scatter / value).powi(2);
+        } else {
+            let parts: Vec<f64> = direction.iter().copied().collect();
+            out.push(combination(&parts, None));
+        }
+    }
+    if covariance.iter().any(|part| !part.is_finite()) {
+        return out;
+    }
+    let positive: Vec<usize> = (0..n).filter(|&i| free[i].bounds[0] > 0.0).collect();
+    if positive.is_empty() {
+        return out;
+    }
+    let axes = (covariance.select_rows(&positive))
+        .select_columns(&positive)
+        .symmetric_eigen();
+    let mut hardly: Vec<(f64, Vec<f64>)> =
+        (axes.eigenvalues.iter().zip(axes.eigenvectors.column_iter()))
+            .map(|(square, axis)| {
+                let mut parts = vec![0.0; n];
+                for (&i, part) in positive.iter().zip(axis.iter()) {
+                    parts[i] = *part;
+                }
+                (square.max(0.0).sqrt(), parts)
+            })
+            .filter(|(error, _)| 2.0 * error > HARDLY_DETERMINED)
+            .collect();
+    hardly.sort_by(|a, b| b.0.total_cmp(&a.0));
+    out.extend((hardly.iter()).map(|(error, parts)| combination(parts, Some(*error))));
+    out
+}
+
+/// Returns the pairs of outliers at one time that are none if their markers are exchanged, among the places of a case.
+fn exchanged(seen: &[ResidualRow], limit: f64) -> Vec<Exchanged> {
+    let off = |measured: &ResidualRow, predicted: &ResidualRow| {
+        let from = measured.measured()?;
+        Some((Vector3::from(predicted.predicted()) - Vector3::from(from)).norm())
+    };
+    let is_far = |row: &&ResidualRow| row.off_m.is_some_and(|off| off > limit);
+    let outliers: Vec<&ResidualRow> = seen.iter().filter(is_far).collect();
+    let mut out = Vec::new();
+    for (i, a) in outliers.iter().enumerate() {
+        let same_time = |b: &&&ResidualRow| b.t_s == a.t_s;
+        for b in outliers[..i].iter().rev().take_while(same_time) {
+            let (Some(own), Some(others)) = (
+                b.off_m.zip(a.off_m).map(<[f64; 2]>::from),
+                off(a, b).zip(off(b, a)).map(<[f64; 2]>::from),
+            ) else {
+                continue;
+            };
+            if others.iter().all(|off| *off <= limit) {
+                out.push(Exchanged {
+                    case: a.case.clone(),
+                    t_s: a.t_s,
+                    markers: [b.marker.clone(), a.marker.clone()],
+                    off_m: own,
+                    exchanged_off_m: others,
+                });
+            }
+        }
+    }
+    out
 }

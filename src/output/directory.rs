@@ -114,7 +114,13 @@ impl ResultKind {
                 "report.html",
                 SUMMARY,
             ],
-            Self::Fit => &["scene.toml", "residuals.csv", SUMMARY],
+            Self::Fit => &[
+                "scene.toml",
+                "trajectory.npz",
+                "residuals.csv",
+                "report.html",
+                SUMMARY,
+            ],
         }
     }
 
@@ -149,7 +155,7 @@ impl ResultKind {
         if !directory.is_dir() {
             return Err(OutputError::refused(
                 directory,
-                "no such directory; name the result directory of a simulate, solve, mpc or equilibrium",
+                "no such directory; name the result directory of a simulate, solve, mpc, tradeoff, equilibrium or fit",
             ));
         }
         let path = directory.join(SUMMARY);
@@ -169,7 +175,7 @@ impl ResultKind {
         let Some(kind) = Self::of_summary(&summary) else {
             return Err(OutputError::malformed(
                 &path,
-                "not the summary of a simulate, solve, mpc, tradeoff or equilibrium of softarm",
+                "not the summary of a simulate, solve, mpc, tradeoff, equilibrium or fit of softarm",
             ));
         };
         if summary["status"] == UNFINISHED {

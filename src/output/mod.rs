@@ -24,6 +24,8 @@ mod reading;
 #[cfg(feature = "cli")]
 pub(crate) mod replace;
 mod report;
+#[cfg(feature = "cli")]
+mod residuals;
 mod rows;
 mod running;
 #[doc(hidden)]
@@ -51,9 +53,9 @@ pub(crate) use report::Columns;
 pub use report::{
     ArrowKind, Bound, Facts, Hold, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportChart,
     ReportCheck, ReportClock, ReportCommand, ReportControls, ReportCurve, ReportData, ReportEnergy,
-    ReportField, ReportFields, ReportIteration, ReportMotion, ReportObstacle, ReportObstacles,
-    ReportPath, ReportRoute, ReportSensitivity, ReportShape, ReportTable, ReportTarget,
-    ReportVerdict, ReportVia, Words, figure, render_report,
+    ReportField, ReportFields, ReportIteration, ReportMark, ReportMotion, ReportObstacle,
+    ReportObstacles, ReportPath, ReportRoute, ReportSensitivity, ReportShape, ReportTable,
+    ReportTarget, ReportVerdict, ReportVia, Words, figure, render_report,
 };
 #[cfg(feature = "cli")]
 #[doc(hidden)]
@@ -63,6 +65,8 @@ pub use report::{
 };
 #[cfg(feature = "cli")]
 pub(crate) use report::{PAGE_STYLE, fill, scene_differences};
+#[cfg(feature = "cli")]
+pub(crate) use residuals::{ResidualRow, read_residuals, write_residuals};
 #[doc(hidden)]
 pub use rows::{ArrayView, RowFiles, RowPrefix, row_bytes};
 #[cfg(feature = "cli")]

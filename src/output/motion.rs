@@ -54,6 +54,28 @@ impl MotionRecord {
         self.dilatation.extend(dilatation);
     }
 
+    /// Appends a shape at rest: `number` stands in the place of the time, and the loads of `rod` are those at `time` seconds.
+    #[cfg(feature = "cli")]
+    pub(crate) fn push_at_rest(
+        &mut self,
+        number: f64,
+        rod: &crate::mechanics::Rod,
+        shape: &crate::mechanics::Configuration,
+        time: f64,
+    ) {
+        let state = State::at_rest(shape.clone());
+        let tip = rod.tip();
+        let mut wrench = Wrench::default();
+        for load in rod.loads.iter().filter(|load| load.node == tip) {
+            let acting = load.wrench(time, &shape.rotations[tip]);
+            wrench.force += acting.force;
+            wrench.moment += acting.moment;
+        }
+        let energy = Energy::of(rod, &state);
+        let dilatation = rod.dilatation(&shape.positions);
+        self.push_state(number, &state, &wrench, &energy, &dilatation);
+    }
+
     /// Creates a record without rows.
     pub fn empty(n_nodes: usize) -> Self {
         Self {

@@ -52,6 +52,9 @@ pub struct ReportData {
     pub target: Option<ReportTarget>,
     /// Points that nodes should be at on the way.
     pub via: Vec<ReportVia>,
+    /// Markers on the arm, where they were measured and predicted.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub marks: Vec<ReportMark>,
     /// Paths that nodes should follow.
     pub paths: Vec<ReportPath>,
     /// Forces and moments at the frames of the motion.
@@ -93,10 +96,12 @@ impl ReportData {
             motion,
             clock: match command {
                 ReportCommand::Equilibrium => ReportClock::load_factor(),
+                ReportCommand::Fit => ReportClock::shape(),
                 _ => ReportClock::time(),
             },
             target: None,
             via: Vec::new(),
+            marks: Vec::new(),
             paths: Vec::new(),
             arrows: Vec::new(),
             routes: Vec::new(),
@@ -123,6 +128,8 @@ pub enum ReportCommand {
     Mpc,
     /// Statics over a load factor.
     Equilibrium,
+    /// Numbers of a scene from measurements.
+    Fit,
 }
 
 /// The quantity over which a motion is shown.
@@ -155,6 +162,16 @@ impl ReportClock {
             name: "load factor",
             words: "the load factor",
             symbol: "\u{3bb}",
+            unit: "",
+        }
+    }
+
+    /// The number of a measured shape.
+    pub fn shape() -> Self {
+        Self {
+            name: "shape",
+            words: "the shapes",
+            symbol: "shape",
             unit: "",
         }
     }
@@ -197,6 +214,9 @@ pub struct ReportMotion {
     pub d1: Vec<Vec<[f32; 3]>>,
     /// `[n]` tip positions in meters, in full precision for the distance to the target.
     pub tip: Vec<[f64; 3]>,
+    /// `[n]` names of the frames, where these are shapes with nothing between them; empty for a motion.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub names: Vec<String>,
 }
 
 /// Last decimal of a position in the picture, over the power of ten of the largest.
@@ -244,6 +264,7 @@ impl ReportMotion {
                 .iter()
                 .map(|&row| [0, 1, 2].map(|part| record.x[((row + 1) * nodes - 1) * 3 + part]))
                 .collect(),
+            names: Vec::new(),
         }
     }
 }
@@ -268,6 +289,21 @@ pub struct ReportVia {
     pub t: f64,
     /// Position in meters.
     pub position: [f64; 3],
+}
+
+/// A marker on the arm in one frame, measured and predicted.
+#[derive(Debug, Clone, Serialize)]
+pub struct ReportMark {
+    /// The frame.
+    pub frame: usize,
+    /// Name of the marker.
+    pub name: String,
+    /// Measured place in meters.
+    pub measured: [f64; 3],
+    /// Predicted place in meters.
+    pub predicted: [f64; 3],
+    /// Tells whether it is an outlier.
+    pub outlier: bool,
 }
 
 /// The quantity that an arrow shows.
@@ -519,6 +555,9 @@ pub struct ReportCurve {
     pub band: Vec<f64>,
     /// Tells whether the curve is dashed: a reference, beside the actual values.
     pub dashed: bool,
+    /// Tells whether its values are dots without lines between them: measurements.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub dots: bool,
 }
 
 /// Sizes beside each other, as bars.

@@ -7,7 +7,7 @@ use super::statics::{Statics, StaticsOptions};
 use crate::mechanics::diagnostics::ElementStress;
 use crate::mechanics::rotation::{quaternion, wxyz};
 use crate::mechanics::{
-    Configuration, Critical, Energy, Kept, LoadedShape, Loss, Rod, Stability, State, Varied, Wrench,
+    Configuration, Critical, Energy, Kept, LoadedShape, Loss, Rod, Stability, State, Varied,
 };
 use crate::output::summary::{Range, SCHEMA_VERSION, TOOL, TipPose};
 use crate::output::{MotionRecord, OutputError, ResultDirectory};
@@ -308,23 +308,7 @@ pub(crate) fn sweep_record(
 ) -> MotionRecord {
     let mut record = MotionRecord::empty(found.rod.n_nodes());
     for LoadedShape { factor, shape, .. } in &found.sweep {
-        let rod = rod_at(*factor);
-        let state = State::at_rest(shape.clone());
-        let tip = rod.tip();
-        let mut wrench = Wrench::default();
-        for load in rod.loads.iter().filter(|load| load.node == tip) {
-            let acting = load.wrench(time, &shape.rotations[tip]);
-            wrench.force += acting.force;
-            wrench.moment += acting.moment;
-        }
-        let energy = Energy::of(&rod, &state);
-        record.push_state(
-            *factor,
-            &state,
-            &wrench,
-            &energy,
-            &rod.dilatation(&shape.positions),
-        );
+        record.push_at_rest(*factor, &rod_at(*factor), shape, time);
     }
     record
 }

@@ -37,7 +37,7 @@ pub(crate) use self::{
     equilibrium::{EquilibriumSummary, sweep_record, write_tables},
     examined::Examined,
     files::publish,
-    page::{SavedError, SavedPage, equilibrium_page, findings, saved_page},
+    page::{SavedError, SavedPage, equilibrium_page, findings, fit_page, saved_page},
     recheck::{RecheckError, SavedSolution, VerifySummary, read_coefficients},
     simulation::{End, Simulated, SimulationError, SimulationEvent, SimulationRun},
     step_kind::{help, legend},

@@ -541,12 +541,29 @@ fn pages_work_in_a_browser() {
         "--quiet",
     ]);
     desk.done(&["equilibrium", "sag.toml", "--out", "rests", "--quiet"]);
+    let shapes = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/examples/data/soromox-shapes.toml"
+    );
+    let modulus = "rod.material.youngs_modulus_pa";
+    let fit = [
+        "fit",
+        "soromox-tendons",
+        "--data",
+        shapes,
+        "--free",
+        modulus,
+        "--out",
+        "fit",
+    ];
+    desk.done(&[&fit[..], &["--quiet"]].concat());
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/report_page.py");
     let pages = [
         "run/report.html",
         "comparison.html",
         "loop/report.html",
         "rests/report.html",
+        "fit/report.html",
     ];
     let started = Command::new("python3")
         .arg(script)
@@ -561,7 +578,7 @@ fn pages_work_in_a_browser() {
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}{errors}");
     assert!(
-        said.contains("16 passed, 0 failed") || said.contains("skipped"),
+        said.contains("20 passed, 0 failed") || said.contains("skipped"),
         "{said}{errors}"
     );
 }

@@ -249,6 +249,28 @@ function armPieces(stage, run) {
     }
   }
 
+  /** Markers of the shape that is shown, measured and predicted, with their names; those of the others are faint. */
+  function marks(pieces) {
+    const now = indexAt(times, clock.now), own = run.marks.filter((mark) => mark.frame === now);
+    for (const mark of run.marks) {
+      const shown = mark.frame === now;
+      const [measured, predicted] = [project(mark.measured), project(mark.predicted)];
+      const color = mark.outlier ? colors.bad : colors.target;
+      pieces.push({
+        // On top of the arm: they are what the picture is about.
+        depth: shown ? -Infinity : measured.depth,
+        draw() {
+          context.globalAlpha = shown ? 1 : 0.3;
+          line(measured, predicted, color, mark.outlier ? 2.4 : 1.6);
+          disc(predicted, 3.2, colors.ink, colors.card, 1);
+          disc(measured, shown ? 5.5 : 4, null, color, 2);
+          context.globalAlpha = 1;
+          if (shown && own.length <= 12 && !COMPARING) label(mark.name, { x: measured.x + 8, y: measured.y }, measured, colors.ink, 8);
+        },
+      });
+    }
+  }
+
   function goal(pieces) {
     if (!target) return;
     const place = isPoint(target.position) ? target.position : motion.tip[frames - 1];
@@ -283,7 +305,7 @@ function armPieces(stage, run) {
     });
   }
 
-  return { run, frames, nodes, times, thickening, hasRadius: largest > 0, configuration, ghost, tube, routes, plate, tipPath, references, goal };
+  return { run, frames, nodes, times, thickening, hasRadius: largest > 0, configuration, ghost, tube, routes, plate, tipPath, references, marks, goal };
 }
 
 // ---------------------------------------------------------------- forces and moments as arrows

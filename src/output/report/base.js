@@ -86,9 +86,13 @@ const runs = COMPARING
   ? data.runs.map((run, i) => ({ ...run.data, name: run.name, color: RUN_COLORS[i % RUN_COLORS.length] }))
   : [{ ...data, name: data.title, color: 'arm' }];
 
-/** What the times of the motions are: the time, or the load factor of statics. */
+/** What the times of the motions are: the time, the load factor of statics, or the number of a shape, with names and nothing in between. */
 const CLOCK = runs[0].clock;
+const NAMED = Boolean(runs[0].motion.names);
 const clockText = (t, text = format(t)) => `${CLOCK.symbol} = ${text}${CLOCK.unit ? ' ' + CLOCK.unit : ''}`;
+
+/** Name of a run's frame at a time. */
+const nameAt = ({ motion }, t) => motion.names[indexAt(motion.t, t)];
 
 /** Position of a run's tip at a time. */
 function tipAt({ motion }, t) {
@@ -97,16 +101,18 @@ function tipAt({ motion }, t) {
 }
 
 /**
- * The most telling instant: the end of a motion with a target, or else when a node is farthest from where it began; of several runs,
+ * The most telling instant: of a fit the shape with the marker that is farthest off, the end of a motion with a target, or else when a node is farthest from where it began; of several runs,
  * when the tips are farthest from that of the first.
  */
 function tellingInstant() {
-  const { motion, target, via } = runs[0];
+  const { motion, target, via, marks } = runs[0];
   if (COMPARING) {
     const apart = (t) => Math.max(...runs.map((run) => norm(sub(tipAt(run, t), tipAt(runs[0], t)))));
     const best = motion.t.reduce((best, t) => apart(t) > apart(best) ? t : best, motion.t[0] ?? 0);
     if (apart(best) > 0) return best;
   }
+  const apart = ({ measured, predicted }) => norm(sub(measured, predicted));
+  if (marks) return motion.t[marks.reduce((worst, mark) => apart(mark) > apart(worst) ? mark : worst).frame];
   const last = motion.t.length - 1;
   if (target || via.length || last < 1) return motion.t[last] ?? 0;
   let best = last, most = -1;
@@ -124,14 +130,14 @@ const clock = {
   now: 0,
   listeners: [],
   set(t) {
-    this.now = clamp(t, this.first, this.last);
+    this.now = clamp(NAMED ? Math.round(t) : t, this.first, this.last);
     for (const listener of this.listeners) listener(this.now);
   },
 };
 
 // ---------------------------------------------------------------- header
 
-const VERBS = { simulate: 'simulation', solve: 'optimal control', mpc: 'closed loop', equilibrium: 'statics' };
+const VERBS = { simulate: 'simulation', solve: 'optimal control', mpc: 'closed loop', equilibrium: 'statics', fit: 'fit to measurements' };
 
 /** Keys that the head of a comparison names. */
 const MOST_CHANGES = 4;
@@ -171,7 +177,7 @@ let colors = {};
 const themeListeners = [];
 function readColors() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ['ink', 'soft', 'x', 'y', 'z', 'path', 'target', 'view-top', 'view-bottom', 'card', 'line', 'force', 'moment', 'field', 'weight', 'load'])
+  for (const name of ['ink', 'soft', 'bad', 'x', 'y', 'z', 'path', 'target', 'view-top', 'view-bottom', 'card', 'line', 'force', 'moment', 'field', 'weight', 'load'])
     colors[name] = style.getPropertyValue('--' + name).trim();
   for (const name of ['arm', 'stripe', 'plate', 'ground', 'ghost', 'payload', 'tendon', 'chamber', 'muscle', 'magnet', 'cable', 'rim', ...BODY_COLORS, ...RUN_COLORS])
     colors[name] = style.getPropertyValue('--' + name).trim().split(/\s+/).map(Number);

@@ -155,11 +155,12 @@ function lineChart(spec) {
 
   function curve(s, px, py, f) {
     let path = '', pen = false, marks = '';
-    const marked = s.y.length === 1 || (spec.x.whole && s.y.length <= 80);
+    const marked = s.dots || s.y.length === 1 || (spec.x.whole && s.y.length <= 80);
     s.y.forEach((v, i) => {
       if (!isNumber(v) || !isNumber(s.x[i])) { pen = false; return; }
       const column = f(px(s.x[i])), row = f(py(v));
-      if (s.hold) path += `${pen ? 'V' + row : `M${column},${row}`}H${f(px(s.x[i + 1]))}`;
+      if (s.dots) path += '';
+      else if (s.hold) path += `${pen ? 'V' + row : `M${column},${row}`}H${f(px(s.x[i + 1]))}`;
       else path += `${pen ? 'L' : 'M'}${column},${row}`;
       pen = true;
       const alone = !s.hold && !isNumber(s.y[i - 1]) && !isNumber(s.y[i + 1]);
@@ -330,10 +331,12 @@ function timeCharts() {
 }
 
 function moreCharts() {
+  const remark = (number) => NAMED ? ` \u00b7 ${nameAt(runs[0], number)}` : '';
   for (const title of new Set(data.charts.map((chart) => chart.section)))
     chartSection(title, data.charts.filter((chart) => chart.section === title).map((chart) => ({
-      title: chart.title, unit: chart.unit, x: { name: chart.x_name, unit: chart.x_unit }, synchronized: chart.x_name === CLOCK.name,
-      zero: chart.x_name !== CLOCK.name, exact: chart.x_name !== CLOCK.name,
+      title: chart.title, unit: chart.unit, x: { name: chart.x_name, unit: chart.x_unit, whole: NAMED && chart.x_name === CLOCK.name }, synchronized: chart.x_name === CLOCK.name,
+      // Of a fit, distances begin at zero, and places over time do not.
+      zero: data.command === 'fit' ? chart.section === 'Residuals' : chart.x_name !== CLOCK.name, exact: chart.x_name !== CLOCK.name, remark,
       series: chart.series.map((s) => ({ ...s, color: `var(--${s.color})`, wide: s.color === 'norm' })),
     })));
 }

@@ -75,12 +75,14 @@ pub struct Compared {
 }
 
 /// Fields that come first, in this order; the others that differ follow in a table of their own.
-const FIRST: [&str; 28] = [
+const FIRST: [&str; 30] = [
     "status",
     "check.verdict",
     "objective",
     "iterations",
     "wall_s",
+    "rms_m",
+    "scatter_m",
     "tip_error_m",
     "tip_angle_rad",
     "tip_speed_m_s",

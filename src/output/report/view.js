@@ -14,7 +14,7 @@ function armView() {
   // Everything that is drawn: the motion, bases, targets, points on the way, paths, and of the obstacles what is near. A corner of a large
   // body is no reason to look from afar.
   const points = moving.concat(shown.flatMap((run) => [
-    run.arm.base, run.target && run.target.position, ...run.via.map((via) => via.position)]).filter(isPoint));
+    run.arm.base, run.target && run.target.position, ...run.via.map((via) => via.position), ...(run.marks || []).map((mark) => mark.measured)]).filter(isPoint));
   const counted = points.length;
   points.push(...shown.flatMap((run) => run.paths.flatMap((path) => path.x)).filter(isPoint));
   const box = (some) => [0, 1, 2].map((i) => some.reduce(([a, b], p) => [Math.min(a, p[i]), Math.max(b, p[i])], [Infinity, -Infinity]));
@@ -85,11 +85,12 @@ function armView() {
     if (showBodies) allBodies(pieces);
     for (const arm of arms) {
       const [first, last] = [arm.times[0], arm.times[arm.frames - 1]];
-      if (stroboscope) for (let i = 0; i <= 6; i++) arm.ghost(first + (last - first) * i / 6, 0.13, pieces);
+      if (stroboscope) for (const t of NAMED ? arm.times : [0, 1, 2, 3, 4, 5, 6].map((i) => first + (last - first) * i / 6)) arm.ghost(t, 0.13, pieces);
       arm.tube(clock.now, pieces);
       if (showRoutes) arm.routes(clock.now, pieces);
-      arm.tipPath(pieces);
+      if (!NAMED) arm.tipPath(pieces);
       arm.references(pieces);
+      if (arm.run.marks) arm.marks(pieces);
       arm.goal(pieces);
       arm.plate(pieces, bodies.length > 0);
     }
@@ -187,7 +188,7 @@ function armView() {
     if (t >= clock.last) setPlaying(false); else requestAnimationFrame(tick);
   }
   function setPlaying(on) {
-    playing = on && moves;
+    playing = on && moves && !NAMED;
     play.textContent = playing ? '\u275a\u275a Pause' : '\u25b6 Play';
     if (!playing) return;
     if (clock.now >= clock.last) clock.set(clock.first);
@@ -215,13 +216,13 @@ function armView() {
   clock.listeners.push((t) => {
     slider.value = duration > 0 ? (t - clock.first) / duration * 1000 : 0;
     slider.setAttribute('aria-valuetext', clockText(t));
-    readout.textContent = clockText(t, minus(t.toFixed(digits)));
+    readout.textContent = NAMED ? `${t}: ${nameAt(arms[0].run, t)}` : clockText(t, minus(t.toFixed(digits)));
     redraw();
   });
 
   const bar = el('div', { class: 'bar' });
-  if (moves) bar.append(play, slider, readout, el('label', { htmlFor: 'speed', class: 'hidden' }, 'Speed'), speed,
-    pressed('Stroboscope', stroboscope, (on) => { stroboscope = on; }));
+  if (moves) bar.append(...(NAMED ? [slider, readout] : [play, slider, readout, el('label', { htmlFor: 'speed', class: 'hidden' }, 'Speed'), speed]),
+    pressed(NAMED ? 'All shapes' : 'Stroboscope', stroboscope, (on) => { stroboscope = on; }));
   if (arrows.any) bar.append(pressed('Forces', true, (on) => { showArrows = on; }));
   if (shown.some((run) => run.routes)) bar.append(pressed('Actuators', true, (on) => { showRoutes = on; }));
   if (bodies.length) bar.append(pressed('Obstacles', true, (on) => { showBodies = on; }));
@@ -243,7 +244,9 @@ function pictureKey(stage, arms, arrows, moves) {
   const key = el('div', { class: 'key' });
   const has = (of) => arms.some(({ run }) => of(run));
   if (COMPARING) key.append(...arms.map(({ run }) => block(run.color, run.name)));
-  else if (moves) key.append(entry('var(--path)', 'path of the tip'));
+  else if (moves && !NAMED) key.append(entry('var(--path)', 'path of the tip'));
+  if (has((run) => run.marks)) key.append(entry('var(--target)', 'rings: measured markers; dots: predicted'));
+  if (has((run) => run.marks && run.marks.some((mark) => mark.outlier))) key.append(entry('var(--bad)', 'outliers'));
   const most = Math.max(...runs.map((run) => run.paths.length));
   if (most) key.append(entry('var(--target)', most > 1 ? 'paths to follow' : 'path to follow'));
   if (has((run) => run.target)) key.append(entry('var(--target)', 'target'));

@@ -290,7 +290,7 @@ fn sentence(clauses: &[&str]) -> String {
     plain(&out)
 }
 
-/// A curve: `name: color | column of x | column of y`, and behind these `hold`, `dashed`, and `band` with a column.
+/// A curve: `name: color | column of x | column of y`, and behind these `hold`, `dashed`, `dots`, and `band` with a column.
 fn curve(row: Row, columns: &Columns) -> Result<ReportCurve, Error> {
     let column = |name: &str| {
         (columns.get(name).cloned()).ok_or_else(|| fault(format!("no column `{name}` to draw")))
@@ -302,6 +302,7 @@ fn curve(row: Row, columns: &Columns) -> Result<ReportCurve, Error> {
         hold: false,
         band: Vec::new(),
         dashed: false,
+        dots: false,
         name: row.name,
     };
     for option in row.cells.iter().skip(3) {
@@ -309,6 +310,7 @@ fn curve(row: Row, columns: &Columns) -> Result<ReportCurve, Error> {
             Some(("band", name)) => curve.band = column(name)?,
             _ if option == "hold" => curve.hold = true,
             _ if option == "dashed" => curve.dashed = true,
+            _ if option == "dots" => curve.dots = true,
             _ => return Err(fault(format!("no curve is `{option}`"))),
         }
     }
@@ -380,7 +382,8 @@ fn measure(value: f64, unit: &str, digits: usize) -> String {
 /// The templates, and what they may call.
 ///
 /// Filters: `number` (NaN for what is none), `figure(digits)`, `m(unit)` (three digits and a unit), `percent`, `vector`, `significant`
-/// (without rounding of other components), `size` (Euclidean norm), `counted(noun)`, `words` (of a key or a number), `fixed(decimals)`, `power(decimals)` (as in 1.5e-3).
+/// (without rounding of other components), `size` (Euclidean norm), `exp`, `counted(noun)`, `words` (of a key or a number),
+/// `fixed(decimals)`, `power(decimals)` (as in 1.5e-3).
 /// The test `known` holds for finite numbers.
 fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment<'static>, Error> {
     let mut out = Environment::new();
@@ -427,6 +430,7 @@ fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment
     out.add_filter("m", |v: Value, unit: String, digits: Option<usize>| {
         measure(number(&v), &unit, digits.unwrap_or(3))
     });
+    out.add_filter("exp", |v: Value| number(&v).exp());
     out.add_filter("percent", |v: Value| measure(100.0 * number(&v), "%", 3));
     out.add_filter("vector", |v: Value| {
         let [x, y, z] = vector(&v).map(|part| figure(part, 3));

@@ -12,6 +12,8 @@ mod equilibrium;
 mod fields;
 #[cfg(feature = "cli")]
 mod findings;
+#[cfg(feature = "cli")]
+mod fit;
 mod obstacles;
 mod reaction;
 #[cfg(feature = "cli")]
@@ -26,6 +28,7 @@ pub(crate) use self::{
     closed_loop::closed_loop_page,
     equilibrium::equilibrium_page,
     findings::findings,
+    fit::fit_page,
     saved::{SavedError, SavedPage, saved_page},
     simulation::simulation_page,
 };
@@ -45,10 +48,11 @@ const FRAMES: usize = 240;
 const ROWS: usize = 600;
 
 /// The templates by their names.
-const TEMPLATES: [(&str, &str); 5] = [
+const TEMPLATES: [(&str, &str); 6] = [
     ("arm.jinja", include_str!("arm.jinja")),
     ("closed_loop.jinja", include_str!("closed_loop.jinja")),
     ("equilibrium.jinja", include_str!("equilibrium.jinja")),
+    ("fit.jinja", include_str!("fit.jinja")),
     ("simulation.jinja", include_str!("simulation.jinja")),
     ("solve.jinja", include_str!("solve.jinja")),
 ];

@@ -4,16 +4,17 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::{closed_loop_page, equilibrium_page, sensitivity, simulation_page, solve};
+use super::{closed_loop_page, equilibrium_page, fit_page, sensitivity, simulation_page, solve};
 use crate::control::OptimalControlProblem;
-use crate::mechanics::Wrench;
+use crate::mechanics::{Rod, Wrench};
 use crate::output::closed_loop::read_samples;
 use crate::output::{
     BaseReaction, MotionRecord, OutputError, ReportData, ReportIteration, ResultKind,
-    ThinnedMotion, read_controls, read_efforts, read_sensitivity, read_text,
+    ThinnedMotion, read_controls, read_efforts, read_residuals, read_sensitivity, read_text,
 };
 use crate::scene::{LARGEST_SCENE, Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;
+use crate::task::Arm;
 
 /// Why a page cannot be made of a result directory.
 #[derive(Debug, thiserror::Error)]
@@ -57,7 +58,8 @@ pub(crate) fn saved_page(directory: &Path, stop: &StopSignal) -> Result<SavedPag
         ResultKind::Simulate => files.simulation(),
         ResultKind::Mpc => files.closed_loop(),
         ResultKind::Equilibrium => files.equilibrium(),
-        ResultKind::Tradeoff | ResultKind::Fit => Err(SavedError::Output(OutputError::Refused {
+        ResultKind::Fit => files.fit(),
+        ResultKind::Tradeoff => Err(SavedError::Output(OutputError::Refused {
             path: directory.to_path_buf(),
             reason: format!("a result of {}, which has no motion", kind.command()),
         })),
@@ -153,9 +155,7 @@ impl Files<'_> {
     }
 
     fn equilibrium(&self) -> Result<ReportData, SavedError> {
-        let arm = self.scene.arm(self.source)?;
-        let rod = (arm.rod(&self.scene.discretization()))
-            .map_err(|error| self.scene.discretize_error(self.source, error.into()))?;
+        let (arm, rod) = self.rod()?;
         let most = (self.summary["sweep"].as_array()).map_or(0, Vec::len);
         let record = self.motion(most, rod.n_nodes(), |n| (0..n).collect())?;
         Ok(equilibrium_page(
@@ -165,6 +165,27 @@ impl Files<'_> {
             &record,
             self.summary,
         )?)
+    }
+
+    fn fit(&self) -> Result<ReportData, SavedError> {
+        let (arm, rod) = self.rod()?;
+        let most = (self.summary["cases"].as_array()).map_or(0, Vec::len);
+        let shapes = if self.directory.join("trajectory.npz").is_file() {
+            self.motion(most, rod.n_nodes(), |n| (0..n).collect())?
+        } else {
+            MotionRecord::empty(rod.n_nodes())
+        };
+        let rows = read_residuals(&self.directory.join("residuals.csv"))?;
+        let (scene, summary) = (self.scene, self.summary);
+        Ok(fit_page(scene, &arm, &rod, &shapes, &rows, summary)?)
+    }
+
+    /// The arm of the scene and its rod.
+    fn rod(&self) -> Result<(Arm, Rod), SavedError> {
+        let arm = self.scene.arm(self.source)?;
+        let rod = (arm.rod(&self.scene.discretization()))
+            .map_err(|error| self.scene.discretize_error(self.source, error.into()))?;
+        Ok((arm, rod))
     }
 
     /// Some of at most so many rows of the motion of an arm of so many nodes.
