@@ -349,7 +349,7 @@ def test_arms_of_a_batch_with_values_of_their_own():
         alone = scene.replace({key: modulus}).plant()
         state = alone.state
         moved = (state.x + [0.0, 0.1 * index, 0.0], state.R)
-        alone.set_state(*moved)
+        alone.set_state(moved)
         arms.set_state(index, *moved)
         alone.step(0.02)
         arms.step(0.02)
