@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -282,8 +281,8 @@ def test_many_arms_move_like_one():
         arms.reset([5])
 
 
-def test_an_interrupt_ends_a_solve_with_its_partial_result():
-    scene = sa.Scene.load("reach-3d").replace({"rod.elements": 60, "task.at_rest": False})
+def partial_after_an_interrupt(verb):
+    """Sends SIGINT to a verb after its first event, and returns the result that it leaves."""
     begun = threading.Event()
 
     def interrupt():
@@ -293,9 +292,14 @@ def test_an_interrupt_ends_a_solve_with_its_partial_result():
     thread = threading.Thread(target=interrupt)
     thread.start()
     with pytest.raises(KeyboardInterrupt) as caught:
-        scene.solve(on_event=lambda event: begun.set())
+        verb(on_event=lambda event: begun.set())
     thread.join()
-    assert caught.value.partial.status == "interrupted"
+    return caught.value.partial
+
+
+def test_an_interrupt_ends_a_solve_with_its_partial_result():
+    scene = sa.Scene.load("reach-3d").replace({"rod.elements": 60, "task.at_rest": False})
+    assert partial_after_an_interrupt(scene.solve).status == "interrupted"
 
 
 def interrupted_after(seconds, work):
@@ -308,18 +312,7 @@ def interrupted_after(seconds, work):
 
 
 def test_an_interrupt_ends_a_loop_with_its_partial_result():
-    begun = threading.Event()
-
-    def interrupt():
-        begun.wait(60)
-        signal.raise_signal(signal.SIGINT)
-
-    thread = threading.Thread(target=interrupt)
-    thread.start()
-    with pytest.raises(KeyboardInterrupt) as caught:
-        sa.Scene.load("mpc-push").mpc(on_event=lambda event: begun.set())
-    thread.join()
-    partial = caught.value.partial
+    partial = partial_after_an_interrupt(sa.Scene.load("mpc-push").mpc)
     assert partial.status == "interrupted" and len(partial.table("samples.csv")) > 0
 
 

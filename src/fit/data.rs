@@ -104,7 +104,7 @@ pub struct Free {
     pub prior_sigma: Option<f64>,
 }
 
-/// What was measured of one marker at one time, the place or the orientation at least.
+/// A measured pose of one marker at one time: its place, its orientation, or both.
 #[derive(Clone, Debug)]
 pub struct Sight {
     /// Index of the marker.

@@ -300,9 +300,9 @@ fn number(table: &toml::Table, key: &str) -> Option<f64> {
 /// Standard deviations of the noise.
 #[derive(Clone, Copy)]
 struct Sigma {
-    /// Of a coordinate, m.
+    /// Standard deviation of a coordinate, m.
     place: f64,
-    /// Of an orientation about an axis, rad.
+    /// Standard deviation of an orientation about an axis, rad.
     angle: f64,
 }
 

@@ -149,9 +149,9 @@ pub struct CaseSummary {
 /// Sums of squares of distances and angles.
 #[derive(Clone, Copy, Default)]
 struct Squares {
-    /// Of distances, m², and their number.
+    /// Sum of the squares of distances, m², and their number.
     places: (f64, usize),
-    /// Of angles, rad², and their number.
+    /// Sum of the squares of angles, rad², and their number.
     angles: (f64, usize),
 }
 

@@ -24,7 +24,7 @@ const LARGEST_ROTATION_DEFECT: f64 = 1e-3;
 
 /// Largest distance of a measured position from the base, divided by the arm's length: that of an arm that is stretched to twice its
 /// length, where no elastic law of the model holds.
-const FARTHEST: f64 = 2.0;
+pub(in crate::mpc) const FARTHEST: f64 = 2.0;
 
 /// Compares measurements with estimates, in memory that is reused.
 #[derive(Debug)]

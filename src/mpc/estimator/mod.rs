@@ -23,7 +23,7 @@ use super::signal::Measurement;
 use crate::control::rounding_of;
 use crate::mechanics::{Rod, State, StepError, Wrench};
 
-mod comparison;
+pub(super) mod comparison;
 mod covariance;
 mod gate;
 mod inbox;

@@ -7,6 +7,7 @@ use crate::control::rounding_of;
 use crate::mechanics::rod::BaseCondition;
 use crate::mechanics::rotation::{log, orthonormalized};
 use crate::mechanics::{Configuration, Rod, State};
+use crate::mpc::estimator::comparison::FARTHEST;
 use crate::mpc::sensor::SensorSettings;
 use crate::mpc::signal::{Measurement, Reading, Signal};
 
@@ -45,9 +46,6 @@ const BETTER_FIT: f64 = 0.05;
 /// Largest distance of the base from the clamp of the model, divided by the length: as far as an arm that stays may be from its place by
 /// default (`task.stays_m`).
 const FARTHEST_BASE: f64 = 0.01;
-
-/// Farthest that a position may be from the clamp, in lengths of the arm, as for an estimator.
-const FARTHEST: f64 = 2.0;
 
 /// The motion of all nodes: momenta, or velocities.
 struct Moving {
