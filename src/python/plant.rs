@@ -90,68 +90,88 @@ struct Arm {
     state: State,
     /// Time, s.
     time: f64,
-    memory: Option<StepperMemory>,
+    /// Memory of the motion before, and the length of its steps, s.
+    memory: Option<(f64, StepperMemory)>,
 }
 
 /// Wrenches and efforts that act on an arm over a call, beside the loads of its scene: at its start and at its end, linear in between.
-#[derive(Clone, Default)]
+#[derive(Default)]
 struct Acting {
-    /// A wrench on every node, or none.
+    /// Nodes with a wrench, in their order.
+    nodes: Vec<usize>,
+    /// A wrench on each of these nodes.
     wrenches: [Vec<Wrench>; 2],
     /// An effort of every actuator, or none: then those of the scene act.
     efforts: [Vec<f64>; 2],
 }
 
+impl Acting {
+    /// Lets wrenches act on the nodes from `first` on, six numbers each: force (spatial, N) and moment (body frame, N m). Nodes without any
+    /// are left out.
+    fn on(&mut self, first: usize, from: &[f64], to: &[f64]) {
+        for (node, (from, to)) in (first..).zip(from.chunks_exact(6).zip(to.chunks_exact(6))) {
+            if from.iter().chain(to).any(|&number| number != 0.0) {
+                self.nodes.push(node);
+                self.wrenches[0].push(wrench(from));
+                self.wrenches[1].push(wrench(to));
+            }
+        }
+    }
+}
+
 /// Wrenches and efforts at one time, in the order of a [signal](NodeWrenches).
-struct Packed {
-    nodes: Vec<usize>,
+#[derive(Clone)]
+struct Packed<'a> {
+    acting: &'a Acting,
     wrenches: Vec<Wrench>,
     efforts: Option<Efforts>,
 }
 
-impl Packed {
+impl<'a> Packed<'a> {
+    fn new(acting: &'a Acting) -> Self {
+        let m = acting.efforts[0].len();
+        Self {
+            acting,
+            wrenches: Vec::with_capacity(acting.nodes.len() + m.div_ceil(6)),
+            efforts: (m > 0).then(|| Efforts {
+                actuators: (0..m).collect(),
+                first: acting.nodes.len(),
+                places: (0..m).collect(),
+            }),
+        }
+    }
+
     /// Packs what acts after a part of the call, at the time `t`. The given efforts of the scene add up with those of a signal, which has
     /// the differences.
-    fn at(rod: &Rod, acting: &Acting, part: f64, t: f64) -> Self {
+    fn pack(&mut self, rod: &Rod, part: f64, t: f64) {
         let between = |a: f64, b: f64| a + (b - a) * part;
-        let [from, to] = &acting.wrenches;
-        let mut wrenches: Vec<Wrench> = (from.iter().zip(to))
-            .map(|(from, to)| Wrench {
+        self.wrenches.clear();
+        let [from, to] = &self.acting.wrenches;
+        self.wrenches
+            .extend(from.iter().zip(to).map(|(from, to)| Wrench {
                 force: from.force.zip_map(&to.force, between),
                 moment: from.moment.zip_map(&to.moment, between),
-            })
-            .collect();
-        let nodes: Vec<usize> = (0..wrenches.len()).collect();
-        let [from, to] = &acting.efforts;
-        let efforts = (!from.is_empty()).then(|| {
+            }));
+        let [from, to] = &self.acting.efforts;
+        if !from.is_empty() {
             let given = rod.actuators.efforts(t);
             let more: Vec<f64> = (from.iter().zip(to).zip(given))
                 .map(|((from, to), given)| between(*from, *to) - given)
                 .collect();
             for six in more.chunks(6) {
                 let at = |i: usize| six.get(i).copied().unwrap_or(0.0);
-                wrenches.push(Wrench {
+                self.wrenches.push(Wrench {
                     force: Vector3::from_fn(|i, _| at(i)),
                     moment: Vector3::from_fn(|i, _| at(3 + i)),
                 });
             }
-            Efforts {
-                actuators: (0..more.len()).collect(),
-                first: nodes.len(),
-                places: (0..more.len()).collect(),
-            }
-        });
-        Self {
-            nodes,
-            wrenches,
-            efforts,
         }
     }
 
     fn view(&self) -> NodeWrenches<'_> {
         NodeWrenches {
             efforts: self.efforts.as_ref(),
-            ..NodeWrenches::on(&self.nodes, &self.wrenches)
+            ..NodeWrenches::on(&self.acting.nodes, &self.wrenches)
         }
     }
 }
@@ -208,29 +228,30 @@ impl Arm {
         goes_on: &mut dyn FnMut() -> bool,
     ) -> Result<(), Halt> {
         let rod = Arc::clone(&self.rod);
-        let mut memory = match self.memory.take() {
-            Some(memory) => memory,
+        let memory = match self.memory.take() {
+            Some((same, memory)) if same == step => memory,
+            Some((_, mut memory)) => {
+                memory.retune(&rod, step);
+                memory
+            }
             None => StepperMemory::new(&rod, step),
         };
-        memory.retune(&rod, step);
         let mut stepper: Stepper<'_> = memory.begin(&rod, self.time, &self.state);
-        let mut now = Packed::at(&rod, acting, 0.0, self.time);
+        let mut now = Packed::new(acting);
+        now.pack(&rod, 0.0, self.time);
+        let mut next = now.clone();
         for k in 1..=n {
-            let next = Packed::at(
-                &rod,
-                acting,
-                k as f64 / n as f64,
-                self.time + k as f64 * step,
-            );
+            let t = self.time + k as f64 * step;
+            next.pack(&rod, k as f64 / n as f64, t);
             (stepper.advance([now.view(), next.view()])).map_err(Halt::Broken)?;
             if !goes_on() {
                 return Err(Halt::Interrupted);
             }
-            now = next;
+            std::mem::swap(&mut now, &mut next);
         }
         stepper.write_state(&mut self.state);
         self.time += n as f64 * step;
-        self.memory = Some(stepper.into_memory());
+        self.memory = Some((step, stepper.into_memory()));
         Ok(())
     }
 }
@@ -292,11 +313,6 @@ impl Kind {
         }
         let grid = TimeGrid::covering(dt, self.longest_step, 1);
         Ok((grid.n_steps, grid.step))
-    }
-
-    fn wrenches(&self, name: &str, array: &Numbers<'_>) -> PyResult<Vec<Wrench>> {
-        let numbers = numbers(name, array, &[self.rod.n_nodes(), 6])?;
-        Ok(numbers.chunks_exact(6).map(wrench).collect())
     }
 
     fn efforts(&self, name: &str, array: &Numbers<'_>) -> PyResult<Vec<f64>> {
@@ -452,9 +468,11 @@ impl Plant {
         let kind = &self.kind;
         let mut acting = Acting::default();
         if let Some(own) = &wrenches {
-            let from = kind.wrenches("wrenches", own)?;
-            let to = wrenches_to.map(|own| kind.wrenches("wrenches_to", &own));
-            acting.wrenches = [from.clone(), to.transpose()?.unwrap_or(from)];
+            let size = [kind.rod.n_nodes(), 6];
+            let from = numbers("wrenches", own, &size)?;
+            let to = wrenches_to.map(|own| numbers("wrenches_to", &own, &size));
+            let to = to.transpose()?;
+            acting.on(0, &from, to.as_ref().unwrap_or(&from));
         }
         if let Some(own) = &efforts {
             let from = kind.efforts("efforts", own)?;
@@ -688,9 +706,7 @@ impl Batch {
                 // Of one arm: the last of its nodes, or all.
                 let size = own.len() / n;
                 let own = &own[size * index..size * (index + 1)];
-                let mut all = vec![Wrench::default(); nodes - size / 6];
-                all.extend(own.chunks_exact(6).map(wrench));
-                acting.wrenches = [all.clone(), all];
+                acting.on(nodes - size / 6, own, own);
             }
             if let Some(own) = &efforts {
                 let own = own[m * index..m * (index + 1)].to_vec();
