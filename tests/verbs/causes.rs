@@ -245,6 +245,12 @@ fn what_is_hardly_meant_is_named() {
             scene(1e6, 1000.0, 1.0, 1000.0 * unit),
             Some("load.0.moment_n_m: "),
         ),
+        (
+            scene(1e6, 1000.0, 1.0, 0.0)
+                + "[[tendon]]\noffset_m = [0.02, 0.0]\nprofile = [[0.0, 1.0]]\n\
+                   [[tendon]]\noffset_m = [20.0, 0.0]\nprofile = [[0.0, 1.0]]\n",
+            Some("tendon.1.offset_m: "),
+        ),
     ] {
         let (code, summary, said) = run("check", &text, &[]);
         assert_eq!(code, DONE, "{said}");

@@ -11,6 +11,8 @@ use crate::scene::{Load, Scene};
 const MANY_TURNS: f64 = 20.0;
 /// Stretch of a rod under a force above which rod models are not valid.
 const LARGE_STRAIN: f64 = 0.3;
+/// Distance of an actuator from the axis, in lengths of the arm, above which it is probably a mistake.
+const FAR_ASIDE: f64 = 0.25;
 
 /// A value, the range of real values, and the names of the range's ends.
 struct Figure {
@@ -94,6 +96,35 @@ pub(super) fn hardly_meant(scene: &Scene, rod: &Rod) -> Vec<String> {
         .collect();
     let loads = (scene.load.iter().enumerate()).filter_map(|(index, load)| heavy(index, load, rod));
     out.extend(loads);
+    out.extend(far_aside(scene, length));
+    out
+}
+
+/// Describes the places of actuators that are too far from the axis of an arm of this length, m.
+fn far_aside(scene: &Scene, length: f64) -> Vec<String> {
+    let mut out = Vec::new();
+    let mut look = |name: &str, places: Vec<[[f64; 2]; 2]>| {
+        for (index, ends) in places.into_iter().enumerate() {
+            let far = ends
+                .map(|[x, y]| x.hypot(y))
+                .into_iter()
+                .fold(0.0, f64::max)
+                / length;
+            if far > FAR_ASIDE {
+                out.push(format!(
+                    "{name}.{index}.offset_m: {far:.3e} lengths of the arm beside its axis are hardly meant (at most {FAR_ASIDE}); look for a \
+                     unit that was mistaken"
+                ));
+            }
+        }
+    };
+    let ends = |from: [f64; 2], to: Option<[f64; 2]>| [from, to.unwrap_or(from)];
+    let tendons = scene.tendon.iter().map(|t| ends(t.offset_m, t.offset_to_m));
+    look("tendon", tendons.collect());
+    let chambers = (scene.chamber.iter()).map(|c| ends(c.offset_m, c.offset_to_m));
+    look("chamber", chambers.collect());
+    let muscles = (scene.muscle.iter()).map(|m| ends(m.offset_m, m.offset_to_m));
+    look("muscle", muscles.collect());
     out
 }
 
