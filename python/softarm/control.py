@@ -93,6 +93,11 @@ class Command:
         return self.answer["fallback"]
 
     @property
+    def seconds(self) -> float:
+        """Time that this sample took, s, its preparation after the sample before included. More than the controller's `period` is an overrun."""
+        return sum(took for phase, took in self.answer["phases_s"].items() if phase != "read")
+
+    @property
     def innovation(self) -> dict[str, Any] | None:
         """With an estimator: how far the last measurement was from what it expected, and how many signals of it were refused."""
         return self.answer["innovation"]
