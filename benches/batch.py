@@ -1,11 +1,16 @@
-"""How many actions a second do arms of a batch take, and how many a rod of PyElastica in the same process?
+"""How many actions a second do arms of a batch take, and how many those of PyElastica and SoRoMoX in the same process?
 
-    pip install . pyelastica
+    pip install . pyelastica soromox
     python benches/batch.py [ARMS]
 
 An arm of 0.3 m, radius 10 mm and 1 MPa is pushed aside by a force on its tip for actions of 10 ms. Rates are the best of five runs of 50 actions,
 on a machine that should do nothing else; the error is that of the tip after 50 actions, against 80 elements, in lengths of the arm. PyElastica
 takes the longest of the steps tried that stays stable; softarm takes the step that it chooses itself, and the longest as well.
+
+SoRoMoX runs on the CPU alone, compiled and warm, in float64; no GPU is measured, for which it is made as well. Its arm is one link of variable
+strain, of order 2 in bending: with bending alone, the fastest choice of those tried, or with constant twist, stretch and shear too, which have the
+stiffness of the others. Steps are those of its semi-implicit Euler method, the fewest an action that stay stable, from a velocity half a step
+earlier. Its arms are mapped by `vmap` and shared among two CPU devices if their number is even; XLA may use two threads for one arm.
 """
 
 import sys
@@ -17,6 +22,7 @@ import softarm as sa
 
 ACTION, ACTIONS, RUNS = 0.01, 50, 5
 STEPS = (20, 50, 100, 200, 500)
+SOROMOX = {"bending": ([0, 1, 1, 0, 0, 0], 2), "all strains": ([1, 1, 1, 1, 1, 1], 9)}
 LENGTH, RADIUS, MODULUS, DENSITY, VISCOUS, FORCE = 0.3, 0.01, 1e6, 1000.0, 2.0, 0.1
 
 
@@ -68,6 +74,57 @@ def of_elastica(elements, steps):
     return ACTIONS / least, tip
 
 
+def soromox_arm(strains):
+    """The arm as one link of SoRoMoX with these of its strains (twist, two of bending, stretch, two of shear), along z by default."""
+    import jax.numpy as jnp
+    from soromox.systems import GVS, GVSSegment, JointSpec, LinkSpec, StrainBasisSpec
+
+    link = LinkSpec.circular(
+        length=LENGTH, radius=RADIUS, density=DENSITY, young_modulus=MODULUS, shear_modulus=MODULUS / 3.0, reference_strain=[0, 0, 0, 1, 0, 0]
+    )
+    basis = StrainBasisSpec(type="legendre", strain_selector=strains, basis_order=[0, 2, 2, 0, 0, 0])
+    segment = GVSSegment(link=link, joint=JointSpec.fixed(), basis=basis, num_gauss_points=5)
+    return GVS.from_segments([segment], gravity=jnp.zeros(3))
+
+
+def of_soromox(strains, steps, arms, devices):
+    """Actions a second of all arms with as many steps an action, and where a tip ends."""
+    import jax
+    import jax.numpy as jnp
+    from jax.sharding import NamedSharding, PartitionSpec
+
+    robot, h = soromox_arm(strains), ACTION / steps
+
+    def acceleration(q, v, force):
+        load = robot.jacobian_tips(q)[-1, 3:].T @ force
+        # Damping in proportion to the mass, -VISCOUS M v, is this acceleration.
+        return robot.forward_dynamics(0.0, jnp.concatenate([q, v]), (None, load))[q.size :] - VISCOUS * v
+
+    def step(state, force):
+        q, v = state
+        v = v + h * acceleration(q, v, force)
+        return q + h * v, v
+
+    def action(state, force):
+        return jax.lax.fori_loop(0, steps, lambda _, state: step(state, force), state)
+
+    each = PartitionSpec("arms")
+    mesh = jax.sharding.Mesh(np.array(jax.devices()[:devices]), ("arms",))
+    act = jax.jit(jax.shard_map(jax.vmap(action), mesh=mesh, in_specs=(each, each), out_specs=each, check_vma=False))
+    force, rest = jnp.array([FORCE, 0.0, 0.0]), jnp.zeros(robot.num_internal_dofs)
+    earlier = -h / 2 * jax.jit(acceleration)(rest, rest, force)
+    start, forces = jax.device_put(((jnp.tile(rest, (arms, 1)), jnp.tile(earlier, (arms, 1))), jnp.tile(force, (arms, 1))), NamedSharding(mesh, each))
+    jax.block_until_ready(act(start, forces))
+    least = np.inf
+    for _ in range(RUNS):
+        state, begun = start, time.perf_counter()
+        for _ in range(ACTIONS):
+            state = act(state, forces)
+        jax.block_until_ready(state)
+        least = min(least, time.perf_counter() - begun)
+    return arms * ACTIONS / least, np.asarray(robot.forward_kinematics(np.asarray(state[0])[0], jnp.asarray(LENGTH)))[:3, 3]
+
+
 def main(arms=64):
     _, best = of_softarm(80, 1, 1)
     print("| program | elements | arms | threads | actions/s | error / length |\n|---|---|---|---|---|---|")
@@ -80,6 +137,11 @@ def main(arms=64):
         for n, threads in ((1, 1), (arms, 1), (arms, 2)):
             name = "softarm" if steps is None else f"softarm, {steps} steps an action"
             row(name, 10, n, threads, of_softarm(10, n, threads, steps))
+    rows_of_elastica(row)
+    rows_of_soromox(row, arms)
+
+
+def rows_of_elastica(row):
     try:
         import elastica  # noqa: F401
     except ImportError:
@@ -92,6 +154,23 @@ def main(arms=64):
             if np.isfinite(found[1]).all() and np.linalg.norm(found[1]) < 2 * LENGTH:
                 row(f"PyElastica, {steps} steps an action", elements, 1, 1, found)
                 break
+
+
+def rows_of_soromox(row, arms):
+    try:
+        import jax
+
+        # JAX takes these before anything else uses it; SoRoMoX does so when it is imported.
+        jax.config.update("jax_num_cpu_devices", 2)
+        jax.config.update("jax_enable_x64", True)
+        jax.config.update("jax_platforms", "cpu")
+        import soromox  # noqa: F401
+    except ImportError:
+        print("skipped: SoRoMoX, not installed", file=sys.stderr)
+        return
+    for kind, n in (("bending", 1), ("bending", arms), ("all strains", arms)):
+        strains, steps = SOROMOX[kind]
+        row(f"SoRoMoX, {kind}, {steps} steps an action", 1, n, 2, of_soromox(strains, steps, n, 1 + (n % 2 == 0)))
 
 
 if __name__ == "__main__":
