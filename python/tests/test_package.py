@@ -15,6 +15,15 @@ import pytest
 
 import softarm as sa
 
+
+@pytest.fixture(autouse=True)
+def interrupts_are_heard():
+    """A process in the background ignores SIGINT from its start, and Python leaves it at that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 SHORT = {"time.end_s": 0.05}
 
 
