@@ -118,6 +118,12 @@ impl Div for Dual {
 
 type Vector = [Dual; 3];
 
+/// Returns the vector of three entries. `map` of an array is compiled as a call that moves its entries through memory.
+#[inline(always)]
+fn vector(entry: impl Fn(usize) -> Dual) -> Vector {
+    [entry(0), entry(1), entry(2)]
+}
+
 #[inline(always)]
 fn cross(a: &Vector, b: &Vector) -> Vector {
     [
@@ -134,7 +140,7 @@ fn dot(a: &Vector, b: &Vector) -> Dual {
 
 #[inline(always)]
 fn times(a: &Vector, factor: Dual) -> Vector {
-    a.map(|x| x * factor)
+    vector(|i| a[i] * factor)
 }
 
 /// Returns `½ Σ stiffness_i (strain_i - rest_i)²`.
@@ -248,8 +254,8 @@ pub(super) fn coordinate(
             out.slope[i] = 1.0;
             out
         };
-        let v: Vector = [0, 1, 2].map(|i| of(i, 3 * end + i));
-        let kappa: Vector = [0, 1, 2].map(|i| of(3 + i, 6 + i));
+        let v: Vector = vector(|i| of(i, 3 * end + i));
+        let kappa: Vector = vector(|i| of(3 + i, 6 + i));
         let own = along_line(point, &v, &kappa).scale(0.5 * point.weight);
         value += own.value;
         for i in 0..3 {
@@ -267,7 +273,7 @@ pub(super) fn of_pose(
     x: &Vector3<f64>,
     r: &Matrix3<f64>,
 ) -> (f64, [Vector3<f64>; 2]) {
-    let position: Vector = [0, 1, 2].map(|i| {
+    let position: Vector = vector(|i| {
         let mut out = Dual::constant(x[i]);
         out.slope[i] = 1.0;
         out
@@ -275,7 +281,7 @@ pub(super) fn of_pose(
     // R exp(ζ̂) v = R v + R (ζ × v)
     let turned = |v: &Vector3<f64>| -> Vector {
         let (value, slope) = (r * v, r * v.cross_matrix());
-        [0, 1, 2].map(|i| {
+        vector(|i| {
             let mut out = Dual::constant(value[i]);
             for j in 0..3 {
                 out.slope[3 + j] = -slope[(i, j)];
@@ -290,16 +296,16 @@ pub(super) fn of_pose(
             gradient,
             center,
         }) => {
-            let from = [0, 1, 2].map(|i| position[i] - Dual::constant(center[i]));
-            let field = [0, 1, 2].map(|i| {
-                let slope = [0, 1, 2].map(|j| Dual::constant(gradient[(i, j)]));
+            let from = vector(|i| position[i] - Dual::constant(center[i]));
+            let field = vector(|i| {
+                let slope = vector(|j| Dual::constant(gradient[(i, j)]));
                 Dual::constant(field[i]) + dot(&slope, &from)
             });
             dot(&turned(moment), &field)
         }
         OfPose::Cable(Cable { offset, anchor }) => {
             let lever = turned(offset);
-            let way = [0, 1, 2].map(|i| position[i] + lever[i] - Dual::constant(anchor[i]));
+            let way = vector(|i| position[i] + lever[i] - Dual::constant(anchor[i]));
             -dot(&way, &way).sqrt()
         }
         OfPose::Touch(touch) => {
@@ -324,10 +330,10 @@ pub(super) fn of_pose(
 
 /// Returns the density of an actuator, of the tangent `p = v + κ × d + d'` of its line and of the twist.
 fn along_line(point: &PlacedPoint, v: &Vector, kappa: &Vector) -> Dual {
-    let constant = |[x, y]: [f64; 2]| [x, y, 0.0].map(Dual::constant);
+    let constant = |[x, y]: [f64; 2]| vector(|i| Dual::constant([x, y, 0.0][i]));
     let turned = cross(kappa, &constant(point.offset));
     let slope = constant(point.slope);
-    let p: Vector = [0, 1, 2].map(|i| v[i] + turned[i] + slope[i]);
+    let p: Vector = vector(|i| v[i] + turned[i] + slope[i]);
     let stretch = dot(&p, &p).sqrt();
     match point.density {
         Density::Shortening => -stretch,
@@ -424,18 +430,22 @@ impl Strain {
                 let turned = cross(&psi, &near);
                 let twice = cross(&psi, &turned);
                 let c = t.chain(c, c_slope);
-                let strain: Vector = [0, 1, 2]
-                    .map(|i| (near[i] - turned[i].scale(0.5) + c * twice[i]).scale(inverse_length));
+                let strain: Vector = vector(|i| {
+                    (near[i] - turned[i].scale(0.5) + c * twice[i]).scale(inverse_length)
+                });
                 Self {
                     linear: [strain; 2],
-                    curvature: psi.map(|p| p.scale(inverse_length)),
+                    curvature: vector(|i| psi[i].scale(inverse_length)),
                 }
             }
             StrainRule::Trapezoidal => {
                 let far = end_difference(relative);
                 Self {
-                    linear: [near, far].map(|d| d.map(|x| x.scale(inverse_length))),
-                    curvature: v.map(|x| (x / w).scale(2.0 * inverse_length)),
+                    linear: [
+                        vector(|i| near[i].scale(inverse_length)),
+                        vector(|i| far[i].scale(inverse_length)),
+                    ],
+                    curvature: vector(|i| (v[i] / w).scale(2.0 * inverse_length)),
                 }
             }
         }
@@ -445,10 +455,11 @@ impl Strain {
 #[inline(always)]
 fn energy(element: &Element, rule: StrainRule, relative: &Relative) -> Dual {
     let Strain { linear, curvature } = Strain::of(element.length, rule, relative);
-    let [near, far] = [0, 1].map(|end| {
+    let side = |end: usize| {
         let rest = &element.rest.linear[end];
         quadratic(&linear[end], rest, &element.linear_stiffness)
-    });
+    };
+    let (near, far) = (side(0), side(1));
     let angular = quadratic(
         &curvature,
         &element.rest.curvature,
@@ -479,7 +490,7 @@ fn density(element: &Element, strain: &Vector, linear: Dual, angular: Dual) -> D
 /// Returns `y = R_aᵀ dx` with its derivatives.
 #[inline(always)]
 fn start_difference(y: &Vector3<f64>) -> Vector {
-    [0, 1, 2].map(|i| {
+    vector(|i| {
         let mut out = Dual::constant(y[i]);
         out.slope[i] = 1.0;
         out
@@ -493,7 +504,7 @@ fn end_difference(relative: &Relative) -> Vector {
     let y = turn.tr_mul(difference);
     // δ(Aᵀ y) = Aᵀ δy + (Aᵀ y) × η
     let turning = y.cross_matrix();
-    [0, 1, 2].map(|i| {
+    vector(|i| {
         let mut out = Dual::constant(y[i]);
         for j in 0..3 {
             out.slope[j] = turn[(j, i)];
