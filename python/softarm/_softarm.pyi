@@ -73,7 +73,7 @@ class Plant:
 
 @final
 class Batch:
-    """Many arms of one scene, which move at the same time on several threads."""
+    """Many arms of one scene, which move at the same time on several threads, as far as that is faster."""
 
     def __new__(
         cls,

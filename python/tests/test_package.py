@@ -272,17 +272,18 @@ def test_simulations_tell_their_progress(capsys):
 
 
 def test_many_arms_move_like_one():
+    """Calls are long enough for two threads."""
     scene = sa.Scene.load("swing")
     arms = sa.batch(scene, 5, threads=2)
     wrenches = np.zeros((5, 6))
     wrenches[:, 0] = np.linspace(0.0, 0.4, 5)
     for _ in range(3):
-        assert arms.step(0.01, wrenches) == [None] * 5
+        assert arms.step(0.1, wrenches) == [None] * 5
     alone = scene.plant()
     own = np.zeros((len(alone.places), 6))
     own[-1] = wrenches[3]
     for _ in range(3):
-        alone.step(0.01, own)
+        alone.step(0.1, own)
     assert np.array_equal(arms.positions[3], alone.state.x)
     # One arm breaks down; the others go on, and it returns by a reset.
     wrenches[1] = 1e9
@@ -357,11 +358,11 @@ def test_arms_of_a_batch_with_values_of_their_own():
         moved = (state.x + [0.0, 0.1 * index, 0.0], state.R)
         alone.set_state(moved)
         arms.set_state(index, *moved)
-        alone.step(0.02)
-        arms.step(0.02)
+        alone.step(0.1)
+        arms.step(0.1)
         assert np.array_equal(alone.state.x, arms.positions[index])
         arms.reset()
-    assert arms.step(0.02) == [None] * 3
+    assert arms.step(0.1) == [None] * 3
     with pytest.raises(ValueError, match="each of the 3 arms"):
         sa.batch(scene, 3, each={key: [1e6]})
     with pytest.raises(ValueError, match="as many nodes"):

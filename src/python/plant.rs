@@ -17,7 +17,8 @@ use crate::mechanics::energy::kinetic_energy;
 use crate::mechanics::rotation::{orthonormalized, stray};
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::{
-    Efforts, NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, TimeGrid, Wrench,
+    Efforts, NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, TimeGrid, TimeScheme,
+    Wrench,
 };
 use crate::mpc::Transfer;
 use crate::scene::{Scene, SceneSource};
@@ -30,6 +31,10 @@ const MOST_STEPS: f64 = 1e9;
 const NEARLY_A_ROTATION: f64 = 1e-6;
 /// Number of steps between two looks at the clock.
 const LOOK_EVERY: usize = 32;
+/// Least number of explicit steps of a node for which a thread is begun: some hundred microseconds, several times what beginning one takes.
+const STEPS_A_THREAD: usize = 2_000;
+/// Number of explicit steps of a node that take as long as an implicit one.
+const AS_LONG_AS_IMPLICIT: usize = 10;
 
 /// The reason why an arm does not get to the end of a call, and stays where it was.
 enum Halt {
@@ -550,7 +555,7 @@ fn rotation(node: usize, matrix: &Matrix3<f64>) -> PyResult<Matrix3<f64>> {
     Ok(orthonormalized(matrix))
 }
 
-/// Many arms of one scene, which move at the same time on several threads.
+/// Many arms of one scene, which move at the same time on several threads, as far as that is faster.
 ///
 /// `Batch(n, name, text=None, overrides=[], threads=None, each=None)`; `each` has for every arm the overrides of its own.
 #[pyclass(module = "softarm._softarm")]
@@ -714,7 +719,15 @@ impl Batch {
             }
             acting
         };
-        let share = n.div_ceil(self.threads).max(1);
+        let cost = match first.rod.scheme {
+            TimeScheme::Explicit => 1,
+            TimeScheme::Implicit => AS_LONG_AS_IMPLICIT,
+        };
+        let node_steps = (steps.iter()).fold(0_usize, |sum, (own, _)| {
+            sum.saturating_add(own.saturating_mul(cost * nodes))
+        });
+        let threads = self.threads.min(node_steps / STEPS_A_THREAD).max(1);
+        let share = n.div_ceil(threads);
         let (arms, errors) = (&mut self.arms, &mut self.errors);
         let stop = AtomicBool::new(false);
         let mut watch = Watch::new(&stop);
