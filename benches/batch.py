@@ -36,19 +36,25 @@ def scene(elements, steps=None):
     return sa.Scene(keys | {"time": {"end_s": 1.0, "integrator": "explicit"} | own})
 
 
+def rate(arms, begin, act, end=lambda state: None):
+    """Actions a second of all arms from what `begin` returns, the best of the runs, and the last state, for which `end` waits."""
+    least = np.inf
+    for _ in range(RUNS):
+        state, begun = begin(), time.perf_counter()
+        for _ in range(ACTIONS):
+            state = act(state)
+        end(state)
+        least = min(least, time.perf_counter() - begun)
+    return arms * ACTIONS / least, state
+
+
 def of_softarm(elements, arms, threads, steps=None):
     """Actions a second of all arms, and where a tip ends; with as many steps an action, or those that softarm chooses."""
     batch = sa.batch(scene(elements, steps), arms, threads=threads)
     wrenches = np.zeros((arms, 6))
     wrenches[:, 0] = FORCE
-    least = np.inf
-    for _ in range(RUNS):
-        batch.reset()
-        begun = time.perf_counter()
-        for _ in range(ACTIONS):
-            batch.step(ACTION, wrenches)
-        least = min(least, time.perf_counter() - begun)
-    return arms * ACTIONS / least, batch.positions[0, -1]
+    found, _ = rate(arms, batch.reset, lambda _: batch.step(ACTION, wrenches))
+    return found, batch.positions[0, -1]
 
 
 def of_elastica(elements, steps):
@@ -58,8 +64,9 @@ def of_elastica(elements, steps):
     class Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping):
         pass
 
-    least, tip, h = np.inf, None, ACTION / steps
-    for _ in range(RUNS):
+    h, stepper = ACTION / steps, ea.PositionVerlet()
+
+    def begin():
         simulator = Simulator()
         rod = ea.CosseratRod.straight_rod(
             elements, np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), LENGTH, RADIUS, DENSITY,
@@ -70,12 +77,16 @@ def of_elastica(elements, steps):
         simulator.add_forcing_to(rod).using(ea.EndpointForces, np.zeros(3), np.array([FORCE, 0.0, 0.0]), ramp_up_time=1e-12)
         simulator.dampen(rod).using(ea.AnalyticalLinearDamper, uniform_damping_constant=VISCOUS, time_step=h)
         simulator.finalize()
-        stepper, now = ea.PositionVerlet(), 0.0
-        begun = time.perf_counter()
-        for _ in range(ACTIONS * steps):
+        return rod, simulator, 0.0
+
+    def act(state):
+        rod, simulator, now = state
+        for _ in range(steps):
             now = stepper.step(simulator, now, h)
-        least, tip = min(least, time.perf_counter() - begun), rod.position_collection[:, -1].copy()
-    return ACTIONS / least, tip
+        return rod, simulator, now
+
+    found, (rod, _, _) = rate(1, begin, act)
+    return found, rod.position_collection[:, -1].copy()
 
 
 def soromox_arm(strains):
@@ -119,14 +130,8 @@ def of_soromox(strains, steps, arms, devices):
     earlier = -h / 2 * jax.jit(acceleration)(rest, rest, force)
     start, forces = jax.device_put(((jnp.tile(rest, (arms, 1)), jnp.tile(earlier, (arms, 1))), jnp.tile(force, (arms, 1))), NamedSharding(mesh, each))
     jax.block_until_ready(act(start, forces))
-    least = np.inf
-    for _ in range(RUNS):
-        state, begun = start, time.perf_counter()
-        for _ in range(ACTIONS):
-            state = act(state, forces)
-        jax.block_until_ready(state)
-        least = min(least, time.perf_counter() - begun)
-    return arms * ACTIONS / least, np.asarray(robot.forward_kinematics(np.asarray(state[0])[0], jnp.asarray(LENGTH)))[:3, 3]
+    found, state = rate(arms, lambda: start, lambda state: act(state, forces), jax.block_until_ready)
+    return found, np.asarray(robot.forward_kinematics(np.asarray(state[0])[0], jnp.asarray(LENGTH)))[:3, 3]
 
 
 def machine():
