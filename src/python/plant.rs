@@ -17,12 +17,12 @@ use crate::mechanics::energy::kinetic_energy;
 use crate::mechanics::rotation::{orthonormalized, stray};
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::{
-    Efforts, NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, TimeGrid, TimeScheme,
-    Wrench,
+    Efforts, NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, TimeGrid, Wrench,
 };
 use crate::mpc::Transfer;
 use crate::scene::{Scene, SceneSource};
 use crate::stop::StopSignal;
+use crate::task::prediction::simulation_seconds;
 
 /// Most time steps in one call, so that a mistaken `dt` does not hang the interpreter.
 const MOST_STEPS: f64 = 1e9;
@@ -31,10 +31,8 @@ const MOST_STEPS: f64 = 1e9;
 const NEARLY_A_ROTATION: f64 = 1e-6;
 /// Number of steps between two looks at the clock.
 const LOOK_EVERY: usize = 32;
-/// Least number of explicit steps of a node for which a thread is begun: some hundred microseconds, several times what beginning one takes.
-const STEPS_A_THREAD: usize = 2_000;
-/// Number of explicit steps of a node that take as long as an implicit one.
-const AS_LONG_AS_IMPLICIT: usize = 10;
+/// Least predicted time of the work of a thread, s: several times what beginning one takes.
+const WORTH_A_THREAD_S: f64 = 1e-4;
 
 /// The reason why an arm does not get to the end of a call, and stays where it was.
 enum Halt {
@@ -719,14 +717,13 @@ impl Batch {
             }
             acting
         };
-        let cost = match first.rod.scheme {
-            TimeScheme::Explicit => 1,
-            TimeScheme::Implicit => AS_LONG_AS_IMPLICIT,
-        };
-        let node_steps = (steps.iter()).fold(0_usize, |sum, (own, _)| {
-            sum.saturating_add(own.saturating_mul(cost * nodes))
-        });
-        let threads = self.threads.min(node_steps / STEPS_A_THREAD).max(1);
+        let seconds: f64 = (self.kinds.iter().zip(&steps))
+            .map(|(kind, (n, _))| simulation_seconds(&kind.rod, *n as f64))
+            .sum();
+        let threads = self
+            .threads
+            .min((seconds / WORTH_A_THREAD_S) as usize)
+            .max(1);
         let share = n.div_ceil(threads);
         let (arms, errors) = (&mut self.arms, &mut self.errors);
         let stop = AtomicBool::new(false);

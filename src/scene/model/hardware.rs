@@ -324,6 +324,14 @@ impl Common<'_> {
 }
 
 impl Scene {
+    /// The keys of the actuators in the arm, and the lines along which they lie.
+    pub(crate) fn routes(&self) -> impl Iterator<Item = (String, Route)> {
+        (self.hardware().into_iter()).map(|own| {
+            let EffortKeys { section, index, .. } = own.effort;
+            (format!("{section}.{index}"), own.route)
+        })
+    }
+
     /// The actuators in the arm: tendons, then chambers, then muscles.
     fn hardware(&self) -> Vec<Common<'_>> {
         let tendons = self.tendon.iter().enumerate().map(|(index, own)| {

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::Vector3;
 
-use crate::mechanics::Rod;
+use crate::mechanics::{Rod, Route};
 use crate::scene::{Load, Scene};
 
 /// Turns of a rod under a moment above which the moment is probably a mistake.
@@ -96,36 +96,21 @@ pub(super) fn hardly_meant(scene: &Scene, rod: &Rod) -> Vec<String> {
         .collect();
     let loads = (scene.load.iter().enumerate()).filter_map(|(index, load)| heavy(index, load, rod));
     out.extend(loads);
-    out.extend(far_aside(scene, length));
+    let routes = scene.routes();
+    out.extend(routes.filter_map(|(key, route)| far_aside(&key, &route, length)));
     out
 }
 
-/// Describes the places of actuators that are too far from the axis of an arm of this length, m.
-fn far_aside(scene: &Scene, length: f64) -> Vec<String> {
-    let mut out = Vec::new();
-    let mut look = |name: &str, places: Vec<[[f64; 2]; 2]>| {
-        for (index, ends) in places.into_iter().enumerate() {
-            let far = ends
-                .map(|[x, y]| x.hypot(y))
-                .into_iter()
-                .fold(0.0, f64::max)
-                / length;
-            if far > FAR_ASIDE {
-                out.push(format!(
-                    "{name}.{index}.offset_m: {far:.3e} lengths of the arm beside its axis are hardly meant (at most {FAR_ASIDE}); look for a \
-                     unit that was mistaken"
-                ));
-            }
-        }
-    };
-    let ends = |from: [f64; 2], to: Option<[f64; 2]>| [from, to.unwrap_or(from)];
-    let tendons = scene.tendon.iter().map(|t| ends(t.offset_m, t.offset_to_m));
-    look("tendon", tendons.collect());
-    let chambers = (scene.chamber.iter()).map(|c| ends(c.offset_m, c.offset_to_m));
-    look("chamber", chambers.collect());
-    let muscles = (scene.muscle.iter()).map(|m| ends(m.offset_m, m.offset_to_m));
-    look("muscle", muscles.collect());
-    out
+/// Describes an actuator that is too far from the axis of an arm of this length, m.
+fn far_aside(key: &str, route: &Route, length: f64) -> Option<String> {
+    let [from, to] = [route.offset_from, route.offset_to].map(|[x, y]| x.hypot(y));
+    let far = from.max(to) / length;
+    (far > FAR_ASIDE).then(|| {
+        format!(
+            "{key}.offset_m: {far:.3e} lengths of the arm beside its axis are hardly meant (at most {FAR_ASIDE}); look for a unit that was \
+             mistaken"
+        )
+    })
 }
 
 /// Describes the effect of a load on the arm if it exceeds the plausible range.
