@@ -325,6 +325,7 @@ impl Common<'_> {
 
 impl Scene {
     /// The keys of the actuators in the arm, and the lines along which they lie.
+    #[cfg(feature = "cli")]
     pub(crate) fn routes(&self) -> impl Iterator<Item = (String, Route)> {
         (self.hardware().into_iter()).map(|own| {
             let EffortKeys { section, index, .. } = own.effort;
