@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 import softarm as sa
+from softarm.mujoco import act, state
 
 SCENE = sa.Scene.load("mpc-track-circle").replace(
     {"estimator.kind": "none", "estimator.disturbances": [], "damping.viscous_1_s": 0.0, "damping.internal_s": 0.02}
@@ -36,28 +37,14 @@ def chain():
     return mujoco.MjModel.from_xml_string(text)
 
 
-def state(model, data):
-    """The state on the nodes of the controller's model."""
-    mujoco.mj_forward(model, data)
-    rates = np.zeros((N + 1, 6))
-    for node in range(N + 1):
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, node + 1, rates[node], 0)
-    R = data.xmat[1:].reshape(-1, 3, 3)
-    return sa.State(data.xpos[1:].copy(), R.copy(), rates[:, 3:].copy(), np.einsum("nji,nj->ni", R, rates[:, :3]))
-
-
 def main(duration=6.0):
-    controller, model, off = SCENE.controller(), chain(), []
-    data, steps = mujoco.MjData(model), round(controller.period / STEP)
-    for sample in range(round(duration / controller.period)):
-        command = controller.step(state(model, data))
+    controller, model, nodes, off = SCENE.controller(), chain(), range(1, N + 2), []
+    data = mujoco.MjData(model)
+    for _ in range(round(duration / controller.period)):
+        command = controller.step(state(model, data, nodes))
         off.append(np.linalg.norm(data.xpos[-1] - command.answer["tip"]["reference_m"]))
-        for k in range(sample * steps, (sample + 1) * steps):
-            if acting := controller.acting(k * STEP):
-                wrench = acting.wrenches_at(k * STEP)[1.0]
-                # MuJoCo takes a force at the middle of a body, and a moment in space.
-                arm, R = data.xpos[-1] - data.xipos[-1], data.xmat[-1].reshape(3, 3)
-                data.xfrc_applied[-1] = [*wrench[:3], *(R @ wrench[3:] + np.cross(arm, wrench[:3]))]
+        for _ in range(round(controller.period / STEP)):
+            act(controller, data, nodes)
             mujoco.mj_step(model, data)
     rms = np.sqrt(np.mean(np.square(off[len(off) // 3 :]))) / SCENE["rod.length_m"]  # the first turn does not count
     print(f"the tip is off its circle by {100 * rms:.3f} % of the length (rms)")

@@ -12,6 +12,7 @@ import pytest
 
 import softarm as sa
 from softarm import elastica, environments
+from softarm import mujoco as chains
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 NAMES = sorted(environments.TASKS)
@@ -33,7 +34,7 @@ class Short(environments.TendonTracking):
 
 
 def test_importing_softarm_needs_no_gymnasium():
-    words = "import softarm, softarm.environments, softarm.elastica, sys; sys.exit('gymnasium' in sys.modules)"
+    words = "import softarm, softarm.environments, softarm.elastica, softarm.mujoco, sys; sys.exit(bool({'gymnasium', 'mujoco'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", words]).returncode == 0
 
 
@@ -296,6 +297,40 @@ def test_a_rod_of_elastica_takes_a_state():
     assert np.array_equal(elastica.state(rod).x, plant.state.x)
     with pytest.raises(ValueError, match="5 elements"):
         elastica.put(rod, sa.State(*(own[::2] for own in plant.state)))
+
+
+def test_a_chain_of_mujoco_has_states_and_takes_wrenches():
+    """Velocities are differences of poses along the motion, and the power of forces in the chain's coordinates is that of wrenches on nodes."""
+    mujoco = pytest.importorskip("mujoco")
+    model = runpy.run_path(str(EXAMPLES / "plant_mujoco.py"))["chain"]()
+    data, nodes, dice = mujoco.MjData(model), [1, 2, 5, 11], np.random.default_rng(4)
+    data.qvel = dice.normal(size=model.nv)
+    mujoco.mj_integratePos(model, data.qpos, dice.normal(size=model.nv), 0.3)
+    now = chains.state(model, data, nodes)
+    later, dt = mujoco.MjData(model), 1e-7
+    later.qpos, later.qvel = data.qpos, data.qvel
+    mujoco.mj_integratePos(model, later.qpos, later.qvel, dt)
+    moved = chains.state(model, later, nodes)
+    assert np.abs((moved.x - now.x) / dt - now.v).max() < 1e-5
+    turned = np.einsum("nji,njk->nik", now.R, moved.R - now.R) / dt
+    assert np.abs(np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], axis=1) - now.w).max() < 1e-5
+    assert np.abs(now.w[1:]).min() > 1e-3  # the first body is fixed
+
+    wrenches = {0.0: dice.normal(size=6), 0.7: dice.normal(size=6), 1.0: dice.normal(size=6)}  # on the first, third and last of four
+    command = SimpleNamespace(wrenches_at=lambda time: wrenches)
+    data.xfrc_applied = dice.normal(size=data.xfrc_applied.shape)
+    elsewhere = [body for body in range(model.nbody) if body not in nodes]
+    data.xfrc_applied[elsewhere] = 0.0
+    chains.act(SimpleNamespace(acting=lambda time: command), data, nodes)
+    # All forces along the coordinates, less those without wrenches.
+    mujoco.mj_forward(model, data)
+    forces = data.qfrc_smooth.copy()
+    at = zip((0, 2, 3), wrenches.values(), strict=True)
+    power = sum(wrench[:3] @ now.v[node] + wrench[3:] @ now.w[node] for node, wrench in at)
+    chains.act(SimpleNamespace(acting=lambda time: None), data, nodes)
+    assert not data.xfrc_applied.any()
+    mujoco.mj_forward(model, data)
+    assert (forces - data.qfrc_smooth) @ data.qvel == pytest.approx(power, rel=1e-9)
 
 
 def test_stable_baselines_learn_on_many_arms(gymnasium):
