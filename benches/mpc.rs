@@ -108,6 +108,7 @@ fn noisy(mut scene: Experiment, estimator: EstimatorChoice, preset: SensorPreset
         sensors: vec![SensorChoice::Preset(preset)],
         estimator,
         elements: None,
+        step: None,
         seed: 1,
     };
     scene.settings.computing = Computing::Fixed(0.01);

@@ -324,7 +324,7 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
     let needed = setup.experiment.mpc.period;
     if summary.sample_s.p99 > needed {
         let most = if summary.estimate_s.p50 > 0.5 * summary.sample_s.p50 {
-            "most of it the estimator's: a smaller estimator.elements, "
+            "most of it the estimator's: a smaller estimator.elements, a longer estimator.step_s, "
         } else {
             ""
         };

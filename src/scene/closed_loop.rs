@@ -289,6 +289,9 @@ impl Scene {
         let message = error.to_string();
         match error {
             MpcError::Discretize(error) => Some(self.discretize_error(source, error.clone())),
+            MpcError::UnstableEstimator { .. } => {
+                Some(source.error_at("estimator.step_s", message, None))
+            }
             MpcError::Hold => Some(source.error_at("control.hold", message, None)),
             MpcError::Unsupported(_) => Some(source.error_at("mpc", message, None)),
             MpcError::Setting { name, .. } => {

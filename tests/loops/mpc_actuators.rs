@@ -17,6 +17,8 @@ use softarm::mpc::{
     RodPlant, Sensing, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
 };
 use softarm::mpc::{Disturbance, Estimator as _};
+use softarm::scene::Scene;
+use softarm::stop::StopSignal;
 use softarm::task::{ChannelLimits, Discretization, EffortControl, Place, WrenchActuator};
 
 /// A loop of tensions on its own model is the motion of a solve; some tensions are at a bound.
@@ -63,6 +65,7 @@ fn scene(hold: Hold) -> Experiment {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
         estimator: EstimatorChoice::Kalman(Unknowns::ALL),
         elements: None,
+        step: None,
         seed: 3,
     };
     scene.settings = LoopSettings {
@@ -229,6 +232,82 @@ fn wrong_arms_are_followed_by_tensions() {
         assert!(rms < 5e-3, "{hold:?}: {rms}");
         assert!(watch.n_bounded > 0);
     }
+}
+
+/// Loop of the steel arm of `knode-tendons`: its tip goes round, on an arm of nine tenths of the model's stiffness.
+fn steel(changes: &[&str]) -> Experiment {
+    let text = include_str!("../../examples/scenes/knode-tendons.toml");
+    let (arm, _) = text.split_once("[task]").unwrap();
+    let text = format!(
+        "{arm}
+[objective]
+rate = 0.003
+samples = 20
+[[objective.track]]
+circle = {{ center_m = [0.0, 0.0, 0.395], radius_m = 0.05, turn_s = 2.0, from_m = [0.0, 0.0, 0.395] }}
+[mpc]
+period_s = 0.02
+horizon_s = 0.24
+block_s = 0.04
+counted_from_s = 1.0
+[plant]
+stiffness_factor = 0.9
+[[sensor]]
+preset = \"mocap\"
+[estimator]
+kind = \"kalman\"
+disturbances = [\"tip_force\", \"distributed\", \"stiffness\"]
+"
+    );
+    let changes: Vec<String> = changes.iter().map(ToString::to_string).collect();
+    let (scene, source) = Scene::from_toml("scene", &text, &changes).unwrap();
+    (scene.closed_loop(&source, 1, &StopSignal::default()))
+        .unwrap()
+        .experiment
+}
+
+/// An arm so thin and stiff that the automatic step of its estimator, at which it could be bent into a circle, is some 700th of a sample: with
+/// steps of half a sample the tip is within a hundredth of the length of its path, and the innovations are as large as expected.
+#[test]
+fn estimators_of_thin_arms_take_long_steps() {
+    let changes = ["time.end_s=2", "time.step_s=0.02", "estimator.step_s=0.01"];
+    let scene = steel(&changes);
+    let run = scene.run(Contender::Mpc, &mut |_, _| ControlFlow::Continue(()));
+    let run = run.unwrap();
+    println!("{:?} {:?}", run.tip_error, run.tally.innovations);
+    assert!(run.broke_down.is_none() && run.tally.fallbacks.is_empty());
+    assert!(run.tip_error.rms < 0.01 * 0.4, "{:?}", run.tip_error);
+    assert!(!run.tally.innovations.unwrap().is_off);
+}
+
+/// Explicit steps of an estimator that would grow are refused, at their key and with the longest that are possible.
+#[test]
+fn unstable_steps_of_estimators_are_refused() {
+    let run = |step: &str| {
+        let changes = [
+            "time.integrator=\"explicit\"",
+            "time.step_s=\"auto\"",
+            "time.end_s=2.1",
+            step,
+        ];
+        let changes = changes.map(str::to_string);
+        let (scene, source) = Scene::load("mpc-track-circle", &changes).unwrap();
+        let setup = (scene.closed_loop(&source, 1, &StopSignal::default())).unwrap();
+        let experiment = &setup.experiment;
+        let run = experiment.run(Contender::Mpc, &mut |_, _| ControlFlow::Break(()));
+        run.map(drop)
+            .map_err(|error| (scene.mpc_error(&source, &error).unwrap().to_string(), error))
+    };
+    let (message, error) = run("estimator.step_s=1e-2").unwrap_err();
+    assert!(message.contains("estimator.step_s"), "{message}");
+    let MpcError::UnstableEstimator {
+        limit, automatic, ..
+    } = error
+    else {
+        panic!("{error}")
+    };
+    assert!(automatic < limit && limit < 1e-2, "{error}");
+    run(&format!("estimator.step_s={automatic:e}")).unwrap();
 }
 
 /// Efforts have no other unit than that of their actuator: chambers of half the area under twice the pressure give the same motion, to

@@ -251,6 +251,7 @@ fn sees_markers(scene: &mut Experiment) {
             ..Unknowns::NONE
         }),
         elements: None,
+        step: None,
         seed: 5,
     };
 }

@@ -57,6 +57,7 @@ fn estimated(mut scene: Experiment, estimator: EstimatorChoice) -> Experiment {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
         estimator,
         elements: None,
+        step: None,
         seed: 3,
     };
     scene

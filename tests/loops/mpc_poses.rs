@@ -71,6 +71,7 @@ fn scene() -> Experiment {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
         estimator: EstimatorChoice::Kalman(Unknowns::ALL),
         elements: None,
+        step: None,
         seed: 3,
     };
     scene.settings = LoopSettings {

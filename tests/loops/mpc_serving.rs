@@ -76,6 +76,7 @@ fn served_filters_are_those_of_the_library() {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
         estimator: EstimatorChoice::Kalman(Unknowns::ALL),
         elements: None,
+        step: None,
         seed: 3,
     };
     let plant = Plant::new(&scene);
@@ -307,6 +308,7 @@ fn watched() -> Experiment {
         })],
         estimator: EstimatorChoice::Kalman(Unknowns::NONE),
         elements: None,
+        step: None,
         seed: 3,
     };
     scene

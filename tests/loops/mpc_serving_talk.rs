@@ -252,6 +252,7 @@ fn estimates_bridge_bad_lines() {
         sensors: vec![SensorChoice::Preset(SensorPreset::Em)],
         estimator: EstimatorChoice::Kalman(Unknowns::default()),
         elements: None,
+        step: None,
         seed: 0,
     };
     let mut desk = Desk::new(&scene);

@@ -100,6 +100,7 @@ fn wrong_arms_are_followed_by_winches() {
             ..Unknowns::NONE
         }),
         elements: None,
+        step: None,
         seed: 3,
     };
     scene.settings = LoopSettings {

@@ -213,6 +213,7 @@ const SCENES: [&[&str]; 18] = [
         "sensor.0.age_s=0.004",
         "estimator.kind='kalman'",
         "estimator.elements=5",
+        "estimator.step_s=2e-4",
         "estimator.disturbances.0='tip_force'",
         "estimator.wrench_change_1_s=0.02",
         "disturbance.0.node='tip'",

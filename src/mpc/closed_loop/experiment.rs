@@ -7,7 +7,8 @@ use super::{
     ClosedLoop, Computing, Driver, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
 };
 use crate::mechanics::beam::Beam;
-use crate::mechanics::{Rod, State, StepError};
+use crate::mechanics::stability::{automatic_step, stable_step};
+use crate::mechanics::{Rod, State, StepError, TimeScheme};
 use crate::mpc::beam::weakest_bending;
 use crate::mpc::controller::{Controller, MpcSettings};
 use crate::mpc::error::MpcError;
@@ -68,6 +69,8 @@ pub enum Sensing {
         estimator: EstimatorChoice,
         /// Elements of the estimator's own model; `None` for those of the controller's.
         elements: Option<usize>,
+        /// Longest time step of the estimator's own model, s; `None` for the automatic one.
+        step: Option<f64>,
         /// Seed of the noise, from which every sensor derives its own.
         seed: u64,
     },
@@ -95,19 +98,41 @@ pub enum EstimatorChoice {
 }
 
 impl EstimatorChoice {
-    /// Creates an estimator of this kind, at time 0 in a state of a model.
-    fn start(self, model: &Rod, start: &State) -> Result<Box<dyn Estimator>, MpcError> {
+    /// Creates an estimator of this kind, at time 0 in a state of a model, whose steps are no longer than `step` (s), if that is given.
+    fn start(
+        self,
+        model: &Rod,
+        start: &State,
+        step: Option<f64>,
+    ) -> Result<Box<dyn Estimator>, MpcError> {
+        let limit = stable_step(model);
+        if let Some(step) = step.filter(|_| model.scheme == TimeScheme::Explicit)
+            && !(step <= limit)
+        {
+            let automatic = automatic_step(model);
+            return Err(MpcError::UnstableEstimator {
+                step,
+                limit,
+                automatic,
+            });
+        }
         Ok(match self {
             Self::Observer { estimates_wrench } => {
+                let automatic = ObserverSettings::of(model);
                 let settings = ObserverSettings {
                     integral_time: estimates_wrench
                         .then_some(OBSERVER_INTEGRAL * model.scales.time),
-                    ..ObserverSettings::of(model)
+                    longest_step: step.unwrap_or(automatic.longest_step),
+                    ..automatic
                 };
                 Box::new(BoundaryObserver::new(model, 0.0, start, &settings)?)
             }
             Self::Kalman(unknowns) => {
-                let settings = unknowns.settings(model);
+                let automatic = unknowns.settings(model);
+                let settings = KalmanSettings {
+                    longest_step: step.unwrap_or(automatic.longest_step),
+                    ..automatic
+                };
                 Box::new(KalmanFilter::new(model, 0.0, start, &settings)?)
             }
         })
@@ -512,6 +537,7 @@ impl Experiment {
         let Sensing::Estimated {
             estimator,
             elements,
+            step,
             ..
         } = &self.sensing
         else {
@@ -519,7 +545,7 @@ impl Experiment {
         };
         let (model, start) = (controller.rod(), controller.initial());
         let Some(elements) = elements.filter(|own| *own != model.n_elements()) else {
-            return estimator.start(model, start).map(Some);
+            return estimator.start(model, start, *step).map(Some);
         };
         let own = Discretization {
             elements,
@@ -529,7 +555,7 @@ impl Experiment {
         };
         let own = self.arm.rod(&own).map_err(DiscretizeError::from)?;
         let start = Transfer::new(model, &own).state(start);
-        let estimator = estimator.start(&own, &start)?;
+        let estimator = estimator.start(&own, &start, *step)?;
         Ok(Some(Box::new(Regridded::new(model, &own, estimator))))
     }
 

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::check::MOST_ELEMENTS;
 use super::super::keys::{Checked, Keys};
-use super::super::values::{self, NonNegative, Number};
+use super::super::values::{self, NonNegative, Number, Positive};
 use super::base::EndKind;
 use crate::mpc::{EstimatorChoice, Sensing, SensorChoice, SensorSettings, Unknowns};
 
@@ -23,6 +23,12 @@ pub struct Estimator {
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub elements: Option<usize>,
+    /// Longest time step of the estimator's model; longer ones cost less. The automatic one resolves the three slowest bending
+    /// modes, and an arm that it uses implicit steps for may be bent into a circle: an arm that is thin and stiff then takes hundreds of
+    /// steps a sample. Implicit steps of half a block of the plan suffice for an arm that does not swing. Explicit ones that are not stable
+    /// are refused. Absent: automatic.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step_s: Option<Positive<values::Duration>>,
     /// Unknowns that are estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or
     /// nothing. Absent: for a Kalman filter all of them that move the arm (a tip that is held answers to no force and no mass, and turns only
     /// if it is pinned), for an observer nothing.
@@ -139,6 +145,7 @@ impl Estimator {
             sensors: sensors.iter().cloned().map(SensorChoice::Own).collect(),
             estimator,
             elements: self.elements,
+            step: self.step_s.map(Number::get),
             seed: seed.into(),
         }
     }
