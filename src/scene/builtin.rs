@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 33] = [
+const SCENES: [(&str, &str); 34] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -96,6 +96,10 @@ const SCENES: [(&str, &str); 33] = [
     (
         "mpc-stiff-flop",
         include_str!("../../examples/scenes/mpc-stiff-flop.toml"),
+    ),
+    (
+        "mpc-knode",
+        include_str!("../../examples/scenes/mpc-knode.toml"),
     ),
     (
         "mpc-reach",

@@ -801,8 +801,8 @@ error: no file and no built-in scene of this name
 help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, reach-obstacle, reach-table, reach-tendons, \
 till-tendons, till-winch, knode-tendons, soromox-tendons, stiff-flop, elastica-muscles, reach-guidewire, paper-arm, swing, \
 shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence, \
-mpc-track-circle, mpc-tendons, mpc-guidewire, mpc-stiff-flop, mpc-reach, mpc-push, mpc-payload, mpc-delay, mpc-catch, mpc-obstacle, \
-mpc-elastica-case1";
+mpc-track-circle, mpc-tendons, mpc-guidewire, mpc-stiff-flop, mpc-knode, mpc-reach, mpc-push, mpc-payload, mpc-delay, mpc-catch, \
+mpc-obstacle, mpc-elastica-case1";
     assert_eq!(error.to_string(), expected);
     for name in ["", "no/such/file.toml", "nul\0byte", &"x".repeat(100_000)] {
         let error = error_of_overrides(name, &[]);

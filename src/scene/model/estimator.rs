@@ -24,9 +24,9 @@ pub struct Estimator {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub elements: Option<usize>,
     /// Longest time step of the estimator's model; longer ones cost less. The automatic one resolves the three slowest bending
-    /// modes, and an arm that it uses implicit steps for may be bent into a circle: an arm that is thin and stiff then takes hundreds of
-    /// steps a sample. Implicit steps of half a block of the plan suffice for an arm that does not swing. Explicit ones that are not stable
-    /// are refused. Absent: automatic.
+    /// modes; if it is implicit, the arm may also be bent into a circle, so that a thin and stiff one takes hundreds of steps a sample.
+    /// Implicit steps of half a block of the plan suffice for an arm that does not swing. Explicit steps that are not stable are refused.
+    /// Absent: automatic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_s: Option<Positive<values::Duration>>,
     /// Unknowns that are estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or
