@@ -271,14 +271,16 @@ fn unstable_steps_of_estimators_are_refused() {
         let setup = (scene.closed_loop(&source, 1, &StopSignal::default())).unwrap();
         let experiment = &setup.experiment;
         let run = experiment.run(Contender::Mpc, &mut |_, _| ControlFlow::Break(()));
-        run.map(drop)
-            .map_err(|error| (scene.mpc_error(&source, &error).unwrap().to_string(), error))
+        run.map(drop).map_err(|error| {
+            let message = scene.mpc_error(&source, &error).unwrap().to_string();
+            (message, Box::new(error))
+        })
     };
     let (message, error) = run("estimator.step_s=1e-2").unwrap_err();
     assert!(message.contains("estimator.step_s"), "{message}");
     let MpcError::UnstableEstimator {
         limit, automatic, ..
-    } = error
+    } = *error
     else {
         panic!("{error}")
     };
