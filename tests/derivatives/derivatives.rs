@@ -27,7 +27,7 @@ fn block<'a>(report: &'a Report, name: &str) -> &'a Block {
 }
 
 /// Arms so stiff that the differences of their implicit steps are blunt at some states: of these nothing may be wrong.
-const STIFF: [&str; 2] = ["till-tendons", "knode-tendons"];
+const STIFF: [&str; 3] = ["till-tendons", "knode-tendons", "mpc-knode"];
 
 /// Every scene that comes with the program.
 #[test]
@@ -60,7 +60,7 @@ fn built_in_scenes_are_right() {
 fn wrong_steps_of_stiff_arms_are_seen() {
     for name in STIFF {
         let (scene, source) = Scene::load(name, &[]).unwrap();
-        let problem = scene.optimal_control(&source).unwrap().problem;
+        let setup = scene.simulation(&source).unwrap();
         for seed in 0..2 {
             let judge = |factor: f64| {
                 let spoil = |step: &mut LinearizedStep| {
@@ -68,8 +68,8 @@ fn wrong_steps_of_stiff_arms_are_seen() {
                         *entry *= factor;
                     }
                 };
-                let (rod, h) = (&problem.rod, problem.grid.step);
-                step_linearization(rod, h, &problem.initial, &spoil, seed)
+                let (rod, h) = (&setup.rod, setup.grid.step);
+                step_linearization(rod, h, &setup.initial, &spoil, seed)
                     .unwrap()
                     .unwrap()
                     .verdict
