@@ -207,6 +207,11 @@ class Controller:
         begun = [command for command in self._sent if command.start <= time + 1e-9]
         return begun[-1] if begun else None
 
+    def wrenches_at(self, time: float) -> dict[float, np.ndarray]:
+        """Returns the wrench `(6,)` at every place that acts at a time in s; empty where no command has begun yet."""
+        command = self.acting(time)
+        return {} if command is None else command.wrenches_at(time)
+
 
 class Plant:
     """A simulated arm that a program moves, step by step."""

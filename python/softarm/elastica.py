@@ -34,18 +34,14 @@ class Commanded(NoForces):  # type: ignore[misc,unused-ignore]
         super().__init__()
         self.controller = controller
 
-    def _wrenches(self, time: float) -> dict[float, np.ndarray]:
-        command = self.controller.acting(float(time))
-        return {} if command is None else command.wrenches_at(float(time))
-
     def apply_forces(self, system: Any, time: Any = 0.0) -> None:
         last = system.position_collection.shape[1] - 1
-        for place, wrench in self._wrenches(time).items():
+        for place, wrench in self.controller.wrenches_at(float(time)).items():
             system.external_forces[:, round(place * last)] += wrench[:3]
 
     def apply_torques(self, system: Any, time: Any = 0.0) -> None:
         last = system.director_collection.shape[2] - 1
-        for place, wrench in self._wrenches(time).items():
+        for place, wrench in self.controller.wrenches_at(float(time)).items():
             system.external_torques[:, min(int(place * (last + 1)), last)] += wrench[3:]
 
 

@@ -41,8 +41,7 @@ def act(controller: Controller, data: Any, bodies: Sequence[int]) -> None:
     `controller.acting(data.time)`.
     """
     data.xfrc_applied[np.asarray(bodies)] = 0.0
-    command = controller.acting(data.time)
-    for place, wrench in ({} if command is None else command.wrenches_at(data.time)).items():
+    for place, wrench in controller.wrenches_at(data.time).items():
         body = bodies[round(place * (len(bodies) - 1))]
         force, lever = wrench[:3], data.xpos[body] - data.xipos[body]
         data.xfrc_applied[body, :3] += force

@@ -317,17 +317,16 @@ def test_a_chain_of_mujoco_has_states_and_takes_wrenches():
     assert np.abs(now.w[1:]).min() > 1e-3  # the first body is fixed
 
     wrenches = {0.0: dice.normal(size=6), 0.7: dice.normal(size=6), 1.0: dice.normal(size=6)}  # on the first, third and last of four
-    command = SimpleNamespace(wrenches_at=lambda time: wrenches)
     data.xfrc_applied = dice.normal(size=data.xfrc_applied.shape)
     elsewhere = [body for body in range(model.nbody) if body not in nodes]
     data.xfrc_applied[elsewhere] = 0.0
-    chains.act(SimpleNamespace(acting=lambda time: command), data, nodes)
+    chains.act(SimpleNamespace(wrenches_at=lambda time: wrenches), data, nodes)
     # All forces along the coordinates, less those without wrenches.
     mujoco.mj_forward(model, data)
     forces = data.qfrc_smooth.copy()
     at = zip((0, 2, 3), wrenches.values(), strict=True)
     power = sum(wrench[:3] @ now.v[node] + wrench[3:] @ now.w[node] for node, wrench in at)
-    chains.act(SimpleNamespace(acting=lambda time: None), data, nodes)
+    chains.act(SimpleNamespace(wrenches_at=lambda time: {}), data, nodes)
     assert not data.xfrc_applied.any()
     mujoco.mj_forward(model, data)
     assert (forces - data.qfrc_smooth) @ data.qvel == pytest.approx(power, rel=1e-9)

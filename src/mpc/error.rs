@@ -21,19 +21,9 @@ pub enum MpcError {
         /// Allowed values.
         expected: &'static str,
     },
-    /// The explicit steps of an estimator are longer than those that are stable.
-    #[error(
-        "the estimator's steps of {step:.4e} s are longer than its model's stability limit, {limit:.4e} s; use at most {automatic:.4e} s, fewer \
-         elements for the estimator, or implicit steps"
-    )]
-    UnstableEstimator {
-        /// Given step, s.
-        step: f64,
-        /// Stability limit, s.
-        limit: f64,
-        /// Automatic step, s.
-        automatic: f64,
-    },
+    /// The integrator of the estimator's model cannot take its steps.
+    #[error("estimator: {0}")]
+    EstimatorStep(#[source] DiscretizeError),
     /// The hold of the controls is not supported.
     #[error(
         "hold: a moving horizon takes constant or linear blocks, not cubic ones; choose one of these"

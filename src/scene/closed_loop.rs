@@ -18,7 +18,7 @@ use crate::mpc::{
     Sensor, SensorChoice, SensorSettings, Transfer, followed, with_long_steps,
 };
 use crate::stop::StopSignal;
-use crate::task::{Arm, Discretization};
+use crate::task::{Arm, Discretization, DiscretizeError};
 
 /// A closed loop that a scene describes.
 #[derive(Clone, Debug)]
@@ -289,8 +289,14 @@ impl Scene {
         let message = error.to_string();
         match error {
             MpcError::Discretize(error) => Some(self.discretize_error(source, error.clone())),
-            MpcError::UnstableEstimator { .. } => {
-                Some(source.error_at("estimator.step_s", message, None))
+            MpcError::EstimatorStep(error) => {
+                let help = match error {
+                    DiscretizeError::UnstableStep { automatic, .. } => Some(format!(
+                        "use at most {automatic:.4e} s, a smaller estimator.elements, or time.integrator = \"implicit\""
+                    )),
+                    _ => None,
+                };
+                Some(source.error_at("estimator.step_s", error.to_string(), help))
             }
             MpcError::Hold => Some(source.error_at("control.hold", message, None)),
             MpcError::Unsupported(_) => Some(source.error_at("mpc", message, None)),

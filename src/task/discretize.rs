@@ -549,6 +549,24 @@ impl Problem {
     }
 }
 
+/// Returns the given step, s, if the rod's scheme can take it, and without one the automatic step.
+pub(crate) fn longest_step(rod: &Rod, step: Option<f64>) -> Result<f64, DiscretizeError> {
+    let limit = stable_step(rod);
+    if !(limit > 0.0 && limit.is_finite()) {
+        return Err(DiscretizeError::NoStableStep(limit));
+    }
+    let automatic = automatic_step(rod);
+    match step {
+        None => Ok(automatic),
+        Some(step) if step <= limit || rod.scheme == TimeScheme::Implicit => Ok(step),
+        Some(step) => Err(DiscretizeError::UnstableStep {
+            step,
+            limit,
+            automatic,
+        }),
+    }
+}
+
 /// A grid of equal steps, no longer than asked for, whose number is a multiple of `multiple`.
 fn grid(
     rod: &Rod,
@@ -556,22 +574,7 @@ fn grid(
     end: f64,
     multiple: usize,
 ) -> Result<TimeGrid, DiscretizeError> {
-    let limit = stable_step(rod);
-    if !(limit > 0.0 && limit.is_finite()) {
-        return Err(DiscretizeError::NoStableStep(limit));
-    }
-    let automatic = automatic_step(rod);
-    let step = match step {
-        None => automatic,
-        Some(step) if step <= limit || rod.scheme == TimeScheme::Implicit => step,
-        Some(step) => {
-            return Err(DiscretizeError::UnstableStep {
-                step,
-                limit,
-                automatic,
-            });
-        }
-    };
+    let step = longest_step(rod, step)?;
     if !(end / step <= MOST_STEPS) {
         return Err(DiscretizeError::TooManySteps {
             n_steps: end / step,

@@ -39,8 +39,8 @@ pub use definition::{
     Tolerances, Track, WrenchActuator,
 };
 pub use discretization::Discretization;
-pub(crate) use discretize::MOST_STEPS;
 pub use discretize::{DiscreteMotion, Problem};
+pub(crate) use discretize::{MOST_STEPS, longest_step};
 pub use distributed::DistributedCouple;
 pub use effort::EffortControl;
 pub use error::{DiscretizeError, Obstruction};

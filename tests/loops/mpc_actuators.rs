@@ -19,7 +19,9 @@ use softarm::mpc::{
 use softarm::mpc::{Disturbance, Estimator as _};
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
-use softarm::task::{ChannelLimits, Discretization, EffortControl, Place, WrenchActuator};
+use softarm::task::{
+    ChannelLimits, Discretization, DiscretizeError, EffortControl, Place, WrenchActuator,
+};
 
 /// A loop of tensions on its own model is the motion of a solve; some tensions are at a bound.
 ///
@@ -278,9 +280,9 @@ fn unstable_steps_of_estimators_are_refused() {
     };
     let (message, error) = run("estimator.step_s=1e-2").unwrap_err();
     assert!(message.contains("estimator.step_s"), "{message}");
-    let MpcError::UnstableEstimator {
+    let MpcError::EstimatorStep(DiscretizeError::UnstableStep {
         limit, automatic, ..
-    } = *error
+    }) = *error
     else {
         panic!("{error}")
     };

@@ -7,8 +7,7 @@ use super::{
     ClosedLoop, Computing, Driver, Knowledge, Law, LoopSettings, Sample, Tally, TipError, TipGains,
 };
 use crate::mechanics::beam::Beam;
-use crate::mechanics::stability::{automatic_step, stable_step};
-use crate::mechanics::{Rod, State, StepError, TimeScheme};
+use crate::mechanics::{Rod, State, StepError};
 use crate::mpc::beam::weakest_bending;
 use crate::mpc::controller::{Controller, MpcSettings};
 use crate::mpc::error::MpcError;
@@ -20,7 +19,7 @@ use crate::mpc::sensor::{Sensor, SensorPreset, SensorSettings};
 use crate::mpc::simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
 use crate::mpc::transfer::Transfer;
 use crate::stop::StopSignal;
-use crate::task::{Arm, Discretization, DiscretizeError, Task};
+use crate::task::{Arm, Discretization, DiscretizeError, Task, longest_step};
 
 /// The description of a closed loop: all of its parts before anything is discretized.
 #[derive(Clone, Debug)]
@@ -105,33 +104,21 @@ impl EstimatorChoice {
         start: &State,
         step: Option<f64>,
     ) -> Result<Box<dyn Estimator>, MpcError> {
-        let limit = stable_step(model);
-        if let Some(step) = step.filter(|_| model.scheme == TimeScheme::Explicit)
-            && !(step <= limit)
-        {
-            let automatic = automatic_step(model);
-            return Err(MpcError::UnstableEstimator {
-                step,
-                limit,
-                automatic,
-            });
-        }
+        let longest_step = longest_step(model, step).map_err(MpcError::EstimatorStep)?;
         Ok(match self {
             Self::Observer { estimates_wrench } => {
-                let automatic = ObserverSettings::of(model);
                 let settings = ObserverSettings {
                     integral_time: estimates_wrench
                         .then_some(OBSERVER_INTEGRAL * model.scales.time),
-                    longest_step: step.unwrap_or(automatic.longest_step),
-                    ..automatic
+                    longest_step,
+                    ..ObserverSettings::of(model)
                 };
                 Box::new(BoundaryObserver::new(model, 0.0, start, &settings)?)
             }
             Self::Kalman(unknowns) => {
-                let automatic = unknowns.settings(model);
                 let settings = KalmanSettings {
-                    longest_step: step.unwrap_or(automatic.longest_step),
-                    ..automatic
+                    longest_step,
+                    ..unknowns.settings(model)
                 };
                 Box::new(KalmanFilter::new(model, 0.0, start, &settings)?)
             }
