@@ -201,21 +201,26 @@ fn rest_in_words(rest: &RestSummary, rod: &Rod) -> String {
     )
 }
 
-/// The largest control of every actuator that is no wrench, with its unit; zero where it is rounding.
+/// The largest control of every actuator that is no wrench, with its sign and unit; zero where it is rounding.
 fn efforts(controls: &[Vec<f64>], units: &[ControlUnit]) -> Vec<String> {
-    let largest = |controls: &[f64]| controls.iter().fold(0.0, |most: f64, u| most.max(u.abs()));
+    let largest = |controls: &[f64]| {
+        (controls.iter()).fold(
+            0.0,
+            |most: f64, u| if u.abs() > most.abs() { *u } else { most },
+        )
+    };
     let of_unit = |unit: &str| {
         let same = controls
             .iter()
             .zip(units)
             .filter(|(_, own)| own.unit == unit);
-        same.map(|(controls, _)| largest(controls))
+        same.map(|(controls, _)| largest(controls).abs())
             .fold(0.0, f64::max)
     };
     (controls.iter().zip(units))
         .map(|(controls, own)| {
             let size = largest(controls);
-            let is_rounding = size < CONTROL_ROUNDING * of_unit(&own.unit);
+            let is_rounding = size.abs() < CONTROL_ROUNDING * of_unit(&own.unit);
             let size = if is_rounding { 0.0 } else { size };
             if own.unit.is_empty() {
                 // A prefix without a unit reads as a unit.
@@ -285,7 +290,9 @@ fn held_by(need: &StaticNeedSummary, units: &[ControlUnit]) -> String {
                     quantity(rate.recip(), "s")
                 )
             });
-            format!("held there by {parts}: within the bounds{stiffness}{swings}{grows}")
+            let crosses =
+                (need.reason.as_ref()).map_or_else(String::new, |reason| format!("; BUT {reason}"));
+            format!("held there by {parts}: within the bounds{stiffness}{swings}{grows}{crosses}")
         }
         ABOVE => format!("what holds it there, {parts}, is ABOVE THE BOUNDS{nearest}"),
         UNSTABLE => {
@@ -297,7 +304,7 @@ fn held_by(need: &StaticNeedSummary, units: &[ControlUnit]) -> String {
         }
         CANNOT => format!("CANNOT BE HELD there: {reason}{nearest}"),
         _ => format!(
-            "no wrench that holds it there was found, nor a reason that there is none: {reason}"
+            "nothing that holds it there was found, nor a reason that nothing does: {reason}{nearest}"
         ),
     }
 }

@@ -12,8 +12,8 @@ use super::error::CliError;
 use super::progress::{Awaited, LiveStarts};
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::{
-    Attempt, GuessError, Holding, ModelMismatch, OptimalControlProblem, Search, SearchEvent,
-    TipDeviation, TrackingError, holding, search_telling,
+    Attempt, GuessError, Holding, ModelMismatch, NotFound, OptimalControlProblem, Search,
+    SearchEvent, TipDeviation, TrackingError, holding, search_telling,
 };
 use crate::mechanics::Wrench;
 use crate::memory::of_solve;
@@ -26,6 +26,7 @@ use crate::solve::{
     publish, read_coefficients, start_not_begun, start_summary, status_words, summarize,
 };
 use crate::sqp::{IterationRecord, SqpStatus, StopSignal};
+use crate::task::staying::nearest_in_words;
 use crate::tradeoff::solve_on_grids;
 use crate::verify::ForwardCheck;
 
@@ -59,7 +60,13 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     }
     if scene.stays() && described.problem.stay.is_none() {
         let why = match holding(&described.problem) {
-            Ok(Holding::NotFound { why }) => format!(": {why}"),
+            Ok(Holding::NotFound { why }) => {
+                let nearest = match &why {
+                    NotFound::Bounds { nearest } => nearest.as_ref(),
+                    _ => None,
+                };
+                format!(": {why}{}", nearest_in_words(&described.problem, nearest))
+            }
             _ => String::new(),
         };
         console.warn(&format!(

@@ -15,7 +15,7 @@ pub struct Held {
     pub excess: Vec<[f64; 2]>,
     /// The shape at the equilibrium.
     pub shape: Configuration,
-    /// Tells whether small deviations stay small under constant controls.
+    /// Tells whether small deviations stay small under constant controls: no motion of the arm's elements grows.
     pub is_stable: bool,
     /// Smallest `ω²`, 1/s², of the symmetric part of the tangent stiffness and the inertia.
     pub least_squared_frequency: f64,
@@ -25,6 +25,8 @@ pub struct Held {
     pub first_frequency: Option<f64>,
     /// Displacement of the node that has the goal per force on it under constant controls, m/N, spatial frame; infinite for a free arm.
     pub compliance: Matrix3<f64>,
+    /// The obstacle or limit of the task that the shape crosses most, and by how much, in words; `None` if it crosses none.
+    pub crosses: Option<String>,
     /// Tangent stiffness under constant controls.
     pub(crate) tangent: Tangent,
 }

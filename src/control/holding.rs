@@ -3,8 +3,10 @@
 //! Among the controls within their bounds under which an equilibrium puts the node at the goal, those of least effort are found by
 //! sequential quadratic programming over controls and shape ([`program`]), from shapes that springs on the node have pulled to the goal. An
 //! equilibrium is stable if the smallest `ω²` of its tangent stiffness is positive, with gravity, dead loads and the controls held
-//! constant; body moments have no potential in space, so that under them the growth of small motions decides. If the equilibrium of least
-//! effort is unstable and there are more controls than equations, stability becomes a constraint.
+//! constant; body moments have no potential in space, so that under them the growth of all small motions decides. If the equilibrium of
+//! least effort is unstable and there are more controls than equations, stability becomes a constraint; where motions grow by the moments,
+//! equilibria with smaller moments follow. Likewise obstacles and limits of the task at its end become constraints where the equilibrium
+//! of least effort [crosses](clearance) them.
 //!
 //! There are three verdicts: the target is held, with the wrench; it cannot be held, with the reason; or nothing was found, which proves
 //! nothing. The second is given only if all controls are independent in the goal's equations. The controls are then a function of the
@@ -12,6 +14,8 @@
 //! are unstable under their controls or need more than the bounds allow.
 
 mod along;
+mod clearance;
+mod ends;
 mod program;
 mod statics;
 
@@ -20,7 +24,8 @@ use std::ops::ControlFlow;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
 pub(crate) use self::along::ControlsAlong;
-use self::program::{Aim, HoldingPoint, HoldingProgram, NEARER};
+use self::clearance::HeldLimits;
+use self::program::{Aim, Demand, HoldingPoint, HoldingProgram, NEARER};
 use self::statics::{Statics, Target};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
@@ -137,20 +142,23 @@ pub enum NotFound {
     /// No shape with the node at the goal was found.
     #[error("no shape at rest that is there: {0}")]
     Equilibrium(EquilibriumError),
-    /// The equilibria that were found at the goal are unstable; there may be others.
-    #[error("the equilibria that were found there are unstable")]
-    Unstable,
+    /// The equilibria that were found at the goal are unstable; there may be others. The one is given whose deviations grow least.
+    #[error("the equilibria that were found there are unstable{}", growth_in_words(.0))]
+    Unstable(Box<Held>),
     /// The search for controls within the bounds did not reach the goal.
-    #[error("controls within their bounds that put the arm there at rest were not found{}", nearest_in_words(.nearest))]
+    #[error("controls within their bounds that put the arm there at rest were not found")]
     Bounds {
-        /// Distance from the goal to the nearest position of its node that was found to be held, m.
-        nearest: Option<f64>,
+        /// The nearest target that was found to be held, and the distance of its node from the goal, m.
+        nearest: Option<(Box<Held>, f64)>,
     },
 }
 
-fn nearest_in_words(nearest: &Option<f64>) -> String {
-    nearest.map_or_else(String::new, |distance| {
-        format!("; the nearest place that was found to be held is {distance:.2e} m away")
+fn growth_in_words(held: &Held) -> String {
+    held.growth_rate.map_or_else(String::new, |rate| {
+        format!(
+            ": with the controls held, deviations grow e-fold in {:.3e} s",
+            rate.recip()
+        )
     })
 }
 
@@ -180,6 +188,12 @@ const AT_GOAL: f64 = 1e-6;
 /// Lower limit of `ω²` where stability is a constraint, relative to that of the arm at rest: the held arm has at least a tenth of its own
 /// frequency. Half of it gives 13 targets of the arm of `reach` the same verdicts; twice as much gives one of them another nearest target.
 const LEAST_STABILITY: f64 = 1e-2;
+/// Scaled distances from the limits of the task at which an equilibrium is searched that obeys them, one after the other: as far as the arm
+/// may move around it while it stays, half of a hundredth of the length by default, and none.
+const CLEARANCES: [f64; 2] = [5e-3, 0.0];
+/// Weights of controls without a potential beside that of the others with which equilibria are searched whose motions do not grow: the
+/// moments become as small as the goal allows.
+const MOMENT_WEIGHTS: [f64; 5] = [4.0, 16.0, 64.0, 256.0, 1024.0];
 /// Controls count as dependent below this ratio of a singular value to the largest one: dependent ones leave the rounding of a solution
 /// with the stiffness, 1e-16 times its condition number, about 1e-8 for slender arms of many elements. From 1e-8 to 1e-4, the targets of
 /// the built-in scenes have the same verdicts, to the bit.
@@ -228,6 +242,9 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
     let time = problem.grid.duration();
     let statics = Statics {
         unit: own_squared_frequency(rod),
+        ends: (components.iter())
+            .map(|component| ends::ends(problem, component))
+            .collect(),
         problem,
         components,
         time,
@@ -252,6 +269,7 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         }
     }
     let found = Search {
+        limits: HeldLimits::of(problem),
         statics: &statics,
         target,
         start,
@@ -301,6 +319,7 @@ fn floating(statics: &Statics, target: Target) -> Holding {
         first_frequency: Some(first.squared_frequency.sqrt()),
         compliance: Matrix3::from_diagonal_element(f64::INFINITY),
         shape,
+        crosses: None,
         tangent,
     }))
 }
@@ -321,6 +340,7 @@ fn end_moves_after(rod: &Rod, node: usize, t: f64) -> Option<f64> {
 
 struct Search<'a> {
     statics: &'a Statics<'a>,
+    limits: HeldLimits<'a>,
     target: Target,
     /// Shape at which the search begins.
     start: Configuration,
@@ -331,9 +351,24 @@ struct Search<'a> {
 struct Findings {
     above: Option<Held>,
     unstable: Option<Held>,
+    /// Held and stable, but beyond an obstacle or limit.
+    crossing: Option<Held>,
     unresolved: bool,
     dependent: Option<[usize; 2]>,
     no_shape: Option<EquilibriumError>,
+}
+
+impl Findings {
+    /// Notes an unstable equilibrium if it is the first one, or its deviations grow least.
+    fn note_unstable(&mut self, held: Held) {
+        let growth = |held: &Held| match held.growth_rate {
+            Some(rate) if held.least_squared_frequency > 0.0 => rate,
+            _ => f64::INFINITY,
+        };
+        if (self.unstable.as_ref()).is_none_or(|other| growth(&held) < growth(other)) {
+            self.unstable = Some(held);
+        }
+    }
 }
 
 impl Search<'_> {
@@ -365,11 +400,18 @@ impl Search<'_> {
             }
             known.push(pulled);
         }
+        if let Some(held) = findings.crossing.take() {
+            return Holding::Held(Box::new(held));
+        }
         let nearest = self.nearest_of_starts();
         // With more controls than equations, the nearest point may be led to the goal itself.
+        let stable = Demand {
+            stability: Some(LEAST_STABILITY),
+            ..Demand::of(Aim::Hold)
+        };
         if let Some((_, point)) = &nearest
             && findings.unresolved
-            && let Some(point) = self.solve(Aim::Hold, Some(LEAST_STABILITY), true, point)
+            && let Some(point) = self.solve(&stable, point)
             && let Some(held) = self.held(&point)
             && held.is_stable
             && held.is_within_bounds()
@@ -386,7 +428,7 @@ impl Search<'_> {
             (Box::new(held), distance)
         });
         let out_of_reach = NotFound::Bounds {
-            nearest: nearest.as_ref().map(|(_, distance)| *distance),
+            nearest: nearest.clone(),
         };
         let cannot = |why| Holding::CannotBeHeld { why, nearest };
         if self.statics.components.is_empty() {
@@ -398,6 +440,7 @@ impl Search<'_> {
             unresolved,
             dependent,
             no_shape,
+            crossing: _,
         } = findings;
         match (dependent, above, unstable) {
             (Some([controls, equations]), ..) if !unresolved => {
@@ -410,8 +453,8 @@ impl Search<'_> {
             (_, _, Some(unstable)) if !unresolved => {
                 cannot(CannotHold::Unstable(Box::new(unstable)))
             }
-            (_, _, Some(_)) => Holding::NotFound {
-                why: NotFound::Unstable,
+            (_, _, Some(unstable)) if unstable.is_within_bounds() => Holding::NotFound {
+                why: NotFound::Unstable(Box::new(unstable)),
             },
             _ => Holding::NotFound {
                 why: no_shape.map_or(out_of_reach, NotFound::Equilibrium),
@@ -432,7 +475,11 @@ impl Search<'_> {
         let rank = self.independent(&first)?;
         let is_determined = rank == n;
         // If the shape determines the controls, their bounds have no influence on the search.
-        let Some(point) = self.solve(Aim::Hold, None, !is_determined, &first) else {
+        let mut demand = Demand {
+            is_bounded: !is_determined,
+            ..Demand::of(Aim::Hold)
+        };
+        let Some(mut point) = self.solve(&demand, &first) else {
             if is_determined && n < self.target.n_equations() {
                 findings.dependent = Some([n, self.target.n_equations()]);
             } else {
@@ -440,9 +487,12 @@ impl Search<'_> {
             }
             return None;
         };
+        if !is_determined && let Some((clear, found)) = self.cleared(demand, [&point, &first]) {
+            (demand, point) = (clear, found);
+        }
         let held = self.held(&point)?;
         if held.is_within_bounds() && held.is_stable {
-            return Some(held);
+            return self.unless_crossing(held, findings);
         }
         if is_determined {
             let note = if held.is_stable {
@@ -465,10 +515,52 @@ impl Search<'_> {
             return None;
         }
         findings.unresolved = true;
-        let point = self.solve(Aim::Hold, Some(LEAST_STABILITY), true, &point);
-        findings.unstable.get_or_insert(held);
-        let held = self.held(&point?)?;
-        (held.is_within_bounds() && held.is_stable).then_some(held)
+        demand.stability = Some(LEAST_STABILITY);
+        findings.note_unstable(held);
+        let mut weights = MOMENT_WEIGHTS.iter();
+        while let Some(found) = self.solve(&demand, &point) {
+            let held = self.held(&found)?;
+            if held.is_within_bounds() && held.is_stable {
+                return self.unless_crossing(held, findings);
+            }
+            findings.note_unstable(held);
+            if !self.statics.has_moments() {
+                break;
+            }
+            demand.moment_weight = *weights.next()?;
+            point = found;
+        }
+        None
+    }
+
+    /// Returns an equilibrium within the bounds that obeys the limits of the task, with the requirement that it meets, from a solution
+    /// without regard to them and from another point; `None` if that solution obeys them, or none is found.
+    fn cleared(
+        &self,
+        demand: Demand,
+        starts: [&HoldingPoint; 2],
+    ) -> Option<(Demand, HoldingPoint)> {
+        let misses = |distance: f64| self.limits.largest(&starts[0].shape) > -distance;
+        CLEARANCES
+            .iter()
+            .take_while(|distance| misses(**distance))
+            .find_map(|distance| {
+                let clear = Demand {
+                    clearance: Some(*distance),
+                    ..demand
+                };
+                let found = starts.iter().find_map(|start| self.solve(&clear, start))?;
+                Some((clear, found))
+            })
+    }
+
+    /// Returns an equilibrium that crosses no limit of the task; one that does is noted.
+    fn unless_crossing(&self, held: Held, findings: &mut Findings) -> Option<Held> {
+        if held.crosses.is_none() {
+            return Some(held);
+        }
+        findings.crossing.get_or_insert(held);
+        None
     }
 
     /// Returns the stable equilibrium within the bounds whose node is nearest to the goal, among those reached from the arm at rest and,
@@ -551,9 +643,12 @@ impl Search<'_> {
         let point = if first.controls.is_empty() {
             first
         } else {
-            let least = Some(LEAST_STABILITY);
             let approach = |weight: f64, from: &HoldingPoint| {
-                self.solve(Aim::Approach { weight }, least, true, from)
+                let demand = Demand {
+                    stability: Some(LEAST_STABILITY),
+                    ..Demand::of(Aim::Approach { weight })
+                };
+                self.solve(&demand, from)
             };
             let near = approach(1.0, &first);
             let closer = (near.as_ref()).and_then(|near| approach(NEARER, near));
@@ -645,7 +740,11 @@ impl Search<'_> {
 
     /// Returns the number of controls that are independent in the goal's equations.
     fn independent(&self, point: &HoldingPoint) -> Option<usize> {
-        let program = HoldingProgram::new(self.statics, self.target, Aim::Hold, None, false);
+        let demand = Demand {
+            is_bounded: false,
+            ..Demand::of(Aim::Hold)
+        };
+        let program = HoldingProgram::new(self.statics, self.target, demand);
         let evaluation = program.evaluate(point).ok()?;
         let found = program
             .linearize(point, &evaluation, &LinearizationRequest::default())
@@ -663,14 +762,8 @@ impl Search<'_> {
     }
 
     /// Returns a solution of the program; `None` if none was found.
-    fn solve(
-        &self,
-        aim: Aim,
-        stability: Option<f64>,
-        bounded: bool,
-        from: &HoldingPoint,
-    ) -> Option<HoldingPoint> {
-        let program = HoldingProgram::new(self.statics, self.target, aim, stability, bounded);
+    fn solve(&self, demand: &Demand, from: &HoldingPoint) -> Option<HoldingPoint> {
+        let program = HoldingProgram::new(self.statics, self.target, *demand);
         let settings = SqpSettings {
             max_iterations: ITERATIONS,
             hessian: HessianChoice::GaussNewton,
@@ -694,25 +787,37 @@ impl Search<'_> {
     fn held(&self, point: &HoldingPoint) -> Option<Held> {
         let statics = self.statics;
         let (problem, rod) = (statics.problem, self.rod());
+        let point = &self.without_rounding(point);
         // Near a neutral shape Newton's method may diverge, although the program has converged.
         let shape = statics
             .settled(&point.shape, &point.controls, &NodeSpring::default())
             .filter(|settled| self.is_same(settled, &point.shape))
             .unwrap_or_else(|| point.shape.clone());
         let wrenches = statics.wrenches(&point.controls);
-        let excess = (wrenches.iter().zip(&problem.actuators))
+        let mut excess: Vec<[f64; 2]> = (wrenches.iter().zip(&problem.actuators))
             .map(|(wrench, actuator)| {
                 [
                     (&actuator.force, &wrench.force),
                     (&actuator.moment, &wrench.moment),
                 ]
-                .map(|(channel, value)| {
-                    let excess = channel.violation(value);
-                    let is_rounding = excess <= FEASIBLE * channel.scale;
-                    if is_rounding { 0.0 } else { excess }
-                })
+                .map(|(channel, value)| channel.violation(value))
             })
             .collect();
+        // The bounds of actuators with a lag are those of their commands.
+        for (at, component) in statics.components.iter().enumerate() {
+            let value = point.controls[at] * problem.channel(component).scale;
+            let beyond = statics.ends[at]
+                .map_or(0.0, |[lower, upper]| f64::max(lower - value, value - upper));
+            let own = &mut excess[component.actuator][component.axis / 3];
+            *own = own.max(beyond);
+        }
+        for (own, actuator) in excess.iter_mut().zip(&problem.actuators) {
+            for (own, channel) in own.iter_mut().zip([&actuator.force, &actuator.moment]) {
+                if *own <= FEASIBLE * channel.scale {
+                    *own = 0.0;
+                }
+            }
+        }
         let tangent = statics.tangent(&shape, &point.controls, &NodeSpring::default());
         let stability = tangent.stability(rod, &shape, statics.unit)?;
         // The energy of a stay needs a definite stiffness, also under moments.
@@ -728,8 +833,27 @@ impl Search<'_> {
             growth_rate: stability.growth_rate,
             first_frequency: is_stable.then(|| stability.least_squared_frequency.sqrt()),
             compliance,
+            crosses: self.limits.crossed(&point.shape),
             tangent,
         })
+    }
+
+    /// Returns a point whose controls beyond their ends by rounding are at their ends.
+    fn without_rounding(&self, point: &HoldingPoint) -> HoldingPoint {
+        let mut out = point.clone();
+        for (at, component) in self.statics.components.iter().enumerate() {
+            let channel = self.statics.problem.channel(component);
+            let Some(ends) = self.statics.ends[at].filter(|_| channel.lag > 0.0) else {
+                continue;
+            };
+            let [lower, upper] = ends.map(|end| end / channel.scale);
+            let value = out.controls[at];
+            let within = value.max(lower).min(upper);
+            if (within - value).abs() <= FEASIBLE {
+                out.controls[at] = within;
+            }
+        }
+        out
     }
 }
 

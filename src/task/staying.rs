@@ -28,19 +28,7 @@ pub(super) fn stay(
         })) => refuse(why.to_string()),
         Ok(Err(Holding::NotFound { .. } | Holding::Held(_))) => Ok(None),
         Ok(Err(Holding::CannotBeHeld { why, nearest })) => {
-            let nearest = nearest.map_or_else(String::new, |(held, distance)| {
-                let node = problem.goal_node();
-                let what = if node == problem.rod.tip() {
-                    "tip".to_string()
-                } else {
-                    format!("place of node {node}")
-                };
-                let x = held.shape.positions[node];
-                format!(
-                    "; the nearest {what} that can be held is [{:.6}, {:.6}, {:.6}] m, {distance:.2e} m from it",
-                    x.x, x.y, x.z
-                )
-            });
+            let nearest = nearest_in_words(problem, nearest.as_ref());
             refuse(format!("the arm cannot stay there: {why}{nearest}"))
         }
         Err(HoldingError::Stopped(stop)) => {
@@ -48,6 +36,27 @@ pub(super) fn stay(
         }
         Err(error) => refuse(error.to_string()),
     }
+}
+
+/// Names the nearest target that was found to be held, in words that follow a reason; empty without one.
+pub(crate) fn nearest_in_words(
+    problem: &OptimalControlProblem,
+    nearest: Option<&(Box<Held>, f64)>,
+) -> String {
+    let Some((held, distance)) = nearest else {
+        return String::new();
+    };
+    let node = problem.goal_node();
+    let what = if node == problem.rod.tip() {
+        "tip".to_string()
+    } else {
+        format!("place of node {node}")
+    };
+    let x = held.shape.positions[node];
+    format!(
+        "; the nearest {what} that can be held is [{:.6}, {:.6}, {:.6}] m, {distance:.2e} m from it",
+        x.x, x.y, x.z
+    )
 }
 
 /// Returns the verdict on holding the goal of `problem` over a stay, the same for a solve and for `check`. It is that of [`holding`],
@@ -79,7 +88,10 @@ fn judged(
         Holding::CannotBeHeld {
             why: CannotHold::Unstable(held),
             ..
-        } if grows_little(&held, staying) => held,
+        }
+        | Holding::NotFound {
+            why: NotFound::Unstable(held),
+        } if held.is_within_bounds() && grows_little(&held, staying) => held,
         found => return Err(found),
     };
     match stay_at(problem, (*held).clone(), staying, length) {

@@ -27,6 +27,7 @@ mod samples;
 #[doc(hidden)]
 pub mod second_order;
 mod solution;
+mod standing;
 mod stay;
 mod stepper;
 mod worse;
@@ -45,9 +46,10 @@ pub use self::replay::{EnergyAccount, EnergyBalance, Replay, replay};
 use self::replay::{Simulation, account};
 use self::second_order::{Extremum, SecondOrder};
 pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
+pub use self::standing::HeldGrowth;
 pub use self::stay::StayReplay;
 pub use self::stepper::ReferenceStepper;
-use crate::control::{Enforcement, Goal, GoalPart, OptimalControlProblem};
+use crate::control::{Enforcement, Goal, GoalPart, OptimalControlProblem, Stay};
 use crate::mechanics::rotation::log;
 use crate::mechanics::{
     ControlSignal, Rod, RodError, State, StepError, StrainRule, TimeGrid, Trajectory,
@@ -165,6 +167,9 @@ impl CheckItem {
                     2.0 * self.value
                 );
             }
+            "stays_growth_1_s" => {
+                "shorten task.stays_s, lower control.moment_max_n_m, or give the arm damping: moments that turn with the arm feed its motions"
+            }
             "stiffer_contact_m" => {
                 let factor = self.limit / (1.5 * self.value);
                 return format!(
@@ -256,6 +261,10 @@ pub struct ForwardCheck {
     /// The motion after the task with the last wrench held, where the arm stays.
     #[serde(skip)]
     pub stays: Option<StayReplay>,
+    /// Growth of small deviations from the equilibrium in which the last controls hold the arm; absent where the arm moves at the end, or no
+    /// equilibrium is next to it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held: Option<HeldGrowth>,
     /// Part of the objective that may be left to gain at a saddle.
     #[serde(skip)]
     pub saddle_gain: f64,
@@ -528,6 +537,7 @@ pub fn forward_check(
         tip_spin: 0.0,
         finest_tip: refinement.tip,
         stays: refinement.stays,
+        held: refinement.held,
         energy: EnergyAccount::of(same.balance, &half.balance),
         momentum,
         second_order: None,
@@ -768,6 +778,15 @@ fn items(
             "m",
             "largest distance of the tip from the target after the task, with the last wrench held, on a finer grid",
         ));
+        if problem.rod.is_held() {
+            items.push(item(
+                "stays_growth_1_s",
+                check.held.map_or(f64::NAN, |held| held.rate()),
+                Stay::ROOM.ln() / stay.seconds,
+                "1/s",
+                "rate at which small deviations from the held equilibrium grow on this grid or on a finer one, all motions counted; at its limit              they double over the stay",
+            ));
+        }
     }
     let at_rest = last_goal(problem, |goal| goal.at_rest.then_some(()));
     if let Some((_, enforcement)) = at_rest

@@ -4,13 +4,16 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::limits::{Measure, Pose};
+use super::standing::{Fastest, Held, HeldGrowth, reach_at_rest};
 use super::stay::{StayReplay, follow};
 use super::worse::worse;
 use super::{CheckError, ReplayKind, Solution, Variant, refined_grid, refined_signal};
 use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathEnforcement, PathLimit};
 use crate::mechanics::stability::{bent_step, stable_step};
-use crate::mechanics::{ControlSignal, Rod, RodError, State, Stepper, TimeScheme, Trajectory};
+use crate::mechanics::{
+    Configuration, ControlSignal, Rod, RodError, State, Stepper, TimeScheme, Trajectory,
+};
 use crate::stop::StopSignal;
 
 /// An error estimated by refining a grid twice.
@@ -89,6 +92,8 @@ pub struct Refinement {
     pub tip: TipMotion,
     /// The motion after the horizon on the finest rod, if the arm stays.
     pub stays: Option<StayReplay>,
+    /// Growth of small deviations from the equilibrium in which the arm is held after the horizon, if it is.
+    pub held: Option<HeldGrowth>,
 }
 
 /// Cap on the node-steps of implicit replays for the second refinement in space.
@@ -252,6 +257,11 @@ pub fn refine(
             }
         }
     }
+    let held = held_growth(
+        problem,
+        end,
+        [(coarse, &levels[0]), (&doubled.0, &levels[in_space[1]])],
+    );
     let stays = match (&problem.stay, levels.last()) {
         (Some(stay), Some(level)) => {
             let rod = quadrupled.as_ref().map_or(&doubled.0, |finest| &finest.0);
@@ -278,6 +288,46 @@ pub fn refine(
         between: watch.worst,
         tip,
         stays,
+        held,
+    })
+}
+
+/// Returns the growth of deviations from the equilibrium under the controls at the end of the horizon, on the solution's own rod, which
+/// arrives in `end`, and on one of twice the elements. `None` if the arm moves on, or there is no such equilibrium.
+fn held_growth(
+    problem: &OptimalControlProblem,
+    end: &State,
+    [own, doubled]: [(&Rod, &Level); 2],
+) -> Option<HeldGrowth> {
+    if !problem.rod.is_held() {
+        return None;
+    }
+    let reach = match &problem.stay {
+        Some(_) => problem.rod.scales.length,
+        None => reach_at_rest(&problem.rod, &end.linear_momentum)?,
+    };
+    let growth = |(rod, level): (&Rod, &Level), near: &Configuration| -> Option<Fastest> {
+        let held = Held {
+            rod,
+            control: level.signal.at(level.stepper.step()),
+            time: problem.grid.start + problem.grid.duration(),
+            step: problem.grid.step,
+        };
+        held.growth(near, reach)
+    };
+    let near = problem
+        .stay
+        .as_ref()
+        .map_or(&end.configuration, |stay| &stay.shape);
+    let coarse = growth(own, near)?;
+    let fine = growth(doubled, &doubled.1.stepper.state().configuration);
+    let worse = fine
+        .filter(|fine| fine.rate > coarse.rate)
+        .unwrap_or(coarse);
+    Some(HeldGrowth {
+        own: coarse.rate,
+        refined: fine.map(|fine| fine.rate),
+        frequency: worse.frequency,
     })
 }
 

@@ -3,9 +3,10 @@
 use nalgebra::{DMatrix, Matrix3, Vector3, Vector6};
 
 use super::Search;
-use super::program::{Aim, HoldingPoint, LITTLE};
+use super::clearance::HeldLimits;
+use super::program::{Aim, Demand, HoldingPoint, LITTLE};
 use super::statics::{Statics, Target};
-use crate::control::problem::OptimalControlProblem;
+use crate::control::problem::{Component, OptimalControlProblem};
 use crate::mechanics::equilibrium::NodeSpring;
 use crate::mechanics::tangent::own_squared_frequency;
 
@@ -46,9 +47,14 @@ impl ControlsAlong {
         (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
         t: f64,
     ) -> Option<HoldingControls> {
+        let components = problem.actuated_components();
+        let within = |component: &Component| {
+            (problem.channel(component).bound).and_then(|bound| bound.interval(component.axis % 3))
+        };
         let statics = Statics {
             unit: own_squared_frequency(&problem.rod),
-            components: problem.actuated_components(),
+            ends: components.iter().map(within).collect(),
+            components,
             time: t,
             problem,
         };
@@ -58,11 +64,12 @@ impl ControlsAlong {
             rotation,
         };
         let search = Search {
+            limits: HeldLimits::of(problem),
             statics: &statics,
             target,
             start: self.point.shape.clone(),
         };
-        let point = search.solve(Aim::Approach { weight: 1.0 }, None, true, &self.point)?;
+        let point = search.solve(&Demand::of(Aim::Approach { weight: 1.0 }), &self.point)?;
         let held = search.held(&point)?;
         let bearing = bearing(&statics, &target, &point)?;
         self.point = HoldingPoint {

@@ -5,19 +5,20 @@
 //! approach   min ½|c|² + ½ε|u|²    c: by how much the tip misses the target
 //! ```
 //!
-//! both over equilibria, with controls within their bounds and, if requested, `ω² ≥ σ` for the lowest modes under constant controls. In the
-//! first program, springs pull the tip to the target, and the controls must replace their pull `D c`. The program is therefore regular
+//! both over equilibria, with controls within their bounds and, if requested, `ω² ≥ σ` for the lowest modes under constant controls, and
+//! within the limits of the task at its end. In the first program, springs pull the tip to the target, and the controls must replace their pull `D c`. The program is therefore regular
 //! wherever the arm is stable with its tip held in place, even if it is unstable under the controls alone.
 
 use faer::Mat;
 use nalgebra::Vector6;
 
+use super::clearance::HeldLimits;
 use super::statics::{LARGEST_TURN, Statics, Target, largest_turn};
 use crate::control::guess::SPRINGS;
 use crate::control::problem::Bound;
-use crate::mechanics::Configuration;
 use crate::mechanics::equilibrium::NodeSpring;
 use crate::mechanics::tangent::{Mode, SLOWEST_GROWTH, TangentLu, dot};
+use crate::mechanics::{Configuration, FormTerm};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
 };
@@ -44,6 +45,9 @@ const SLOW: f64 = 0.5 * SLOWEST_GROWTH;
 /// digits.
 const DIFFERENCE: f64 = 1e-4;
 
+/// Scaled value of a row, below zero, from which on it is left out of a linearization, where a shape has limits: a third of the length.
+const FAR_FROM_A_LIMIT: f64 = 0.3;
+
 /// Requirement on an equilibrium.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Aim {
@@ -56,13 +60,41 @@ pub(super) enum Aim {
     },
 }
 
-/// The program.
-pub(super) struct HoldingProgram<'a> {
-    pub statics: &'a Statics<'a>,
-    pub target: Target,
+/// Requirements on an equilibrium and its controls.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Demand {
     pub aim: Aim,
     /// Lower limit of `ω²` in units of [`Statics::unit`]; `None` without a constraint on stability.
     pub stability: Option<f64>,
+    /// Tells whether the controls have their bounds.
+    pub is_bounded: bool,
+    /// Distance from the limits of the task, as scaled rows; `None` without a constraint on them.
+    pub clearance: Option<f64>,
+    /// Weight of controls without a potential beside that of the others.
+    pub moment_weight: f64,
+}
+
+impl Demand {
+    /// Returns the requirement of an aim within the bounds.
+    pub fn of(aim: Aim) -> Self {
+        Self {
+            aim,
+            stability: None,
+            is_bounded: true,
+            clearance: None,
+            moment_weight: 1.0,
+        }
+    }
+}
+
+/// The program.
+pub(super) struct HoldingProgram<'a> {
+    statics: &'a Statics<'a>,
+    target: Target,
+    demand: Demand,
+    limits: Option<HeldLimits<'a>>,
+    /// Weight of the square of every control.
+    weights: Vec<f64>,
     sets: Vec<ConvexSet>,
 }
 
@@ -87,25 +119,29 @@ struct Answers {
 }
 
 impl<'a> HoldingProgram<'a> {
-    /// Returns the program; `bounded` tells whether the controls have their bounds.
-    pub fn new(
-        statics: &'a Statics<'a>,
-        target: Target,
-        aim: Aim,
-        stability: Option<f64>,
-        bounded: bool,
-    ) -> Self {
+    /// Returns the program.
+    pub fn new(statics: &'a Statics<'a>, target: Target, demand: Demand) -> Self {
+        let limits = (demand.clearance).map(|_| HeldLimits::of(statics.problem));
+        let weight = |component| match statics.has_potential(component) {
+            true => 1.0,
+            false => demand.moment_weight,
+        };
         Self {
-            sets: if bounded { bounds(statics) } else { Vec::new() },
+            sets: if demand.is_bounded {
+                bounds(statics)
+            } else {
+                Vec::new()
+            },
+            weights: statics.components.iter().map(weight).collect(),
+            limits: limits.filter(|limits| !limits.is_empty()),
             statics,
             target,
-            aim,
-            stability,
+            demand,
         }
     }
 
     fn springs(&self) -> NodeSpring {
-        match self.aim {
+        match self.demand.aim {
             Aim::Hold => self.target.springs(&self.statics.problem.rod, SPRING),
             Aim::Approach { .. } => NodeSpring::default(),
         }
@@ -132,7 +168,7 @@ impl<'a> HoldingProgram<'a> {
     }
 
     fn modes(&self, point: &HoldingPoint) -> Result<Vec<Mode>, Failure> {
-        if self.stability.is_none() {
+        if self.demand.stability.is_none() {
             return Ok(Vec::new());
         }
         self.statics
@@ -143,7 +179,7 @@ impl<'a> HoldingProgram<'a> {
     /// Returns the growth rate of small motions, divided by the frequency of the arm at rest, minus the allowed rate; `None` if all
     /// wrenches have a potential.
     fn growth(&self, point: &HoldingPoint) -> Result<Option<f64>, Failure> {
-        if self.stability.is_none() || !self.statics.has_moments() {
+        if self.demand.stability.is_none() || !self.statics.has_moments() {
             return Ok(None);
         }
         self.statics
@@ -159,12 +195,24 @@ impl<'a> HoldingProgram<'a> {
         rows: &[usize],
     ) -> Result<Vec<RowGradient>, Failure> {
         let modes = self.modes(point)?;
+        // The rows of the limits are the last ones.
+        let first = (self.limits.as_ref()).map_or(evaluation.inequalities.len(), |limits| {
+            (evaluation.inequalities.len()).saturating_sub(limits.n_rows())
+        });
+        let of_limits: Vec<usize> = (rows.iter())
+            .filter_map(|row| row.checked_sub(first))
+            .collect();
+        let mut limits = (self.limits.iter())
+            .flat_map(|limits| limits.gradients(&point.shape, &of_limits))
+            .collect::<Vec<_>>()
+            .into_iter();
         let gradients = rows.iter().map(|&row| match modes.get(row) {
             Some(mode) => {
                 let (states, controls) =
                     (self.statics).mode_gradient(&point.shape, &point.controls, mode);
                 RowGradient::Mode { states, controls }
             }
+            None if row >= first => RowGradient::Limit(limits.next().unwrap_or_default()),
             None => RowGradient::Growth(evaluation.inequalities[row]),
         });
         Ok(gradients.collect())
@@ -182,6 +230,14 @@ impl<'a> HoldingProgram<'a> {
             RowGradient::Mode { states, controls } => {
                 let by_controls: f64 = controls.iter().zip(change).map(|(g, d)| g * d).sum();
                 Ok(-(dot(states, step) + by_controls) / self.statics.unit)
+            }
+            RowGradient::Limit(terms) => {
+                let first = self.statics.problem.rod.first_free_node();
+                let moved = terms.iter().filter_map(|term| {
+                    let node = term.node.checked_sub(first)?;
+                    Some(term.coefficient * step[node][term.component])
+                });
+                Ok(moved.sum())
             }
             RowGradient::Growth(here) => {
                 let size = change
@@ -202,7 +258,7 @@ impl<'a> HoldingProgram<'a> {
     }
 }
 
-/// The derivative of a row of stability.
+/// The derivative of a row of stability, or of a limit.
 enum RowGradient {
     /// Derivatives of `ω²` along the states and the controls.
     Mode {
@@ -211,6 +267,8 @@ enum RowGradient {
     },
     /// Value of the row of growth, from which differences are taken.
     Growth(f64),
+    /// Derivative along the nodes.
+    Limit(Vec<FormTerm>),
 }
 
 impl LiftedProgram for HoldingProgram<'_> {
@@ -232,11 +290,12 @@ impl LiftedProgram for HoldingProgram<'_> {
     }
 
     fn own_gradient(&self, point: &HoldingPoint) -> Option<Vec<f64>> {
-        let weight = match self.aim {
+        let weight = match self.demand.aim {
             Aim::Hold => 1.0,
             Aim::Approach { .. } => LITTLE,
         };
-        Some(point.controls.iter().map(|u| weight * u).collect())
+        let own = point.controls.iter().zip(&self.weights);
+        Some(own.map(|(u, own)| weight * own * u).collect())
     }
 
     fn evaluate(&self, point: &HoldingPoint) -> Result<Evaluation<Self::Defects>, Failure> {
@@ -245,8 +304,9 @@ impl LiftedProgram for HoldingProgram<'_> {
         let defects = (self.statics).residual(&point.shape, &point.controls, &self.springs());
         let missing = self.missing(point);
         let squares = |values: &[f64]| -> f64 { values.iter().map(|value| value * value).sum() };
-        let effort = 0.5 * squares(&point.controls);
-        let (objective, constraints) = match self.aim {
+        let weighted = point.controls.iter().zip(&self.weights);
+        let effort = 0.5 * weighted.map(|(u, weight)| weight * u * u).sum::<f64>();
+        let (objective, constraints) = match self.demand.aim {
             Aim::Hold => (effort, missing.iter().map(|c| SPRING * c).collect()),
             Aim::Approach { weight } => {
                 let miss = 0.5 * weight * squares(&missing);
@@ -255,10 +315,15 @@ impl LiftedProgram for HoldingProgram<'_> {
         };
         let defect = self.statics.size(&defects);
         let inequalities: Vec<f64> = if defect.is_finite() {
-            let least = self.stability.unwrap_or(0.0);
+            let least = self.demand.stability.unwrap_or(0.0);
             (self.modes(point)?.iter())
                 .map(|mode| least - mode.squared_frequency / self.statics.unit)
                 .chain(self.growth(point)?)
+                .chain(self.limits.iter().flat_map(|limits| {
+                    let margin = self.demand.clearance.unwrap_or(0.0);
+                    let values = limits.values(&point.shape).into_iter();
+                    values.map(move |value| value + margin)
+                }))
                 .collect()
         } else {
             Vec::new()
@@ -276,7 +341,10 @@ impl LiftedProgram for HoldingProgram<'_> {
     }
 
     fn screening_margin(&self) -> f64 {
-        f64::INFINITY
+        match self.limits {
+            Some(_) => FAR_FROM_A_LIMIT,
+            None => f64::INFINITY,
+        }
     }
 
     fn linearize(
@@ -296,12 +364,13 @@ impl LiftedProgram for HoldingProgram<'_> {
         let mut defect_slope = 0.0;
         let mut gauss_newton = Mat::zeros(n, n);
         let (mut jacobian, mut offset) = (Mat::zeros(0, n), Vec::new());
-        match self.aim {
+        match self.demand.aim {
             Aim::Hold => {
-                gradient.extend(&point.controls);
-                model_gradient.extend(&point.controls);
+                let weighted = point.controls.iter().zip(&self.weights);
+                gradient.extend(weighted.map(|(u, weight)| weight * u));
+                model_gradient.extend(&gradient);
                 for i in 0..n {
-                    gauss_newton[(i, i)] = 1.0;
+                    gauss_newton[(i, i)] = self.weights[i];
                 }
                 jacobian = Mat::from_fn(missing.len(), n, |i, j| SPRING * slopes[j][i]);
                 offset = (missing.iter().zip(&own))
@@ -311,13 +380,13 @@ impl LiftedProgram for HoldingProgram<'_> {
             Aim::Approach { weight } => {
                 defect_slope = weight * product(&missing, &own);
                 for i in 0..n {
-                    let effort = LITTLE * point.controls[i];
+                    let effort = LITTLE * self.weights[i] * point.controls[i];
                     gradient.push(effort + weight * product(&missing, &slopes[i]));
                     model_gradient.push(gradient[i] + weight * product(&own, &slopes[i]));
                     for j in 0..n {
                         gauss_newton[(i, j)] = weight * product(&slopes[i], &slopes[j]);
                     }
-                    gauss_newton[(i, i)] += LITTLE;
+                    gauss_newton[(i, i)] += LITTLE * self.weights[i];
                 }
             }
         }
@@ -431,9 +500,9 @@ fn bounds(statics: &Statics) -> Vec<ConvexSet> {
                         limit / channel.scale,
                     ));
                 }
-                Some(bound @ (Bound::PerAxis(_) | Bound::Between { .. })) => {
-                    for (at, component) in own() {
-                        let Some(ends) = bound.interval(component.axis % 3) else {
+                Some(Bound::PerAxis(_) | Bound::Between { .. }) => {
+                    for (at, _) in own() {
+                        let Some(ends) = statics.ends[at] else {
                             continue;
                         };
                         let [lower, upper] = ends.map(|end| end / channel.scale);

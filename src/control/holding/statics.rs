@@ -78,6 +78,8 @@ pub(super) struct Statics<'a> {
     pub problem: &'a OptimalControlProblem,
     /// The actuated components; the controls are their values divided by the scales of their channels.
     pub components: Vec<Component>,
+    /// Least and largest value of every component, in its unit, where its bound is no norm.
+    pub ends: Vec<Option<[f64; 2]>>,
     /// Time of loads and of a driven base, s.
     pub time: f64,
     /// About `ω²` of the slowest mode of the arm at rest, 1/s².
@@ -573,16 +575,20 @@ impl Statics<'_> {
             .collect()
     }
 
-    /// Tells whether controls without a potential act: all but forces in the spatial frame and efforts of the rod's actuators.
-    pub fn has_moments(&self) -> bool {
-        (self.components.iter())
-            .filter(|component| self.problem.effort(component).is_none())
-            .any(|component| component.axis >= 3 || self.problem.own_control(component).is_some())
+    /// Tells whether a control has a potential: a force in the spatial frame, or an effort of an actuator of the rod.
+    pub fn has_potential(&self, component: &Component) -> bool {
+        let is_effort = self.problem.effort(component).is_some();
+        is_effort || (component.axis < 3 && self.problem.own_control(component).is_none())
     }
 
-    /// Returns the growth rate of small motions divided by the frequency of the arm at rest.
+    /// Tells whether controls without a potential act.
+    pub fn has_moments(&self) -> bool {
+        !(self.components.iter()).all(|component| self.has_potential(component))
+    }
+
+    /// Returns the growth rate of the slowest motions divided by the frequency of the arm at rest.
     pub fn growth(&self, shape: &Configuration, controls: &[f64]) -> Option<f64> {
-        let rate = (self.tangent(shape, controls, &NodeSpring::default())).growth_rate(
+        let rate = (self.tangent(shape, controls, &NodeSpring::default())).slow_growth_rate(
             self.rod(),
             shape,
             self.unit,

@@ -283,7 +283,9 @@ impl<'a> Transcription<'a> {
                         add(row, *z);
                     }
                 }
-                ConvexSet::HalfSpace { direction, .. } => add(direction, normal[0]),
+                ConvexSet::HalfSpace { direction, .. } => {
+                    add(direction, normal.first().copied().unwrap_or(0.0));
+                }
                 ConvexSet::Ball { .. } | ConvexSet::Interval { .. } => {}
             }
         }
@@ -299,7 +301,9 @@ impl<'a> Transcription<'a> {
         let mut out = vec![[0.0; 6]; n_rows.unwrap_or(0) * n];
         for own in &self.commands {
             let Component { actuator, axis } = own.component;
-            out[own.row * n + actuator][axis] += own.sign * normals[own.set][0];
+            // A program that could not begin has none.
+            let normal = normals.get(own.set).and_then(|normal| normal.first());
+            out[own.row * n + actuator][axis] += own.sign * normal.unwrap_or(&0.0);
         }
         out
     }
@@ -309,7 +313,8 @@ impl<'a> Transcription<'a> {
         let term = |own: &CommandSet| match &self.sets[own.set] {
             ConvexSet::HalfSpace { direction, .. } => {
                 let command: f64 = direction.iter().map(|&(i, w)| w * variables[i]).sum();
-                normals[own.set][0] * command
+                let normal = normals.get(own.set).and_then(|normal| normal.first());
+                normal.unwrap_or(&0.0) * command
             }
             ConvexSet::Ball { .. } | ConvexSet::Interval { .. } => 0.0,
         };

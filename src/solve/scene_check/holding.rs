@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
+use crate::control::{CannotHold, Held, Holding, NotFound, OptimalControlProblem, holding};
 use crate::mechanics::{NodeWrenches, Wrench};
 use crate::output::summary::{NearestHeldSummary, StaticNeedSummary};
 use crate::task::Staying;
@@ -45,8 +45,21 @@ pub(super) fn need(
         None => holding(problem),
     };
     match found.ok()? {
-        Holding::Held(held) => Some(summary(WITHIN, Some(&held), None)),
-        Holding::NotFound { why } => Some(summary(NOT_FOUND, None, Some(why.to_string()))),
+        Holding::Held(held) => {
+            let crosses = held.crosses.as_ref().map(|crossed| {
+                format!(
+                    "{crossed} in the shape that holds it there, and none that obeys it was found"
+                )
+            });
+            Some(summary(WITHIN, Some(&held), crosses))
+        }
+        Holding::NotFound { why } => {
+            let mut out = summary(NOT_FOUND, None, Some(why.to_string()));
+            if let NotFound::Bounds { nearest } = why {
+                out.nearest = nearest.map(|found| nearest_summary(problem, found));
+            }
+            Some(out)
+        }
         Holding::CannotBeHeld { why, nearest } => {
             let (verdict, held) = match &why {
                 CannotHold::AboveBounds(held) => (ABOVE, Some(&**held)),
@@ -57,19 +70,27 @@ pub(super) fn need(
                 | CannotHold::EndMoves { .. } => (CANNOT, None),
             };
             let mut out = summary(verdict, held, Some(why.to_string()));
-            out.nearest = nearest.map(|(held, distance_m)| NearestHeldSummary {
-                position_m: {
-                    // Rounding of a place in a plane of symmetry is nothing.
-                    let least = PLACE_ROUNDING * problem.rod.scales.length;
-                    let place = held.shape.positions[problem.goal_node()];
-                    place.map(|x| if x.abs() < least { 0.0 } else { x }).into()
-                },
-                distance_m,
-                wrenches: wrenches(problem, &held),
-                controls: controls(problem, &held),
-            });
+            out.nearest = nearest.map(|found| nearest_summary(problem, found));
             Some(out)
         }
+    }
+}
+
+/// The nearest target that is held, with what holds it.
+fn nearest_summary(
+    problem: &OptimalControlProblem,
+    (held, distance_m): (Box<Held>, f64),
+) -> NearestHeldSummary {
+    NearestHeldSummary {
+        position_m: {
+            // Rounding of a place in a plane of symmetry is nothing.
+            let least = PLACE_ROUNDING * problem.rod.scales.length;
+            let place = held.shape.positions[problem.goal_node()];
+            place.map(|x| if x.abs() < least { 0.0 } else { x }).into()
+        },
+        distance_m,
+        wrenches: wrenches(problem, &held),
+        controls: controls(problem, &held),
     }
 }
 
