@@ -216,8 +216,9 @@ fn tell(
     let stability = &summary.stability;
     let words = match (stability.growth_rate_1_s, stability.first_frequency_hz) {
         (Some(rate), _) => format!(
-            "UNSTABLE: deviations grow e-fold in {}",
-            quantity(rate.recip(), "s")
+            "UNSTABLE: deviations grow e-fold in {}{}",
+            quantity(rate.recip(), "s"),
+            (stability.why).map_or_else(String::new, |why| format!("; {why}"))
         ),
         (None, Some(frequency)) => format!(
             "stable: sways at {}{}",

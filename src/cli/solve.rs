@@ -58,6 +58,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     for warning in warnings(&scene, &described.problem.rod, described.problem.grid.step) {
         console.warn(&warning);
     }
+    let mut not_held = None;
     if scene.stays() && described.problem.stay.is_none() {
         let why = match holding(&described.problem) {
             Ok(Holding::NotFound { why }) => {
@@ -69,9 +70,11 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
             }
             _ => String::new(),
         };
-        console.warn(&format!(
+        let words = format!(
             "task.at_rest: nothing was found that holds the arm at its target, so that the tip only stops for an instant{why}"
-        ));
+        );
+        console.warn(&words);
+        not_held = Some(words);
     }
     let mut previous = None;
     if let Some(directory) = arguments.from.as_deref() {
@@ -119,6 +122,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         &target,
     );
     summary.accuracy = found.accuracy;
+    summary.advice.extend(not_held);
     let diagnostics = (setup.diagnostics && !stop.is_raised())
         .then(|| diagnostics(problem, &solution.coefficients))
         .and_then(|found| {

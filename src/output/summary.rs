@@ -569,8 +569,12 @@ pub struct StaysSummary {
     pub allowed_m: f64,
     /// The wrench that is held of every actuator: force (N, spatial frame) and moment (N m, body frame).
     pub wrench: Vec<[f64; 6]>,
-    /// Tells whether the equilibrium under these wrenches is stable.
+    /// Tells whether the equilibrium under these wrenches is stable: no small deviation grows, on the solution's grid or one of twice the
+    /// elements.
     pub stable: bool,
+    /// Rate at which deviations grow on either grid, 1/s; absent where none does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub growth_rate_1_s: Option<f64>,
     /// Largest compliance of the tip there, m/N.
     pub tip_compliance_m_n: f64,
     /// The motion after the task on a finer grid; absent without a check.

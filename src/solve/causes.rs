@@ -14,10 +14,8 @@ const UNSTABLE_GROWTH: f64 = 10.0;
 /// Largest distance of a node from an equilibrium, as a fraction of the arm's length, at which an arm is said to start beside the
 /// equilibrium. It decides about a sentence alone: at this distance the terms that the growth rate leaves out, of second order, are a
 /// twentieth of those that it has.
-#[cfg(feature = "cli")]
 const BESIDE: f64 = 0.05;
 /// Cap on the elements for which an equilibrium and its frequencies are computed beside other work: they take a fraction of a second.
-#[cfg(feature = "cli")]
 pub(super) const MOST_ELEMENTS: usize = 1000;
 /// Relative difference below which two step lengths, or two weights, are one: roundings of a few operations with numbers that a scene may
 /// state in ten digits.
@@ -52,7 +50,6 @@ fn long_step(rod: &Rod, step: f64) -> Option<String> {
 /// Tells that an arm starts beside an equilibrium that is unstable under the loads at the start or at the end of a motion, and how fast
 /// deviations from it grow. The computed motion may then stand by its symmetry alone. Returns `None` otherwise, and above
 /// [`MOST_ELEMENTS`].
-#[cfg(feature = "cli")]
 pub(crate) fn stands_by_symmetry(rod: &Rod, initial: &State, duration: f64) -> Option<String> {
     if rod.n_elements() > MOST_ELEMENTS {
         return None;

@@ -114,6 +114,8 @@ pub(crate) struct StabilitySummary {
     pub first_frequency_hz: Option<f64>,
     /// Rate at which small deviations grow, 1/s, with damping.
     pub growth_rate_1_s: Option<f64>,
+    /// The reason why they grow: the loads have no potential, or the arm topples or buckles under them.
+    pub why: Option<&'static str>,
     /// Stiffness of the tip along its softest direction against a dead force, N/m.
     pub tip_stiffness_n_m: Option<f64>,
 }
@@ -147,6 +149,11 @@ pub(crate) struct SweepPoint {
     pub jumped: bool,
 }
 
+/// Reasons why small deviations grow.
+const FALLS: &str = "the shape is no minimum of the energy, so that the arm topples or buckles";
+const FED: &str = "a moment fixed in space or in the arm, or a force that turns with the arm, has no potential and feeds its motions; damping may \
+                   hold them, and so may a load that has one";
+
 /// Returns the verdict on a stability in a word.
 fn verdict(stability: Option<&Stability>) -> &'static str {
     match stability {
@@ -166,6 +173,12 @@ impl StabilitySummary {
                 .and_then(|found| found.first_frequency)
                 .map(|omega| omega / std::f64::consts::TAU),
             growth_rate_1_s: stability.and_then(|found| found.growth_rate),
+            why: stability
+                .filter(|found| found.growth_rate.is_some())
+                .map(|found| match found.has_potential {
+                    true => FALLS,
+                    false => FED,
+                }),
             tip_stiffness_n_m: tip_stiffness,
         }
     }

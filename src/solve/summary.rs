@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::causes::causes;
+use super::causes::{causes, stands_by_symmetry};
 use super::efforts::slack_of_motion;
 use super::examined::{Examined, Spent};
 use super::soft_goals::soft_goals;
@@ -51,6 +51,11 @@ pub(crate) fn summarize(
     let outcome = &solution.attempt.outcome;
     let check = examined.check.as_ref();
     let (status, mut message) = status_words(&outcome.status, &solution.worst);
+    if outcome.status == SqpStatus::LocallyInfeasible
+        && let Some(message) = &mut message
+    {
+        message.push_str(&remedies(problem));
+    }
     if !solution.has_converged() {
         let mut causes = causes(&problem.rod, &problem.initial, &problem.grid);
         if !causes.is_empty() {
@@ -168,11 +173,15 @@ fn stays(problem: &OptimalControlProblem, check: Option<&ForwardCheck>) -> Optio
             .filter(|item| item.name.starts_with("stays_"))
             .all(CheckItem::holds)
     };
+    let grows = (check.and_then(|check| check.held))
+        .map(|held| held.rate())
+        .filter(|rate| *rate > 0.0);
     Some(StaysSummary {
         seconds: stay.seconds,
         allowed_m: stay.distance,
         wrench: stay.wrenches.iter().map(Wrench::to_array).collect(),
-        stable: stay.is_stable,
+        stable: stay.is_stable && grows.is_none(),
+        growth_rate_1_s: grows,
         tip_compliance_m_n: stay.compliance,
         tip_error_m: held.map(|held| LargestDistance {
             max: held.tip_error,
@@ -297,19 +306,23 @@ pub(crate) fn status_words(
             "locally-infeasible",
             worst.first().map(|worst| {
                 format!(
-                    "the constraints cannot all be met to first order: {} is off by {:.3e} {}; move the target, give it more \
-                     time, or loosen control.force_max_n, control.moment_max_n_m, obstacles and limits",
+                    "the constraints cannot all be met to first order: {} is off by {:.3e} {}",
                     worst.name, worst.amount, worst.unit
                 )
             }),
         ),
         SqpStatus::IterationLimit => (
             "iteration-limit",
-            Some("raise solver.max_iterations, loosen solver.tolerance, or try another solver.guess".into()),
+            Some(
+                "raise solver.max_iterations, loosen solver.tolerance, or try another solver.guess"
+                    .into(),
+            ),
         ),
         SqpStatus::StepTooSmall => (
             "step-too-small",
-            Some("no acceptable step was found; try solver.guess, more blocks, or more time".into()),
+            Some(
+                "no acceptable step was found; try solver.guess, more blocks, or more time".into(),
+            ),
         ),
         SqpStatus::Stopped(Stop::Deadline) => (
             "deadline",
@@ -318,6 +331,79 @@ pub(crate) fn status_words(
         SqpStatus::Stopped(Stop::Interrupted) => ("interrupted", None),
         SqpStatus::Failed(reason) => ("failed", Some(reason.clone())),
     }
+}
+
+/// Number of actuators in the arm that are named.
+const NAMED_ACTUATORS: usize = 4;
+
+/// Returns what a problem whose constraints cannot all be met may loosen, in the keys that its scene has.
+fn remedies(problem: &OptimalControlProblem) -> String {
+    let wrenches = problem.wrench_actuators();
+    let mut keys: Vec<String> = Vec::new();
+    if wrenches.iter().any(|own| own.force.acts()) {
+        keys.push("control.force_max_n".into());
+    }
+    if wrenches.iter().any(|own| own.moment.acts()) {
+        keys.push("control.moment_max_n_m".into());
+    }
+    let mut of_key: Vec<(&str, Vec<&str>)> = Vec::new();
+    for (actuator, channel) in problem.driven() {
+        let key = match (actuator.input_unit(), channel.rate_bound.is_some()) {
+            ("N", true) => "tension_n and rate_n_s",
+            ("N", false) => "tension_n",
+            ("m", true) => "displacement_m and rate_m_s",
+            ("m", false) => "displacement_m",
+            ("Pa", true) => "pressure_pa and rate_pa_s",
+            ("Pa", false) => "pressure_pa",
+            _ => "the range",
+        };
+        match of_key.iter_mut().find(|(other, _)| *other == key) {
+            Some((_, names)) => names.push(&actuator.name),
+            None => of_key.push((key, vec![&actuator.name])),
+        }
+    }
+    keys.extend(of_key.into_iter().map(|(key, names)| {
+        let shown = names[..names.len().min(NAMED_ACTUATORS)].join(", ");
+        match names.len().saturating_sub(NAMED_ACTUATORS) {
+            0 => format!("{key} of {shown}"),
+            more => format!("{key} of {shown} and {more} more"),
+        }
+    }));
+    if !problem.acting.is_empty() {
+        keys.push("the bounds of the actuators".into());
+    }
+    if !problem.path.is_empty() {
+        keys.push("obstacles and limits".into());
+    }
+    match keys.split_last() {
+        None => "; move the target, or give it more time".into(),
+        Some((last, [])) => format!("; move the target, give it more time, or loosen {last}"),
+        Some((last, first)) => format!(
+            "; move the target, give it more time, or loosen {} and {last}",
+            first.join(", ")
+        ),
+    }
+}
+
+/// Returns what there is to say about the growth of disturbances of a motion that ends held, or that stands by its symmetry.
+fn growth_advice(problem: &OptimalControlProblem, check: Option<&ForwardCheck>) -> Vec<String> {
+    let held = check.and_then(|check| check.held);
+    let stay = problem.stay.as_ref();
+    let grows = held.and_then(|held| held.sentence()).map(|sentence| match stay {
+        Some(stay) => format!(
+            "{sentence}; the certificate vouches for {:.3} s, not for longer: task.stays_s, or a regulator (feedback)",
+            stay.seconds
+        ),
+        None => sentence,
+    });
+    let duration = problem.grid.duration();
+    let stands = match grows {
+        None if !problem.stop.is_raised() => {
+            stands_by_symmetry(&problem.rod, &problem.initial, duration)
+        }
+        _ => None,
+    };
+    grows.into_iter().chain(stands).collect()
 }
 
 /// Returns advice for a solve that did not converge, or that the check rejects for its discretization errors.
@@ -337,8 +423,9 @@ fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
         .into_iter()
         .any(fails)
     };
+    let growth = growth_advice(problem, check);
     if converged && !check.is_some_and(is_unresolved) {
-        return Vec::new();
+        return growth;
     }
     let tolerance = solution.settings.tolerance;
     let feasible = !converged && outcome.residual.feasibility <= tolerance;
@@ -355,8 +442,8 @@ fn advice(solution: &Solution, check: Option<&ForwardCheck>) -> Vec<String> {
     } else {
         observe(problem, &outcome.point.trajectory, &solution.coefficients)
     };
-    not_optimal
-        .into_iter()
+    (growth.into_iter())
+        .chain(not_optimal)
         .chain(motion.iter().map(ToString::to_string))
         .collect()
 }
