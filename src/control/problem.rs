@@ -800,11 +800,10 @@ impl OptimalControlProblem {
         self.control.n_coefficients() * self.actuated_components().len()
     }
 
-    /// Returns the number of rows of `controls.csv`: one per coefficient and actuator, and if the arm stays one more per actuator for the
-    /// time after the horizon.
+    /// Returns the number of rows of `controls.csv`: one per coefficient, and if the arm stays one more for the time after the horizon.
     #[must_use]
     pub fn n_control_rows(&self) -> usize {
-        (self.control.n_coefficients() + usize::from(self.stay.is_some())) * self.actuators.len()
+        self.control.n_coefficients() + usize::from(self.stay.is_some())
     }
 
     /// Returns the number of the solver's variables.
