@@ -311,12 +311,14 @@ fn announce(setup: &OptimalControl, console: &Console) {
 /// Returns what costs as much as `size` of scaled controls: a force or a moment on the first actuated node, or the change of the effort of
 /// the first actuator whose effort is a control.
 fn price_in_words(problem: &OptimalControlProblem, size: f64) -> String {
-    if let Some(first) = problem.wrench_actuators().first() {
-        return format!(
-            "a force of {:.3e} N or a moment of {:.3e} N m",
-            size * first.force.scale,
-            size * first.moment.scale
-        );
+    if let Some(first) = problem.wrench_actuators().iter().find(|node| node.acts()) {
+        let force =
+            (first.force.acts()).then(|| format!("a force of {:.3e} N", size * first.force.scale));
+        let moment = (first.moment.acts())
+            .then(|| format!("a moment of {:.3e} N m", size * first.moment.scale));
+        return (force.into_iter().chain(moment))
+            .collect::<Vec<_>>()
+            .join(" or ");
     }
     let efforts = problem.driven().next().map(|(drive, channel)| {
         let value = format!("{:.3e} {}", size * channel.scale, drive.input_unit());

@@ -205,6 +205,12 @@ pub struct ActuatedNode {
 }
 
 impl ActuatedNode {
+    /// Tells whether any component of force or moment can act.
+    #[must_use]
+    pub fn acts(&self) -> bool {
+        self.force.acts() || self.moment.acts()
+    }
+
     /// Returns the carriers of channels on a node: each has a force or a moment of its own.
     pub fn carrying(node: usize, channels: &[Channel]) -> impl Iterator<Item = Self> {
         channels.chunks(2).map(move |pair| Self {

@@ -171,8 +171,9 @@ fn stays(problem: &OptimalControlProblem, check: Option<&ForwardCheck>) -> Optio
     Some(StaysSummary {
         seconds: stay.seconds,
         allowed_m: stay.distance,
-        wrench: (stay.wrenches[..problem.wrench_actuators().len()].iter())
-            .map(Wrench::to_array)
+        wrench: (problem.wrench_actuators().iter().zip(&stay.wrenches))
+            .filter(|(node, _)| node.acts())
+            .map(|(_, wrench)| wrench.to_array())
             .collect(),
         controls: (problem.named_controls().into_iter())
             .map(|own| NamedValue {

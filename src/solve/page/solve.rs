@@ -215,7 +215,7 @@ pub(super) fn drawn_bound(bound: &Option<Bound>) -> Option<output::Bound> {
 /// The tip's wrench, if it is a control; a spline is drawn as a polygon. Efforts have curves of their own.
 fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Option<ReportControls> {
     let n = problem.actuators.len();
-    let tip = problem.wrench_actuators().first()?;
+    let tip = (problem.wrench_actuators().first()).filter(|tip| tip.acts())?;
     let control = &problem.control;
     let at = |j: usize| coefficients[j * n];
     let (hold, t, wrenches): (_, Vec<f64>, Vec<Wrench>) = match control.hold {
