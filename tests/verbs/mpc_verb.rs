@@ -144,7 +144,7 @@ fn files_agree() {
     ] {
         assert!(desk.path("run").join(name).is_file(), "{name}");
     }
-    assert_eq!(summary["schema_version"], 1);
+    assert_eq!(summary["schema_version"], 2);
     assert_eq!(summary["command"], "mpc");
     assert_eq!(summary["status"], "completed");
     assert_eq!(summary["samples"], 50);
