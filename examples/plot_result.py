@@ -1,11 +1,12 @@
-"""Draws what is in a result directory of softarm: the arm at several times, the way of its tip, and the forces on it.
+"""Draws what is in a result directory of softarm: the arm at several times, the way of its tip, and what acts on it.
 
     softarm solve reach
     python examples/plot_result.py results/reach-solve [picture.png]
 
-Needs numpy and matplotlib. It reads only files that docs/files.md describes: summary.json, trajectory.npz and, where there is one, controls.csv.
+Needs numpy and matplotlib. It reads only files that docs/files.md describes: summary.json, trajectory.npz and, where there is one, efforts.csv.
 """
 
+import csv
 import json
 import sys
 from pathlib import Path
@@ -17,6 +18,16 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 SHAPES = 12
+
+
+def efforts_of(folder: Path) -> dict[str, list[tuple[float, float]]]:
+    """Returns the times and efforts of every actuator in the arm by name; nothing of an arm without any."""
+    efforts: dict[str, list[tuple[float, float]]] = {}
+    if (folder / "efforts.csv").is_file():
+        with open(folder / "efforts.csv", newline="") as file:
+            for row in csv.DictReader(file):
+                efforts.setdefault(row["name"], []).append((float(row["t"]), float(row["effort"])))
+    return efforts
 
 
 def main(folder: Path, picture: Path) -> None:
@@ -37,10 +48,14 @@ def main(folder: Path, picture: Path) -> None:
     space.legend()
 
     forces = figure.add_subplot(1, 2, 2)
-    for axis, name in enumerate("xyz"):
+    efforts = efforts_of(folder)
+    title = "efforts of the actuators, each in its unit" if efforts else "force (space) and moment (body) on the tip"
+    for name, rows in efforts.items():
+        forces.plot(*np.array(rows).T, label=name)
+    for axis, name in enumerate("xyz") if not efforts or motion["tip_force"].any() or motion["tip_moment"].any() else ():
         forces.plot(t, motion["tip_force"][:, axis], label=f"force {name}, N")
         forces.plot(t, motion["tip_moment"][:, axis], linestyle="--", label=f"moment {name}, N m")
-    forces.set(xlabel="t, s", title="force (space) and moment (body) on the tip")
+    forces.set(xlabel="t, s", title=title)
     forces.legend(fontsize="small", ncols=2)
     forces.grid(alpha=0.3)
 

@@ -80,8 +80,10 @@ def softarm(problem, binary, variant, limit):
             return {"success": False, "status": run.stderr.strip().splitlines()[-1], "iterations": 0, "wall_s": wall, "cpu_s": wall}
         summary = json.loads(run.stdout)
         assert summary["steps"] == problem.n_steps, f"softarm takes {summary['steps']} steps, not {problem.n_steps}"
-        with open(out / "controls.csv") as file:
-            controls = np.array([[float(value) for value in row[2:8]] for row in list(csv.reader(file))[1:]])
+        with open(out / "controls.csv", newline="") as file:
+            rows = list(csv.DictReader(file))
+        names = [f"tip {part} {axis} ({unit})" for part, unit in (("force", "N"), ("moment", "N m")) for axis in "xyz"]
+        controls = np.array([[float(row.get(name, 0.0)) for name in names] for row in rows])
         trajectory = np.load(out / "trajectory.npz")
         c, _ = replay(problem, controls)
         positions = np.abs(c[..., :3] - trajectory["x"][:, 1:]).max()

@@ -246,6 +246,22 @@ class Plant:
         return self._native.actuators
 
     @property
+    def units(self) -> dict[str, str]:
+        """Unit in which `step` takes the effort of every actuator, by name: "N", "Pa", "T", "T/m", "1" for an activation, "m" for a winch."""
+        return dict(zip(self._native.actuators, self._native.units))
+
+    @property
+    def efforts(self) -> dict[str, float]:
+        """The efforts that act now, by name: tensions in N, also of tendons on winches, pressures in Pa, activations, fields in T and T/m."""
+        return dict(zip(self._native.actuators, self._native.efforts.tolist()))
+
+    @property
+    def displacements(self) -> dict[str, float]:
+        """Displacements of the winches now, m, by name, negative where they have pulled in."""
+        inputs = zip(self._native.actuators, self._native.inputs.tolist(), self._native.units)
+        return {name: value for name, value, unit in inputs if unit == "m"}
+
+    @property
     def state(self) -> State:
         """The state of all nodes."""
         return State(*self._native.state)
@@ -276,7 +292,8 @@ class Plant:
         """Moves the arm by `dt` seconds and returns its state.
 
         `wrenches` (K+1, 6) act on the nodes: force in N, spatial, and moment in N m, in the frame of the node; `efforts` (m,) are those of the
-        actuators, in N, Pa, T or as activation; without them those of the scene act. They are constant, or go linearly to `wrenches_to` and
+        actuators, each in its unit (`units`): N, Pa, T, T/m, an activation, and for a winch its displacement in m, negative where it pulls
+        in; without them those of the scene act. They are constant, or go linearly to `wrenches_to` and
         `efforts_to`.
         """
         self._native.step(dt, wrenches, efforts, wrenches_to, efforts_to)

@@ -16,13 +16,15 @@ class Component:
     """A component of the control: one number a coefficient."""
 
     name: str
-    """Name of an actuator, or "force" (spatial frame) or "moment" (frame of the node), or "own"."""
+    """Name of an actuator or of another control, or "force" (spatial frame) or "moment" (frame of the node)."""
     node: int | None
     """Node of a force or moment."""
     axis: int | None
     """Axis of a force or moment, 0 to 2."""
     unit: float
     """Value of a variable of 1, in N, N m or the unit of the effort."""
+    rest: float = 0.0
+    """Value of the control where its variable is 0, in the same unit: the pretension of a tendon, the displacement of a winch at rest."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +91,8 @@ class Program:
     def components(self) -> list[Component]:
         """The c components of a coefficient: variable `i + c j` is coefficient `j` of component `i`."""
         return [
-            Component(name, None if axis is None else axis // 3, None if axis is None else axis % 3, unit)
-            for name, axis, unit in self._native.components
+            Component(name, None if axis is None else axis // 3, None if axis is None else axis % 3, unit, rest)
+            for name, axis, unit, rest in self._native.components
         ]
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import html
 import io
 import json
@@ -117,21 +118,34 @@ class Result:
         return self.x[:, -1]
 
     def table(self, name: str) -> np.ndarray:
-        """Returns a CSV file of the result, such as "controls.csv", as an array with named columns."""
+        """Returns a CSV file of the result, such as "controls.csv", as an array with named columns, as the file heads them: numbers, flags,
+        and text; an empty field of numbers is NaN.
+        """
         path = self.directory / name
         if not path.is_file():
             tables = sorted(other.name for other in self.directory.glob("*.csv"))
             raise ResultError(f"{self.directory} has no {name}; its tables are {tables}")
-        return np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8"))
+        with open(path, newline="", encoding="utf-8") as file:
+            head, *rows = [row for row in csv.reader(file) if row]
+        columns = [_column(head[i], [row[i] for row in rows]) for i in range(len(head))]
+        table = np.empty(len(rows), dtype=[(name, column.dtype) for name, column in zip(_distinct(head), columns)])
+        for name, column in zip(table.dtype.names or (), columns):
+            table[name] = column
+        return table
 
     @property
     def controls(self) -> np.ndarray:
-        """Rows of `controls.csv`."""
+        """Rows of `controls.csv`: `t_start` and `t_end`, s, then a column for every control, named by control and unit, as in
+        `controls["tip force x (N)"]` and `controls["left (N)"]`. Forces and moments, and whole efforts of actuators; of a winch its
+        displacement, m.
+        """
         return self.table("controls.csv")
 
     @property
     def efforts(self) -> np.ndarray:
-        """Rows of `efforts.csv`: efforts of the actuators and their coordinates."""
+        """Rows of `efforts.csv`: `t`, s, `name` of an actuator, its `effort` (tension of a tendon or cable in N, pressure of a chamber in Pa,
+        activation of a muscle, field of a magnet in T or T/m) and its `coordinate`; with winches `displacement`, m.
+        """
         return self.table("efforts.csv")
 
     @property
@@ -207,6 +221,34 @@ class Result:
                 if path.is_file():
                     file.write(path, path.name)
         return _unpack, (packed.getvalue(), self.exit_code)
+
+
+_TEXT = {"name"}
+"""Columns that are text, also where it spells numbers."""
+
+
+def _column(name: str, fields: list[str]) -> np.ndarray:
+    """Returns the fields of a column as whole numbers, flags, numbers or text, the first of these that all of them are."""
+    if name not in _TEXT and fields:
+        if all(field in ("true", "false") for field in fields):
+            return np.array([field == "true" for field in fields])
+        for kind, empty in ((int, None), (float, "nan")):
+            try:
+                return np.array([kind(field or empty) for field in fields])  # type: ignore[arg-type]
+            except (ValueError, TypeError, OverflowError):
+                continue
+    return np.array(fields, dtype=str) if fields else np.empty(0, dtype=str if name in _TEXT else float)
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """Gives a name that was there before a number."""
+    out: list[str] = []
+    for name in names:
+        number, own = 2, name
+        while own in out:
+            number, own = number + 1, f"{name} {number}"
+        out.append(own)
+    return out
 
 
 def _unpack(packed: bytes, exit_code: int | None) -> Result:

@@ -80,7 +80,7 @@ def test_arrays_have_their_shapes(solved):
     assert np.abs(identity - np.eye(3)).max() < 1e-12
     # Body to space: the third column points along the arm, at the clamp exactly along the base.
     assert np.allclose(solved.R[:, 0, :, 2], [0, 0, 1])
-    assert {"t_start", "fx"} <= set(solved.controls.dtype.names)
+    assert {"t_start", "tip force x (N)"} <= set(solved.controls.dtype.names)
 
 
 def test_results_are_kept_pickled_and_verified(solved, tmp_path):
@@ -116,6 +116,56 @@ def test_a_target_out_of_reach_is_a_status():
     keys = sa.arm(0.3, 0.01, 1e6, gravity=False) | sa.reach([0.2, 0.0, -0.1], 0.02, 1.0, at_rest=False)
     result = sa.Scene(keys).solve()
     assert result.status != "converged" and not result.certificate
+
+
+WINCH = """
+[rod]
+length_m = 0.2
+elements = 4
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.01
+[damping]
+viscous_1_s = 5.0
+[time]
+end_s = 1.0
+integrator = "implicit"
+step_s = 0.01
+[[tendon]]
+name = "winch"
+offset_m = [0.008, 0.0]
+displacement_m = [-0.02, 0.0]
+compliance_1_n = 1e-3
+[[tendon]]
+name = "other"
+offset_m = [-0.008, 0.0]
+tension_n = [0.0, 10.0]
+"""
+
+
+def test_a_plant_tells_efforts_by_name():
+    """Of a tendon on a winch both the displacement and the tension, which is positive where the winch has pulled in."""
+    plant = sa.Scene(WINCH).plant()
+    assert plant.units == {"winch": "m", "other": "N"}
+    plant.step(0.2, None, [-0.002, 0.5])
+    assert plant.displacements == {"winch": -0.002}
+    assert plant.efforts["other"] == 0.5 and plant.efforts["winch"] > 0.0
+    assert plant.copy().efforts == plant.efforts
+    plant.reset()
+    assert plant.displacements == {"winch": 0.0}
+
+
+def test_tables_have_names_that_csv_quotes():
+    """Also those with commas, quotes, `#` and ends of lines."""
+    keys = sa.Scene.load("reach-tendons").replace({"rod.elements": 3, "time.end_s": 0.02}).to_dict()
+    name = 'tendon "#1",\nthe first'
+    keys["tendon"][0]["name"] = name
+    efforts = sa.Scene(keys).simulate().efforts
+    assert (efforts["name"] == name).sum() * len(keys["tendon"]) == len(efforts)
+    assert efforts["effort"].dtype == np.float64
 
 
 def test_a_plant_is_the_simulation():

@@ -309,14 +309,33 @@ fn announce(setup: &OptimalControl, console: &Console) {
     ));
     if let (Some(free), true) = (problem.duration, problem.objective.effort > 0.0) {
         let size = (2.0 * free.price / problem.objective.effort).sqrt();
-        let tip = &problem.actuators[0];
-        console.say(&format!(
-            "a second costs {}, as much as a force of {:.3e} N or a moment of {:.3e} N m that is held for it",
-            free.price,
-            size * tip.force.scale,
-            size * tip.moment.scale
-        ));
+        let held = price_in_words(problem, size);
+        if !held.is_empty() {
+            console.say(&format!(
+                "a second costs {}, as much as {held} that is held for it",
+                free.price
+            ));
+        }
     }
+}
+
+/// Returns what costs as much as `size` of scaled controls: a force or a moment on the first actuated node, or the change of the effort of
+/// the first actuator whose effort is a control.
+fn price_in_words(problem: &OptimalControlProblem, size: f64) -> String {
+    if let Some(first) = problem.wrench_actuators().iter().find(|node| node.acts()) {
+        let force =
+            (first.force.acts()).then(|| format!("a force of {:.3e} N", size * first.force.scale));
+        let moment = (first.moment.acts())
+            .then(|| format!("a moment of {:.3e} N m", size * first.moment.scale));
+        return (force.into_iter().chain(moment))
+            .collect::<Vec<_>>()
+            .join(" or ");
+    }
+    let efforts = problem.driven().next().map(|(drive, channel)| {
+        let value = format!("{:.3e} {}", size * channel.scale, drive.input_unit());
+        format!("{} of \"{}\"", value.trim_end(), drive.name)
+    });
+    efforts.unwrap_or_default()
 }
 
 const TABLE_HEAD: &str =

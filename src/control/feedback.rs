@@ -28,6 +28,7 @@ use faer::matrix_free::eigen::{PartialEigenParams, partial_svd, partial_svd_scra
 use faer::{Accum, Col, Mat, Par, Side};
 
 use super::acting::{ActingAlong, Target, targets};
+use super::named::NamedControl;
 use super::problem::OptimalControlProblem;
 use super::transcription::Transcription;
 use crate::mechanics::forms::NODE_COMPONENTS;
@@ -101,9 +102,8 @@ pub enum FeedbackError {
 pub struct Feedback {
     /// Starts of the blocks, s.
     pub times: Vec<f64>,
-    /// Node and axis (0..3 force, spatial frame; 3..6 moment, body frame) of every row of the gains; for a control of a user-defined
-    /// actuator, the first of its nodes and the index of the control.
-    pub inputs: Vec<(usize, usize)>,
+    /// The control of every row of the gains.
+    pub inputs: Vec<NamedControl>,
     /// First node that has a deviation; the nodes before it are held by the base.
     pub first_node: usize,
     /// `K_j`, N or N m per m, rad, kg m/s and kg m²/s.
@@ -135,9 +135,6 @@ impl Feedback {
         if components.is_empty() {
             return Err(FeedbackError::NoInput);
         }
-        let inputs: Vec<(usize, usize)> = (components.iter())
-            .map(|c| (problem.actuators[c.actuator].node, c.axis))
-            .collect();
         let scales: Vec<f64> = (components.iter())
             .map(|c| problem.channel(c).scale)
             .collect();
@@ -190,7 +187,7 @@ impl Feedback {
             times: (edges[..edges.len() - 1].iter())
                 .map(|&edge| problem.grid.time(edge))
                 .collect(),
-            inputs,
+            inputs: problem.named_controls(),
             first_node: rod.first_free_node(),
             open_loop: growth(&stages, None, &problem.stop)?,
             closed_loop: growth(&stages, Some(&regulator.gains), &problem.stop)?,
@@ -220,19 +217,20 @@ impl Feedback {
             .collect()
     }
 
-    /// Returns the correction of the optimal control over block `j` as nodes and wrenches, one for every input; valid if all inputs are
-    /// wrenches on nodes.
+    /// Returns the correction of the optimal control over block `j` as nodes and wrenches, one for every input that is a component of a
+    /// wrench.
     #[must_use]
     pub fn correction(&self, j: usize, state: &State) -> Vec<(usize, Wrench)> {
         (self.inputs.iter().zip(self.input_changes(j, state)))
-            .map(|(&(node, axis), value)| {
+            .filter_map(|(input, value)| {
+                let axis = input.component.axis;
                 let mut wrench = Wrench::default();
                 if axis < 3 {
                     wrench.force[axis] = value;
                 } else {
                     wrench.moment[axis - 3] = value;
                 }
-                (node, wrench)
+                Some((input.node()?, wrench))
             })
             .collect()
     }

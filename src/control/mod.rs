@@ -35,6 +35,7 @@ mod held;
 pub mod hold;
 mod holding;
 mod journal;
+pub(crate) mod named;
 #[doc(hidden)]
 pub mod path;
 #[doc(hidden)]
@@ -67,6 +68,7 @@ pub(crate) use holding::ControlsAlong;
 pub use holding::{CannotHold, Holding, HoldingError, NotFound, holding};
 #[doc(hidden)]
 pub use journal::{Listener, SearchEvent};
+pub use named::{ControlKind, NamedControl};
 pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, RodView};
 pub(crate) use problem::named_axes;
 pub use problem::{

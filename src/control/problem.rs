@@ -205,6 +205,12 @@ pub struct ActuatedNode {
 }
 
 impl ActuatedNode {
+    /// Tells whether any component of force or moment can act.
+    #[must_use]
+    pub fn acts(&self) -> bool {
+        self.force.acts() || self.moment.acts()
+    }
+
     /// Returns the carriers of channels on a node: each has a force or a moment of its own.
     pub fn carrying(node: usize, channels: &[Channel]) -> impl Iterator<Item = Self> {
         channels.chunks(2).map(move |pair| Self {
@@ -800,11 +806,10 @@ impl OptimalControlProblem {
         self.control.n_coefficients() * self.actuated_components().len()
     }
 
-    /// Returns the number of rows of `controls.csv`: one per coefficient and actuator, and if the arm stays one more per actuator for the
-    /// time after the horizon.
+    /// Returns the number of rows of `controls.csv`: one per coefficient, and if the arm stays one more for the time after the horizon.
     #[must_use]
     pub fn n_control_rows(&self) -> usize {
-        (self.control.n_coefficients() + usize::from(self.stay.is_some())) * self.actuators.len()
+        self.control.n_coefficients() + usize::from(self.stay.is_some())
     }
 
     /// Returns the number of the solver's variables.

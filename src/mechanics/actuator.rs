@@ -100,6 +100,11 @@ pub trait Actuator: fmt::Debug + Send + Sync {
         ("controls of an actuator of one's own", "")
     }
 
+    /// Returns the name of a control in files and certificates, by its index.
+    fn control_name(&self, index: usize) -> String {
+        format!("control {}", index + 1)
+    }
+
     /// Returns the second derivative of `Σ λ·w`, for constant components `λ` of as many wrenches, with respect to the configuration and
     /// then the controls: `6m + n` rows and columns, symmetric; along a rotation it is that of `s ↦ w(R exp(s ζ̂))`. By default it comes
     /// from central differences of both Jacobians, accurate to about 1e-9 of its size.

@@ -1,5 +1,7 @@
 //! The command of one sample: wrenches on nodes of the model, and efforts of the actuators in the arm.
 
+#[cfg(feature = "cli")]
+use crate::control::{ControlKind, NamedControl};
 use crate::mechanics::{Efforts, NodeWrenches, Rod, Wrench};
 
 /// The wrenches and efforts that act until the next sample, linear in time.
@@ -76,6 +78,21 @@ impl Command {
             out.force = from.force * (1.0 - s) + to.force * s;
             out.moment = from.moment * (1.0 - s) + to.moment * s;
         }
+    }
+
+    /// Returns the commanded values of [named numbers](super::Controller::commanded) at the start, or at the end.
+    #[cfg(feature = "cli")]
+    pub(crate) fn values(&self, named: &[NamedControl], at_end: bool) -> Vec<f64> {
+        let (wrenches, efforts) = match at_end {
+            false => (&self.from, &self.efforts_from),
+            true => (&self.to, &self.efforts_to),
+        };
+        (named.iter())
+            .map(|own| match own.kind {
+                ControlKind::Effort { actuator } => own.rest + efforts[actuator],
+                ControlKind::Wrench { .. } | ControlKind::Own => own.value(wrenches),
+            })
+            .collect()
     }
 
     /// Writes the efforts that act at time `t`, beyond the given ones, to the wrenches that carry them, six to a wrench.

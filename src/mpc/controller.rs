@@ -25,7 +25,11 @@ use super::holding::Held;
 use super::horizon::{Horizon, driven};
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
+#[cfg(feature = "cli")]
+use crate::control::named::distinguish;
 use crate::control::{ActuatedNode, Channel, Hold};
+#[cfg(feature = "cli")]
+use crate::control::{ControlKind, NamedControl};
 use crate::mechanics::linearization::StateTangent;
 use crate::mechanics::{Drive, Rod, State, StepError, Wrench};
 use crate::stop::StopSignal;
@@ -405,10 +409,25 @@ impl Controller {
         })
     }
 
-    /// Returns the indices of the actuators in the arm whose efforts are controls.
+    /// Returns the numbers of a [command](Command) by name: components of the wrenches on its nodes, among them what user-defined actuators
+    /// exert, and efforts of actuators in the arm. Number `actuator` of a component counts the nodes of the command.
     #[cfg(feature = "cli")]
-    pub(crate) fn driven_actuators(&self) -> &[usize] {
-        (self.horizon.problem.efforts.as_ref()).map_or(&[], |efforts| &efforts.actuators)
+    pub(crate) fn commanded(&self) -> Vec<NamedControl> {
+        let horizon = &self.horizon;
+        let mesh = &horizon.problem.rod.mesh;
+        let acts = |node: usize, axis: usize| {
+            let mut effects = horizon.effects.iter().flatten();
+            effects.any(|effect| (effect.0, effect.1) == (node, axis))
+        };
+        let mut out = Vec::new();
+        for (at, &node) in self.command.nodes.iter().enumerate() {
+            let axes = (0..6).filter(|axis| acts(node, *axis));
+            out.extend(axes.map(|axis| NamedControl::on_node(mesh, node, at, axis)));
+        }
+        let named = horizon.problem.named_controls().into_iter();
+        out.extend(named.filter(|own| matches!(own.kind, ControlKind::Effort { .. })));
+        distinguish(&mut out);
+        out
     }
 
     /// Returns the actuators in the arm whose efforts are controls, with the channels of these.

@@ -6,12 +6,21 @@ use faer::Mat;
 use nalgebra::Vector3;
 
 use super::OutputError;
-use super::npz::{self, read_array, write_array};
-use crate::control::Feedback;
+use super::npz::{self, read_array, read_words, write_array, write_words};
+use crate::control::{Feedback, NamedControl};
 use crate::mechanics::State;
 
 /// Name, shape and numbers of an array.
 pub type NamedArray = (&'static str, Vec<usize>, Vec<f64>);
+
+/// The contents of `feedback.npz`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FeedbackArrays {
+    /// Name and unit of every row of the gains.
+    pub input: Vec<String>,
+    /// The arrays of numbers.
+    pub numbers: Vec<NamedArray>,
+}
 
 /// Gains with their rows and reference, as arrays. With `B` blocks, `m` inputs, `F` free nodes and `n = 12 F`:
 ///
@@ -19,13 +28,13 @@ pub type NamedArray = (&'static str, Vec<usize>, Vec<f64>);
 /// |---|---|---|
 /// | `t` | B | starts of the blocks, s |
 /// | `gain` | B, m, n | `K`: over a block, `u = u* - K dx` with `dx` at its start, node by node `(x - x*, log(R*ᵀR), p - p*, π - π*)` |
-/// | `input` | m, 2 | node and axis of every row: 0..3 force (spatial), 3..6 moment (body frame) |
+/// | `input` | m | name and unit of the control of every row, as the columns of `controls.csv` have them (text) |
 /// | `node` | F | the free nodes |
 /// | `x`, `R`, `p`, `pi` | B, F, … | the reference: positions, rotations, momenta (spatial), angular momenta (body frame) |
 /// | `cost_to_go` | n, n | cost of a deviation at the start |
 /// | `t_edge`, `sensitivity`, `sensitivity_closed_loop` | B + 1 | growth of the norm of a perturbation up to every edge |
 #[must_use]
-pub fn feedback_arrays(feedback: &Feedback, end: f64) -> [NamedArray; 12] {
+pub fn feedback_arrays(feedback: &Feedback, end: f64) -> FeedbackArrays {
     let blocks = feedback.times.len();
     let (m, n) = (feedback.inputs.len(), feedback.cost_to_go.nrows());
     let nodes = n / 12;
@@ -40,18 +49,14 @@ pub fn feedback_arrays(feedback: &Feedback, end: f64) -> [NamedArray; 12] {
         .flat_map(|state| state.configuration.rotations[free.clone()].iter())
         .flat_map(|r| r.transpose().iter().copied().collect::<Vec<_>>())
         .collect();
-    let inputs = (feedback.inputs.iter())
-        .flat_map(|&(node, axis)| [node as f64, axis as f64])
-        .collect();
     let edges = feedback.times.iter().copied().chain([end]).collect();
-    [
+    let numbers = vec![
         ("t", vec![blocks], feedback.times.clone()),
         (
             "gain",
             vec![blocks, m, n],
             feedback.gains.iter().flat_map(rows).collect(),
         ),
-        ("input", vec![m, 2], inputs),
         (
             "node",
             vec![nodes],
@@ -81,7 +86,11 @@ pub fn feedback_arrays(feedback: &Feedback, end: f64) -> [NamedArray; 12] {
             vec![blocks + 1],
             feedback.closed_loop.clone(),
         ),
-    ]
+    ];
+    FeedbackArrays {
+        input: feedback.inputs.iter().map(NamedControl::heading).collect(),
+        numbers,
+    }
 }
 
 /// Writes the [arrays](feedback_arrays) of gains.
@@ -91,20 +100,38 @@ pub fn feedback_arrays(feedback: &Feedback, end: f64) -> [NamedArray; 12] {
 pub fn write_feedback(path: &Path, feedback: &Feedback, end: f64) -> Result<(), OutputError> {
     let arrays = feedback_arrays(feedback, end);
     npz::write(path, |archive| {
-        (arrays.iter()).try_for_each(|(name, shape, values)| {
+        write_words(archive, INPUT, &arrays.input)?;
+        (arrays.numbers.iter()).try_for_each(|(name, shape, values)| {
             write_array(archive, name, shape, values.iter().copied().map(Ok))
         })
     })
 }
 
+/// Name of the array of the inputs.
+const INPUT: &str = "input";
+
 /// Reads arrays with the names and shapes of `expected`, and no more data than these.
 ///
 /// # Errors
-/// Returns [`OutputError`] for a missing array, another shape, and numbers that are not finite.
-pub fn read_feedback(path: &Path, expected: &[NamedArray]) -> Result<Vec<NamedArray>, OutputError> {
-    let sizes: Vec<usize> = expected.iter().map(|(_, _, values)| values.len()).collect();
+/// Returns [`OutputError`] for a missing array, another shape, numbers that are not finite, and inputs that are no text, as before schema 2.
+pub fn read_feedback(
+    path: &Path,
+    expected: &FeedbackArrays,
+) -> Result<FeedbackArrays, OutputError> {
+    let numbers = expected.numbers.iter().map(|(_, _, values)| values.len());
+    let longest = (expected.input.iter().map(|word| word.chars().count())).max();
+    // Two characters take as much as a number.
+    let words = expected.input.len() * longest.unwrap_or(0).div_ceil(2);
+    let sizes: Vec<usize> = numbers.chain([words]).collect();
     let mut archive = npz::open_within(path, npz::largest_archive(&sizes))?;
-    (expected.iter())
+    let input = read_words(
+        &mut archive,
+        INPUT,
+        expected.input.len(),
+        longest.unwrap_or(0),
+    )
+    .map_err(|reason| OutputError::malformed(path, format!("array {INPUT}: {reason}")))?;
+    let numbers: Result<Vec<NamedArray>, OutputError> = (expected.numbers.iter())
         .map(|(name, shape, _)| {
             let malformed =
                 |reason| OutputError::malformed(path, format!("array {name}: {reason}"));
@@ -121,7 +148,11 @@ pub fn read_feedback(path: &Path, expected: &[NamedArray]) -> Result<Vec<NamedAr
                 }
             }
         })
-        .collect()
+        .collect();
+    Ok(FeedbackArrays {
+        input,
+        numbers: numbers?,
+    })
 }
 
 /// Reads the growth of a perturbation up to every edge of the blocks, without and with the regulator, for gains over `n_edges - 1` blocks.

@@ -33,6 +33,8 @@ pub mod summary;
 
 #[doc(hidden)]
 pub use checkpoint::Checkpoint;
+#[cfg(feature = "cli")]
+pub(crate) use controls::first_line;
 pub use controls::{ControlRow, read_controls, write_controls};
 pub use diagnostics::{BaseReaction, DiagnosticsRecord};
 pub use directory::{ResultDirectory, ResultKind};
@@ -41,7 +43,9 @@ pub use end_state::{END_FILE, read_end, write_end};
 pub use error::OutputError;
 #[doc(hidden)]
 pub use extremes::Extremes;
-pub use feedback::{NamedArray, feedback_arrays, read_feedback, read_sensitivity, write_feedback};
+pub use feedback::{
+    FeedbackArrays, NamedArray, feedback_arrays, read_feedback, read_sensitivity, write_feedback,
+};
 pub(crate) use json::json_value;
 pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};

@@ -11,7 +11,7 @@ use crate::sqp::SqpOutcome;
 use crate::verify::SolutionMultipliers;
 
 /// Multipliers of a solution, as in [`SolutionMultipliers`](crate::verify::SolutionMultipliers).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct MultiplierRecord {
     /// Multipliers of the goals' scaled residuals.
     pub goals: Vec<f64>,
@@ -20,8 +20,42 @@ pub struct MultiplierRecord {
     /// Normals of the bounds on rates.
     pub rates: Vec<[f64; 6]>,
     /// Normals of the bounds on commands.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub commands: Vec<[f64; 6]>,
+}
+
+/// The contents of the file: as [`MultiplierRecord`], but the normals have a row for every interval, with a number for every
+/// [control](OptimalControlProblem::named_controls).
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct MultiplierFile {
+    goals: Vec<f64>,
+    path: Vec<PathMultiplier>,
+    rates: Vec<Vec<f64>>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    commands: Vec<Vec<f64>>,
+}
+
+/// Returns the rows of a file with the normals of every actuator, interval by interval.
+fn by_control(problem: &OptimalControlProblem, normals: &[[f64; 6]]) -> Vec<Vec<f64>> {
+    let components = problem.actuated_components();
+    (normals.chunks(problem.actuators.len().max(1)))
+        .map(|of| (components.iter().map(|own| of[own.actuator][own.axis])).collect())
+        .collect()
+}
+
+/// Returns the normals of every actuator in the rows of a file, or the length of a row that is not of this problem.
+fn by_actuator(problem: &OptimalControlProblem, rows: &[Vec<f64>]) -> Result<Vec<[f64; 6]>, usize> {
+    let components = problem.actuated_components();
+    let n = problem.actuators.len();
+    let mut out = vec![[0.0; 6]; n * rows.len()];
+    for (i, row) in rows.iter().enumerate() {
+        if row.len() != components.len() {
+            return Err(row.len());
+        }
+        for (own, value) in components.iter().zip(row) {
+            out[n * i + own.actuator][own.axis] = *value;
+        }
+    }
+    Ok(out)
 }
 
 impl MultiplierRecord {
@@ -34,6 +68,16 @@ impl MultiplierRecord {
             path: program.path_multipliers(&multipliers.inequalities),
             rates: program.rate_normals(&multipliers.normals),
             commands: program.command_normals(&multipliers.normals),
+        }
+    }
+
+    /// Returns the contents of the file.
+    pub(crate) fn file(&self, problem: &OptimalControlProblem) -> impl Serialize {
+        MultiplierFile {
+            goals: self.goals.clone(),
+            path: self.path.clone(),
+            rates: by_control(problem, &self.rates),
+            commands: by_control(problem, &self.commands),
         }
     }
 
@@ -74,9 +118,25 @@ pub fn read_multipliers(
         .saturating_mul(8)
         .saturating_add(goals + 64);
     let text = read_text(path, entries.saturating_mul(LARGEST_ENTRY))?;
-    serde_json::from_str(&text).map_err(|error| OutputError::Malformed {
-        path: path.to_path_buf(),
-        line: Some(error.line() as u64),
-        reason: error.to_string(),
+    let file: MultiplierFile =
+        serde_json::from_str(&text).map_err(|error| OutputError::Malformed {
+            path: path.to_path_buf(),
+            line: Some(error.line() as u64),
+            reason: error.to_string(),
+        })?;
+    let normals = |rows: &[Vec<f64>]| {
+        by_actuator(problem, rows).map_err(|length| {
+            let n_controls = problem.actuated_components().len();
+            let reason = format!(
+                "a row of {length} normals, but scene.toml describes {n_controls} controls"
+            );
+            OutputError::malformed(path, reason)
+        })
+    };
+    Ok(MultiplierRecord {
+        rates: normals(&file.rates)?,
+        commands: normals(&file.commands)?,
+        goals: file.goals,
+        path: file.path,
     })
 }

@@ -81,12 +81,7 @@ pub(super) fn write_array(
 ) -> io::Result<()> {
     let shape: Vec<u64> = shape.iter().map(|&size| size as u64).collect();
     let size = 8 * shape.iter().product::<u64>() + HEADER_ALLOWANCE;
-    let options = SimpleFileOptions::default()
-        .compression_method(CompressionMethod::Deflated)
-        .compression_level(Some(DEFLATE_LEVEL))
-        .last_modified_time(DateTime::default()) // a fixed date, 1980
-        .large_file(size > u64::from(u32::MAX) / 2);
-    archive.start_file(file_name_from_array_name(name), options)?;
+    archive.start_file(file_name_from_array_name(name), entry_options(size))?;
     let mut array = WriteOptions::<f64>::new()
         .default_dtype()
         .shape(&shape)
@@ -96,6 +91,104 @@ pub(super) fn write_array(
         array.push(&value?)?;
     }
     array.finish()
+}
+
+fn entry_options(size: u64) -> SimpleFileOptions {
+    SimpleFileOptions::default()
+        .compression_method(CompressionMethod::Deflated)
+        .compression_level(Some(DEFLATE_LEVEL))
+        .last_modified_time(DateTime::default()) // a fixed date, 1980
+        .large_file(size > u64::from(u32::MAX) / 2)
+}
+
+/// Bytes of a character of text in numpy, UTF-32.
+const CHARACTER: usize = 4;
+
+/// Appends a list of words as text of as many characters as the longest, the shorter ones filled up with zeros (numpy's type `U`).
+pub(super) fn write_words(
+    archive: &mut ArchiveWriter,
+    name: &str,
+    words: &[String],
+) -> io::Result<()> {
+    let width = (words.iter().map(|word| word.chars().count())).fold(1, usize::max);
+    let mut header = format!(
+        "{{'descr': '<U{width}', 'fortran_order': False, 'shape': ({},), }}",
+        words.len()
+    );
+    // Ten bytes precede the header, which ends a line and aligns the data.
+    while (10 + header.len() + 1) % 64 != 0 {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    for word in words {
+        let filled = (word.chars().map(u32::from))
+            .chain(std::iter::repeat(0))
+            .take(width);
+        bytes.extend(filled.flat_map(u32::to_le_bytes));
+    }
+    let options = entry_options(bytes.len() as u64);
+    archive.start_file(file_name_from_array_name(name), options)?;
+    archive.write_all(&bytes)
+}
+
+/// Reads a list of `n` words of at most `longest` characters, as [`write_words`] and numpy write them.
+pub(super) fn read_words(
+    archive: &mut Archive,
+    name: &str,
+    n: usize,
+    longest: usize,
+) -> Result<Vec<String>, String> {
+    let mut entry = entry_of(archive, name)?;
+    let header = header_of(&mut entry)?;
+    let header: String = (header.iter().skip(10))
+        .map(|byte| char::from(*byte))
+        .filter(|character| !character.is_whitespace())
+        .collect();
+    let after = |key: &str| header.split_once(key).map(|(_, rest)| rest);
+    let width =
+        after("'descr':'<U").and_then(|rest| rest.split('\'').next()?.parse::<usize>().ok());
+    let width = width.ok_or("not text")?;
+    let length = after("'shape':(").and_then(|rest| rest.split(',').next()?.parse::<usize>().ok());
+    if length != Some(n) {
+        return Err(format!("not a list of {n} words"));
+    }
+    if width > longest.max(1) {
+        return Err(format!(
+            "words of {width} characters; expected at most {longest}"
+        ));
+    }
+    let mut bytes = vec![0; CHARACTER * width * n];
+    entry
+        .read_exact(&mut bytes)
+        .map_err(|error| error.to_string())?;
+    match entry.read(&mut [0]) {
+        Ok(0) => {}
+        Ok(_) => return Err("longer than its shape".into()),
+        Err(error) => return Err(error.to_string()),
+    }
+    (bytes.chunks_exact((CHARACTER * width).max(1)))
+        .map(|word| {
+            (word.chunks_exact(CHARACTER))
+                .map(|four| u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
+                .take_while(|code| *code != 0)
+                .map(|code| char::from_u32(code).ok_or_else(|| "no Unicode text".to_string()))
+                .collect()
+        })
+        .collect()
+}
+
+/// Returns the entry of an array.
+fn entry_of<'a>(
+    archive: &'a mut Archive,
+    name: &str,
+) -> Result<zip::read::ZipFile<'a, BufReader<File>>, String> {
+    (archive.by_name(&file_name_from_array_name(name))).map_err(|error| match error {
+        ZipError::FileNotFound => "missing".into(),
+        other => other.to_string(),
+    })
 }
 
 /// Reads shape and values of an array; `None` in `expected` admits any size in that dimension.
@@ -120,11 +213,7 @@ pub(super) fn visit_array(
     expected: &[Option<usize>],
     mut visit: impl FnMut(f64) -> io::Result<()>,
 ) -> Result<Vec<usize>, String> {
-    let mut entry =
-        (archive.by_name(&file_name_from_array_name(name))).map_err(|error| match error {
-            ZipError::FileNotFound => "missing".into(),
-            other => other.to_string(),
-        })?;
+    let mut entry = entry_of(archive, name)?;
     let header = header_of(&mut entry)?;
     let mut bytes = header.as_slice().chain(entry);
     let array = NpyFile::new(&mut bytes).map_err(|error| error.to_string())?;

@@ -9,7 +9,7 @@ use crate::sqp::{Convergence, KktResidual, PhaseTimes, Progress};
 use crate::stop::Stop;
 
 /// Version of the layout of every summary.
-pub const SCHEMA_VERSION: u32 = 1;
+pub const SCHEMA_VERSION: u32 = 2;
 /// The program that writes a result, as the summary in a result directory names it.
 pub const TOOL: &str = crate::TOOL;
 
@@ -567,8 +567,11 @@ pub struct StaysSummary {
     pub seconds: f64,
     /// Largest distance of the tip from its target during the stay, m.
     pub allowed_m: f64,
-    /// The wrench that is held of every actuator: force (N, spatial frame) and moment (N m, body frame).
+    /// The wrench that is held on every actuated node: force (N, spatial frame) and moment (N m, body frame); absent without one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub wrench: Vec<[f64; 6]>,
+    /// The controls that are held, in the order of `controls.csv`.
+    pub controls: Vec<NamedValue>,
     /// Tells whether the equilibrium under these wrenches is stable: no small deviation grows, on the solution's grid or one of twice the
     /// elements.
     pub stable: bool,
@@ -588,6 +591,17 @@ pub struct StaysSummary {
     pub energy_bound_m: Option<f64>,
     /// `stays`, `leaves`, or `not checked`.
     pub verdict: &'static str,
+}
+
+/// The value of a control.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NamedValue {
+    /// Name of the [control](crate::control::NamedControl).
+    pub name: String,
+    /// Its unit; `1` for a pure number.
+    pub unit: &'static str,
+    /// Value: a force, a moment, or a whole effort.
+    pub value: f64,
 }
 
 /// Largest distance over a time.

@@ -95,6 +95,8 @@ struct Arm {
     time: f64,
     /// Memory of the motion before, and the length of its steps, s.
     memory: Option<(f64, StepperMemory)>,
+    /// Inputs of all actuators at the end of the call before, if it gave any; of a winch its displacement, m.
+    inputs: Option<Vec<f64>>,
 }
 
 /// Wrenches and efforts that act on an arm over a call, beside the loads of its scene: at its start and at its end, linear in between.
@@ -184,6 +186,7 @@ impl Arm {
     fn restart(&mut self, kind: &Kind) {
         self.state.clone_from(&kind.initial);
         self.time = 0.0;
+        self.inputs = None;
     }
 
     /// Puts the arm into a state at a time, s: positions, velocities and angular velocities of the nodes, of which those that are not given
@@ -220,7 +223,13 @@ impl Arm {
         }
         state.configuration.rotations = rotations;
         self.time = time;
+        self.inputs = None;
         Ok(())
+    }
+
+    /// Returns the inputs of all actuators that act now: those of the call before, or those of the scene.
+    fn inputs(&self) -> Vec<f64> {
+        (self.inputs.clone()).unwrap_or_else(|| self.rod.actuators.efforts(self.time))
     }
 
     /// Moves the arm by `n` steps of `step` (s), or leaves it where it is, if `goes_on` says no after one of them.
@@ -254,6 +263,7 @@ impl Arm {
         }
         stepper.write_state(&mut self.state);
         self.time += n as f64 * step;
+        self.inputs = Some(acting.efforts[1].clone()).filter(|inputs| !inputs.is_empty());
         self.memory = Some((step, stepper.into_memory()));
         Ok(())
     }
@@ -302,6 +312,7 @@ impl Kind {
             state: self.initial.clone(),
             time: 0.0,
             memory: None,
+            inputs: None,
         }
     }
 
@@ -397,6 +408,32 @@ impl Plant {
         self.kind.names.clone()
     }
 
+    /// Units of the efforts that `step` takes, one for every actuator: `N`, `Pa`, `T`, `T/m`, `1` for an activation, and `m` for the
+    /// displacement of a winch.
+    #[getter]
+    fn units(&self) -> Vec<String> {
+        let word = |unit: &str| if unit.is_empty() { "1" } else { unit }.to_string();
+        (self.kind.rod.actuators.iter())
+            .map(|actuator| word(actuator.input_unit()))
+            .collect()
+    }
+
+    /// The efforts that act now, one for every actuator, in N, Pa, T, T/m or as activation; of a tendon on a winch its tension.
+    #[getter]
+    fn efforts<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let shape = &self.arm.state.configuration;
+        let inputs = self.arm.inputs();
+        (self.kind.rod)
+            .efforts_at(inputs, &shape.positions, &shape.rotations)
+            .into_pyarray(py)
+    }
+
+    /// The inputs that act now, one for every actuator, in the unit of `units`: of a winch its displacement.
+    #[getter]
+    fn inputs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.arm.inputs().into_pyarray(py)
+    }
+
     /// Places of the nodes along the arm, from 0 at the base to 1, `(K+1,)`.
     #[getter]
     fn places<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
@@ -447,7 +484,8 @@ impl Plant {
     }
 
     /// Moves the arm by `dt` seconds under wrenches `(K+1, 6)` on the nodes (force in N, spatial; moment in N m, in the frame of the node)
-    /// and efforts `(m,)` of the actuators (N, Pa, activation, T); without efforts those of the scene act. They are constant, or go linearly
+    /// and efforts `(m,)` of the actuators, in the unit of `units` (N, Pa, activation, T; of a winch its displacement in m, negative where it
+    /// pulls in); without efforts those of the scene act. They are constant, or go linearly
     /// to `wrenches_to` and `efforts_to`.
     #[pyo3(signature = (dt, wrenches=None, efforts=None, wrenches_to=None, efforts_to=None))]
     fn step(
@@ -517,6 +555,7 @@ impl Plant {
         let mut arm = self.kind.arm();
         arm.state.clone_from(&self.arm.state);
         arm.time = self.arm.time;
+        arm.inputs.clone_from(&self.arm.inputs);
         Self {
             kind: Arc::clone(&self.kind),
             arm,

@@ -133,30 +133,23 @@ impl Program {
         self.problem().control.edge_times().into_pyarray(py)
     }
 
-    /// The components of a coefficient of the control: `(name, axis, unit)`, the name of an actuator with no axis, or "force" (spatial) or
-    /// "moment" (body) on a node with its axis as 3 node + i. Variable `c + n j` is coefficient `j` of component `c` of `n`, divided by
-    /// its unit.
+    /// The components of a coefficient of the control: `(name, axis, unit, rest)`, "force" (spatial) or "moment" (body) on a node with its
+    /// axis as 3 node + i, or the name of another control with no axis. Variable `c + n j` is coefficient `j` of component `c` of `n`, divided
+    /// by its unit; the control is `rest` more than the coefficient.
     #[getter]
-    fn components(&self) -> Vec<(String, Option<usize>, f64)> {
+    fn components(&self) -> Vec<(String, Option<usize>, f64, f64)> {
         let problem = self.problem();
-        let n_wrenches = problem.wrench_actuators().len();
-        let driven: Vec<_> = problem.driven_components().collect();
-        (problem.actuated_components().iter())
-            .map(|component| {
-                let unit = problem.channel(component).unit();
-                let effort = (driven.iter())
-                    .find(|(_, own)| own == component)
-                    .and_then(|(actuator, _)| problem.rod.actuators.iter().nth(*actuator));
-                if let Some(effort) = effort {
-                    return (effort.name.clone(), None, unit);
+        (problem.named_controls().into_iter())
+            .map(|own| {
+                let axis = own.component.axis;
+                let unit = problem.channel(&own.component).unit();
+                match own.node() {
+                    None => (own.name, None, unit, own.rest),
+                    Some(node) => {
+                        let kind = if axis < 3 { "force" } else { "moment" };
+                        (kind.to_string(), Some(3 * node + axis % 3), unit, own.rest)
+                    }
                 }
-                let kind = match (component.actuator < n_wrenches, component.axis < 3) {
-                    (true, true) => "force",
-                    (true, false) => "moment",
-                    (false, _) => "own",
-                };
-                let node = problem.actuators[component.actuator].node;
-                (kind.to_string(), Some(3 * node + component.axis % 3), unit)
             })
             .collect()
     }

@@ -1,6 +1,6 @@
 //! The controls of an earlier solution, on the grid of another problem.
 
-use crate::control::{ActuatedNode, OptimalControlProblem};
+use crate::control::{NamedControl, OptimalControlProblem};
 use crate::mechanics::Wrench;
 use crate::scene::OptimalControl;
 
@@ -24,31 +24,29 @@ impl Earlier {
         setup.with_time_scale(duration / setup.problem.grid.duration())
     }
 
-    /// Returns the coefficients of another problem: the earlier control at the times of its coefficients, from the actuator at the same
-    /// place of the arm, or zero where there was none.
+    /// Returns the coefficients of another problem: the values of the earlier controls of the same name and unit at the times of its
+    /// coefficients, and the controls at rest where there was none.
     pub fn controls(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
         let earlier = &self.problem;
-        let n = earlier.actuators.len();
+        let (n, n_earlier) = (problem.actuators.len(), earlier.actuators.len());
         let last = earlier.grid.n_steps;
-        let [n_wrenches, n_earlier] = [problem, earlier].map(|p| p.wrench_actuators().len());
-        let found = |(index, actuator): (usize, &ActuatedNode)| {
-            if index >= n_wrenches {
-                // Controls of user-defined actuators follow those of the nodes.
-                return Some(index - n_wrenches + n_earlier).filter(|a| *a < n);
-            }
-            let node = (earlier.rod.mesh).node_at(problem.rod.mesh.fraction(actuator.node));
-            let same = |other: &ActuatedNode| Some(other.node) == node;
-            earlier.wrench_actuators().iter().position(same)
+        let (named, before) = (problem.named_controls(), earlier.named_controls());
+        let same = |own: &NamedControl| {
+            (before.iter()).find(|other| (&other.name, other.unit) == (&own.name, own.unit))
         };
-        let places: Vec<_> = problem.actuators.iter().enumerate().map(found).collect();
-        let mut out = Vec::new();
-        for t in problem.control.coefficient_times() {
+        let pairs: Vec<_> = (named.iter())
+            .filter_map(|own| Some((own, same(own)?)))
+            .collect();
+        let times = problem.control.coefficient_times();
+        let mut out = vec![Wrench::default(); n * times.len()];
+        for (out, t) in out.chunks_mut(n.max(1)).zip(times) {
             let k = ((t / earlier.grid.step).round() as usize).min(last);
-            out.extend(places.iter().map(|place| {
-                place.map_or_else(Wrench::default, |a| {
-                    (earlier.control).value(k, |j| self.coefficients[j * n + a])
-                })
-            }));
+            let at: Vec<Wrench> = (0..n_earlier)
+                .map(|a| (earlier.control).value(k, |j| self.coefficients[j * n_earlier + a]))
+                .collect();
+            for (own, other) in &pairs {
+                own.write(other.value(&at), out);
+            }
         }
         out
     }

@@ -4,20 +4,20 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::controls::{coefficients_of, control_rows, write_rows_of};
 use super::efforts::{commands, effort_rows};
 use super::examined::{Examined, Spent, beside, examine};
 use super::page::{SolvePage, iteration, sensitivity, solve_page};
 use super::solution::{Solution, stopped_steps_per_row};
 use super::summary::summarize;
-use crate::control::{Hold, OptimalControlProblem};
 use crate::mechanics::signal::EffortTable;
 use crate::mechanics::{Energy, NodalState, State, Wrench};
 #[cfg(feature = "cli")]
 use crate::output::DiagnosticsRecord;
 use crate::output::summary::SolveSummary;
 use crate::output::{
-    ControlRow, END_FILE, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory,
-    json_value, render_report, write_controls, write_efforts, write_end, write_feedback,
+    END_FILE, MotionRecord, OutputError, ResultDirectory, ResultKind, RunDirectory, json_value,
+    render_report, write_efforts, write_end, write_feedback,
 };
 #[cfg(feature = "cli")]
 use crate::scene::OptimalControl;
@@ -122,10 +122,10 @@ fn write(
     let write_motion = || record.write_npz(&directory.path().join("trajectory.npz"));
     let write_rest = || {
         let outcome = &solution.attempt.outcome;
-        write_controls(
-            &directory.path().join("controls.csv"),
-            &control_rows(problem, &solution.coefficients),
-        )?;
+        let rows = control_rows(problem, &solution.coefficients);
+        write_rows_of(&directory.path().join("controls.csv"), problem, &rows)?;
+        // A page made of the files has the controls as these round them.
+        let coefficients = coefficients_of(&rows, problem);
         if !problem.rod.actuators.is_empty() {
             let stride = solution.steps_per_row(examined);
             let control = problem.signal(&problem.control, &solution.coefficients);
@@ -144,7 +144,7 @@ fn write(
         }
         write_iterations(&directory.path().join("iterations.csv"), solution)?;
         directory.write_text("scene.toml", scene)?;
-        directory.write_json("multipliers.json", &solution.multipliers)?;
+        directory.write_json("multipliers.json", &solution.multipliers.file(problem))?;
         if let Some(feedback) = &examined.feedback {
             let path = directory.path().join("feedback.npz");
             write_feedback(&path, feedback, problem.grid.duration())?;
@@ -160,7 +160,7 @@ fn write(
         });
         let page = solve_page(SolvePage {
             problem: &solution.problem,
-            coefficients: &solution.coefficients,
+            coefficients: &coefficients,
             record: &record,
             summary: &json_value(summary),
             iterations: rows.collect(),
@@ -182,51 +182,19 @@ fn motion_record(solution: &Solution, examined: &Examined) -> MotionRecord {
     let stride = solution.steps_per_row(examined);
     let last = trajectory.n_times() - 1;
     for k in (0..last).step_by(stride).chain([last]) {
-        let wrench = &control.at(k).wrenches[0];
+        let wrench = match problem.wrench_actuators() {
+            [] => Wrench::default(),
+            _ => control.at(k).wrenches[0],
+        };
         let state = State::at_rest(trajectory.configuration(k));
         let energy = examined.check.as_ref().map_or_else(
             || Energy::of(&problem.rod, &state),
             |check| check.replay.energies[k],
         );
         let dilatation = problem.rod.dilatation(&state.configuration.positions);
-        record.push_state(problem.grid.time(k), &state, wrench, &energy, &dilatation);
+        record.push_state(problem.grid.time(k), &state, &wrench, &energy, &dilatation);
     }
     record
-}
-
-/// Returns one row per coefficient and actuator: per block of a constant hold; per knot of a linear hold or control point of a spline, with
-/// two equal times. Where the arm stays after the task, one row per actuator follows for the time after the horizon.
-fn control_rows(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Vec<ControlRow> {
-    let edges = problem.control.edge_times();
-    let times = problem.control.coefficient_times();
-    let n = problem.actuators.len();
-    let end = problem.grid.duration();
-    // The last wrenches are held for a time where the arm stays.
-    let held = (problem.stay.iter())
-        .flat_map(|stay| (stay.wrenches.iter()).map(|u| (u, (end, end + stay.seconds))));
-    (coefficients.iter().enumerate())
-        .map(|(i, u)| {
-            let j = i / n;
-            let interval = match problem.control.hold {
-                Hold::Constant => (edges[j], edges[j + 1]),
-                Hold::Linear | Hold::Cubic => (times[j], times[j]),
-            };
-            (u, interval)
-        })
-        .chain(held)
-        .enumerate()
-        .map(|(i, (u, (t_start, t_end)))| ControlRow {
-            t_start,
-            t_end,
-            fx: u.force.x,
-            fy: u.force.y,
-            fz: u.force.z,
-            mx: u.moment.x,
-            my: u.moment.y,
-            mz: u.moment.z,
-            node: problem.actuators[i % n].node,
-        })
-        .collect()
 }
 
 /// The solve that an iteration is of, in a row of `iterations.csv`.

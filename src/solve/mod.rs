@@ -6,6 +6,7 @@ mod choice;
 #[cfg(feature = "cli")]
 mod closed_loop;
 mod constraints;
+mod controls;
 mod diagnostics;
 #[cfg(feature = "cli")]
 mod earlier;

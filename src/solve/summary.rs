@@ -17,8 +17,8 @@ use crate::mechanics::{Trajectory, Wrench};
 use crate::output::json_value;
 use crate::output::summary::{
     AttemptSummary, CheckRecord, LargestDistance, LargestSpeed, NOT_CHECKED, NamedConstraint,
-    PhaseSummary, ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities, SensitivitySummary,
-    SolveSummary, StartSummary, StaysSummary, TOOL, TipEnd,
+    NamedValue, PhaseSummary, ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities,
+    SensitivitySummary, SolveSummary, StartSummary, StaysSummary, TOOL, TipEnd,
 };
 use crate::sqp::{IterationRecord, Progress, SqpStatus};
 use crate::stop::Stop;
@@ -179,7 +179,17 @@ fn stays(problem: &OptimalControlProblem, check: Option<&ForwardCheck>) -> Optio
     Some(StaysSummary {
         seconds: stay.seconds,
         allowed_m: stay.distance,
-        wrench: stay.wrenches.iter().map(Wrench::to_array).collect(),
+        wrench: (problem.wrench_actuators().iter().zip(&stay.wrenches))
+            .filter(|(node, _)| node.acts())
+            .map(|(_, wrench)| wrench.to_array())
+            .collect(),
+        controls: (problem.named_controls().into_iter())
+            .map(|own| NamedValue {
+                value: own.value(&stay.wrenches),
+                unit: own.unit,
+                name: own.name,
+            })
+            .collect(),
         stable: stay.is_stable && grows.is_none(),
         growth_rate_1_s: grows,
         tip_compliance_m_n: stay.compliance,

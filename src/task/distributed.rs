@@ -130,6 +130,15 @@ impl Actuator for DistributedCouple {
         ("couples along the arm", "N m/m")
     }
 
+    /// Returns `couple at 0.25 x`, with the place of the point as a fraction of the length.
+    fn control_name(&self, index: usize) -> String {
+        let n_axes = self.acting_axes().count().max(1);
+        let axis = self.acting_axes().nth(index % n_axes).unwrap_or(0);
+        let place = (index / n_axes + 1) as f64 / (self.points + 1) as f64;
+        let letter = ["x", "y", "z"][axis];
+        format!("couple at {} {letter}", (place * 1e6).round() / 1e6)
+    }
+
     fn linear_map(&self, rod: &Rod) -> Option<Mat<f64>> {
         Some(self.weights(rod))
     }

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::hold::{self, Spline};
-use super::kkt::controls::{channels, control_cost};
+use super::kkt::controls::{control_cost, scales};
 use super::kkt::motion::Conditions;
 use super::probe::{Motion, roll_out};
 use super::{CheckError, Solution};
@@ -92,7 +92,7 @@ fn commanded(problem: &OptimalControlProblem, solution: &Solution) -> f64 {
     let mut sum = 0.0;
     for a in 0..n {
         let own = [&problem.actuators[a].force, &problem.actuators[a].moment];
-        for (c, (scale, ..)) in channels(problem, a).into_iter().enumerate() {
+        for (c, scale) in scales(problem, a).into_iter().enumerate() {
             if own[c].lag == 0.0 {
                 continue;
             }
@@ -130,7 +130,7 @@ fn rate_room(problem: &OptimalControlProblem, rates: &[[f64; 6]]) -> f64 {
             problem.actuators[a].force.rate_bound,
             problem.actuators[a].moment.rate_bound,
         ];
-        for (c, (scale, ..)) in channels(problem, a).into_iter().enumerate() {
+        for (c, scale) in scales(problem, a).into_iter().enumerate() {
             let normal = Vector3::from_column_slice(&normals[3 * c..3 * c + 3]);
             let room = match bounds[c] {
                 Some(Bound::PerAxis(limits)) => (0..3).map(|i| leeway(normal[i], limits[i])).sum(),

@@ -7,6 +7,7 @@ mod common;
 mod tool;
 
 mod certificate;
+mod named_controls;
 mod second_opinion;
 mod tampered_contact;
 mod tampered_efforts;

@@ -7,6 +7,7 @@ use crate::tool;
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
@@ -16,7 +17,7 @@ use proptest::prelude::*;
 use serde_json::{Value, json};
 use softarm::control::{PathMultiplier, simulated};
 use softarm::mechanics::Wrench;
-use softarm::output::{MotionRecord, read_controls, write_controls};
+use softarm::output::{ControlRow, MotionRecord, read_controls, write_controls};
 use softarm::scene::Scene;
 use softarm::verify::{SolutionMultipliers, kkt};
 use tempfile::TempDir;
@@ -137,6 +138,8 @@ fn read_arrays(path: &Path) -> Arrays {
     let mut archive = ZipArchive::new(File::open(path).unwrap()).unwrap();
     let files: Vec<String> = archive.file_names().map(String::from).collect();
     (files.into_iter())
+        // Text is not among the numbers.
+        .filter(|file| file != "input.npy")
         .map(|file| {
             let array = NpyFile::new(archive.by_name(&file).unwrap()).unwrap();
             let shape = array.shape().to_vec();
@@ -146,8 +149,25 @@ fn read_arrays(path: &Path) -> Arrays {
         .collect()
 }
 
+/// The bytes of an array of text in a file, if it has one.
+fn words(path: &Path) -> Option<Vec<u8>> {
+    let mut archive = ZipArchive::new(File::open(path).ok()?).ok()?;
+    let mut bytes = Vec::new();
+    let mut entry = archive.by_name("input.npy").ok()?;
+    entry.read_to_end(&mut bytes).ok()?;
+    Some(bytes)
+}
+
 fn write_arrays(path: &Path, arrays: &Arrays) {
+    write_with(path, arrays, words(path));
+}
+
+fn write_with(path: &Path, arrays: &Arrays, words: Option<Vec<u8>>) {
     let mut archive = ZipWriter::new(File::create(path).unwrap());
+    if let Some(words) = words {
+        (archive.start_file("input.npy", SimpleFileOptions::default())).unwrap();
+        archive.write_all(&words).unwrap();
+    }
     for (name, (shape, values)) in arrays {
         let options = SimpleFileOptions::default();
         (archive.start_file(format!("{name}.npy"), options)).unwrap();
@@ -322,16 +342,26 @@ fn solves_that_were_not_checked_can_be() {
     copy.verify().rejects("trajectory.npz", "energy");
 }
 
+/// The heads of the columns of a file of controls, and its rows.
+fn controls(path: &Path) -> (Vec<String>, Vec<ControlRow>) {
+    let mut table = csv::Reader::from_path(path).unwrap();
+    let headings: Vec<String> = (table.headers().unwrap().iter().skip(2))
+        .map(String::from)
+        .collect();
+    let rows = read_controls(path, &headings, 6).unwrap();
+    (headings, rows)
+}
+
 /// Times of the controls, which nothing else of the check reads.
 #[test]
 fn controls_say_when() {
     for (column, change) in [("t_start", [-1e-6, 0.0]), ("t_end", [0.0, 1e-6])] {
         let copy = Copy::new();
         let path = copy.path("controls.csv");
-        let mut rows = read_controls(&path, 6).unwrap();
+        let (headings, mut rows) = controls(&path);
         rows[2].t_start += change[0];
         rows[2].t_end += change[1];
-        write_controls(&path, &rows).unwrap();
+        write_controls(&path, &headings, &rows).unwrap();
         (copy.verify()).rejects("controls.csv", &format!("{column}, line 4"));
     }
 }
@@ -340,7 +370,7 @@ fn controls_say_when() {
 #[test]
 fn gains_are_computed_again() {
     let original = read_arrays(&Copy::new().path("feedback.npz"));
-    assert_eq!(original.len(), 12);
+    assert_eq!(original.len(), 11);
     for name in original.keys() {
         let copy = Copy::new();
         let mut arrays = original.clone();
@@ -356,6 +386,14 @@ fn gains_are_computed_again() {
         write_arrays(&copy.path("feedback.npz"), &arrays);
         copy.verify().rejects("feedback.npz", &format!("{name}["));
     }
+    // Other names of the controls.
+    let copy = Copy::new();
+    let path = copy.path("feedback.npz");
+    let mut named = words(&path).unwrap();
+    let at = named.iter().rposition(|byte| *byte == b'x').unwrap();
+    named[at] = b'w';
+    write_with(&path, &original, Some(named));
+    copy.verify().rejects("feedback.npz", "input[");
     // Gains of another regulator.
     let copy = Copy::new();
     let scene = copy.text("scene.toml");
@@ -759,17 +797,9 @@ fn says_the_same(copy: &Copy) {
             }
         }
     }
-    let [ours, theirs] =
-        [&original, copy].map(|of| read_controls(&of.path("controls.csv"), 6).unwrap());
+    let [ours, theirs] = [&original, copy].map(|of| controls(&of.path("controls.csv")).1);
     for (a, b) in ours.iter().zip(&theirs) {
-        for (a, b) in [
-            (a.fx, b.fx),
-            (a.fy, b.fy),
-            (a.fz, b.fz),
-            (a.mx, b.mx),
-            (a.my, b.my),
-            (a.mz, b.mz),
-        ] {
+        for (a, b) in a.values.iter().zip(&b.values) {
             assert!((a - b).abs() <= 1e-6, "{a} {b}");
         }
     }

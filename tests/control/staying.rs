@@ -203,10 +203,14 @@ fn the_last_wrench_is_the_holding_one() {
         let directory = tempfile::tempdir().unwrap();
         let saved = solution.save(&directory.path().join("result")).unwrap();
         let path = saved.join("controls.csv");
-        let rows = softarm::output::read_controls(&path, problem.discrete.n_control_rows());
-        let row = *rows.unwrap().last().expect("rows");
+        let named = problem.discrete.named_controls();
+        let headings: Vec<String> = named.iter().map(|own| own.heading()).collect();
+        let n_rows = problem.discrete.n_control_rows();
+        let rows = softarm::output::read_controls(&path, &headings, n_rows).unwrap();
+        let row = rows.last().expect("rows");
         assert!((row.t_end - row.t_start - stay.seconds).abs() < 1e-12);
-        assert_eq!(row.fx, stay.wrenches[0].force.x);
+        assert_eq!(headings[0], "tip force x (N)");
+        assert_eq!(row.values[0], stay.wrenches[0].force.x);
     }
 }
 

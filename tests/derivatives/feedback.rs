@@ -344,8 +344,10 @@ fn closed_loops_end_where_the_linear_one_does() {
         };
         let (mut open, mut closed) = (change.clone(), change.clone());
         for (j, edge) in edges.windows(2).enumerate() {
-            let map =
-                transition(&motion, &trajectory, edge[0]..edge[1], &feedback.inputs, 1).unwrap();
+            let inputs: Vec<(usize, usize)> = (feedback.inputs.iter())
+                .map(|own| (own.node().unwrap(), own.component.axis))
+                .collect();
+            let map = transition(&motion, &trajectory, edge[0]..edge[1], &inputs, 1).unwrap();
             let input = -(dense(&feedback.gains[j]) * &closed);
             open = dense(&map.state) * open;
             closed = dense(&map.state) * closed + dense(&map.input) * input;

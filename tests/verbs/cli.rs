@@ -361,7 +361,10 @@ fn solve_and_verify() {
     let path = desk.path("run/controls.csv");
     let controls = std::fs::read_to_string(&path).unwrap();
     let mut lines: Vec<String> = controls.lines().map(String::from).collect();
-    assert_eq!(lines[0], "t_start,t_end,fx,fy,fz,mx,my,mz,node");
+    assert_eq!(
+        lines[0],
+        "t_start,t_end,tip force x (N),tip force y (N),tip force z (N),tip moment x (N m),tip moment y (N m),tip moment z (N m)"
+    );
     let mut cells: Vec<String> = lines[2].split(',').map(String::from).collect();
     let fx: f64 = cells[2].parse().unwrap();
     cells[2] = (1.01 * fx).to_string();

@@ -144,7 +144,7 @@ fn files_agree() {
     ] {
         assert!(desk.path("run").join(name).is_file(), "{name}");
     }
-    assert_eq!(summary["schema_version"], 1);
+    assert_eq!(summary["schema_version"], 2);
     assert_eq!(summary["command"], "mpc");
     assert_eq!(summary["status"], "completed");
     assert_eq!(summary["samples"], 50);
@@ -190,11 +190,22 @@ fn files_agree() {
             "{k}"
         );
     }
-    let controls = read_controls(&desk.path("run/controls.csv"), 100).unwrap();
+    let headings = [
+        "tip force x (N)",
+        "tip force y (N)",
+        "tip force z (N)",
+        "tip moment x (N m)",
+        "tip moment y (N m)",
+    ]
+    .map(String::from);
+    let controls = read_controls(&desk.path("run/controls.csv"), &headings, 100).unwrap();
     for row in &controls {
-        assert!(row.fx.hypot(row.fy).hypot(row.fz) <= 20.0 + 1e-9);
-        assert!(row.mx.abs() <= 5.0 + 1e-9 && row.my.abs() <= 5.0 + 1e-9 && row.mz == 0.0);
+        assert!(row.values[..3].iter().map(|f| f * f).sum::<f64>().sqrt() <= 20.0 + 1e-9);
+        assert!(row.values[3..].iter().all(|m| m.abs() <= 5.0 + 1e-9));
     }
+    let text = desk.read("run/controls.csv");
+    let header = text.lines().next().unwrap();
+    assert_eq!(header, format!("t_start,t_end,{}", headings.join(",")));
     // The first command acts one period after the first sample.
     assert_eq!(numbers("acts_from")[0], Some(0.02));
     assert_eq!(controls[0].t_start, 0.02);

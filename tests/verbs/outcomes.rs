@@ -239,20 +239,20 @@ impl Run {
     fn read(&self) -> (OptimalControlProblem, Vec<Wrench>) {
         let path = self.result.join("scene.toml");
         let (scene, source) = Scene::load(path.to_str().unwrap(), &[]).unwrap();
+        let problem = scene.optimal_control(&source).unwrap().problem;
+        let named = problem.named_controls();
         let text = std::fs::read_to_string(self.result.join("controls.csv")).unwrap();
         let coefficients = (text.lines().skip(1))
-            .map(|line| {
-                let v: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
-                Wrench {
-                    force: Vector3::new(v[2], v[3], v[4]),
-                    moment: Vector3::new(v[5], v[6], v[7]),
+            .flat_map(|line| {
+                let cells = line.split(',').skip(2);
+                let mut own = vec![Wrench::default(); problem.actuators.len()];
+                for (control, cell) in named.iter().zip(cells) {
+                    control.write(cell.parse().unwrap(), &mut own);
                 }
+                own
             })
             .collect();
-        (
-            scene.optimal_control(&source).unwrap().problem,
-            coefficients,
-        )
+        (problem, coefficients)
     }
 }
 

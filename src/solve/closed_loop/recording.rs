@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::control::{Hold, PathLimit, RodView};
+use crate::control::{Hold, NamedControl, PathLimit, RodView};
 use crate::mechanics::{
     Configuration, Energy, NodalState, Rod, State, TimeGrid, Trajectory, Wrench,
 };
@@ -19,6 +19,8 @@ use crate::solve::page::closed_loop_page;
 /// Recording of the arm's motion, a row at the beginning and after every sample, and of the commands that are sent to it.
 pub(super) struct Recording {
     trajectory: RowFiles,
+    /// The numbers of a command by name, from the first one on.
+    commanded: Vec<NamedControl>,
     controls: Vec<ControlRow>,
     /// Efforts of the actuators in the arm, as they act.
     efforts: Vec<EffortRow>,
@@ -103,6 +105,7 @@ impl Recording {
         let layout = MotionRecord::empty(setup.plant.n_nodes());
         let mut recording = Self {
             trajectory: RowFiles::create(folder, &layout.arrays())?,
+            commanded: Vec::new(),
             controls: Vec::new(),
             efforts: Vec::new(),
             hold: setup.experiment.discretization.hold,
@@ -148,54 +151,23 @@ impl Recording {
 
     pub(super) fn see(&mut self, closed: &ClosedLoop) -> Result<(), OutputError> {
         let (arm, command) = (closed.arm(), closed.sent());
+        if self.controls.is_empty() {
+            self.commanded = closed.controller().commanded();
+        }
         let tip = closed.controller().rod().tip();
         let acting = (command.nodes.iter().zip(arm.acting()))
             .find_map(|(node, wrench)| (*node == tip).then_some(*wrench));
-        for (at, &node) in command.nodes.iter().enumerate() {
-            let row = |t_start, t_end, wrench: &Wrench| {
-                let [fx, fy, fz] = wrench.force.into();
-                let [mx, my, mz] = wrench.moment.into();
-                ControlRow {
-                    t_start,
-                    t_end,
-                    fx,
-                    fy,
-                    fz,
-                    mx,
-                    my,
-                    mz,
-                    node,
-                }
-            };
-            let (start, end) = (command.start, command.end);
-            if self.hold == Hold::Constant {
-                self.controls.push(row(start, end, &command.from[at]));
-            } else {
-                self.controls.push(row(start, start, &command.from[at]));
-                self.controls.push(row(end, end, &command.to[at]));
-            }
-        }
-        let driven = closed.controller().driven_actuators();
-        for pair in driven.chunks(2) {
-            let [start, end] = [command.start, command.end];
-            let row = |t_start, t_end, efforts: &[f64]| ControlRow {
-                t_start,
-                t_end,
-                fx: efforts[pair[0]],
-                fy: 0.0,
-                fz: 0.0,
-                mx: pair.get(1).map_or(0.0, |second| efforts[*second]),
-                my: 0.0,
-                mz: 0.0,
-                node: 0,
-            };
-            if self.hold == Hold::Constant {
-                self.controls.push(row(start, end, &command.efforts_from));
-            } else {
-                self.controls.push(row(start, start, &command.efforts_from));
-                self.controls.push(row(end, end, &command.efforts_to));
-            }
-        }
+        let row = |t_start, t_end, at_end| ControlRow {
+            t_start,
+            t_end,
+            values: command.values(&self.commanded, at_end),
+        };
+        let (start, end) = (command.start, command.end);
+        let rows = match self.hold {
+            Hold::Constant => vec![row(start, end, false)],
+            Hold::Linear | Hold::Cubic => vec![row(start, start, false), row(end, end, true)],
+        };
+        self.controls.extend(rows);
         let state = arm.state();
         self.note_efforts(arm.rod(), arm.time(), &state, &arm.acting_efforts());
         self.push(arm.rod(), arm.time(), &state, &acting.unwrap_or_default())
@@ -230,7 +202,8 @@ impl Recording {
         let end = NodalState::of(&setup.plant, &self.end);
         write_end(&path(END_FILE), &end)?;
         write_samples(&path("samples.csv"), samples)?;
-        write_controls(&path("controls.csv"), &self.controls)?;
+        let headings: Vec<String> = self.commanded.iter().map(NamedControl::heading).collect();
+        write_controls(&path("controls.csv"), &headings, &self.controls)?;
         if !self.efforts.is_empty() {
             write_efforts(&path("efforts.csv"), &self.efforts)?;
         }

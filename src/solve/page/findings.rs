@@ -11,11 +11,11 @@ pub(crate) fn findings(check: &ForwardCheck) -> Vec<String> {
         .filter_map(|part| Some((part.name, part.worst.as_ref()?)))
         .map(|(part, row)| {
             let name = [row.name.as_str(), row.component].join(" ");
+            let of = (row.node).map_or_else(String::new, |node| format!(" of node {node}"));
             let value = format!("{:.2e} {}", row.value, row.unit);
             format!(
-                "worst of {part}: {} of node {} at t = {:.5} s, {} ({:.1e} scaled)",
+                "worst of {part}: {}{of} at t = {:.5} s, {} ({:.1e} scaled)",
                 name.trim_end(),
-                row.node,
                 row.time_s,
                 value.trim_end(),
                 row.scaled

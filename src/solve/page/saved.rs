@@ -5,14 +5,14 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::{closed_loop_page, equilibrium_page, fit_page, sensitivity, simulation_page, solve};
-use crate::control::OptimalControlProblem;
-use crate::mechanics::{Rod, Wrench};
+use crate::mechanics::Rod;
 use crate::output::closed_loop::read_samples;
 use crate::output::{
     BaseReaction, MotionRecord, OutputError, ReportData, ReportIteration, ResultKind,
-    ThinnedMotion, read_controls, read_efforts, read_residuals, read_sensitivity, read_text,
+    ThinnedMotion, read_efforts, read_residuals, read_sensitivity, read_text,
 };
 use crate::scene::{LARGEST_SCENE, Scene, SceneError, SceneSource};
+use crate::solve::controls::{coefficients_of, read_rows};
 use crate::stop::StopSignal;
 use crate::task::Arm;
 
@@ -86,7 +86,7 @@ impl Files<'_> {
         let discrete = &problem.discrete;
         let most = discrete.grid.n_steps + 1;
         let record = self.motion(most, discrete.rod.n_nodes(), |n| (0..n).collect())?;
-        let coefficients = self.coefficients(&problem.discrete)?;
+        let coefficients = coefficients_of(&read_rows(self.directory, discrete)?, discrete);
         let gains = self.directory.join("feedback.npz");
         let growth = if gains.is_file() {
             let edges = problem.discrete.control.n_blocks() + 1;
@@ -197,15 +197,6 @@ impl Files<'_> {
     ) -> Result<MotionRecord, OutputError> {
         let path = self.directory.join("trajectory.npz");
         MotionRecord::read_npz_rows(&path, most_rows, n_nodes, keep)
-    }
-
-    fn coefficients(&self, problem: &OptimalControlProblem) -> Result<Vec<Wrench>, OutputError> {
-        let path = self.directory.join("controls.csv");
-        let rows = read_controls(&path, problem.n_control_rows())?;
-        Ok((rows.iter())
-            .take(problem.control.n_coefficients() * problem.actuators.len())
-            .map(|row| Wrench::from_array([row.fx, row.fy, row.fz, row.mx, row.my, row.mz]))
-            .collect())
     }
 }
 

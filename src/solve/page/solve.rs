@@ -79,7 +79,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, Output
         routes: shown.routes,
         fields: fields::fields(&discrete.rod, record),
         obstacles,
-        controls: Some(controls(discrete, page.coefficients)),
+        controls: controls(discrete, page.coefficients),
         energy: Some(ReportEnergy::thinned(record, ROWS)),
         sensitivity: page.sensitivity,
         iterations: page.iterations,
@@ -212,10 +212,10 @@ pub(super) fn drawn_bound(bound: &Option<Bound>) -> Option<output::Bound> {
     })
 }
 
-/// The tip's wrench; a spline is drawn as a polygon.
-fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> ReportControls {
+/// The tip's wrench, if it is a control; a spline is drawn as a polygon. Efforts have curves of their own.
+fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Option<ReportControls> {
     let n = problem.actuators.len();
-    let tip = &problem.actuators[0];
+    let tip = (problem.wrench_actuators().first()).filter(|tip| tip.acts())?;
     let control = &problem.control;
     let at = |j: usize| coefficients[j * n];
     let (hold, t, wrenches): (_, Vec<f64>, Vec<Wrench>) = match control.hold {
@@ -239,14 +239,14 @@ fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> ReportC
             )
         }
     };
-    ReportControls {
+    Some(ReportControls {
         hold,
         t,
         force: wrenches.iter().map(|u| u.force.into()).collect(),
         moment: wrenches.iter().map(|u| u.moment.into()).collect(),
         force_bound: drawn_bound(&tip.force.bound),
         moment_bound: drawn_bound(&tip.moment.bound),
-    }
+    })
 }
 
 /// The growth up to the edges of the blocks, without and with feedback.

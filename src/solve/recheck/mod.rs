@@ -19,13 +19,14 @@ use serde::Serialize;
 use serde_json::Value;
 
 use self::file_check::{FileCheck, MOST_NAMES, Mismatch};
+use super::controls::{coefficients_of, read_rows};
 use super::summary::{check_outcome, tip_end};
 use crate::control::{Feedback, OptimalControlProblem, TrackingError, tracking_errors};
 use crate::mechanics::{Trajectory, Wrench};
 use crate::output::summary::{CheckRecord, SCHEMA_VERSION, TipEnd, was_checked};
 use crate::output::{
-    ControlRow, END_FILE, MotionRecord, MultiplierRecord, OutputError, read_controls, read_efforts,
-    read_end, read_feedback, read_multipliers, read_text,
+    ControlRow, END_FILE, MotionRecord, MultiplierRecord, OutputError, read_efforts, read_end,
+    read_feedback, read_multipliers, read_text,
 };
 use crate::scene::OptimalControl;
 use crate::stop::Stop;
@@ -393,32 +394,4 @@ pub(crate) fn read_coefficients(
     problem: &OptimalControlProblem,
 ) -> Result<Vec<Wrench>, RecheckError> {
     Ok(coefficients_of(&read_rows(directory, problem)?, problem))
-}
-
-fn read_rows(
-    directory: &Path,
-    problem: &OptimalControlProblem,
-) -> Result<Vec<ControlRow>, RecheckError> {
-    let path = directory.join("controls.csv");
-    let nodes: Vec<usize> = (problem.actuators.iter())
-        .map(|actuator| actuator.node)
-        .collect();
-    let rows = read_controls(&path, problem.n_control_rows())?;
-    if let Some(row) = (rows.iter().zip(nodes.iter().cycle())).position(|(row, q)| row.node != *q) {
-        return Err(RecheckError::Directory(format!(
-            "{}:{}: node {}, but scene.toml describes node {} there",
-            path.display(),
-            row + 2,
-            rows[row].node,
-            nodes[row % nodes.len()]
-        )));
-    }
-    Ok(rows)
-}
-
-fn coefficients_of(rows: &[ControlRow], problem: &OptimalControlProblem) -> Vec<Wrench> {
-    (rows.iter())
-        .take(problem.control.n_coefficients() * problem.actuators.len())
-        .map(|row| Wrench::from_array([row.fx, row.fy, row.fz, row.mx, row.my, row.mz]))
-        .collect()
 }

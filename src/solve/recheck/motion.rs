@@ -43,8 +43,10 @@ pub(super) fn check(
             ROUNDINGS * problem.grid.duration(),
             || format!("t, row {k}"),
         );
-        // The first actuator is that of the tip.
-        let tip = signal.at(k).wrenches.first().copied().unwrap_or_default();
+        // The first actuator is that of the tip, if any is a wrench.
+        let first = signal.at(k).wrenches.first().copied();
+        let tip = first.filter(|_| !problem.wrench_actuators().is_empty());
+        let tip = tip.unwrap_or_default();
         for axis in 0..3 {
             let at = 3 * k + axis;
             out.number(record.tip_force[at], tip.force[axis], allowed[0], || {

@@ -71,7 +71,7 @@ impl Conditions<'_> {
             let goal = &self.problem.goals[ball.goal];
             let place = |value: f64, unit: String| Place {
                 name: format!("{}.{}", goal.name, ball.part.name()),
-                node: goal.node,
+                node: Some(goal.node),
                 time: self.problem.grid.time(goal.time_node),
                 component: "",
                 value,

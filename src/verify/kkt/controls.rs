@@ -2,8 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::rows::{Place, Worst, largest_axis, per};
-use crate::control::{Bound, OptimalControlProblem};
+use super::rows::{Place, Worst, per};
+use crate::control::named::name_of_vector;
+use crate::control::{Bound, NamedControl, OptimalControlProblem};
 use crate::mechanics::Wrench;
 use crate::verify::hold::Spline;
 use crate::verify::solution::SolutionMultipliers;
@@ -15,19 +16,67 @@ fn parts(wrench: &Wrench) -> Pair {
     [wrench.force, wrench.moment]
 }
 
-/// Returns, for both channels of actuator `a`, the magnitude that counts as 1 in the solver, the name, and the unit.
-pub(in crate::verify) fn channels(
-    problem: &OptimalControlProblem,
-    a: usize,
-) -> [(f64, &'static str, &'static str); 2] {
+/// Returns, for both channels of actuator `a`, the magnitude that counts as 1 in the solver.
+pub(in crate::verify) fn scales(problem: &OptimalControlProblem, a: usize) -> [f64; 2] {
     let actuator = &problem.actuators[a];
-    if a >= problem.wrench_actuators().len() {
-        return [actuator.force.unit(), actuator.moment.unit()].map(|one| (one, "control", ""));
+    [actuator.force.unit(), actuator.moment.unit()]
+}
+
+/// The controls by name, as the rows of the conditions call them.
+struct Names(Vec<NamedControl>);
+
+/// Vector `part` (0 force, 1 moment) of an actuator, or one of its components.
+#[derive(Clone, Copy)]
+struct Row {
+    actuator: usize,
+    part: usize,
+    axis: Option<usize>,
+}
+
+impl Names {
+    /// Returns the place of a row with a residual in the unit that follows from that of the control; pure numbers are without one.
+    fn place(
+        &self,
+        row: Row,
+        (what, time): (&str, f64),
+        value: f64,
+        unit: impl FnOnce(&str) -> String,
+    ) -> Place {
+        let of_vector = |own: &&NamedControl| {
+            own.component.actuator == row.actuator && own.component.axis / 3 == row.part
+        };
+        let vector = self.0.iter().find(of_vector);
+        let component = row.axis.and_then(|axis| {
+            (self.0.iter().filter(of_vector)).find(|own| own.component.axis % 3 == axis)
+        });
+        let name = match component {
+            Some(own) => own.name.clone(),
+            // A vector as a whole, or a component that may not act.
+            None => name_of_vector(&self.0, row.actuator, row.part),
+        };
+        let own_unit = (vector.map(|own| own.unit)).filter(|unit| *unit != "1");
+        Place {
+            name: name + what,
+            node: vector.and_then(NamedControl::node),
+            time,
+            component: "",
+            value,
+            unit: unit(own_unit.unwrap_or_default()),
+        }
     }
-    [
-        (actuator.force.unit(), "force", "N"),
-        (actuator.moment.unit(), "moment", "N m"),
-    ]
+}
+
+/// The unit of a residual that is a product, and has none.
+fn no_unit(_: &str) -> String {
+    String::new()
+}
+
+/// The unit of a rate.
+fn per_second(unit: &str) -> String {
+    match unit {
+        "" => "1/s".into(),
+        _ => format!("{unit}/s"),
+    }
 }
 
 /// Returns the gradient along the scaled coefficients, all actuators of each, of a function with the covectors `pulled` of the wrenches at
@@ -42,7 +91,7 @@ pub(in crate::verify) fn pull_back(
     for (k, wrenches) in pulled.chunks(n.max(1)).enumerate() {
         let weights = spline.weights(k, 1);
         for (a, wrench) in wrenches.iter().enumerate() {
-            let scales = channels(problem, a).map(|(scale, ..)| scale);
+            let scales = scales(problem, a);
             for &(j, weight) in &weights {
                 for (channel, part) in parts(wrench).iter().enumerate() {
                     out[j * n + a][channel] += part * (weight * scales[channel]);
@@ -64,9 +113,9 @@ pub(in crate::verify) fn control_cost(
     let mut gradient = vec![[Vector3::zeros(); 2]; coefficients.len()];
     for a in 0..n {
         let own = &problem.actuators[a];
-        let scales = [own.force.scale, own.moment.scale];
-        for (channel, (one, ..)) in channels(problem, a).into_iter().enumerate() {
-            let scale = scales[channel];
+        let of_cost = [own.force.scale, own.moment.scale];
+        for (channel, one) in scales(problem, a).into_iter().enumerate() {
+            let scale = of_cost[channel];
             let scaled: Vec<_> = (coefficients.iter().skip(a).step_by(n))
                 .map(|u| parts(u)[channel] / scale)
                 .collect();
@@ -129,20 +178,20 @@ impl ControlConditions {
                 *g += s;
             }
         }
+        let names = Names(problem.named_controls());
         let spline = Spline::of(problem);
         let rates = multipliers.rates;
         let (times, gaps) = (spline.times(), spline.gaps());
         for a in 0..n {
-            for (c, (scale, name, unit)) in channels(problem, a).into_iter().enumerate() {
+            for (c, scale) in scales(problem, a).into_iter().enumerate() {
                 let channel = [&problem.actuators[a].force, &problem.actuators[a].moment][c];
-                let node = problem.actuators[a].node;
-                let place = |time: f64, what: &str, component, value: f64, unit: String| Place {
-                    name: format!("{name}{what}"),
-                    node,
-                    time,
-                    component,
-                    value,
-                    unit,
+                let component = |axis| Row {
+                    actuator: a,
+                    part: c,
+                    axis,
+                };
+                let whole = |time: f64, what: &str, value: f64| {
+                    names.place(component(None), (what, time), value, no_unit)
                 };
                 let at = |j: usize| parts(&coefficients[j * n + a])[c];
                 for (j, gap) in gaps.iter().enumerate() {
@@ -155,21 +204,15 @@ impl ControlConditions {
                     let change = (at(j + 1) - at(j)) / scale;
                     let time = 0.5 * (times[j] + times[j + 1]);
                     let slack = rate_slack(&channel.rate_bound, gap / scale, &change, &normal);
-                    (out.complementarity)
-                        .note(slack, || place(time, " rate", "", slack, String::new()));
+                    (out.complementarity).note(slack, || whole(time, " rate", slack));
                     let Some(bound) = channel.rate_bound else {
                         continue;
                     };
                     let violation = bound.violation(&(change * (scale / gap)));
                     out.violation = super::worse(out.violation, violation);
                     out.bounds.note(violation * gap / scale, || {
-                        place(
-                            time,
-                            " rate",
-                            largest_axis(&change),
-                            violation,
-                            format!("{unit}/s"),
-                        )
+                        let at = component(Some(change.iamax()));
+                        names.place(at, (" rate", time), violation, per_second)
                     });
                     out.active.push(ActiveBound {
                         ends: vec![((j + 1) * n + a, 1.0), (j * n + a, -1.0)],
@@ -199,13 +242,12 @@ impl ControlConditions {
                     let time = times[weights[0].0];
                     let slack =
                         rate_slack(&channel.bound, 1.0 / scale, &(command / scale), &normal);
-                    (out.complementarity)
-                        .note(slack, || place(time, " command", "", slack, String::new()));
+                    (out.complementarity).note(slack, || whole(time, " command", slack));
                     let violation = bound.violation(&command);
                     out.violation = super::worse(out.violation, violation);
                     out.bounds.note(violation / scale, || {
-                        let axis = largest_axis(&command);
-                        place(time, " command", axis, violation, unit.into())
+                        let at = component(Some(command.iamax()));
+                        names.place(at, (" command", time), violation, str::to_string)
                     });
                     out.active.push(ActiveBound {
                         ends: weights.iter().map(|&(j, w)| (j * n + a, w)).collect(),
@@ -225,27 +267,23 @@ impl ControlConditions {
                         let off = u - given;
                         out.violation = super::worse(out.violation, off.amax());
                         out.bounds.note(off.amax() / scale, || {
-                            place(
-                                *time,
-                                " that is held",
-                                largest_axis(&off),
-                                off.amax(),
-                                unit.into(),
-                            )
+                            let (at, size) = (component(Some(off.iamax())), off.amax());
+                            names.place(at, (" that is held", *time), size, str::to_string)
                         });
                         continue;
                     }
                     let own_bound = channel.coefficient_bound();
                     let (rest, gap, normal) = normal_cone(&own_bound, &g, &u, scale);
                     out.stationarity.note(rest.amax(), || {
-                        let value = rest.amax() / scale;
-                        place(*time, "", largest_axis(&rest), value, per(unit))
+                        let (at, value) = (component(Some(rest.iamax())), rest.amax() / scale);
+                        names.place(at, ("", *time), value, per)
                     });
-                    (out.complementarity).note(gap, || place(*time, "", "", gap, String::new()));
+                    (out.complementarity).note(gap, || whole(*time, "", gap));
                     let violation = channel.violation(&u);
                     out.violation = super::worse(out.violation, violation);
                     out.bounds.note(violation / scale, || {
-                        place(*time, "", largest_axis(&u), violation, unit.into())
+                        let at = component(Some(u.iamax()));
+                        names.place(at, ("", *time), violation, str::to_string)
                     });
                     let Some(bound) = own_bound else {
                         continue;

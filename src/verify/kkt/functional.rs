@@ -152,7 +152,7 @@ impl Conditions<'_> {
                     let z = given.remove(&(index, k, item)).unwrap_or(0.0);
                     let place = |value: f64, unit: String| Place {
                         name: constraint.name.clone(),
-                        node: constraint.limit.node(&self.problem.rod, item),
+                        node: Some(constraint.limit.node(&self.problem.rod, item)),
                         time: self.problem.grid.time(k),
                         component: "",
                         value,
@@ -172,7 +172,7 @@ impl Conditions<'_> {
             // A multiplier of a row that does not exist is an error.
             out.complementarity.note(f64::NAN, || Place {
                 name: "multiplier of a row that does not exist".into(),
-                node: 0,
+                node: None,
                 time: 0.0,
                 component: "",
                 value: f64::NAN,

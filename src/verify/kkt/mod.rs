@@ -79,7 +79,7 @@ pub fn recompute(
         let goal = &problem.goals[row.goal];
         equalities.note((r - soft).abs(), || Place {
             name: format!("{}.{}", goal.name, row.part.name()),
-            node: goal.node,
+            node: Some(goal.node),
             time: problem.grid.time(goal.time_node),
             component: AXES[row.axis],
             value: (r - soft) * problem.goal_scale(row.part),

@@ -357,7 +357,7 @@ impl Conditions<'_> {
                 let scaled = [moved.norm() / rod.scales.length, turned.norm()];
                 let of = |name: &str, off: Vector3<f64>, unit: &str| Place {
                     name: name.into(),
-                    node: 0,
+                    node: Some(0),
                     time,
                     component: largest_axis(&off),
                     value: off.norm(),
@@ -396,7 +396,7 @@ impl Conditions<'_> {
                 sum += size;
                 worst.note(size, || Place {
                     name: name.into(),
-                    node: q,
+                    node: Some(q),
                     time,
                     component: largest_axis(&off),
                     value: off.norm(),
@@ -480,7 +480,7 @@ impl Conditions<'_> {
                     sum += scaled;
                     worst.note(scaled, || Place {
                         name: name.into(),
-                        node: q,
+                        node: Some(q),
                         time: self.problem.grid.time(k),
                         component: largest_axis(&off),
                         value: off.norm(),

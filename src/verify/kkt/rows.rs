@@ -5,10 +5,11 @@ use nalgebra::Vector3;
 /// A row of the conditions: its subject, place, time, and residual.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct NamedRow {
-    /// Scene key of a constraint, or a description of the row.
+    /// Scene key of a constraint, name of a [control](crate::control::NamedControl), or a description of the row.
     pub name: String,
-    /// Node of the rod.
-    pub node: usize,
+    /// Node of the rod; absent for what acts on no single node.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub node: Option<usize>,
     /// Time, s.
     pub time_s: f64,
     /// `x`, `y` or `z`; empty for scalars. For a vector that is judged as a whole, its largest component.
@@ -35,7 +36,7 @@ pub struct KktPart {
 /// Place of a row: all fields of a [`NamedRow`] but its scaled value.
 pub(super) struct Place {
     pub(super) name: String,
-    pub(super) node: usize,
+    pub(super) node: Option<usize>,
     pub(super) time: f64,
     pub(super) component: &'static str,
     pub(super) value: f64,
