@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import csv
 import json
 import logging
 import os
@@ -13,6 +14,7 @@ from typing import Any
 
 from . import _softarm
 from .control import Controller, Plant
+from .errors import ResultError
 from .program import Program
 from .results import Result
 
@@ -269,7 +271,7 @@ class Scene:
     def fit(
         self,
         data: Mapping[str, Any] | str | os.PathLike[str],
-        free: Sequence[str] = (),
+        free: Sequence[str] | str = (),
         out: str | os.PathLike[str] | None = None,
         *,
         robust: bool = False,
@@ -277,15 +279,18 @@ class Scene:
     ) -> Result:
         """Fits numbers of the scene, named by their dotted keys, to measured places of markers: a file as in docs/fitting.md, or a dictionary
         with its keys, whose tables are relative to the working directory. `result.scene` has the fitted numbers.
+
+        Instead of the name of a table, `csv` of a recording may be the table itself: a DataFrame, or a dictionary of columns by their names.
         """
         words = _options(threads=threads) + (["--robust"] if robust else [])
+        free = [free] if isinstance(free, str) else list(free)
         words += ["--free", ",".join(free)] if free else []
         if not isinstance(data, Mapping):
             return self._run("fit", out, ["--data", os.fspath(data), *words], None)
-        keys = _plain(data)
-        for recording in keys.get("recording", []):
-            recording["csv"] = os.path.abspath(recording["csv"])
+        keys = _plain(_with_columns(data))
         with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
+            for index, recording in enumerate(keys.get("recording", [])):
+                recording["csv"] = _table_file(recording, index, folder)
             path = Path(folder) / "data.toml"
             path.write_text(_toml(keys), encoding="utf-8")
             return self._run("fit", out, ["--data", os.fspath(path), *words], None)
@@ -301,6 +306,46 @@ class Scene:
     def plant(self) -> Plant:
         """Returns the simulated arm: of `[plant]` in a scene with a closed loop, else of `[rod]`."""
         return Plant(_softarm.Plant(self._name, self._text, list(self._overrides)))
+
+
+def _with_columns(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns data of a fit whose recordings have a table in `csv` as lists by the names of its columns."""
+
+    def columns(table: Any) -> Any:
+        if isinstance(table, (str, os.PathLike)):
+            return os.fspath(table)
+        try:
+            return {str(name): list(table[name]) for name in table.keys()}
+        except (AttributeError, TypeError) as error:
+            raise ResultError(
+                "`csv` of a recording is the name of a table, a DataFrame, or a dictionary of columns by their names"
+            ) from error
+
+    recordings = [
+        {key: columns(value) if key == "csv" else value for key, value in recording.items()}
+        for recording in data.get("recording", [])
+    ]
+    return {**data, **({"recording": recordings} if recordings else {})}
+
+
+def _table_file(recording: Mapping[str, Any], index: int, folder: str) -> str:
+    """Returns the absolute path of the table of a recording; one that is given as columns is written into the folder."""
+    if "csv" not in recording:
+        raise ResultError(
+            f"recording {index} has no `csv`: give the name of a table, or the table itself as a DataFrame or a dictionary of its columns "
+            '"t_s", "NAME_x_m", "NAME_y_m", "NAME_z_m"; docs/fitting.md'
+        )
+    table = recording["csv"]
+    if isinstance(table, str):
+        return os.path.abspath(table)
+    if len({len(column) for column in table.values()}) > 1:
+        raise ResultError(f"recording {index}: the columns of `csv` have different lengths")
+    path = Path(folder) / f"recording-{index}.csv"
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(table)
+        writer.writerows(zip(*table.values()))
+    return str(path)
 
 
 def _options(**values: Any) -> list[str]:

@@ -55,7 +55,7 @@ impl<E> Problem<'_, E> {
         let mut damping = DAMPING[0];
         let mut iterations = 0;
         let mut converged = false;
-        let mut jacobian = self.jacobian(&at)?;
+        let mut jacobian = self.jacobian(&at, &residuals)?;
         let mut weights = self.weights(&residuals);
         while iterations < MOST_ITERATIONS && !converged && damping < DAMPING[1] {
             iterations += 1;
@@ -80,7 +80,7 @@ impl<E> Problem<'_, E> {
                     residuals = found;
                 }
                 damping = (0.2 * damping).max(1e-12);
-                jacobian = self.jacobian(&at)?;
+                jacobian = self.jacobian(&at, &residuals)?;
                 weights = self.weights(&residuals);
             } else {
                 damping *= 5.0;
@@ -101,8 +101,12 @@ impl<E> Problem<'_, E> {
         found.swap_remove(0)
     }
 
-    /// Returns the derivatives by central differences, one-sided at a bound.
-    fn jacobian(&self, at: &[f64]) -> Result<DMatrix<f64>, E> {
+    /// Returns the derivatives by central differences, one-sided at a bound and where the residuals of one side cannot be computed, such as
+    /// beside the end of the range of a number.
+    ///
+    /// # Errors
+    /// Returns the error of one side where neither can be computed.
+    fn jacobian(&self, at: &[f64], here: &DVector<f64>) -> Result<DMatrix<f64>, E> {
         let mut points = Vec::new();
         let mut widths = Vec::new();
         for (i, [lower, upper]) in self.bounds.iter().enumerate() {
@@ -113,15 +117,20 @@ impl<E> Problem<'_, E> {
                 point[i] = x;
                 points.push(point);
             }
-            widths.push(ahead - behind);
+            widths.push([ahead - at[i], at[i] - behind]);
         }
         let mut found = (self.residuals)(&points).into_iter();
         let mut columns = Vec::new();
-        for width in widths {
+        for [rise, fall] in widths {
             let (Some(ahead), Some(behind)) = (found.next(), found.next()) else {
                 break;
             };
-            columns.push((ahead? - behind?) / width);
+            columns.push(match (ahead, behind) {
+                (Ok(ahead), Ok(behind)) => (ahead - behind) / (rise + fall),
+                (Ok(ahead), Err(_)) if rise > 0.0 => (ahead - here) / rise,
+                (Err(_), Ok(behind)) if fall > 0.0 => (here - behind) / fall,
+                (Err(error), _) | (_, Err(error)) => return Err(error),
+            });
         }
         Ok(DMatrix::from_columns(&columns))
     }
@@ -241,6 +250,28 @@ mod tests {
             for (own, expected) in found.at.iter().zip(expected) {
                 assert!((own - expected).abs() < 1e-6, "{:?}", found.at);
             }
+        }
+    }
+
+    /// A number that starts at the end of what can be computed, `x ≥ 0`, leaves it inwards, also from nearer than a difference step.
+    #[test]
+    fn differences_stay_where_residuals_can_be_computed() {
+        let residuals = |points: &[Vec<f64>]| -> Vec<Result<DVector<f64>, ()>> {
+            let one = |p: &Vec<f64>| {
+                (p[0] >= 0.0)
+                    .then(|| DVector::from_vec(vec![p[0] - 0.25]))
+                    .ok_or(())
+            };
+            points.iter().map(one).collect()
+        };
+        for start in [0.0, 0.5 * DIFFERENCE, 1.0] {
+            let problem = Problem {
+                residuals: &residuals,
+                bounds: vec![[f64::NEG_INFINITY, f64::INFINITY]],
+                groups: Vec::new(),
+            };
+            let found = problem.minimize(&[start]).expect("residuals");
+            assert!((found.at[0] - 0.25).abs() < 1e-6, "{:?}", found.at);
         }
     }
 

@@ -11,7 +11,7 @@ use std::path::Path;
 use nalgebra::{DVector, Matrix3, Vector3};
 
 use self::data::{Case, Data, Marker, Sight};
-use self::least_squares::Problem;
+use self::least_squares::{Minimum, Problem};
 pub use self::report::FitSummary;
 use crate::mechanics::place::{locate, pose};
 use crate::mechanics::rotation::{exp, log};
@@ -87,6 +87,7 @@ pub fn fit(
         .map(|case| entries(source, &case.set))
         .collect::<Result<_, _>>()?;
     let parameters = parameters(&own, &tables, &data, options)?;
+    refuse_set(&parameters, &cases)?;
     let begun = std::time::Instant::now();
     let model = Model {
         source,
@@ -102,20 +103,24 @@ pub fn fit(
         stop,
     };
     model.check_count()?;
-    let steps = model.steps(&model.start())?;
-    let residuals = |points: &[Vec<f64>]| model.residuals(points, &steps);
     let n_seen = model.fitted().map(Case::n_seen).sum::<usize>();
     let groups = if options.robust {
         (0..n_seen).map(|i| 3 * i..3 * i + 3).collect()
     } else {
         Vec::new()
     };
-    let problem = Problem {
-        residuals: &residuals,
-        bounds: parameters.iter().map(Free::scaled_bounds).collect(),
-        groups,
-    };
-    let found = problem.minimize(&model.start())?;
+    let mut steps = model.steps(&model.start())?;
+    let mut found = model.minimum(&model.start(), &steps, &groups)?;
+    for _ in 0..MOST_STEPS {
+        let anew = model.steps(&found.at)?;
+        if !are_too_long(&steps, &anew) {
+            break;
+        }
+        steps = anew;
+        let iterations = found.iterations;
+        found = model.minimum(&found.at, &steps, &groups)?;
+        found.iterations += iterations;
+    }
     let overrides = model.overrides(&found.at, &[], &own);
     let (scene, fitted) = Scene::from_toml(&source.name, &source.text, &overrides)?;
     let arm = scene.arm(&fitted)?;
@@ -133,6 +138,36 @@ pub fn fit(
         rows,
         shapes,
     })
+}
+
+/// Refuses a key that is free and that a shape or recording sets, itself, in part, or as a part of a list or table: the fitted value would
+/// replace what was measured. Factors multiply what is set, and are not refused.
+fn refuse_set(parameters: &[Free], cases: &[Case]) -> Result<(), FitError> {
+    let parts = |path: &str| -> Vec<String> {
+        (path.split('.'))
+            .map(|part| part.trim().trim_matches(['"', '\'']).to_string())
+            .collect()
+    };
+    for own in parameters.iter().filter(|own| own.times.is_empty()) {
+        let key = parts(&own.key);
+        for case in cases {
+            let set = case.set.iter().filter_map(|set| set.split_once('='));
+            for (path, _) in set {
+                let set = parts(path);
+                let shared = key.len().min(set.len());
+                if key[..shared] == set[..shared] {
+                    return Err(FitError::Data(format!(
+                        "{0} is free, and {1} sets {2}: the fit would replace what was measured; take {2} out of `set`, or fit a \
+                         factor of it: [[free]] with a name as its key and times = [\"{0}\"]",
+                        own.key,
+                        case.name,
+                        path.trim()
+                    )));
+                }
+            }
+        }
+    }
+    Ok(())
 }
 
 /// A number that is fitted.
@@ -339,9 +374,20 @@ struct Model<'a> {
     stop: &'a StopSignal,
 }
 
-/// Time step and scheme of every recording, as overrides, which the search keeps: those that changed with the stiffness would make the
-/// residuals jump.
-type Steps = BTreeMap<usize, [String; 2]>;
+/// Time step, s, and scheme of every recording, which a search keeps: those that changed with the stiffness would make the residuals jump.
+/// Where a search ends with numbers for which they are too long, another one begins there with steps chosen anew.
+type Steps = BTreeMap<usize, (f64, &'static str)>;
+
+/// Most times that steps are chosen anew; each may make the arm stiffer by a factor of four.
+const MOST_STEPS: usize = 12;
+/// Steps are chosen anew where they are longer by this factor than those of the numbers that were found.
+const TOO_LONG: f64 = 1.25;
+
+/// Tells whether steps are too long, or of another scheme, beside those that are chosen anew.
+fn are_too_long(steps: &Steps, anew: &Steps) -> bool {
+    (steps.values().zip(anew.values()))
+        .any(|(own, anew)| own.1 != anew.1 || own.0 > TOO_LONG * anew.0)
+}
 
 /// Part of the automatic step with which recordings are simulated by explicit steps, so that the arm may become stiffer by a factor of four
 /// in the search.
@@ -379,6 +425,21 @@ impl Model<'_> {
         Ok(())
     }
 
+    /// Searches from a point with given steps; `groups` are those of [`Problem`].
+    fn minimum(
+        &self,
+        start: &[f64],
+        steps: &Steps,
+        groups: &[std::ops::Range<usize>],
+    ) -> Result<Minimum, FitError> {
+        let problem = Problem {
+            residuals: &|points: &[Vec<f64>]| self.residuals(points, steps),
+            bounds: self.parameters.iter().map(Free::scaled_bounds).collect(),
+            groups: groups.to_vec(),
+        };
+        problem.minimize(start)
+    }
+
     /// Returns time steps and schemes of recordings.
     fn steps(&self, at: &[f64]) -> Result<Steps, FitError> {
         let mut out = Steps::new();
@@ -394,8 +455,7 @@ impl Model<'_> {
                 TimeScheme::Explicit => (EXPLICIT_STEP, "explicit"),
                 TimeScheme::Implicit => (IMPLICIT_STEP, "implicit"),
             };
-            let step = format!("time.step_s={:e}", part * setup.grid.step);
-            out.insert(index, [step, format!("time.integrator=\"{scheme}\"")]);
+            out.insert(index, (part * setup.grid.step, scheme));
         }
         Ok(out)
     }
@@ -404,7 +464,7 @@ impl Model<'_> {
         &self,
         at: &[f64],
         index: usize,
-        step: Option<&[String; 2]>,
+        step: Option<&(f64, &'static str)>,
     ) -> Result<(Scene, SceneSource), FitError> {
         let case = &self.cases[index];
         let mut overrides = self.overrides(at, &case.set, &self.tables[index]);
@@ -413,7 +473,10 @@ impl Model<'_> {
         } else {
             let last = case.sights.last().map_or(0.0, |sight| sight.time);
             overrides.push(format!("time.end_s={:e}", last.max(1e-9)));
-            overrides.extend(step.into_iter().flatten().cloned());
+            if let Some((step, scheme)) = step {
+                overrides.push(format!("time.step_s={step:e}"));
+                overrides.push(format!("time.integrator=\"{scheme}\""));
+            }
         }
         Ok(Scene::from_toml(
             &self.source.name,

@@ -108,7 +108,9 @@ pub struct BaseMotion {
     /// starts and ends with zero velocity; constant before and after.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub translation_m: Option<Vec<[f64; 4]>>,
-    /// Rotation vector in rad over time, as [t in s, x, y, z], by the same kind of spline.
+    /// Rotation vector in rad over time, as [t in s, x, y, z], by the same kind of spline. Rows of at most half a turn, as logarithms of
+    /// orientations have them, turn the shorter way: of the vectors r + 2πk r/|r| of a row, which are one orientation, the nearest to the
+    /// row before is taken. A table with a longer row is taken as it is written, turns of more than half a turn from row to row included.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<Vec<[f64; 4]>>,
     /// Frame of all rotation vectors: the spatial one, or that of the base as it is given, whose third axis is the
@@ -401,6 +403,34 @@ pub(in crate::scene) fn described_end(end: &EndCondition) -> Result<DescribedEnd
     })
 }
 
+/// Length up to which a row is a logarithm, rad: half a turn, with rows of three decimals.
+const LOGARITHM: f64 = std::f64::consts::PI + 1e-3;
+
+/// Returns rows of rotation vectors of which each is, of the vectors `r + 2πk r/|r|` of its orientation, the nearest to the one before; rows
+/// as they are where one is longer than half a turn.
+fn unrolled(rows: &[[f64; 4]]) -> Vec<[f64; 4]> {
+    let vector = |&[_, x, y, z]: &[f64; 4]| Vector3::new(x, y, z);
+    let mut out = rows.to_vec();
+    if rows.iter().any(|row| vector(row).norm() > LOGARITHM) {
+        return out;
+    }
+    for i in 1..out.len() {
+        let (before, own) = (vector(&out[i - 1]), vector(&out[i]));
+        // An orientation that is that of the zero vector is a whole turn about any axis.
+        let axis = if own.norm() > 1e-12 { own } else { before };
+        let Some(axis) = axis.try_normalize(1e-12) else {
+            continue;
+        };
+        let turns = ((before - own).dot(&axis) / std::f64::consts::TAU).round();
+        let other = own + axis * (std::f64::consts::TAU * turns);
+        // Two that are equally near, as at a turn by half a turn, are left as they are written.
+        if (other - before).norm() < (own - before).norm() - 2e-3 {
+            out[i][1..].copy_from_slice(other.as_slice());
+        }
+    }
+    out
+}
+
 /// Returns the motion of an end with this orientation: `exp(r) R_b = R_b exp(R_bᵀ r)` turns spatial rotation vectors into those of its
 /// frame.
 fn base_motion(
@@ -440,7 +470,7 @@ fn base_motion(
         )?,
         rotation: curve(
             motion.angular_velocity_rad_s,
-            &motion.rotation_rad,
+            &motion.rotation_rad.as_deref().map(unrolled),
             |o| o.rotation_rad,
             turned,
         )?,
@@ -480,4 +510,41 @@ fn described_motion(motion: &mechanics::BaseMotion) -> Result<BaseMotion, Descri
             })
             .collect(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Logarithms of a constant spin about an axis that is not one of the frame, from -170° over two turns on, are unrolled to the spin
+    /// itself, either way; a table with a row of more than half a turn stays as it is written, and a turn by half a turn too.
+    #[test]
+    fn logarithms_turn_the_shorter_way() {
+        let axis = Vector3::new(0.6, 0.0, -0.8);
+        let row = |t: f64, angle: f64| {
+            let r = axis * angle;
+            [t, r.x, r.y, r.z]
+        };
+        for sign in [1.0, -1.0] {
+            let angle = |i: i32| sign * (-2.967 + 0.16 * f64::from(i));
+            let wrapped = |angle: f64| {
+                let turns = (angle / std::f64::consts::TAU).round();
+                angle - std::f64::consts::TAU * turns
+            };
+            let rows: Vec<_> = (0..80)
+                .map(|i| row(f64::from(i), wrapped(angle(i))))
+                .collect();
+            for (i, own) in (0..).zip(unrolled(&rows)) {
+                for (own, expected) in own.iter().zip(row(f64::from(i), angle(i))) {
+                    assert!((own - expected).abs() < 1e-12, "row {i}");
+                }
+            }
+        }
+        for written in [
+            vec![row(0.0, 0.0), row(1.0, 4.0), row(2.0, -2.5)],
+            vec![row(0.0, 0.0), row(1.0, std::f64::consts::PI)],
+        ] {
+            assert_eq!(unrolled(&written), written);
+        }
+    }
 }
