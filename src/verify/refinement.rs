@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
+use super::contact::{ContactCheck, Depths};
 use super::limits::{Measure, Pose};
 use super::stay::{StayReplay, follow};
 use super::worse::worse;
@@ -89,6 +90,8 @@ pub struct Refinement {
     pub tip: TipMotion,
     /// The motion after the horizon on the finest rod, if the arm stays.
     pub stays: Option<StayReplay>,
+    /// The largest depth in a body on the finest rod.
+    pub contact: Option<ContactCheck>,
 }
 
 /// Cap on the node-steps of implicit replays for the second refinement in space.
@@ -233,6 +236,7 @@ pub fn refine(
     let mut watch = Watch::new(problem, finest, step / factor as f64);
     let mut changes = [[0.0; 2]; 2];
     let mut tip = TipMotion::default();
+    let mut depths = Depths::of(finest);
     let on_finest = problem.goal_node() * (finest.n_elements() / coarse.n_elements());
     for k in 0..problem.grid.n_steps {
         problem.stop.check_at(k)?;
@@ -245,6 +249,11 @@ pub fn refine(
             })?;
         }
         tip.note(finest, on_finest, &levels[last].stepper.state());
+        if !finest.contacts.is_empty() {
+            let state = levels[last].stepper.state();
+            let positions = &state.configuration.positions;
+            depths.include(finest, problem.grid.time(k + 1), positions);
+        }
         for (chain, changes) in [&in_time, &in_space].into_iter().zip(&mut changes) {
             for (pair, change) in chain.windows(2).zip(changes) {
                 let [before, after] = [pair[0], pair[1]].map(|at| levels[at].positions());
@@ -278,6 +287,7 @@ pub fn refine(
         between: watch.worst,
         tip,
         stays,
+        contact: depths.worst(),
     })
 }
 
