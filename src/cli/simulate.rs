@@ -28,7 +28,7 @@ pub(super) fn run(
     let target = arguments.directory("simulate");
     let refused = |error| CliError::of_simulation(error, &stop);
     let mut accuracy = None;
-    let run = if resume {
+    let mut run = if resume {
         SimulationRun::resumed(&scene, &source, &target, &stop).map_err(refused)?
     } else {
         let (scene, chosen) = accurate(scene.clone(), &source, &stop, console)?;
@@ -44,9 +44,10 @@ pub(super) fn run(
     concerns.extend(setup.row_warning());
     let duration = setup.grid.duration();
     concerns.extend(stands_by_symmetry(&setup.rod, &setup.initial, duration));
-    for warning in concerns {
-        console.warn(&warning);
+    for warning in &concerns {
+        console.warn(warning);
     }
+    run.warnings = concerns;
     if scene.task.is_some() || scene.control.is_some() {
         console.warn("[task] and [control] play no part in a simulation; `softarm solve` computes the control");
     }
@@ -136,13 +137,9 @@ fn conclude(summary: &SimulateSummary, first_step: usize, console: &Console) {
     }
     for contact in &summary.contact {
         console.say(&contact.in_words());
-        if summary.step_s > contact.allows_step_s {
-            console.warn(&format!(
-                "{}: at that depth it is so stiff that steps are stable up to {:.3e} s alone; give a time.step_s below that, a larger \
-                 penetration_m, or a smaller force_n",
-                contact.contact, contact.allows_step_s
-            ));
-        }
+    }
+    for concern in summary.concerns() {
+        console.warn(&concern);
     }
     let tip = summary.tip.position_m;
     console.say(&format!(

@@ -1,7 +1,7 @@
 //! User-defined actuators along a point: the columns of their controls, and their part of the Hessian of the Lagrangian.
 
 use faer::Mat;
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::Vector6;
 
 use super::path::RowGradient;
 use super::problem::{Component, OptimalControlProblem};
@@ -399,7 +399,7 @@ impl<'a> ActingAlong<'a> {
         }
     }
 
-    /// Appends the second derivatives of the wrenches of functions of poses at time node `k`: along the configuration, and for every driven
+    /// Appends the second derivatives of the wrenches of functions of poses and of contacts at time node `k`: along the configuration, and for every driven
     /// actuator along its effort and the configuration.
     fn posed_curvature(
         &self,
@@ -411,7 +411,7 @@ impl<'a> ActingAlong<'a> {
     ) {
         let problem = self.problem;
         let rod = &problem.rod;
-        if rod.actuators.functions().is_empty() {
+        if !rod.actuators.act_on_poses() {
             return;
         }
         let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
@@ -425,16 +425,28 @@ impl<'a> ActingAlong<'a> {
             let bent = own
                 .function
                 .curvature(&own.pose(x, r), &covector, rod.scales.length);
-            // A node that touches nothing.
-            if bent == Matrix6::zeros() {
-                continue;
-            }
             along_states.push(OwnCurvature {
                 time_node: k,
                 rows: (0..6).map(|component| (own.node, component)).collect(),
                 forms: Vec::new(),
                 earlier: Vec::new(),
                 matrix: Mat::from_fn(6, 6, |i, j| factor * bent[(i, j)]),
+            });
+        }
+        for touch in rod.touches() {
+            let ends = [touch.element, touch.element + 1];
+            let [a, b] = ends.map(|node| costates.wrench(motion, k, node).force);
+            let Some(bent) = touch.curvature(ends.map(|node| &x[node]), [&a, &b]) else {
+                continue;
+            };
+            along_states.push(OwnCurvature {
+                time_node: k,
+                rows: (ends.into_iter())
+                    .flat_map(|node| (0..3).map(move |component| (node, component)))
+                    .collect(),
+                forms: Vec::new(),
+                earlier: Vec::new(),
+                matrix: Mat::from_fn(6, 6, |i, j| -bent[(i, j)]),
             });
         }
         let n_components = targets.len();

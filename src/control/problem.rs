@@ -502,7 +502,7 @@ impl OptimalControlProblem {
     /// the rod; `None` with actuators of the rod, user-defined ones, or potentials of nodes.
     #[must_use]
     pub fn n_states(&self) -> Option<usize> {
-        let potentials = !self.rod.actuators.functions().is_empty();
+        let potentials = self.rod.actuators.act_on_poses();
         if !self.acting.is_empty() || !self.rod.actuators.is_empty() || potentials {
             return None;
         }
@@ -713,7 +713,7 @@ impl OptimalControlProblem {
     /// Tells whether anything acts at time nodes by wrenches that depend on the configuration: a control, or a function of a node's pose.
     #[must_use]
     pub fn acts_on_configuration(&self) -> bool {
-        self.depends_on_configuration() || !self.rod.actuators.functions().is_empty()
+        self.depends_on_configuration() || self.rod.actuators.act_on_poses()
     }
 
     /// Tells whether a control, or a winch, acts by wrenches that depend on the configuration.

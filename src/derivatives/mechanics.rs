@@ -116,7 +116,7 @@ pub(super) fn loads(rod: &Rod, state: &State, seed: u64) -> Option<Block> {
     )
 }
 
-/// Compares the gradient of every function of a node's pose with its values, and its tangent with its gradient.
+/// Compares the gradient of every function of a node's pose and of every contact with its values, and its tangent with its gradient.
 pub(super) fn pose_functions(rod: &Rod, state: &State, seed: u64) -> [Option<Block>; 2] {
     let rng = &mut Rng::with_seed(seed);
     let at = &state.configuration;
@@ -143,15 +143,48 @@ pub(super) fn pose_functions(rod: &Rod, state: &State, seed: u64) -> [Option<Blo
             bend.push(compare(&mut wrench, &slopes, ROUNDING));
         }
     }
+    for touch in rod.touches() {
+        let ends = [touch.element, touch.element + 1];
+        let [a, b] = ends.map(|node| at.positions[node]);
+        // Nothing touches, or less than what a difference moves.
+        let shift = 0.1 * touch.penetration;
+        if touch.deepest([&a, &b])[0] < shift {
+            continue;
+        }
+        let [da, db] = [vector(rng, shift), vector(rng, shift)];
+        let moved = |s: f64| [a + da * s, b + db * s];
+        let forces = |s: f64| {
+            let [a, b] = moved(s);
+            touch.forces([&a, &b]).unwrap_or_default()
+        };
+        let [near, far] = forces(0.0);
+        let mut value = |s: f64| {
+            let [a, b] = moved(s);
+            Some(vec![vec![touch.energy([&a, &b])]])
+        };
+        let slope = vec![vec![-near.dot(&da) - far.dot(&db)]];
+        pull.push(compare(&mut value, &slope, ROUNDING));
+        let change = Vector6::new(da.x, da.y, da.z, db.x, db.y, db.z);
+        let mut force = |s: f64| {
+            let [near, far] = forces(s);
+            Some(groups([&near, &far]))
+        };
+        let slopes: Groups = (touch.hessian([&a, &b]).unwrap_or_default() * -change)
+            .as_slice()
+            .chunks(3)
+            .map(<[f64]>::to_vec)
+            .collect();
+        bend.push(compare(&mut force, &slopes, ROUNDING));
+    }
     [
         gather(
             "poses.gradient",
-            "wrenches of functions of poses (magnets, cables), and their values",
+            "wrenches of functions of poses (magnets, cables), forces of contacts, and their values",
             pull,
         ),
         gather(
             "poses.tangent",
-            "stiffness of functions of poses, and their wrenches",
+            "stiffness of functions of poses and of contacts, and their wrenches",
             bend,
         ),
     ]

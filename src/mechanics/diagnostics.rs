@@ -234,7 +234,7 @@ fn add_actuators(net: &mut NodalForces, rod: &Rod, node: &TimeNode, state: &Stat
     let at = &state.configuration;
     let efforts = given_efforts(rod, node);
     net.add_active(rod, &at.positions, &at.rotations, &efforts);
-    net.add_posed(rod, &at.positions, &at.rotations, (Posed::Alone, &[]));
+    net.add_alone(rod, &at.positions, &at.rotations);
 }
 
 /// Returns the given efforts of a rod's actuators that the steps beside a time node take.
@@ -507,7 +507,7 @@ impl Step {
     }
 }
 
-/// Adds `factor` times gravity, loads and the wrenches of functions of nodes at a time node.
+/// Adds `factor` times gravity, loads, contacts and the wrenches of functions of nodes at a time node.
 fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, node: &TimeNode, state: &State) {
     for (q, inertia) in rod.nodes.iter().enumerate() {
         let weight = rod.gravity * inertia.mass;
@@ -517,7 +517,7 @@ fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, node: &TimeNode, sta
         let wrench = load.wrench_at_node(node, &state.configuration.rotations[load.node]);
         sum.add(factor, state, load.node, &wrench.force, &wrench.moment);
     }
-    if rod.actuators.functions().is_empty() {
+    if !rod.actuators.act_on_poses() {
         return;
     }
     let at = &state.configuration;
@@ -525,6 +525,10 @@ fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, node: &TimeNode, sta
         let wrench = own.wrench(&own.pose(&at.positions, &at.rotations), size);
         sum.add(factor, state, own.node, &wrench.force, &wrench.moment);
     }
+    rod.visit_contact_forces(
+        |node| at.positions[node],
+        |node, force| sum.add(factor, state, node, force, &Vector3::zeros()),
+    );
 }
 
 /// All quantities that follow from a state at one time.

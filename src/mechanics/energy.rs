@@ -22,7 +22,7 @@ impl Energy {
     pub fn of(rod: &Rod, state: &State) -> Self {
         let configuration = &state.configuration;
         let mut potential = rod.gravity_energy(&configuration.positions);
-        if !rod.actuators.functions().is_empty() {
+        if rod.actuators.act_on_poses() {
             potential += rod.potential_energy(&configuration.positions, &configuration.rotations);
         }
         Self {

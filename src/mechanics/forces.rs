@@ -60,7 +60,7 @@ impl NodalForces {
             after: 0.0,
         };
         self.add_loads(rod, rotations, &instant);
-        self.add_posed(rod, positions, rotations, (Posed::Alone, &[]));
+        self.add_alone(rod, positions, rotations);
         let efforts = rod.efforts_at(rod.actuators.efforts(t), positions, rotations);
         self.add_active(rod, positions, rotations, &efforts);
     }
@@ -93,6 +93,15 @@ impl NodalForces {
             self.forces[own.node] += wrench.force;
             self.moments[own.node] += wrench.moment;
         }
+    }
+
+    /// Adds the forces of what needs no effort: of potentials of nodes, and of contacts.
+    pub fn add_alone(&mut self, rod: &Rod, positions: &[Vector3<f64>], rotations: &[Matrix3<f64>]) {
+        self.add_posed(rod, positions, rotations, (Posed::Alone, &[]));
+        rod.visit_contact_forces(
+            |node| positions[node],
+            |node, force| self.forces[node] += force,
+        );
     }
 
     /// Adds the forces of the stress of actuators on strains with the given efforts.
@@ -157,7 +166,7 @@ impl NodalForces {
             TimeScheme::Explicit => self.evaluate_elastic(rod, positions, rotations),
             TimeScheme::Implicit => self.start_with_gravity(rod),
         }
-        self.add_posed(rod, positions, rotations, (Posed::Alone, &[]));
+        self.add_alone(rod, positions, rotations);
     }
 
     fn start_with_gravity(&mut self, rod: &Rod) {

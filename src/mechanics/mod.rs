@@ -135,7 +135,7 @@ pub use pose_actuator::{
     Cable, Magnet, OfPose, PlacedFunction, Pose, PoseActuator, PoseFunction, Posed,
     SharedPoseFunction, Span,
 };
-pub use rod::contact::{Contact, Deepest, Touch};
+pub use rod::contact::{Contact, Deepest, Pressed, Touch};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile, SectionSegment,

@@ -597,7 +597,11 @@ impl Rod {
             RodActuators::new(&p.actuators, &p.pose_actuators, &p.potentials, places)?;
         for (index, contact) in p.contacts.iter().enumerate() {
             contact.check()?;
-            actuators.add_contact((index, contact), &p.radii, &mesh)?;
+            let held = match p.base {
+                BaseCondition::Clamped | BaseCondition::Driven(_) => 1,
+                BaseCondition::Pinned { .. } | BaseCondition::Free => 0,
+            };
+            actuators.add_contact((index, contact), &p.radii, (&mesh, p.length), held)?;
         }
         Ok(Self {
             strain_rule: p.strain_rule,

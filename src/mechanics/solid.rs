@@ -166,6 +166,16 @@ impl Shape {
         }
     }
 
+    /// Returns the smallest distance of the middle of the body, its core, from its surface, m; infinite for a half-space.
+    #[must_use]
+    pub fn half_thickness(&self) -> f64 {
+        match self {
+            Self::Sphere { radius, .. } | Self::Capsule { radius, .. } => *radius,
+            Self::HalfSpace { .. } => f64::INFINITY,
+            Self::Cuboid { half_size, .. } => half_size.min(),
+        }
+    }
+
     /// Returns the smallest radius of curvature of the surface, m: infinite where it is flat, 0 at the edges of a box.
     #[must_use]
     pub fn least_radius(&self) -> f64 {

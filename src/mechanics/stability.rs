@@ -69,7 +69,7 @@ fn highest_frequency_squared(rod: &Rod, q: usize, efforts: &[f64]) -> f64 {
     }
     let full = expand(&k);
     let mut shares = rod.element_inertia[q];
-    let posed = !rod.actuators.functions().is_empty();
+    let posed = rod.actuators.act_on_poses();
     let bodies = [q, q + 1].map(|node| posed.then(|| body_on(rod, node)));
     for (share, body) in shares.iter_mut().zip(&bodies) {
         if let Some((sides, body)) = body {
@@ -114,7 +114,23 @@ fn posed_bound(rod: &Rod, node: usize, largest: &[f64], root: &Vector6<f64>) -> 
         let at = own.pose(&rod.rest.positions, &rod.rest.rotations);
         own.function.frequency_bound(&at, root) * factor.abs()
     })
-    .sum()
+    .sum::<Matrix6<f64>>()
+        + contact_bound(rod, node, root)
+}
+
+/// Returns the bound of `M^{-½} K M^{-½}` with the stiffness of the contacts of a node at their penetrations, in any direction.
+fn contact_bound(rod: &Rod, node: usize, root: &Vector6<f64>) -> Matrix6<f64> {
+    let stiffness: f64 = (rod.touches().iter())
+        .filter(|own| own.element == node || own.element + 1 == node)
+        .map(|own| own.stiffness()[usize::from(own.element != node)])
+        .sum();
+    Matrix6::from_fn(|i, j| {
+        if i == j && i < 3 {
+            stiffness * root[i] * root[i]
+        } else {
+            0.0
+        }
+    })
 }
 
 /// Returns the number of elements beside a node, and the inertia that it has besides theirs.
@@ -138,16 +154,20 @@ fn body_on(rod: &Rod, node: usize) -> (f64, NodeInertia) {
 #[must_use]
 pub fn posed_step(rod: &Rod) -> f64 {
     let largest = rod.largest_efforts();
-    (rod.actuators
-        .functions()
-        .iter()
-        .map(|own: &PlacedFunction| own.node))
-    .filter(|node| *node >= rod.first_free_node())
-    .map(|node| {
-        let bound = posed_bound(rod, node, &largest, &inverse_roots(&rod.nodes[node]));
-        2.0 / bound.symmetric_eigenvalues().max().max(0.0).sqrt()
-    })
-    .fold(f64::INFINITY, f64::min)
+    let functions = rod.actuators.functions().iter();
+    let touched = (rod.touches().iter()).flat_map(|own| [own.element, own.element + 1]);
+    let mut nodes: Vec<usize> = (functions.map(|own: &PlacedFunction| own.node))
+        .chain(touched)
+        .filter(|node| *node >= rod.first_free_node())
+        .collect();
+    nodes.sort_unstable();
+    nodes.dedup();
+    (nodes.into_iter())
+        .map(|node| {
+            let bound = posed_bound(rod, node, &largest, &inverse_roots(&rod.nodes[node]));
+            2.0 / bound.symmetric_eigenvalues().max().max(0.0).sqrt()
+        })
+        .fold(f64::INFINITY, f64::min)
 }
 
 /// Returns the stiffness with respect to `(x_a, η_a, x_b, η_b)` from that with respect to `(x_b - x_a, η_a, η_b)`.

@@ -115,6 +115,43 @@ pub enum StepError {
         /// Name of the quantity.
         quantity: &'static str,
     },
+    /// Contacts have given the arm energy that they never took up.
+    #[error(
+        "node {node}, step {step} (t = {time} s): what the arm touches has given it {gained:.3e} J from nowhere, and taken up {taken_up:.3e} J: at the \
+         depths that the arm reaches, the bodies are too stiff for this step; shorten time.step_s, or give a [[contact]] a larger penetration_m or a \
+         smaller force_n"
+    )]
+    ContactGives {
+        /// Index of the node that is deepest in a body.
+        node: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time, s.
+        time: f64,
+        /// Energy from nowhere, J.
+        gained: f64,
+        /// Energy that the contacts have taken up, J.
+        taken_up: f64,
+    },
+    /// The arm is so deep in a body that the contact allows steps that are too short for a run.
+    #[error(
+        "node {node}, step {step} (t = {time} s): the arm is {depth:.3e} m deep in {contact}, which is so stiff there that it allows steps up to \
+         {allowed:.3e} s; give this [[contact]] a larger penetration_m or a smaller force_n, or let the arm begin farther away from it"
+    )]
+    ContactTooStiff {
+        /// Index of the node that is deepest in a body.
+        node: usize,
+        /// Step, counted from 0.
+        step: usize,
+        /// Time, s.
+        time: f64,
+        /// Name of the contact.
+        contact: String,
+        /// Depth, m.
+        depth: f64,
+        /// The longest stable step, s.
+        allowed: f64,
+    },
     /// A stop signal ended the motion.
     #[error("stopped before the end: {0}")]
     Stopped(#[from] Stop),

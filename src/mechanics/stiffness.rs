@@ -1,6 +1,6 @@
 //! The tangent stiffness of the whole rod, a block-tridiagonal matrix.
 
-use nalgebra::{Matrix3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockTridiagonal;
 use super::configuration::Configuration;
@@ -66,7 +66,7 @@ pub(super) fn winch_stiffness(
 }
 
 impl BlockTridiagonal {
-    /// Adds the stiffness of functions of nodes, those of actuators with the given efforts, to a matrix over the free nodes.
+    /// Adds the stiffness of functions of nodes, those of actuators with the given efforts, and but for [`Posed::Driven`] of contacts, to a matrix over the free nodes.
     pub(crate) fn add_posed(
         &mut self,
         rod: &Rod,
@@ -80,6 +80,36 @@ impl BlockTridiagonal {
         {
             let pose = own.pose(&at.positions, &at.rotations);
             self.diagonal[own.node - first] -= own.function.tangent(&pose) * factor;
+        }
+        if which != Posed::Driven {
+            self.add_contacts(rod, &at.positions);
+        }
+    }
+
+    /// Adds the stiffness of contacts to a matrix over the free nodes.
+    fn add_contacts(&mut self, rod: &Rod, positions: &[Vector3<f64>]) {
+        let first = rod.first_free_node();
+        for touch in rod.touches() {
+            let ends = [touch.element, touch.element + 1];
+            let Some(hessian) = touch.hessian(ends.map(|node| &positions[node])) else {
+                continue;
+            };
+            let part = |i: usize, j: usize| hessian.fixed_view::<3, 3>(3 * i, 3 * j);
+            let add = |block: &mut Matrix6<f64>, i: usize, j: usize| {
+                let mut linear = block.fixed_view_mut::<3, 3>(0, 0);
+                linear += part(i, j);
+            };
+            let Some(q) = touch.element.checked_sub(first) else {
+                // The base is held.
+                if let Some(block) = self.diagonal.get_mut(touch.element + 1 - first) {
+                    add(block, 1, 1);
+                }
+                continue;
+            };
+            add(&mut self.diagonal[q], 0, 0);
+            add(&mut self.diagonal[q + 1], 1, 1);
+            add(&mut self.below[q], 1, 0);
+            add(&mut self.above[q], 0, 1);
         }
     }
 }

@@ -311,6 +311,8 @@ pub struct SimulateSummary {
     /// Slack of the tendons on winches; absent where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub slack: Vec<SlackSummary>,
+    /// Sentences about what to know before and after the run.
+    pub warnings: Vec<String>,
     /// The choice of the grid; absent if the scene gives it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<AccuracySummary>,
@@ -427,21 +429,47 @@ impl ClearanceSummary {
     }
 }
 
-/// Largest depth of a simulated arm in a body that it touches, at the times that have a row.
+/// Largest depth of a simulated arm in a body that it touches, anywhere along it.
 #[derive(Clone, Debug, Serialize)]
 pub struct DepthSummary {
     /// Name of the contact.
     pub contact: String,
-    /// Largest depth of a node, m; negative: the distance that is left.
+    /// Largest depth of a chord after any step, m; negative: the distance that is left, at the times that have a row.
     pub penetration_m: f64,
     /// The same, divided by the penetration of the scene.
     pub over_penetration: f64,
-    /// Step that the contacts alone allow at this depth, s: less than at the penetration by its root.
+    /// The depth divided by that at which the center line of the arm comes to the middle of the body, beyond which it is pushed out on the other side.
+    pub through: f64,
+    /// Shortest step that all contacts together allow at a time when the arm touches this one, or at their penetrations, s.
     pub allows_step_s: f64,
     /// Time, s.
     pub at_s: f64,
     /// Place on the arm, as a fraction of its length from the base.
     pub place: f64,
+}
+
+impl SimulateSummary {
+    /// Returns what to know about the depths in bodies after the run.
+    #[must_use]
+    pub fn concerns(&self) -> Vec<String> {
+        let mut out = Vec::new();
+        for contact in &self.contact {
+            if !(contact.through < 1.0) {
+                out.push(format!(
+                    "{}: the arm passes through it, at t = {:.4} s and {:.2} of its length; give it a smaller penetration_m, or a larger force_n",
+                    contact.contact, contact.at_s, contact.place
+                ));
+            }
+            if self.step_s > contact.allows_step_s {
+                out.push(format!(
+                    "{}: at the largest depth it is so stiff that steps are stable up to {:.3e} s alone; give a time.step_s below that, a larger \
+                     penetration_m, or a smaller force_n",
+                    contact.contact, contact.allows_step_s
+                ));
+            }
+        }
+        out
+    }
 }
 
 impl DepthSummary {

@@ -49,6 +49,17 @@ impl Simulation {
         k / self.steps_per_row + 1 + usize::from(at_end)
     }
 
+    /// Returns the simulation with steps shorter by a divisor, whose rows are at the same times.
+    #[must_use]
+    pub(crate) fn with_steps_divided(mut self, by: usize) -> Self {
+        self.grid.step /= by as f64;
+        self.grid.n_steps *= by;
+        self.steps_per_row *= by;
+        self.discretization.step = Some(self.grid.step);
+        self.resolved.time.step_s = TimeStep::Seconds(self.grid.step);
+        self
+    }
+
     /// Returns a sentence on the times of the rows if the steps do not divide the interval that `output.rate_hz` asks for; `None` if they
     /// do.
     #[must_use]
@@ -410,8 +421,13 @@ impl Scene {
         let usual = (arm.usual_contact_force())
             .map_err(|error| self.discretize_error(source, error.into()))?;
         let contacts = self.contact.iter().enumerate();
+        let radius = (arm.radii.iter())
+            .map(|row| row.1)
+            .fold(f64::INFINITY, f64::min);
+        let radius = if radius.is_finite() { radius } else { 0.0 };
+        let size = [arm.length, radius];
         arm.contacts = contacts
-            .filter_map(|(index, own)| own.of_arm(index, usual))
+            .filter_map(|(index, own)| own.of_arm(index, usual, size))
             .collect();
         Ok(arm)
     }

@@ -294,7 +294,7 @@ fn strain(problem: &OptimalControlProblem, goal: &Wanted) -> f64 {
 fn largest_force(problem: &OptimalControlProblem) -> Option<f64> {
     let rod = &problem.rod;
     let wrenches = problem.wrench_actuators();
-    let others = !rod.actuators.is_empty() || !rod.actuators.functions().is_empty();
+    let others = !rod.actuators.is_empty() || rod.actuators.act_on_poses();
     if others || wrenches.len() < problem.actuators.len() {
         return None;
     }

@@ -1,13 +1,14 @@
-//! Contacts in the replay: the largest penetration, and the change of the result with bodies of twice the stiffness.
+//! Contacts in the replay: the largest depth along the arm, and the change of the result with bodies of twice the stiffness.
 
 use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::bodies::distance;
 use super::refinement::Level;
+use super::worse::worse;
 use super::{CheckError, ReplayKind, Solution, Variant};
 use crate::control::OptimalControlProblem;
-use crate::mechanics::{Rod, RodError, State, TimeGrid, Trajectory};
+use crate::mechanics::{Rod, RodError, State, Touch, Trajectory};
 
 /// Factor of the forces of contacts in the replay with stiffer bodies.
 const STIFFER: f64 = 2.0;
@@ -22,7 +23,7 @@ pub(super) const SHOWN: f64 = 1.0 - std::f64::consts::FRAC_1_SQRT_2;
 pub struct ContactCheck {
     /// Name of the contact with the largest depth.
     pub contact: String,
-    /// Largest depth of a node in it at any time node, m; negative: the distance that is left.
+    /// Largest depth of a chord in it at any time node, m; negative: the distance that is left.
     pub penetration_m: f64,
     /// The same, divided by the penetration of the scene.
     pub over_penetration: f64,
@@ -30,40 +31,111 @@ pub struct ContactCheck {
     pub at_s: f64,
     /// Place on the arm, as a fraction of its length from the base.
     pub place: f64,
+    /// Largest depth in any body, divided by the one at which the center line of the arm comes to the middle of the body, and is pushed out on the other side
+    /// from there on; on the grid of the solution and on the finest one.
+    pub through: f64,
     /// Distance of the tip at the end from that with twice the stiffness of all contacts, m.
     pub stiffer_m: f64,
 }
 
-/// Returns the largest depth, compared by its ratio to the penetration of its contact.
-fn deepest(rod: &Rod, grid: TimeGrid, trajectory: &Trajectory) -> Option<ContactCheck> {
-    let mut worst: Option<ContactCheck> = None;
-    let first = rod.first_free_node();
-    for own in rod.actuators.functions() {
-        let Some(touch) = own.function.touch().filter(|_| own.node >= first) else {
-            continue;
-        };
-        let contact = &rod.contacts[touch.contact];
-        for k in 0..=grid.n_steps {
-            let x: &Vector3<f64> = &trajectory.positions_at(k)[own.node];
-            let depth = touch.radius - distance(&contact.shape, x);
-            let over = depth / contact.penetration;
+impl ContactCheck {
+    /// Takes over what is deeper on another grid.
+    pub(super) fn join(&mut self, other: Self) {
+        let through = worse(self.through, other.through);
+        if !(other.over_penetration <= self.over_penetration) {
+            let stiffer_m = self.stiffer_m;
+            *self = Self { stiffer_m, ..other };
+        }
+        self.through = through;
+    }
+}
+
+/// Largest depth in every body so far.
+#[derive(Clone, Debug)]
+pub(super) struct Depths(Vec<Option<ContactCheck>>);
+
+impl Depths {
+    /// Nothing yet, of a rod with contacts.
+    pub(super) fn of(rod: &Rod) -> Self {
+        Self(vec![None; rod.contacts.len()])
+    }
+
+    /// Looks at the chords of a rod at time `t`.
+    pub(super) fn include(&mut self, rod: &Rod, t: f64, x: &[Vector3<f64>]) {
+        for touch in rod.touches() {
+            let contact = &rod.contacts[touch.contact];
+            let (q, start) = (touch.element, touch.first as f64 / touch.intervals as f64);
+            let worst = &mut self.0[touch.contact];
+            let known = (worst.as_ref()).map_or(f64::NEG_INFINITY, |worst| worst.penetration_m);
+            let Some([depth, at]) = deepest(touch, start, [&x[q], &x[q + 1]], known) else {
+                continue;
+            };
             // NaN is the worst.
-            if worst
-                .as_ref()
-                .is_none_or(|worst| !(over <= worst.over_penetration))
-            {
-                worst = Some(ContactCheck {
+            if !(depth <= known) {
+                let [from, to] = [q, q + 1].map(|node| rod.mesh.fraction(node));
+                let radius = touch.radii[0] * (1.0 - at) + touch.radii[1] * at;
+                *worst = Some(ContactCheck {
                     contact: contact.name.clone(),
                     penetration_m: depth,
-                    over_penetration: over,
-                    at_s: grid.time(k),
-                    place: rod.mesh.fraction(own.node),
+                    over_penetration: depth / contact.penetration,
+                    at_s: t,
+                    place: from + (to - from) * at,
+                    through: (depth / contact.holds_up_to(radius)).max(0.0),
                     stiffer_m: 0.0,
                 });
             }
         }
     }
-    worst
+
+    /// Returns the largest depth, compared by its ratio to the penetration of its contact, with the largest [part](ContactCheck::through) of the way
+    /// through any body.
+    pub(super) fn worst(self) -> Option<ContactCheck> {
+        let all: Vec<ContactCheck> = self.0.into_iter().flatten().collect();
+        let through = (all.iter().map(|own| own.through)).reduce(worse)?;
+        (all.into_iter())
+            .reduce(|a, b| {
+                if b.over_penetration <= a.over_penetration {
+                    a
+                } else {
+                    b
+                }
+            })
+            .map(|own| ContactCheck { through, ..own })
+    }
+}
+
+/// Returns the largest depth along the chord of an element from `start` on, m, and its place; `None` if it is at most `known`, or if it is found at
+/// once that it is. The depth in a convex body is a concave function along a chord, so that its maximum is enclosed between ever nearer points.
+fn deepest(touch: &Touch, start: f64, [a, b]: [&Vector3<f64>; 2], known: f64) -> Option<[f64; 2]> {
+    let depth = |at: f64| {
+        let radius = touch.radii[0] * (1.0 - at) + touch.radii[1] * at;
+        radius - distance(&touch.shape, &(a * (1.0 - at) + b * at))
+    };
+    let change = (b - a).norm() + (touch.radii[1] - touch.radii[0]).abs();
+    let (mut from, mut to) = (start, 1.0);
+    if depth(0.5 * (from + to)) + 0.5 * (to - from) * change <= known {
+        return None;
+    }
+    let mut best = [from, to]
+        .map(|at| [depth(at), at])
+        .into_iter()
+        .reduce(|a, b| if b[0] > a[0] { b } else { a })?;
+    // Until what is left changes the depth by less than a thousandth of the penetration.
+    while (to - from) * change > 1e-3 * touch.penetration && to - from > 1e-9 {
+        let inner = [from + (to - from) / 3.0, to - (to - from) / 3.0];
+        let depths = inner.map(depth);
+        for (depth, at) in depths.into_iter().zip(inner) {
+            if !(depth <= best[0]) {
+                best = [depth, at];
+            }
+        }
+        if depths[0] < depths[1] {
+            from = inner[0];
+        } else {
+            to = inner[1];
+        }
+    }
+    Some(best)
 }
 
 /// Examines the contacts of a replay; `None` without any. `half_end` is the end of the replay with half the step, with which that of stiffer
@@ -78,7 +150,12 @@ pub(super) fn examine(
     replayed: &Trajectory,
     half_end: &State,
 ) -> Result<Option<ContactCheck>, CheckError> {
-    let Some(mut found) = deepest(&problem.rod, problem.grid, replayed) else {
+    let mut depths = Depths::of(&problem.rod);
+    for k in 0..=problem.grid.n_steps {
+        let x = replayed.positions_at(k);
+        depths.include(&problem.rod, problem.grid.time(k), x);
+    }
+    let Some(mut found) = depths.worst() else {
         return Ok(None);
     };
     // Bodies that nothing touches change nothing.

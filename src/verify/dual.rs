@@ -6,7 +6,6 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use pulp::Arch;
 
-use super::bodies::{away, distance};
 use crate::mechanics::element::{Element, ElementPose};
 use crate::mechanics::{
     Cable, Density, Magnet, OfPose, PlacedFunction, PlacedPoint, Pose, RodModel, StrainRule,
@@ -307,17 +306,6 @@ pub(super) fn of_pose(
             let lever = turned(offset);
             let way = vector(|i| position[i] + lever[i] - Dual::constant(anchor[i]));
             -dot(&way, &way).sqrt()
-        }
-        OfPose::Touch(touch) => {
-            let mut gap = Dual::constant(distance(&touch.shape, x));
-            gap.slope[..3].copy_from_slice(away(&touch.shape, x).as_slice());
-            let depth = Dual::constant(touch.radius) - gap;
-            if depth.value > 0.0 {
-                let cube = depth * depth * depth;
-                cube.scale(touch.force / (3.0 * touch.penetration * touch.penetration))
-            } else {
-                Dual::constant(0.0)
-            }
         }
         OfPose::Own(function) => Dual::constant(function.0.value(&Pose {
             position: *x,

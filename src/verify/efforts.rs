@@ -343,25 +343,39 @@ fn factor(own: &PlacedFunction, efforts: &[f64]) -> f64 {
     own.weight * own.actuator.map_or(-1.0, |actuator| efforts[actuator])
 }
 
-/// Returns nodes and wrenches of the functions of poses under the given efforts.
+/// Returns nodes and wrenches of the functions of poses under the given efforts, and of the contacts.
 pub(super) fn posed(
     rod: &Rod,
     x: &[Vector3<f64>],
     r: &[Matrix3<f64>],
     efforts: &[f64],
 ) -> impl Iterator<Item = (usize, Wrench)> {
-    (rod.actuators.functions().iter()).map(move |own| {
-        let size = factor(own, efforts);
-        let [force, moment] = pose_gradient(own, &x[own.node], &r[own.node], rod.scales.length);
-        let wrench = Wrench {
-            force: force * size,
-            moment: moment * size,
-        };
-        (own.node, wrench)
+    (rod.actuators.functions().iter())
+        .map(move |own| {
+            let size = factor(own, efforts);
+            let [force, moment] = pose_gradient(own, &x[own.node], &r[own.node], rod.scales.length);
+            let wrench = Wrench {
+                force: force * size,
+                moment: moment * size,
+            };
+            (own.node, wrench)
+        })
+        .chain(touched(rod, x))
+}
+
+/// Returns nodes and wrenches of the contacts.
+fn touched(rod: &Rod, x: &[Vector3<f64>]) -> impl Iterator<Item = (usize, Wrench)> {
+    (rod.touches().iter()).flat_map(move |touch| {
+        let ends = [touch.element, touch.element + 1];
+        let forces = touch_forces(touch, ends.map(|node| &x[node]));
+        (ends.into_iter().zip(forces)).map(|(node, force)| {
+            let moment = Vector3::zeros();
+            (node, Wrench { force, moment })
+        })
     })
 }
 
-/// Adds `weight` times the slope of `Σ λ·w` over the functions of poses, for covectors of force and moment of every node, along every
+/// Adds `weight` times the slope of `Σ λ·w` over the functions of poses and the contacts, for covectors of force and moment of every node, along every
 /// position and rotation.
 pub(super) fn add_posed_slopes(
     rod: &Rod,
@@ -372,13 +386,16 @@ pub(super) fn add_posed_slopes(
     [cx, ceta]: [&mut [Vector3<f64>]; 2],
 ) {
     let length = rod.scales.length;
+    for touch in rod.touches() {
+        let ends = [touch.element, touch.element + 1];
+        let (at, covectors) = (ends.map(|node| &x[node]), ends.map(|node| &lx[node]));
+        for (node, slope) in ends.into_iter().zip(touch_slope(touch, at, covectors)) {
+            cx[node] += slope * weight;
+        }
+    }
     for own in rod.actuators.functions() {
         let (node, size) = (own.node, weight * factor(own, efforts));
         if size == 0.0 {
-            continue;
-        }
-        if let OfPose::Touch(touch) = &own.function {
-            cx[node] += touch_slope(touch, &x[node], &lx[node]) * size;
             continue;
         }
         let paired = |x: Vector3<f64>, r: Matrix3<f64>| {
@@ -395,22 +412,70 @@ pub(super) fn add_posed_slopes(
     }
 }
 
-/// Returns the derivative along the position of `λ·∇V` of a contact: with the depth `p` and the direction `n` away from the body, the
-/// derivative of `-F/δ² p² (λ·n)`, that of `n` by differences within a thousandth of the penetration.
-fn touch_slope(touch: &Touch, x: &Vector3<f64>, covector: &Vector3<f64>) -> Vector3<f64> {
-    let depth = touch.radius - distance(&touch.shape, x);
-    if !(depth > 0.0) {
-        return Vector3::zeros();
-    }
+/// A point of the chord of an element that is inside of a body.
+struct Inside {
+    /// Place on the chord.
+    at: f64,
+    point: Vector3<f64>,
+    depth: f64,
+    /// `F/δ²` times the weight of the point, N/m².
+    factor: f64,
+}
+
+/// Returns the points of a contact of an element that are inside of the body.
+fn points_inside(touch: &Touch, [a, b]: [&Vector3<f64>; 2]) -> impl Iterator<Item = Inside> {
+    let [a, b] = [*a, *b];
+    // No point of the chord is farther from its middle than half of it.
+    let nearest = distance(&touch.shape, &((a + b) * 0.5)) - 0.5 * (b - a).norm();
+    let far = nearest > touch.radii[0].max(touch.radii[1]);
+    let n = touch.intervals;
+    let points = if far { 0..0 } else { touch.first..n + 1 };
+    points.filter_map(move |i| {
+        let at = i as f64 / n as f64;
+        let point = a * (1.0 - at) + b * at;
+        let radius = touch.radii[0] * (1.0 - at) + touch.radii[1] * at;
+        let depth = radius - distance(&touch.shape, &point);
+        let halves = if i == 0 || i == n { 1.0 } else { 2.0 };
+        let weight = touch.share * halves / (2.0 * n as f64);
+        (!(depth <= 0.0)).then_some(Inside {
+            at,
+            point,
+            depth,
+            factor: weight * touch.force / (touch.penetration * touch.penetration),
+        })
+    })
+}
+
+/// Returns the forces of a contact of an element on both of its ends: at every point inside `F/δ² p²` away from the body, divided between the
+/// ends as a lever does it.
+fn touch_forces(touch: &Touch, ends: [&Vector3<f64>; 2]) -> [Vector3<f64>; 2] {
+    points_inside(touch, ends).fold([Vector3::zeros(); 2], |[near, far], own| {
+        let force = away(&touch.shape, &own.point) * (own.factor * own.depth * own.depth);
+        [near + force * (1.0 - own.at), far + force * own.at]
+    })
+}
+
+/// Returns the derivative along the positions of both ends of `λ·f` of a contact of an element with forces `f`: at every point inside, with the covector
+/// `μ` there and the direction `n` away from the body, that of `F/δ² p² (μ·n)`, the derivative of `n` by differences within a thousandth of the
+/// penetration.
+fn touch_slope(
+    touch: &Touch,
+    ends: [&Vector3<f64>; 2],
+    covectors: [&Vector3<f64>; 2],
+) -> [Vector3<f64>; 2] {
     let outward = |x: &Vector3<f64>| away(&touch.shape, x);
-    let turning = Vector3::from_fn(|axis, _| {
-        let shift = SHIFT * touch.penetration;
-        let along = |s: f64| covector.dot(&outward(&(x + Vector3::ith(axis, s))));
-        slope_at_zero(along, shift)
-    });
-    let n = outward(x);
-    (n * (2.0 * depth * n.dot(covector)) - turning * (depth * depth))
-        * (touch.force / (touch.penetration * touch.penetration))
+    points_inside(touch, ends).fold([Vector3::zeros(); 2], |[near, far], own| {
+        let covector = covectors[0] * (1.0 - own.at) + covectors[1] * own.at;
+        let turning = Vector3::from_fn(|axis, _| {
+            let shift = SHIFT * touch.penetration;
+            let along = |s: f64| covector.dot(&outward(&(own.point + Vector3::ith(axis, s))));
+            slope_at_zero(along, shift)
+        });
+        let (n, depth) = (outward(&own.point), own.depth);
+        let slope = turning * (depth * depth) - n * (2.0 * depth * n.dot(&covector));
+        let slope = slope * own.factor;
+        [near + slope * (1.0 - own.at), far + slope * own.at]
+    })
 }
 
 /// Returns `Σ λ·w` of the functions of poses under a unit of one effort.

@@ -176,6 +176,9 @@ impl CheckItem {
                     "multiply every penetration_m of [[contact]] by {factor:.2}, unless the bodies are as soft as that"
                 );
             }
+            "contact_through" => {
+                "the arm passes through a body: give its [[contact]] a smaller penetration_m, or a larger force_n"
+            }
             "momentum" => "the motion is not one of this rod: the files do not belong together",
             "second_order" => "solve again from elsewhere: --starts N, or another solver.guess",
             "same_grid_m" | "same_grid_rad" => {
@@ -514,10 +517,13 @@ pub fn forward_check(
     let momentum = MomentumBalance::of(problem, &same.trajectory, &control);
     problem.stop.check()?;
     let half = run(2, ReplayKind::ShorterSteps)?;
-    let contact = contact::examine(problem, variant, solution, &same.trajectory, &half.end)?;
+    let mut contact = contact::examine(problem, variant, solution, &same.trajectory, &half.end)?;
     // This trajectory is as large as the solution's, and not needed any more.
     same.trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
-    let refinement = refine(problem, variant, solution, &same.end)?;
+    let mut refinement = refine(problem, variant, solution, &same.end)?;
+    if let (Some(own), Some(finest)) = (&mut contact, refinement.contact.take()) {
+        own.join(finest);
+    }
     let mut check = ForwardCheck {
         kkt: conditions.residual,
         kkt_parts: conditions.parts,
@@ -735,6 +741,15 @@ fn items(
             contact::SHOWN * limits.refined * length,
             "m",
             "distance of the tip at the end from that with twice the stiffness of all contacts: at most 0.29 of what bodies that are not rigid change",
+        ));
+    }
+    if let Some(contact) = &check.contact {
+        items.push(item(
+            "contact_through",
+            contact.through,
+            1.0,
+            "",
+            "largest depth in a body, anywhere along the arm, divided by the one from which on the arm is pushed out on the other side",
         ));
     }
     let allowed = |enforcement: &Enforcement, angle: bool| match enforcement {

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
+use super::contact::{ContactCheck, Depths};
 use super::limits::{Measure, Pose};
 use super::standing::{Fastest, Held, HeldGrowth, reach_at_rest};
 use super::stay::{StayReplay, follow};
@@ -94,6 +95,8 @@ pub struct Refinement {
     pub stays: Option<StayReplay>,
     /// Growth of small deviations from the equilibrium in which the arm is held after the horizon, if it is.
     pub held: Option<HeldGrowth>,
+    /// The largest depth in a body on the finest rod.
+    pub contact: Option<ContactCheck>,
 }
 
 /// Cap on the node-steps of implicit replays for the second refinement in space.
@@ -238,6 +241,7 @@ pub fn refine(
     let mut watch = Watch::new(problem, finest, step / factor as f64);
     let mut changes = [[0.0; 2]; 2];
     let mut tip = TipMotion::default();
+    let mut depths = Depths::of(finest);
     let on_finest = problem.goal_node() * (finest.n_elements() / coarse.n_elements());
     for k in 0..problem.grid.n_steps {
         problem.stop.check_at(k)?;
@@ -250,6 +254,11 @@ pub fn refine(
             })?;
         }
         tip.note(finest, on_finest, &levels[last].stepper.state());
+        if !finest.contacts.is_empty() {
+            let state = levels[last].stepper.state();
+            let positions = &state.configuration.positions;
+            depths.include(finest, problem.grid.time(k + 1), positions);
+        }
         for (chain, changes) in [&in_time, &in_space].into_iter().zip(&mut changes) {
             for (pair, change) in chain.windows(2).zip(changes) {
                 let [before, after] = [pair[0], pair[1]].map(|at| levels[at].positions());
@@ -289,6 +298,7 @@ pub fn refine(
         tip,
         stays,
         held,
+        contact: depths.worst(),
     })
 }
 

@@ -158,7 +158,7 @@ impl<'a> Simulation<'a> {
             let pull = efforts::gradient_of(rod, element, &at.positions, &at.rotations, &own);
             take_pull(end, &pull, &mut acting);
         }
-        if !rod.actuators.functions().is_empty() {
+        if rod.actuators.act_on_poses() {
             let own = efforts::inputs(rod, node, control);
             let posed = efforts::posed(rod, &at.positions, &at.rotations, &own);
             for (_, wrench) in posed.filter(|(node, _)| *node == end) {

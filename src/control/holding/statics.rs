@@ -415,7 +415,7 @@ impl Statics<'_> {
         (along_states, along_controls)
     }
 
-    /// Returns the terms of `qᵀ K q` from the elements beside a node and the loads on it.
+    /// Returns the terms of `qᵀ K q` from the elements beside a node, with their contacts, and the loads on it.
     fn form_about(
         &self,
         shape: &Configuration,
@@ -438,7 +438,8 @@ impl Statics<'_> {
             -(shift.dot(&(force * turn)) + turn.dot(&(moment * turn)))
         });
         let posed = self.posed_form(shape, (Posed::All, efforts), node..node + 1, q);
-        elastic.sum::<f64>() + active + loads.sum::<f64>() + posed
+        let touching = self.touching_form(shape, node, q);
+        elastic.sum::<f64>() + active + loads.sum::<f64>() + posed + touching
     }
 
     /// Returns the terms of `qᵀ K q` from functions of some nodes, those of actuators with the given efforts.
@@ -458,6 +459,20 @@ impl Statics<'_> {
                     .tangent(&own.pose(&shape.positions, &shape.rotations));
                 let motion = &q[own.node - first];
                 -factor * motion.dot(&(tangent * motion))
+            })
+            .sum()
+    }
+
+    /// Returns the terms of `qᵀ K q` from contacts of the elements beside a node.
+    fn touching_form(&self, shape: &Configuration, node: usize, q: &[Vector6<f64>]) -> f64 {
+        (self.rod().touches().iter())
+            .filter(|own| own.element == node || own.element + 1 == node)
+            .filter_map(|own| {
+                let ends = [own.element, own.element + 1];
+                let hessian = own.hessian(ends.map(|end| &shape.positions[end]))?;
+                let [a, b] = ends.map(|end| self.part(q, end, 0));
+                let motion = Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z);
+                Some(motion.dot(&(hessian * motion)))
             })
             .sum()
     }

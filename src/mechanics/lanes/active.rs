@@ -213,7 +213,7 @@ impl LaneIntegrator<'_> {
             controls[end].add_efforts(out);
         };
         write(0, &mut active.coming);
-        if !self.rod.actuators.functions().is_empty() {
+        if self.rod.actuators.act_on_poses() {
             half_change(&active.posed, &active.coming, &mut active.jump);
             self.add_posed(Posed::Driven, &active.jump);
             write(1, &mut active.posed);
@@ -265,12 +265,32 @@ impl LaneIntegrator<'_> {
         }
     }
 
-    /// Adds the forces of functions of nodes just before the time node at which a step has arrived.
+    /// Adds the forces of contacts at the present configuration.
+    fn add_contacts(&mut self) {
+        let rod = self.rod;
+        let free = rod.first_free_node();
+        for touch in rod.touches() {
+            let ends = [touch.element, touch.element + 1];
+            let [near, far] = ends.map(|node| self.position(node));
+            let Some(forces) = touch.forces([&near, &far]) else {
+                continue;
+            };
+            for (node, force) in ends.into_iter().zip(&forces) {
+                if node >= free {
+                    let place = self.slots.place(node);
+                    self.add(place, FORCE, force);
+                }
+            }
+        }
+    }
+
+    /// Adds the forces of functions of nodes and of contacts just before the time node at which a step has arrived.
     pub(super) fn arrive_posed(&mut self) {
-        if self.rod.actuators.functions().is_empty() {
+        if !self.rod.actuators.act_on_poses() {
             return;
         }
         self.add_posed(Posed::Alone, &[]);
+        self.add_contacts();
         if let Some(active) = self.active.take() {
             self.add_posed(Posed::Driven, &active.posed);
             self.active = Some(active);

@@ -1,8 +1,8 @@
 //! Functions of the pose of a node: potentials, and the coordinates of actuators on poses (magnets, cables).
 //!
 //! An actuator on poses has, like one on [strains](super::strain_actuator), an effort `u` and a coordinate `y`, here a sum of functions
-//! `y(x, R)` of the poses of single nodes, and the potential `-u y`. A potential `V(x, R)` without an effort, such as that of a contact, is
-//! such a function too. Position, force and field are in the spatial frame; a rotation moves by `R exp(ζ̂)`, `ζ` in the body frame.
+//! `y(x, R)` of the poses of single nodes, and the potential `-u y`. A potential `V(x, R)` without an effort is such a function too; that of a
+//! [contact](super::contact) couples two nodes. Position, force and field are in the spatial frame; a rotation moves by `R exp(ζ̂)`, `ζ` in the body frame.
 //!
 //! These forces act at the time nodes, like gravity and loads, under both time schemes. The step remains variational: with constant
 //! efforts the energy less `Σ u y` stays bounded. Of the motion of a node with the mass matrix `M` such a potential of the stiffness `K`
@@ -12,7 +12,6 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-use super::contact::Touch;
 pub use super::pose::{Pose, PoseFunction};
 use super::{Rod, RodError, require};
 use crate::mechanics::load::Wrench;
@@ -141,8 +140,6 @@ pub enum OfPose {
     Magnet(Magnet),
     /// A cable to a point in space.
     Cable(Cable),
-    /// A body that the node touches.
-    Touch(Touch),
     /// A function of one's own.
     Own(SharedPoseFunction),
 }
@@ -159,17 +156,7 @@ impl OfPose {
         match self {
             Self::Magnet(magnet) => magnet,
             Self::Cable(cable) => cable,
-            Self::Touch(touch) => touch,
             Self::Own(own) => &*own.0,
-        }
-    }
-
-    /// Returns the contact, if it is one.
-    #[must_use]
-    pub fn touch(&self) -> Option<&Touch> {
-        match self {
-            Self::Touch(touch) => Some(touch),
-            _ => None,
         }
     }
 
@@ -185,15 +172,11 @@ impl OfPose {
     }
 
     /// Returns the second derivative of `λ·∇y` along `(δx, ζ)` for a constant covector `λ` of force and moment, symmetric, from central
-    /// differences of the tangent, but for a contact, whose third derivative jumps; `length` (m) is that of the rod.
+    /// differences of the tangent; `length` (m) is that of the rod.
     #[must_use]
     pub fn curvature(&self, at: &Pose, covector: &Wrench, length: f64) -> Matrix6<f64> {
         /// Half the width of the differences, in lengths of the rod or rad: accurate to about 1e-10 of the second derivative.
         const DIFFERENCE: f64 = 1e-5;
-        if let Self::Touch(touch) = self {
-            let bent = touch.curvature(&at.position, &covector.force);
-            return from_blocks(&bent, &Matrix3::zeros(), &Matrix3::zeros());
-        }
         let covector = Vector6::from(covector.to_array());
         let columns: [Vector6<f64>; 6] = std::array::from_fn(|j| {
             let step = DIFFERENCE * if j < 3 { length } else { 1.0 };
@@ -208,15 +191,9 @@ impl OfPose {
     }
 
     /// Returns a bound of `M^{-½} K M^{-½}` with the stiffness `K` of a unit effort of either sign, 1/s² per effort, positive semidefinite:
-    /// the absolute value at a pose, where a magnet is turned to where it is stiffest, `|m| |B|` about the axes across it; of a contact its
-    /// stiffness at its penetration, in any direction. `root` is the diagonal of `M^{-½}`.
+    /// the absolute value at a pose, where a magnet is turned to where it is stiffest, `|m| |B|` about the axes across it. `root` is the diagonal of `M^{-½}`.
     #[must_use]
     pub fn frequency_bound(&self, at: &Pose, root: &Vector6<f64>) -> Matrix6<f64> {
-        if let Self::Touch(touch) = self {
-            let own = Matrix3::identity() * touch.stiffness();
-            let bound = from_blocks(&own, &Matrix3::zeros(), &Matrix3::zeros());
-            return bound.component_mul(&(root * root.transpose()));
-        }
         let mut hessian = self.function().hessian(at);
         let mut across = Matrix3::zeros();
         if let Self::Magnet(magnet) = self {
@@ -256,7 +233,7 @@ impl OfPose {
                 .flatten()
                 .copied()
                 .collect(),
-            Self::Touch(_) | Self::Own(_) => Vec::new(),
+            Self::Own(_) => Vec::new(),
         };
         (numbers.iter()).try_for_each(|number| {
             require("number of a magnet or cable", *number, |_| true, "finite")
@@ -284,7 +261,7 @@ impl Span {
         }
     }
 
-    fn check(&self) -> Result<(), RodError> {
+    pub(super) fn check(&self) -> Result<(), RodError> {
         let [from, to] = self.breaks();
         let expected = "a fraction of the length, the end of a stretch after its start";
         let is_part = |s: f64| (0.0..=1.0).contains(&s);
@@ -419,7 +396,7 @@ impl Rod {
             .filter(|(_, factor)| *factor != 0.0)
     }
 
-    /// Returns the energy of the potentials without an effort, J.
+    /// Returns the energy of the potentials without an effort and of the contacts, J.
     #[must_use]
     pub fn potential_energy(&self, positions: &[Vector3<f64>], rotations: &[Matrix3<f64>]) -> f64 {
         (self.posed(Posed::Alone, &[]))
@@ -427,6 +404,7 @@ impl Rod {
                 let at = own.pose(positions, rotations);
                 -factor * own.function.function().value(&at)
             })
-            .sum()
+            .sum::<f64>()
+            + self.contact_energy(positions)
     }
 }

@@ -11,7 +11,7 @@
 use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
-use super::contact::Contact;
+use super::contact::{Contact, Touch};
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
 use super::{Rod, RodError, require};
 use crate::mechanics::configuration::{Poses, Trajectory};
@@ -21,7 +21,6 @@ use crate::mechanics::element::{
 };
 use crate::mechanics::load::profile;
 use crate::mechanics::mesh::Mesh;
-use crate::mechanics::rows;
 use crate::mechanics::time::{TimeNode, TimeScheme};
 use crate::mechanics::vector::{Lanes, Vec3};
 
@@ -338,14 +337,15 @@ impl PlacedPoint {
     }
 }
 
-/// The actuators of a rod, those on strains before those on poses, with their points in its elements and their functions of its nodes, and
-/// the potentials of its nodes.
+/// The actuators of a rod, those on strains before those on poses, with their points in its elements and their functions of its nodes,
+/// the potentials of its nodes, and the contacts of its elements.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RodActuators {
     drives: Vec<Drive>,
     /// Those on strains, of which efforts and winches stand in `drives` too.
     strains: Vec<StrainActuator>,
     functions: Vec<PlacedFunction>,
+    touches: Vec<Touch>,
     /// Points in the order of the elements.
     points: Vec<PlacedPoint>,
     /// First point of every element, and the number of all.
@@ -393,33 +393,26 @@ impl RodActuators {
         Ok(out)
     }
 
-    /// Adds the contact of this index, of a rod with these radii.
+    /// Adds the contact of this index, of a rod with these radii, on this mesh and of this length, m.
     ///
     /// # Errors
     /// Returns [`RodError`] for a part that does not exist.
     pub(super) fn add_contact(
         &mut self,
-        (index, contact): (usize, &Contact),
+        contact: (usize, &Contact),
         radii: &[(f64, f64)],
-        mesh: &Mesh,
+        mesh: (&Mesh, f64),
+        first_free_node: usize,
     ) -> Result<(), RodError> {
-        let [from, to] = contact.part;
-        let touch = |radius| OfPose::Touch(contact.on_node(index, radius));
-        let along = (Span::Along(from, to), touch(0.0));
-        let placed = PlacedFunction::placed(&along, None, mesh)?;
-        self.functions.extend(placed.map(|own| PlacedFunction {
-            function: touch(rows::largest(radii, mesh.fraction(own.node)).unwrap_or(0.0)),
-            ..own
-        }));
+        let placed = Touch::placed(contact, radii, mesh, first_free_node)?;
+        self.touches.extend(placed);
         Ok(())
     }
 
     /// Multiplies the forces of all contacts.
     pub(in crate::mechanics) fn multiply_contact_forces(&mut self, factor: f64) {
-        for own in &mut self.functions {
-            if let OfPose::Touch(touch) = &mut own.function {
-                touch.force *= factor;
-            }
+        for touch in &mut self.touches {
+            touch.force *= factor;
         }
     }
 
@@ -465,6 +458,7 @@ impl RodActuators {
             drives: actuators.iter().map(StrainActuator::drive).collect(),
             strains: actuators.to_vec(),
             functions: Vec::new(),
+            touches: Vec::new(),
             points,
             starts,
             at_rest: Vec::new(),
@@ -560,6 +554,18 @@ impl RodActuators {
     #[must_use]
     pub fn functions(&self) -> &[PlacedFunction] {
         &self.functions
+    }
+
+    /// Returns the contacts of elements with bodies.
+    #[must_use]
+    pub fn touches(&self) -> &[Touch] {
+        &self.touches
+    }
+
+    /// Tells whether functions of nodes or contacts act, by wrenches at time nodes that depend on the configuration.
+    #[must_use]
+    pub fn act_on_poses(&self) -> bool {
+        !self.functions.is_empty() || !self.touches.is_empty()
     }
 
     /// Returns the points in element `q`.

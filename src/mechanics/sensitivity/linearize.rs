@@ -228,7 +228,7 @@ pub(super) fn turn_error(motion: &Motion, trajectory: &Trajectory, k: usize) -> 
         })
 }
 
-/// Writes the kicks of actuators of one's own and of functions of nodes at time node `k`, which is in a lane.
+/// Writes the kicks of actuators of one's own, of functions of nodes and of contacts at time node `k`, which is in a lane.
 fn write_acting_kicks(
     along: &Along,
     active: Option<&ActiveTimes>,
@@ -239,7 +239,9 @@ fn write_acting_kicks(
     let (rod, trajectory) = (along.motion.rod, along.trajectory);
     let own = acting_derivatives(along.motion, trajectory, k);
     let functions = rod.actuators.functions();
-    out.resize_with(own.len() + functions.len(), ActingKick::default);
+    let touches = rod.touches();
+    let n_kicks = own.len() + functions.len() + touches.len();
+    out.resize_with(n_kicks, ActingKick::default);
     for (kick, acting) in out.iter_mut().zip(&own) {
         *kick = ActingKick::new(acting, weight);
     }
@@ -248,6 +250,14 @@ fn write_acting_kicks(
     for (kick, function) in out[own.len()..].iter_mut().zip(functions) {
         let tangent = function.function.tangent(&function.pose(x, r)) * function.factor(efforts);
         kick.renew(function.node, &tangent, weight);
+    }
+    for (kick, touch) in out[own.len() + functions.len()..].iter_mut().zip(touches) {
+        let ends = [touch.element, touch.element + 1];
+        kick.touch(
+            touch.element,
+            touch.hessian(ends.map(|node| &x[node])),
+            weight,
+        );
     }
 }
 

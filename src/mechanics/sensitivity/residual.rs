@@ -109,7 +109,7 @@ pub(super) fn defects_on(
                 forces[load.node] += wrench.force;
                 moments[load.node] += wrench.moment;
             }
-            if !rod.actuators.functions().is_empty() {
+            if rod.actuators.act_on_poses() {
                 let along = Motion {
                     control: Some(control),
                     ..*motion
@@ -120,6 +120,10 @@ pub(super) fn defects_on(
                     forces[own.node] += wrench.force;
                     moments[own.node] += wrench.moment;
                 }
+                rod.visit_contact_forces(
+                    |node| positions[node],
+                    |node, force| forces[node] += force,
+                );
             }
             for (node, wrench) in control.at(k).iter() {
                 forces[node] += wrench.force;

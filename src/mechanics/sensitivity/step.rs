@@ -249,6 +249,25 @@ impl ActingKick {
         }
     }
 
+    /// Replaces the kick by that of the contact of an element, whose energy has this second derivative along both of its ends, in the same memory.
+    pub fn touch(&mut self, element: usize, hessian: Option<Matrix6<f64>>, weight: f64) {
+        self.nodes.clear();
+        self.terms.clear();
+        let Some(hessian) = hessian else {
+            return;
+        };
+        self.nodes.extend([element, element + 1]);
+        let at = |row: usize| (element + row / 3) * NODE_COMPONENTS + row % 3;
+        for row in 0..6 {
+            for column in 0..6 {
+                let coefficient = -weight * hessian[(row, column)];
+                if coefficient != 0.0 {
+                    (self.terms).push((at(row) + 6, at(column), coefficient));
+                }
+            }
+        }
+    }
+
     /// Adds the change of the momenta that the configurations of a tile make.
     pub fn kick(&self, data: &mut [f64]) {
         for &(momentum, configuration, coefficient) in &self.terms {

@@ -5,15 +5,15 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
-use super::super::values::{self, Fraction, Number, Positive, digits, known};
+use super::super::values::{self, Fraction, Positive, digits, known};
 use super::limit::Bodies;
 use super::{Capsule, Cuboid, HalfSpace, Sphere};
 use crate::mechanics;
 
-/// A body that the arm touches without friction, with its own radius around its center line at every node: exactly one of the four shapes. A
-/// node as deep as p in the body is pushed out by its share of the force `force_n` (p/`penetration_m`)², its share of the length of the part that
-/// can touch. The arm does not touch itself, nothing sticks, and nothing is grasped; the arm may be led into a body, but a fast or thin one
-/// passes through between two nodes.
+/// A body that the arm touches without friction, with its own radius around its center line, along the chords of its elements: exactly one of
+/// the four shapes. A piece as deep as p in the body is pushed out by its share of the force `force_n` (p/`penetration_m`)², its share of the length of
+/// the part that can touch. The arm does not touch itself, nothing sticks, and nothing is grasped; the arm may be led into a body, but a fast one passes
+/// through a thin body between two time steps, and one that is pressed in deeper than its middle.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -37,7 +37,8 @@ pub struct Contact {
     /// differ from those of a rigid body in proportion to it, or to its root where a short piece touches.
     pub penetration_m: Positive<values::Depth>,
     /// Force in N if all of the part that can touch is as deep as `penetration_m`, positive. Absent: the weight of the arm with payload and
-    /// bodies, or EI/L² if that is larger.
+    /// bodies, or EI/L² if that is larger, for a body on which the arm can lie; on a round or small one, which an arm across it touches with a short piece
+    /// only, as much more as that piece is shorter than the part, so that the piece carries the weight at about `penetration_m`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_n: Option<Positive<values::Force>>,
     /// Start of the part that can touch, as a fraction of `rod.length_m` from the base. An element ends there. Default: 0, the base.
@@ -64,15 +65,29 @@ impl Contact {
         }
     }
 
-    /// Returns the contact of an arm, with this force, N, if it has none of its own; `None` without a shape.
-    pub(in crate::scene) fn of_arm(&self, index: usize, usual: f64) -> Option<mechanics::Contact> {
-        Some(mechanics::Contact {
+    /// Returns the contact of an arm of this length, m, and least radius, m; without a force of its own with the usual one, N, times the length of the part
+    /// over that of the [piece](mechanics::Contact::patch) that touches, if it is shorter. `None` without a shape.
+    pub(in crate::scene) fn of_arm(
+        &self,
+        index: usize,
+        usual: f64,
+        [length, radius]: [f64; 2],
+    ) -> Option<mechanics::Contact> {
+        let part = [self.from.get(), self.to.get()];
+        let mut out = mechanics::Contact {
             name: self.name(index),
             shape: self.bodies().shape()?,
-            part: [self.from.get(), self.to.get()],
-            force: self.force_n.map_or(usual, Number::get),
+            part,
+            force: usual,
             penetration: self.penetration_m.get(),
-        })
+        };
+        let patch = out.patch(radius);
+        out.force = match self.force_n {
+            Some(own) => own.get(),
+            None if patch > 0.0 => usual * (length * (part[1] - part[0]) / patch).max(1.0),
+            None => usual,
+        };
+        Some(out)
     }
 
     /// Returns the keys of a contact.

@@ -568,7 +568,7 @@ fn parts_of(group: &[PoseActuator]) -> Option<Vec<(Span, mechanics::Magnet)>> {
     let magnets: Option<Vec<_>> = (first.parts.iter())
         .map(|(span, function)| match function {
             OfPose::Magnet(magnet) => Some((*span, *magnet)),
-            OfPose::Cable(_) | OfPose::Touch(_) | OfPose::Own(_) => None,
+            OfPose::Cable(_) | OfPose::Own(_) => None,
         })
         .collect();
     let magnets = magnets?;

@@ -200,7 +200,7 @@ fn poses(rod: &Rod, functions: &[&PlacedFunction]) -> Vec<Value> {
             let (moment, anchor) = match &own.function {
                 OfPose::Magnet(magnet) => (Some(magnet.moment.norm() * own.weight), None),
                 OfPose::Cable(cable) => (None, Some(<[f64; 3]>::from(cable.anchor))),
-                OfPose::Touch(_) | OfPose::Own(_) => (None, None),
+                OfPose::Own(_) => (None, None),
             };
             json!({ "at": places[own.node], "moment": moment, "anchor": anchor })
         })
@@ -269,7 +269,7 @@ fn pose_route(
             let way = magnet.moment.normalize();
             (WORDS[3].0, offsets, None, Some(way.into()))
         }
-        OfPose::Touch(_) | OfPose::Own(_) => return None,
+        OfPose::Own(_) => return None,
     };
     Some(ReportRoute {
         name: name.into(),

@@ -133,7 +133,7 @@ fn is_bent_from_within(scene: &Scene, rod: &Rod) -> bool {
     });
     let is_pushed = has_wrenches
         || !rod.loads.is_empty()
-        || !rod.actuators.functions().is_empty()
+        || rod.actuators.act_on_poses()
         || !rod.contacts.is_empty();
     !rod.actuators.is_empty() && !is_pushed && rod.internal_damping > 0.0
 }
@@ -171,6 +171,57 @@ fn stiff_contact(rod: &Rod) -> Option<String> {
     })
 }
 
+/// Bodies that an arm goes through: thinner than the depth at which they carry its weight, than the points of an element resolve, or than a node that has
+/// fallen by the length of the arm moves in a step.
+fn thin_bodies(rod: &Rod, step: f64) -> Vec<String> {
+    let mut out = Vec::new();
+    let (length, weight) = (rod.scales.length, rod.usual_contact_force());
+    let speed = (2.0 * rod.gravity.norm() * length).sqrt();
+    for (index, contact) in rod.contacts.iter().enumerate() {
+        let own = || (rod.touches().iter()).filter(|touch| touch.contact == index);
+        let radius = (own().flat_map(|touch| touch.radii)).fold(f64::INFINITY, f64::min);
+        let (holds, depth) = (contact.holds_up_to(radius), contact.penetration);
+        let name = &contact.name;
+        // The force of a short piece grows as the power 5/2 of the depth, that of the whole part as its square.
+        let part = length * (contact.part[1] - contact.part[0]);
+        let patch = contact.patch(radius);
+        let pressed = if patch < part {
+            depth * (weight / contact.force * part / patch).powf(0.4)
+        } else {
+            depth * (weight / contact.force).sqrt()
+        };
+        if pressed > 0.5 * holds {
+            out.push(format!(
+                "contact.penetration_m: {name} carries the weight of the arm at a depth of {pressed:.3e} m, and body and arm are {holds:.3e} m thick from middle \
+                 to middle, beyond which the arm is pushed out on the other side; give it a smaller penetration_m, or a larger force_n"
+            ));
+        }
+        let unseen = own()
+            .map(|touch| {
+                let apart = rod.elements[touch.element].length / touch.intervals as f64;
+                let round = touch.radii[0].min(touch.radii[1]) + touch.shape.least_radius();
+                // An edge between two points reaches as far in as half of their distance.
+                (apart * apart / (8.0 * round)).min(0.5 * apart)
+            })
+            .fold(0.0, f64::max);
+        if unseen > 0.5 * depth {
+            out.push(format!(
+                "rod.elements: the points at which an element touches {name} are so far apart that it dips up to {unseen:.3e} m between two of them, more \
+                 than half of penetration_m; give more elements, or a larger penetration_m"
+            ));
+        }
+        if speed * step > holds {
+            out.push(format!(
+                "time.step_s: an arm that falls by its length moves {:.3e} m in a step, and {name} with the arm is {holds:.3e} m thick from middle to middle: it \
+                 may pass through; give a time.step_s below {:.3e} s",
+                speed * step,
+                0.5 * holds / speed
+            ));
+        }
+    }
+    out
+}
+
 /// An arm that begins deeper in a body than its weight presses it.
 pub(super) fn begins_inside(rod: &Rod, at: &Configuration) -> Option<String> {
     let deepest = (rod.depths(&at.positions).into_iter())
@@ -182,7 +233,7 @@ pub(super) fn begins_inside(rod: &Rod, at: &Configuration) -> Option<String> {
         deepest.depth,
         contact.name,
         deepest.depth / contact.penetration,
-        rod.mesh.fraction(deepest.node)
+        deepest.place
     ))
 }
 
@@ -240,6 +291,7 @@ pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
         ));
     }
     out.extend(stiff_contact(rod));
+    out.extend(thin_bodies(rod, step));
     let damping = rod.viscous_damping * step;
     if damping >= 2.0 {
         out.push(format!(

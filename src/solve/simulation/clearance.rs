@@ -58,6 +58,7 @@ impl Clearances {
                 contact: contact.name.clone(),
                 penetration_m: f64::NEG_INFINITY,
                 over_penetration: f64::NEG_INFINITY,
+                through: 0.0,
                 allows_step_s: rod.contact_step(),
                 at_s: 0.0,
                 place: 0.0,
@@ -77,17 +78,8 @@ impl Clearances {
             let positions: Vec<_> = (row.x.chunks_exact(3))
                 .map(Vector3::from_column_slice)
                 .collect();
-            for (deepest, own) in self.contacts.iter_mut().zip(rod.depths(&positions)) {
-                if own.depth > deepest.penetration_m {
-                    let contact = &rod.contacts[own.contact];
-                    deepest.penetration_m = own.depth;
-                    deepest.over_penetration = own.depth / contact.penetration;
-                    let deeper = deepest.over_penetration.max(1.0);
-                    deepest.allows_step_s = rod.contact_step() / deeper.sqrt();
-                    deepest.at_s = t;
-                    deepest.place = rod.mesh.fraction(own.node);
-                }
-            }
+            let allowed = rod.contact_step_at(&positions, &mut Vec::new());
+            self.include_depths(rod, t, &positions, allowed);
         }
         let n = row.n_nodes;
         let node = |q: usize| {
@@ -111,6 +103,29 @@ impl Clearances {
                         place: (q as f64 + s) / (n - 1) as f64,
                     };
                 }
+            }
+        }
+    }
+
+    /// Updates depths with positions at time `t`, at which all contacts together allow steps of `allowed`, s.
+    pub(super) fn include_depths(
+        &mut self,
+        rod: &Rod,
+        t: f64,
+        positions: &[Vector3<f64>],
+        allowed: f64,
+    ) {
+        for (deepest, own) in self.contacts.iter_mut().zip(rod.depths(positions)) {
+            if own.depth > deepest.penetration_m {
+                let contact = &rod.contacts[own.contact];
+                deepest.penetration_m = own.depth;
+                deepest.over_penetration = own.depth / contact.penetration;
+                deepest.through = (own.depth / contact.holds_up_to(own.radius)).max(0.0);
+                deepest.at_s = t;
+                deepest.place = own.place;
+            }
+            if own.depth > 0.0 {
+                deepest.allows_step_s = deepest.allows_step_s.min(allowed);
             }
         }
     }

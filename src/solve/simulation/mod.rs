@@ -4,16 +4,18 @@ mod clearance;
 mod resuming;
 mod run;
 mod tally;
+mod touching;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use self::resuming::{Found, continued};
 use self::run::Run;
+use self::touching::MOST_DIVISIONS;
 use crate::mechanics::StepError;
 use crate::output::summary::{AccuracySummary, SimulateSummary};
 use crate::output::{Checkpoint, OutputError, ResultKind, RunDirectory};
-use crate::scene::{Scene, SceneError, SceneSource, Simulation};
+use crate::scene::{Scene, SceneError, SceneSource, Simulation, TimeStep};
 use crate::stop::StopSignal;
 
 /// Why there is no result of a simulation.
@@ -40,6 +42,14 @@ pub(crate) enum End {
     Failed(StepError),
 }
 
+/// What ends the steps of a run.
+enum Stepped {
+    /// The run is over.
+    To(End),
+    /// The arm is so deep in a body that it needs steps shorter by this divisor.
+    TooLong(usize),
+}
+
 /// A simulation that is set up, with the directory that its result goes to.
 pub(crate) struct SimulationRun {
     /// The simulation, on its grid.
@@ -47,6 +57,8 @@ pub(crate) struct SimulationRun {
     directory: RunDirectory,
     target: PathBuf,
     found: Option<Found>,
+    /// Sentences about what to know before the run.
+    pub warnings: Vec<String>,
 }
 
 /// A simulation that has ended.
@@ -79,6 +91,7 @@ impl SimulationRun {
             directory: RunDirectory::open(target, ResultKind::Simulate)?,
             target: target.into(),
             found: None,
+            warnings: Vec::new(),
         })
     }
 
@@ -99,10 +112,12 @@ impl SimulationRun {
             directory,
             target: target.into(),
             found: Some(found),
+            warnings: Vec::new(),
         })
     }
 
-    /// Steps to the end or until `stop` is raised, and writes the result of `scene`, whose name is `name`.
+    /// Steps to the end or until `stop` is raised, and writes the result of `scene`, whose name is `name`. Where the scene leaves the step open, and the arm
+    /// comes so deep into a body that the contact allows shorter steps only, the run begins anew with these.
     ///
     /// # Errors
     /// [`SimulationError`] where nothing can be written. A motion that breaks down is a [result](End::Failed).
@@ -115,59 +130,75 @@ impl SimulationRun {
         tell: &dyn Fn(SimulationEvent),
     ) -> Result<Simulated, SimulationError> {
         let Self {
-            setup,
+            mut setup,
             directory,
             target,
             found,
+            warnings,
         } = self;
-        let opened = match &found {
-            Some(found) => Run::resume(&setup, &directory, found, &target),
-            None => Run::start(&setup, &directory),
-        };
-        let mut run = match opened {
-            Ok(run) => run,
-            Err(error) => {
-                if found.is_none_or(|found| !found.killed) {
-                    directory.remove()?;
-                }
-                return Err(error);
-            }
-        };
-        let first_step = run.integrator.step();
-        tell(SimulationEvent::Begins {
-            step: first_step,
-            time: run.integrator.time(),
-        });
+        let is_open = found.is_none() && scene.time.step_s == TimeStep::Auto;
+        let mut divided = 1;
         let started = Instant::now();
         let folder = directory.path().to_path_buf();
         let kept = |source: OutputError| OutputError::Kept {
             source: Box::new(source),
             folder: folder.clone(),
         };
-        let end = match run.integrate(stop, &mut |step| tell(SimulationEvent::Step(step))) {
-            Ok(end) => end,
-            Err(SimulationError::Output(error)) if Checkpoint::is_in(&folder) => {
-                return Err(kept(error).into());
-            }
-            Err(error) => {
-                directory.remove()?;
-                return Err(error);
-            }
-        };
-        let wall = started.elapsed().as_secs_f64();
-        let mut summary = SimulateSummary {
-            accuracy,
-            ..run.summarize(name, &end, first_step, wall, &target)
-        };
-        let directory = directory
-            .publish(|result| run.write(result, scene, &end, &mut summary))
-            .map_err(kept)?;
-        Ok(Simulated {
-            setup,
-            end,
-            first_step,
-            summary,
-            directory,
-        })
+        loop {
+            let opened = match &found {
+                Some(found) => Run::resume(&setup, &directory, found, &target),
+                None => Run::start(&setup, &directory),
+            };
+            let mut run = match opened {
+                Ok(run) => run,
+                Err(error) => {
+                    if found.is_none_or(|found| !found.killed) {
+                        directory.remove()?;
+                    }
+                    return Err(error);
+                }
+            };
+            let first_step = run.integrator.step();
+            tell(SimulationEvent::Begins {
+                step: first_step / divided,
+                time: run.integrator.time(),
+            });
+            let most = is_open.then_some(MOST_DIVISIONS / divided);
+            let mut tell_step = |step| tell(SimulationEvent::Step(step / divided));
+            let end = match run.integrate(most, stop, &mut tell_step) {
+                Ok(Stepped::To(end)) => end,
+                Ok(Stepped::TooLong(by)) => {
+                    drop(run);
+                    divided *= by;
+                    setup = setup.with_steps_divided(by);
+                    continue;
+                }
+                Err(SimulationError::Output(error)) if Checkpoint::is_in(&folder) => {
+                    return Err(kept(error).into());
+                }
+                Err(error) => {
+                    directory.remove()?;
+                    return Err(error);
+                }
+            };
+            let wall = started.elapsed().as_secs_f64();
+            let mut summary = SimulateSummary {
+                accuracy,
+                ..run.summarize(name, &end, first_step, wall, &target)
+            };
+            let found_out = summary.concerns();
+            summary.warnings = warnings;
+            summary.warnings.extend(found_out);
+            let directory = directory
+                .publish(|result| run.write(result, scene, &end, &mut summary))
+                .map_err(kept)?;
+            return Ok(Simulated {
+                setup,
+                end,
+                first_step,
+                summary,
+                directory,
+            });
+        }
     }
 }

@@ -7,7 +7,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::resuming::Found;
 use super::tally::Tally;
-use super::{End, SimulationError};
+use super::touching::Touching;
+use super::{End, SimulationError, Stepped};
 use crate::mechanics::rotation::{quaternion, wxyz};
 use crate::mechanics::{
     Diagnostics, Energy, NodalState, NodeWrenches, PowerBalance, Rod, State, StepError, Stepper,
@@ -48,6 +49,7 @@ pub(super) struct Run<'a> {
     row: MotionRecord,
     thinned: ThinnedMotion,
     tally: Tally,
+    touching: Option<Touching>,
     /// Time that the integrator took.
     stepping: Duration,
 }
@@ -80,6 +82,7 @@ impl<'a> Run<'a> {
             thinned: ThinnedMotion::new(row.n_nodes),
             row,
             tally: Tally::of(setup),
+            touching: Touching::of(&setup.rod, &setup.initial.configuration.positions),
         };
         run.observe(None)?;
         Ok(run)
@@ -149,21 +152,29 @@ impl<'a> Run<'a> {
             row,
             thinned,
             tally,
+            touching: Touching::of(&setup.rod, &checkpoint.state().configuration.positions),
         })
     }
 
-    /// Steps to the end, or until something happens; `tell` is told the number of a step from time to time.
+    /// Steps to the end, or until something happens; `tell` is told the number of a step from time to time. `most` is the largest divisor by which the step
+    /// may be shortened, if the scene leaves it open.
     pub(super) fn integrate(
         &mut self,
+        most: Option<usize>,
         stop: &StopSignal,
         tell: &mut dyn FnMut(usize),
-    ) -> Result<End, SimulationError> {
+    ) -> Result<Stepped, SimulationError> {
         let n_steps = self.setup.grid.n_steps;
         self.note_rows();
         self.save()?;
         let mut saved = Instant::now();
         let end = loop {
             let k = self.integrator.step();
+            match self.judge_contact(most) {
+                Ok(None) => {}
+                Ok(Some(by)) => return Ok(Stepped::TooLong(by)),
+                Err(error) => break End::Failed(error),
+            }
             if k.is_multiple_of(Stepper::SEAT) {
                 self.note_rows();
             }
@@ -187,8 +198,16 @@ impl<'a> Run<'a> {
             let advanced = self.integrator.advance([NodeWrenches::NONE; 2]);
             self.stepping += started.elapsed();
             if let Err(error) = advanced {
+                // What flings the arm out of a body so fast is more than the step resolves.
+                if let (Some(most), Some(touching)) = (most, &self.touching)
+                    && let Some(by) = touching.divisor_after_failure(self.setup.grid.step)
+                    && by <= most
+                {
+                    return Ok(Stepped::TooLong(by));
+                }
                 break End::Failed(error);
             }
+            self.touch();
             let seen = if leads_to_row {
                 self.observe(before.as_ref())
             } else {
@@ -202,7 +221,38 @@ impl<'a> Run<'a> {
         if !matches!(end, End::Failed(_)) {
             self.save()?;
         }
-        Ok(end)
+        Ok(Stepped::To(end))
+    }
+
+    /// Follows what the arm touches at the end of a step.
+    fn touch(&mut self) {
+        let Some(touching) = &mut self.touching else {
+            return;
+        };
+        let rod = &self.setup.rod;
+        let integrator = &self.integrator;
+        let touched = touching.advance(rod, |node| integrator.position(node));
+        if let Some((positions, allowed)) = touched {
+            (self.tally.clearance).include_depths(rod, integrator.time(), positions, allowed);
+        }
+    }
+
+    /// Returns the divisor by which contacts need the step shortened, if it is open up to `most`; `None` if it is short enough.
+    fn judge_contact(&self, most: Option<usize>) -> Result<Option<usize>, StepError> {
+        let Some(touching) = &self.touching else {
+            return Ok(None);
+        };
+        let rod = &self.setup.rod;
+        let (step, time) = (self.integrator.step(), self.integrator.time());
+        if let (Some(most), Some(by)) = (most, touching.divisor(self.setup.grid.step)) {
+            return if by <= most {
+                Ok(Some(by))
+            } else {
+                Err(touching.too_stiff(rod, step, time))
+            };
+        }
+        touching.check(rod, step, time)?;
+        Ok(None)
     }
 
     /// Writes a row; `before` is the state one step ago.
@@ -414,6 +464,7 @@ impl<'a> Run<'a> {
             clearance: self.tally.clearance.summary(),
             contact: self.tally.clearance.depths(),
             slack: Vec::new(),
+            warnings: Vec::new(),
             accuracy: None,
             directory: target.display().to_string(),
         }

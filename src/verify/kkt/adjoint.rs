@@ -276,7 +276,7 @@ impl Conditions<'_> {
             let view = self.view(k);
             acting::add_slopes(&*own.actuator, &view, &u, weight, [lx, lr], [cx, ceta]);
         }
-        if !rod.actuators.functions().is_empty() {
+        if rod.actuators.act_on_poses() {
             let own = efforts::inputs(rod, &self.problem.grid.node(k), &self.control.at(k));
             efforts::add_posed_slopes(rod, (x, r), &own, weight, [lx, lr], [cx, ceta]);
         }
@@ -381,7 +381,7 @@ impl Conditions<'_> {
             self.trajectory.rotations_at(k),
         );
         if let Some(driven) =
-            (self.control.efforts.as_ref()).filter(|_| !self.rod().actuators.functions().is_empty())
+            (self.control.efforts.as_ref()).filter(|_| self.rod().actuators.act_on_poses())
         {
             let width = self.control.width();
             for (&actuator, &place) in driven.actuators.iter().zip(&driven.places) {

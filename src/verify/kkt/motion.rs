@@ -167,7 +167,7 @@ pub(in crate::verify) fn applied(
     for (node, wrench) in control.nodes.iter().zip(control.wrenches) {
         add(*node, wrench);
     }
-    if !at.rod.actuators.functions().is_empty() {
+    if at.rod.actuators.act_on_poses() {
         let own = efforts::inputs(at.rod, node, &control);
         for (node, wrench) in efforts::posed(at.rod, at.positions, at.rotations, &own) {
             add(node, &wrench);
