@@ -423,8 +423,8 @@ fn conclude(
         show_check(check, problem, converged, console);
         if console.is_quiet() && converged && check.is_certified() {
             console.always(&format!(
-                "{} after {} iterations, {:.2} s: objective {:.8e}",
-                check.verdict(),
+                "{}; {} iterations, {:.2} s: objective {:.8e}",
+                check.sentence(problem),
                 summary.iterations,
                 summary.wall_s,
                 summary.objective
@@ -504,7 +504,7 @@ pub(super) fn show_check(
         console.say(&format!("  {line}"));
     }
     if converged {
-        console.verdict(check.is_certified(), check.verdict());
+        console.verdict(check.is_certified(), &check.sentence(problem));
         for item in check.items.iter().filter(|item| !item.holds()) {
             console.say(&format!("  {}: {}", item.name, item.remedy(problem)));
         }

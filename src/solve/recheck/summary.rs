@@ -215,6 +215,10 @@ const TABLE: &Table<Sizes> = &[
         "check.refined_*_m",
         Within(1e-3, |s, _| 10.0 * ELSEWHERE * s.length),
     ),
+    (
+        "check.finest_tip_m",
+        Within(1e-3, |s, _| 10.0 * ELSEWHERE * s.length),
+    ),
     ("check.order_time", Within(0.0, |s, _| s.orders[0])),
     ("check.order_space", Within(0.0, |s, _| s.orders[1])),
     ("check.objective", Within(ELSEWHERE, |_, _| 0.0)),
