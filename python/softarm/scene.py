@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import csv
 import json
 import logging
 import os
@@ -11,10 +12,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from . import _softarm
 from .control import Controller, Plant
+from .errors import ResultError
 from .program import Program
-from .results import Result
+from .results import Result, TemporaryFolder
 
 Event = Callable[[dict[str, Any]], None]
 TASK_VERBS = ("simulate", "solve", "mpc", "equilibrium", "tradeoff")
@@ -40,6 +44,11 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def _text(value: str) -> str:
+    """Returns a text as a string of TOML on one line, where control characters and U+007F are escaped and all others stand as they are."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def _literal(value: Any) -> str:
     """Returns a value as TOML on one line."""
     if isinstance(value, bool):
@@ -47,11 +56,11 @@ def _literal(value: Any) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, str):
-        return json.dumps(value)
+        return _text(value)
     if isinstance(value, list):
         return "[" + ", ".join(map(_literal, value)) + "]"
     if isinstance(value, dict):
-        rows = (f"{json.dumps(key)} = {_literal(item)}" for key, item in value.items() if item is not None)
+        rows = (f"{_text(key)} = {_literal(item)}" for key, item in value.items() if item is not None)
         return "{ " + ", ".join(rows) + " }"
     raise TypeError(f"a scene has numbers, texts, lists and dictionaries; {value!r} is a {type(value).__name__}")
 
@@ -67,7 +76,7 @@ def _toml(keys: Mapping[str, Any]) -> str:
         rows = sections if header else values
         later = []
         for key, value in table.items():
-            name = key if key.replace("_", "").isalnum() and key.isascii() else json.dumps(key)
+            name = key if key.replace("_", "").isalnum() and key.isascii() else _text(key)
             place = f"{path}.{name}" if path else name
             if isinstance(value, dict):
                 later.append((place, value, f"\n[{place}]"))
@@ -174,12 +183,13 @@ class Scene:
     def _call(self, verb: str, words: list[str], on_event: Event | None = None) -> tuple[int, dict[str, Any]]:
         for override in self._overrides:
             words += ["--set", override]
-        return _call([verb, self._name, *words], (self._name, self._text), on_event)
+        # A scene may have the name of an option.
+        return _call([verb, *words, "--", self._name], (self._name, self._text), on_event)
 
     def _run(self, verb: str, out: str | os.PathLike[str] | None, words: list[str], on_event: Event | None) -> Result:
         holder = None
         if out is None:
-            holder = tempfile.TemporaryDirectory(prefix="softarm-")
+            holder = TemporaryFolder()
             out = Path(holder.name) / verb
         try:
             code, _ = self._call(verb, ["--out", os.fspath(out), *words], on_event)
@@ -278,14 +288,16 @@ class Scene:
         """Fits numbers of the scene, named by their dotted keys, to measured places of markers: a file as in docs/fitting.md, or a dictionary
         with its keys, whose tables are relative to the working directory. `result.scene` has the fitted numbers.
         """
+        names = [free] if isinstance(free, str) else list(free)
         words = _options(threads=threads) + (["--robust"] if robust else [])
-        words += ["--free", ",".join(free)] if free else []
+        words += ["--free", ",".join(names)] if names else []
         if not isinstance(data, Mapping):
             return self._run("fit", out, ["--data", os.fspath(data), *words], None)
-        keys = _plain(data)
-        for recording in keys.get("recording", []):
-            recording["csv"] = os.path.abspath(recording["csv"])
+        keys = dict(data)
         with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
+            if "recording" in keys:
+                keys["recording"] = [_recording(own, Path(folder) / f"recording-{i}.csv") for i, own in enumerate(keys["recording"])]
+            keys = _plain(keys)
             path = Path(folder) / "data.toml"
             path.write_text(_toml(keys), encoding="utf-8")
             return self._run("fit", out, ["--data", os.fspath(path), *words], None)
@@ -301,6 +313,36 @@ class Scene:
     def plant(self) -> Plant:
         """Returns the simulated arm: of `[plant]` in a scene with a closed loop, else of `[rod]`."""
         return Plant(_softarm.Plant(self._name, self._text, list(self._overrides)))
+
+
+def _recording(given: Mapping[str, Any], place: Path) -> dict[str, Any]:
+    """Returns a recording whose table is a file: that of `csv`, or `place`, to which the columns of `table` (a DataFrame, or a dictionary of
+    columns by name) or arrays `(n, 3)` of the positions of markers by their names are written, beside `t_s`.
+    """
+    own = dict(given)
+    if "csv" in own:
+        own["csv"] = os.path.abspath(own["csv"])
+        return own
+    columns: dict[str, np.ndarray] = {}
+    table = own.pop("table", None)
+    if table is not None:
+        columns.update({str(name): np.asarray(table[name]) for name in table})
+    elif "t_s" in own:
+        columns["t_s"] = np.asarray(own.pop("t_s"), dtype=float)
+        for name in [name for name, value in own.items() if np.ndim(value) == 2]:
+            rows = np.asarray(own.pop(name), dtype=float)
+            if rows.shape != (len(columns["t_s"]), 3):
+                raise ResultError(f"recording: {name} has the shape {rows.shape}; expected a row (x, y, z) in m for each of the {len(columns['t_s'])} times")
+            columns.update({f"{name}_{axis}_m": rows[:, i] for i, axis in enumerate("xyz")})
+    if "t_s" not in columns:
+        raise ResultError("a recording needs `csv`, a table by its path; or `table`, a DataFrame or columns by name with t_s; or `t_s` and arrays (n, 3) by the names of markers")
+    with place.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        # A gap is an empty cell.
+        writer.writerows([repr(float(x)) if np.isfinite(x) else "" for x in row] for row in zip(*columns.values()))
+    own["csv"] = os.fspath(place)
+    return own
 
 
 def _options(**values: Any) -> list[str]:
@@ -327,7 +369,7 @@ def _call(
         else:
             LOG.warning("%s", line)
 
-    code = _softarm.call([*words, "--json-lines"], scene, hear)
+    code = _softarm.call([words[0], "--json-lines", *words[1:]], scene, hear)
     return code, summary
 
 

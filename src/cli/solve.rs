@@ -391,6 +391,11 @@ fn conclude(
         }
     } else if check.is_some_and(|check| !check.is_certified()) {
         console.always("the solver converged, but the check rejects the result");
+    } else if check.is_none() && examined.unchecked.is_none() {
+        console.always("the solver converged, but the check could not be made");
+        for warning in examined.warnings.iter().filter(|_| console.is_quiet()) {
+            console.always(warning);
+        }
     }
     for sentence in &summary.advice {
         console.say(&format!("  {sentence}"));

@@ -1,6 +1,7 @@
 //! Motions for other programs: VTK for ParaView, CSV for spreadsheets and scripts, SVG for papers and pages.
 
 use std::fmt::Write as _;
+use std::fs;
 use std::path::Path;
 
 use nalgebra::Matrix3;
@@ -29,6 +30,40 @@ impl Destination<'_> {
         }
         for (number, file) in files.iter().enumerate() {
             self.writer.write(&path(file), Own::Export, &text(number))?;
+        }
+        self.remove_beyond(files)
+    }
+
+    /// Removes the frames of an earlier export that has more of them: `NAME-NNNN.ENDING` with the endings of these files, if softarm wrote it.
+    fn remove_beyond(&self, files: &[String]) -> Result<(), OutputError> {
+        let Some(ending) = files.first().and_then(|file| file.rsplit_once('.')) else {
+            return Ok(());
+        };
+        let is_frame = |name: &str| {
+            (name.strip_prefix(self.name))
+                .and_then(|rest| {
+                    rest.strip_prefix('-')?
+                        .strip_suffix(ending.1)?
+                        .strip_suffix('.')
+                })
+                .is_some_and(|number| {
+                    number.len() >= 4 && number.bytes().all(|digit| digit.is_ascii_digit())
+                })
+        };
+        let cannot = |action| OutputError::unwritten(self.folder, action);
+        let folder = fs::read_dir(self.folder).map_err(cannot("cannot look into"))?;
+        for entry in folder.flatten() {
+            let name = entry.file_name();
+            let Some(name) = name.to_str().filter(|name| is_frame(name)) else {
+                continue;
+            };
+            // A frame of a user's own stays, as does what cannot be looked at.
+            let path = entry.path();
+            let is_own = self.writer.permit(&path, Own::Export).is_ok();
+            if !is_own || files.iter().any(|file| file == name) {
+                continue;
+            }
+            fs::remove_file(&path).map_err(OutputError::unwritten(&path, "cannot remove"))?;
         }
         Ok(())
     }
