@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import csv
 import json
 import logging
 import os
@@ -12,11 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from . import _softarm
 from .control import Controller, Plant
-from .errors import ResultError
 from .program import Program
 from .results import Result, TemporaryFolder
 
@@ -288,16 +284,14 @@ class Scene:
         """Fits numbers of the scene, named by their dotted keys, to measured places of markers: a file as in docs/fitting.md, or a dictionary
         with its keys, whose tables are relative to the working directory. `result.scene` has the fitted numbers.
         """
-        names = [free] if isinstance(free, str) else list(free)
         words = _options(threads=threads) + (["--robust"] if robust else [])
-        words += ["--free", ",".join(names)] if names else []
+        words += ["--free", ",".join(free)] if free else []
         if not isinstance(data, Mapping):
             return self._run("fit", out, ["--data", os.fspath(data), *words], None)
-        keys = dict(data)
+        keys = _plain(data)
+        for recording in keys.get("recording", []):
+            recording["csv"] = os.path.abspath(recording["csv"])
         with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
-            if "recording" in keys:
-                keys["recording"] = [_recording(own, Path(folder) / f"recording-{i}.csv") for i, own in enumerate(keys["recording"])]
-            keys = _plain(keys)
             path = Path(folder) / "data.toml"
             path.write_text(_toml(keys), encoding="utf-8")
             return self._run("fit", out, ["--data", os.fspath(path), *words], None)
@@ -313,36 +307,6 @@ class Scene:
     def plant(self) -> Plant:
         """Returns the simulated arm: of `[plant]` in a scene with a closed loop, else of `[rod]`."""
         return Plant(_softarm.Plant(self._name, self._text, list(self._overrides)))
-
-
-def _recording(given: Mapping[str, Any], place: Path) -> dict[str, Any]:
-    """Returns a recording whose table is a file: that of `csv`, or `place`, to which the columns of `table` (a DataFrame, or a dictionary of
-    columns by name) or arrays `(n, 3)` of the positions of markers by their names are written, beside `t_s`.
-    """
-    own = dict(given)
-    if "csv" in own:
-        own["csv"] = os.path.abspath(own["csv"])
-        return own
-    columns: dict[str, np.ndarray] = {}
-    table = own.pop("table", None)
-    if table is not None:
-        columns.update({str(name): np.asarray(table[name]) for name in table})
-    elif "t_s" in own:
-        columns["t_s"] = np.asarray(own.pop("t_s"), dtype=float)
-        for name in [name for name, value in own.items() if np.ndim(value) == 2]:
-            rows = np.asarray(own.pop(name), dtype=float)
-            if rows.shape != (len(columns["t_s"]), 3):
-                raise ResultError(f"recording: {name} has the shape {rows.shape}; expected a row (x, y, z) in m for each of the {len(columns['t_s'])} times")
-            columns.update({f"{name}_{axis}_m": rows[:, i] for i, axis in enumerate("xyz")})
-    if "t_s" not in columns:
-        raise ResultError("a recording needs `csv`, a table by its path; or `table`, a DataFrame or columns by name with t_s; or `t_s` and arrays (n, 3) by the names of markers")
-    with place.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        # A gap is an empty cell.
-        writer.writerows([repr(float(x)) if np.isfinite(x) else "" for x in row] for row in zip(*columns.values()))
-    own["csv"] = os.fspath(place)
-    return own
 
 
 def _options(**values: Any) -> list[str]:

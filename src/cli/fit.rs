@@ -116,10 +116,6 @@ pub(super) fn run(arguments: &FitArguments, global: &Global, console: &Console) 
 }
 
 fn conclude(summary: &FitSummary, console: &Console) {
-    match summary.explanation.explained {
-        true => console.say(&summary.sentence),
-        false => console.always(&summary.sentence),
-    }
     for own in &summary.parameters {
         let error = own.standard_error.map_or_else(
             || "the data cannot tell it alone".into(),

@@ -29,8 +29,6 @@ pub struct Minimum {
     pub iterations: usize,
     /// Tells whether the last step was small.
     pub converged: bool,
-    /// Tells whether the search ended where its residuals [do not suit](Problem::suits) any more; the derivatives are then those before.
-    pub left: bool,
 }
 
 /// Residuals at several points.
@@ -42,9 +40,6 @@ pub struct Problem<'a, E> {
     pub residuals: &'a dyn Fn(&[Vec<f64>]) -> Residuals<E>,
     /// Bounds of the parameters.
     pub bounds: Vec<[f64; 2]>,
-    /// Tells whether the residuals are still computed rightly at a point, as by a time step that suits it; where they are not, the search ends
-    /// there, and goes on with others.
-    pub suits: &'a dyn Fn(&[f64]) -> bool,
     /// Groups of residuals, such as the coordinates of a place, which Huber's function weighs together; empty without robust loss.
     pub groups: Vec<std::ops::Range<usize>>,
 }
@@ -59,7 +54,7 @@ impl<E> Problem<'_, E> {
         let mut residuals = self.one(&at)?;
         let mut damping = DAMPING[0];
         let mut iterations = 0;
-        let (mut converged, mut left) = (false, false);
+        let mut converged = false;
         let mut jacobian = self.jacobian(&at)?;
         let mut weights = self.weights(&residuals);
         while iterations < MOST_ITERATIONS && !converged && damping < DAMPING[1] {
@@ -85,10 +80,6 @@ impl<E> Problem<'_, E> {
                     residuals = found;
                 }
                 damping = (0.2 * damping).max(1e-12);
-                left = !converged && !(self.suits)(&at);
-                if left {
-                    break;
-                }
                 jacobian = self.jacobian(&at)?;
                 weights = self.weights(&residuals);
             } else {
@@ -102,7 +93,6 @@ impl<E> Problem<'_, E> {
             weights,
             iterations,
             converged,
-            left,
         })
     }
 
@@ -245,7 +235,6 @@ mod tests {
                 residuals: &residuals,
                 bounds: vec![[-2.0, upper], [f64::NEG_INFINITY, f64::INFINITY]],
                 groups: Vec::new(),
-                suits: &|_| true,
             };
             let found = problem.minimize(&[-1.2, 1.0]).expect("residuals");
             assert!(found.converged);
@@ -275,7 +264,6 @@ mod tests {
                 residuals: &residuals,
                 bounds,
                 groups,
-                suits: &|_| true,
             };
             problem.minimize(&[0.0]).expect("residuals").at[0]
         };

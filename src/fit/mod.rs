@@ -2,7 +2,6 @@
 //! errors, correlations, and the combinations that the data cannot tell.
 
 mod data;
-mod explained;
 mod least_squares;
 mod report;
 
@@ -87,7 +86,7 @@ pub fn fit(
     let tables: Vec<toml::Table> = (cases.iter())
         .map(|case| entries(source, &case.set))
         .collect::<Result<_, _>>()?;
-    let parameters = parameters(&own, &tables, (&data, &cases), options)?;
+    let parameters = parameters(&own, &tables, &data, options)?;
     let begun = std::time::Instant::now();
     let model = Model {
         source,
@@ -103,30 +102,20 @@ pub fn fit(
         stop,
     };
     model.check_count()?;
+    let steps = model.steps(&model.start())?;
+    let residuals = |points: &[Vec<f64>]| model.residuals(points, &steps);
     let n_seen = model.fitted().map(Case::n_seen).sum::<usize>();
     let groups = if options.robust {
         (0..n_seen).map(|i| 3 * i..3 * i + 3).collect()
     } else {
         Vec::new()
     };
-    let (mut at, mut iterations) = (model.start(), 0);
-    let (found, steps) = loop {
-        let steps = model.steps(&at)?;
-        let residuals = |points: &[Vec<f64>]| model.residuals(points, &steps);
-        let problem = Problem {
-            residuals: &residuals,
-            suits: &|at: &[f64]| model.suit(&steps, at),
-            bounds: parameters.iter().map(Free::scaled_bounds).collect(),
-            groups: groups.clone(),
-        };
-        let mut found = problem.minimize(&at)?;
-        iterations += found.iterations;
-        if !found.left || iterations > MOST_IN_ALL {
-            found.iterations = iterations;
-            break (found, steps);
-        }
-        at = found.at;
+    let problem = Problem {
+        residuals: &residuals,
+        bounds: parameters.iter().map(Free::scaled_bounds).collect(),
+        groups,
     };
+    let found = problem.minimize(&model.start())?;
     let overrides = model.overrides(&found.at, &[], &own);
     let (scene, fitted) = Scene::from_toml(&source.name, &source.text, &overrides)?;
     let arm = scene.arm(&fitted)?;
@@ -187,7 +176,7 @@ fn entries(source: &SceneSource, set: &[String]) -> Result<toml::Table, FitError
 fn parameters(
     own: &toml::Table,
     tables: &[toml::Table],
-    (data, cases): (&Data, &[Case]),
+    data: &Data,
     options: &FitOptions,
 ) -> Result<Vec<Free>, FitError> {
     let refuse = |words: String| Err(FitError::Data(words));
@@ -206,15 +195,6 @@ fn parameters(
     for key in keys {
         let described = data.free.iter().find(|free| free.key == key);
         let times = described.map_or(&[][..], |free| &free.times);
-        if times.is_empty()
-            && let Some((case, path)) = set_by(cases, key)
-        {
-            return refuse(format!(
-                "{key} is free, and {} sets {path}: what was set there would be replaced; leave one of them out, or fit a factor of it ([[free]] \
-                 with times = [\"{key}\"])",
-                case.name
-            ));
-        }
         for path in times {
             if !tables
                 .iter()
@@ -299,19 +279,6 @@ fn parameters(
     Ok(out)
 }
 
-/// Returns the first case that sets a number at this path, or a whole of which it is a part, or a part of it, with the path that it sets.
-fn set_by<'a>(cases: &'a [Case], key: &str) -> Option<(&'a Case, &'a str)> {
-    let within = |part: &str, whole: &str| {
-        (part.strip_prefix(whole)).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-    };
-    cases.iter().find_map(|case| {
-        let paths = case.set.iter().filter_map(|set| set.split_once('='));
-        let mut paths = paths.map(|(path, _)| path.trim());
-        let path = paths.find(|path| within(key, path) || within(path, key))?;
-        Some((case, path))
-    })
-}
-
 /// Returns the number at a dotted path.
 fn number(table: &toml::Table, key: &str) -> Option<f64> {
     let mut parts = key.split('.');
@@ -372,14 +339,9 @@ struct Model<'a> {
     stop: &'a StopSignal,
 }
 
-/// Time step (s) and scheme of every recording, which a search keeps while they suit it: those that changed with every number would make the
+/// Time step and scheme of every recording, as overrides, which the search keeps: those that changed with the stiffness would make the
 /// residuals jump.
-type Steps = BTreeMap<usize, (f64, TimeScheme)>;
-
-/// Factor between a time step and the one that would be chosen anew, from which it is.
-const SUITS: f64 = 1.5;
-/// Cap on the iterations of all searches together.
-const MOST_IN_ALL: usize = 200;
+type Steps = BTreeMap<usize, [String; 2]>;
 
 /// Part of the automatic step with which recordings are simulated by explicit steps, so that the arm may become stiffer by a factor of four
 /// in the search.
@@ -428,29 +390,21 @@ impl Model<'_> {
         {
             let (scene, source) = self.scene(at, index, None)?;
             let setup = scene.simulation_until(&source, self.stop)?;
-            let part = match setup.rod.scheme {
-                TimeScheme::Explicit => EXPLICIT_STEP,
-                TimeScheme::Implicit => IMPLICIT_STEP,
+            let (part, scheme) = match setup.rod.scheme {
+                TimeScheme::Explicit => (EXPLICIT_STEP, "explicit"),
+                TimeScheme::Implicit => (IMPLICIT_STEP, "implicit"),
             };
-            out.insert(index, (part * setup.grid.step, setup.rod.scheme));
+            let step = format!("time.step_s={:e}", part * setup.grid.step);
+            out.insert(index, [step, format!("time.integrator=\"{scheme}\"")]);
         }
         Ok(out)
-    }
-
-    /// Tells whether time steps and schemes are nearly those that would be chosen under other parameters.
-    fn suit(&self, steps: &Steps, at: &[f64]) -> bool {
-        let is_near = |(now, then): (&(f64, TimeScheme), &(f64, TimeScheme))| {
-            now.1 == then.1 && (1.0 / SUITS..=SUITS).contains(&(now.0 / then.0))
-        };
-        // Where none can be chosen, the search may go on with these.
-        (self.steps(at)).map_or(true, |now| now.values().zip(steps.values()).all(is_near))
     }
 
     fn scene(
         &self,
         at: &[f64],
         index: usize,
-        step: Option<&(f64, TimeScheme)>,
+        step: Option<&[String; 2]>,
     ) -> Result<(Scene, SceneSource), FitError> {
         let case = &self.cases[index];
         let mut overrides = self.overrides(at, &case.set, &self.tables[index]);
@@ -459,10 +413,7 @@ impl Model<'_> {
         } else {
             let last = case.sights.last().map_or(0.0, |sight| sight.time);
             overrides.push(format!("time.end_s={:e}", last.max(1e-9)));
-            if let Some((step, scheme)) = step {
-                overrides.push(format!("time.step_s={step:e}"));
-                overrides.push(format!("time.integrator=\"{}\"", scheme.name()));
-            }
+            overrides.extend(step.into_iter().flatten().cloned());
         }
         Ok(Scene::from_toml(
             &self.source.name,

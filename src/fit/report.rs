@@ -6,7 +6,6 @@ use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
 
 use super::data::Case;
-use super::explained::Explanation;
 use super::least_squares::{Minimum, weigh};
 use super::{Model, Pose};
 use crate::TOOL;
@@ -37,11 +36,6 @@ pub struct FitSummary {
     pub scene: String,
     /// `converged` or `iteration-limit`.
     pub status: &'static str,
-    /// Tells whether the model explains the data, in a sentence and by numbers.
-    pub sentence: String,
-    /// The numbers of that.
-    #[serde(flatten)]
-    pub explanation: Explanation,
     /// Iterations of Levenberg and Marquardt's method.
     pub iterations: usize,
     /// Duration, s.
@@ -97,7 +91,7 @@ pub struct Parameter {
     pub start: f64,
     /// Estimate.
     pub value: f64,
-    /// Standard error by the scatter of the residuals and their correlation; null where the data cannot tell it.
+    /// Standard error by the scatter of the residuals; null where the data cannot tell it.
     pub standard_error: Option<f64>,
     /// Standard error that the noise of the measurements alone would give.
     pub standard_error_of_noise: Option<f64>,
@@ -202,36 +196,6 @@ pub(super) fn summary(
     let error = |i: usize| {
         (inverse.as_ref()).map(|inverse| inverse[(i, i)].max(0.0).sqrt() * free[i].scale)
     };
-    let is_fitted = |name: &str| {
-        let mut cases = model.cases.iter();
-        cases.any(|case| case.name == name && !case.held_out)
-    };
-    let is_static = |name: &str| {
-        let mut cases = model.cases.iter();
-        cases.any(|case| case.name == name && case.is_static)
-    };
-    let (mut seen, limits) = (Vec::new(), [model.sigma.place, model.sigma.angle]);
-    for (case, poses) in model.cases.iter().zip(predicted) {
-        rows_of(
-            model,
-            case,
-            poses,
-            limits.map(|sigma| OUTLIER * scatter * sigma),
-            &mut seen,
-        );
-    }
-    let fitted_rows: Vec<ResidualRow> = (seen.iter())
-        .filter(|row| is_fitted(&row.case))
-        .cloned()
-        .collect();
-    let squares = found.residuals.norm_squared();
-    let explanation = Explanation::of(
-        &fitted_rows,
-        model.sigma,
-        &is_static,
-        (squares, found.residuals.len(), n),
-    );
-    let inflation = explanation.inflation;
     let parameters = (free.iter().enumerate())
         .map(|(i, own)| {
             let value = found.at[i] * own.scale;
@@ -240,7 +204,7 @@ pub(super) fn summary(
                 times: own.times.clone(),
                 start: own.start,
                 value,
-                standard_error: error(i).map(|error| error * scatter * inflation),
+                standard_error: error(i).map(|error| error * scatter),
                 standard_error_of_noise: error(i),
                 at_bound: own
                     .bounds
@@ -261,13 +225,37 @@ pub(super) fn summary(
     });
     let [limit, limit_rad] =
         [model.sigma.place, model.sigma.angle].map(|sigma| OUTLIER * scatter * sigma);
+    let mut seen: Vec<ResidualRow> = Vec::new();
     let mut exchanges = Vec::new();
     let mut cases = Vec::new();
     let (mut fitted, mut held) = (Squares::default(), Squares::default());
-    let (mut row, mut first) = (0, 0);
-    for case in model.cases {
-        let own = &seen[first..][..case.sights.len()];
-        first += case.sights.len();
+    let mut row = 0;
+    for (case, poses) in model.cases.iter().zip(predicted) {
+        let first = seen.len();
+        for (sight, pose) in case.sights.iter().zip(poses) {
+            let off_m = pose.off(sight).map(|off| off.norm());
+            let turn = pose.turn(sight);
+            let [x_m, y_m, z_m] = [0, 1, 2].map(|i| sight.position.map(|x| x[i]));
+            let [turn_x_rad, turn_y_rad, turn_z_rad] = [0, 1, 2].map(|i| turn.map(|turn| turn[i]));
+            seen.push(ResidualRow {
+                case: case.name.clone(),
+                marker: model.markers[sight.marker].name.clone(),
+                t_s: sight.time,
+                x_m,
+                y_m,
+                z_m,
+                predicted_x_m: pose.place.x,
+                predicted_y_m: pose.place.y,
+                predicted_z_m: pose.place.z,
+                off_m,
+                outlier: off_m.is_some_and(|off| off > limit)
+                    || turn.is_some_and(|turn| turn.norm() > limit_rad),
+                turn_x_rad,
+                turn_y_rad,
+                turn_z_rad,
+            });
+        }
+        let own = &seen[first..];
         exchanges.extend(exchanged(own, limit));
         let mut squares = Squares::default();
         for seen in own {
@@ -315,8 +303,6 @@ pub(super) fn summary(
         } else {
             "iteration-limit"
         },
-        sentence: explanation.sentence(),
-        explanation,
         iterations: found.iterations,
         wall_s: wall,
         rms_m,
@@ -337,40 +323,6 @@ pub(super) fn summary(
         directory: String::new(),
     };
     (summary, seen)
-}
-
-/// Adds the rows of a case; places and angles from `limits` on, m and rad, are outliers.
-fn rows_of(
-    model: &Model,
-    case: &Case,
-    poses: &[Pose],
-    limits: [f64; 2],
-    seen: &mut Vec<ResidualRow>,
-) {
-    let [limit, limit_rad] = limits;
-    for (sight, pose) in case.sights.iter().zip(poses) {
-        let off_m = pose.off(sight).map(|off| off.norm());
-        let turn = pose.turn(sight);
-        let [x_m, y_m, z_m] = [0, 1, 2].map(|i| sight.position.map(|x| x[i]));
-        let [turn_x_rad, turn_y_rad, turn_z_rad] = [0, 1, 2].map(|i| turn.map(|turn| turn[i]));
-        seen.push(ResidualRow {
-            case: case.name.clone(),
-            marker: model.markers[sight.marker].name.clone(),
-            t_s: sight.time,
-            x_m,
-            y_m,
-            z_m,
-            predicted_x_m: pose.place.x,
-            predicted_y_m: pose.place.y,
-            predicted_z_m: pose.place.z,
-            off_m,
-            outlier: off_m.is_some_and(|off| off > limit)
-                || turn.is_some_and(|turn| turn.norm() > limit_rad),
-            turn_x_rad,
-            turn_y_rad,
-            turn_z_rad,
-        });
-    }
 }
 
 /// Returns the root of the mean square of the distances of a case, m, under the estimates without its rows, to first order.

@@ -108,9 +108,7 @@ pub struct BaseMotion {
     /// starts and ends with zero velocity; constant before and after.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub translation_m: Option<Vec<[f64; 4]>>,
-    /// Rotation vector in rad over time, as [t in s, x, y, z], by the same kind of spline. Where no row turns by more than half a turn, as
-    /// programs write them, each counts as the vector of the same rotation that is nearest to the row before; a turn beyond half a turn is
-    /// written with a row of more than pi.
+    /// Rotation vector in rad over time, as [t in s, x, y, z], by the same kind of spline.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<Vec<[f64; 4]>>,
     /// Frame of all rotation vectors: the spatial one, or that of the base as it is given, whose third axis is the
@@ -442,35 +440,11 @@ fn base_motion(
         )?,
         rotation: curve(
             motion.angular_velocity_rad_s,
-            &motion.rotation_rad.as_deref().map(unrolled),
+            &motion.rotation_rad,
             |o| o.rotation_rad,
             turned,
         )?,
     })
-}
-
-/// Returns rows (t, rotation vector) of which none turns by more than half a turn with every vector replaced by the one of the same rotation,
-/// `r + 2π m r/|r|` with a whole `m`, that is nearest to the row before; others as they are.
-fn unrolled(rows: &[[f64; 4]]) -> Vec<[f64; 4]> {
-    /// Rounding of a half turn.
-    const HALF_TURN: f64 = std::f64::consts::PI * (1.0 + 1e-9);
-    let mut out = rows.to_vec();
-    let vector = |[_, x, y, z]: [f64; 4]| Vector3::new(x, y, z);
-    if rows.iter().any(|row| vector(*row).norm() > HALF_TURN) {
-        return out;
-    }
-    for i in 1..out.len() {
-        let (before, own) = (vector(out[i - 1]), vector(out[i]));
-        let Some(axis) = own.try_normalize(0.0) else {
-            continue;
-        };
-        let turns = ((before.dot(&axis) - own.norm()) / std::f64::consts::TAU).round();
-        let nearer = own + axis * (turns * std::f64::consts::TAU);
-        if (nearer - before).norm() < (own - before).norm() * (1.0 - 1e-9) {
-            out[i] = [out[i][0], nearer.x, nearer.y, nearer.z];
-        }
-    }
-    out
 }
 
 fn described_motion(motion: &mechanics::BaseMotion) -> Result<BaseMotion, DescribeError> {
