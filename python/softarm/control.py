@@ -113,7 +113,9 @@ def _finite(reading: Mapping[str, Any], place: str, faults: list[dict[str, Any]]
     """Returns a reading without the fields that have numbers that are not finite, which JSON does not know."""
     out = {}
     for name, value in reading.items():
-        if name != "time_s" and isinstance(value, (list, tuple, np.ndarray)) and not np.isfinite(np.asarray(value, dtype=float)).all():
+        # Texts and what is not a number at all are for the controller to refuse.
+        numbers = isinstance(value, (float, list, tuple, np.ndarray, np.floating)) and not np.iscomplexobj(value)
+        if numbers and not np.isfinite(np.asarray(value, dtype=float)).all():
             message = f"{np.asarray(value).tolist()} is not finite"
             faults.append({"type": "error", "where": f"{place}.{name}", "message": message, "help": "leave out what was not measured"})
         else:

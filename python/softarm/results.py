@@ -9,6 +9,7 @@ import json
 import os
 import shutil
 import tempfile
+import weakref
 import zipfile
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +18,21 @@ from typing import Any
 import numpy as np
 
 from .errors import ResultError
+
+
+class TemporaryFolder:
+    """A folder that lasts as long as this object, and that the process which made it removes: the copy that a forked child drops leaves the
+    files of its parent alone.
+    """
+
+    def __init__(self) -> None:
+        self.name = tempfile.mkdtemp(prefix="softarm-")
+        self._end = weakref.finalize(self, _remove_own, self.name, os.getpid())
+
+
+def _remove_own(folder: str, owner: int) -> None:
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 class Certificate:
@@ -52,7 +68,7 @@ class Result:
     def __init__(
         self,
         directory: str | os.PathLike[str],
-        holder: tempfile.TemporaryDirectory[str] | None = None,
+        holder: TemporaryFolder | None = None,
         exit_code: int | None = None,
     ):
         self.directory = Path(directory)
@@ -207,7 +223,11 @@ class Result:
         parts = [f"softarm.Result of {self.command} {summary.get('scene')!r}: {self.status}"]
         if self.command == "solve":
             parts.append(self.certificate.verdict)
-            parts.append(f"objective {summary['objective']:.6g}, tip {1e3 * summary['tip_error_m']:.3g} mm off")
+            # A solve that was stopped has no numbers of its check, and may have none at all.
+            if summary.get("objective") is not None:
+                parts.append(f"objective {summary['objective']:.6g}")
+            if summary.get("tip_error_m") is not None:
+                parts.append(f"tip {1e3 * summary['tip_error_m']:.3g} mm off")
         if self.command == "mpc" and summary["tip_error_m"]["rms"] is not None:
             parts.append(f"tip {1e3 * summary['tip_error_m']['rms']:.3g} mm off (rms), {summary['overruns']} of {summary['samples']} samples late")
         if "wall_s" in summary:
@@ -252,7 +272,7 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 def _unpack(packed: bytes, exit_code: int | None) -> Result:
-    holder = tempfile.TemporaryDirectory(prefix="softarm-")
+    holder = TemporaryFolder()
     target = Path(holder.name) / "result"
     with zipfile.ZipFile(io.BytesIO(packed)) as file:
         file.extractall(target)
@@ -271,5 +291,5 @@ def verify(directory: str | os.PathLike[str] | Result, *, quick: bool = False) -
     from .scene import _call
 
     path = directory.directory if isinstance(directory, Result) else directory
-    summary = _call(["verify", os.fspath(path), *(["--quick"] if quick else [])])[1]
+    summary = _call(["verify", *(["--quick"] if quick else []), "--", os.fspath(path)])[1]
     return Certificate({**summary["check"], "mismatches": summary["mismatches"]})

@@ -16,7 +16,7 @@ from . import _softarm
 from .control import Controller, Plant
 from .errors import ResultError
 from .program import Program
-from .results import Result
+from .results import Result, TemporaryFolder
 
 Event = Callable[[dict[str, Any]], None]
 TASK_VERBS = ("simulate", "solve", "mpc", "equilibrium", "tradeoff")
@@ -42,6 +42,11 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def _text(value: str) -> str:
+    """Returns a text as a string of TOML on one line, where control characters and U+007F are escaped and all others stand as they are."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def _literal(value: Any) -> str:
     """Returns a value as TOML on one line."""
     if isinstance(value, bool):
@@ -49,11 +54,11 @@ def _literal(value: Any) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, str):
-        return json.dumps(value)
+        return _text(value)
     if isinstance(value, list):
         return "[" + ", ".join(map(_literal, value)) + "]"
     if isinstance(value, dict):
-        rows = (f"{json.dumps(key)} = {_literal(item)}" for key, item in value.items() if item is not None)
+        rows = (f"{_text(key)} = {_literal(item)}" for key, item in value.items() if item is not None)
         return "{ " + ", ".join(rows) + " }"
     raise TypeError(f"a scene has numbers, texts, lists and dictionaries; {value!r} is a {type(value).__name__}")
 
@@ -69,7 +74,7 @@ def _toml(keys: Mapping[str, Any]) -> str:
         rows = sections if header else values
         later = []
         for key, value in table.items():
-            name = key if key.replace("_", "").isalnum() and key.isascii() else json.dumps(key)
+            name = key if key.replace("_", "").isalnum() and key.isascii() else _text(key)
             place = f"{path}.{name}" if path else name
             if isinstance(value, dict):
                 later.append((place, value, f"\n[{place}]"))
@@ -176,12 +181,13 @@ class Scene:
     def _call(self, verb: str, words: list[str], on_event: Event | None = None) -> tuple[int, dict[str, Any]]:
         for override in self._overrides:
             words += ["--set", override]
-        return _call([verb, self._name, *words], (self._name, self._text), on_event)
+        # A scene may have the name of an option.
+        return _call([verb, *words, "--", self._name], (self._name, self._text), on_event)
 
     def _run(self, verb: str, out: str | os.PathLike[str] | None, words: list[str], on_event: Event | None) -> Result:
         holder = None
         if out is None:
-            holder = tempfile.TemporaryDirectory(prefix="softarm-")
+            holder = TemporaryFolder()
             out = Path(holder.name) / verb
         try:
             code, _ = self._call(verb, ["--out", os.fspath(out), *words], on_event)
@@ -372,7 +378,7 @@ def _call(
         else:
             LOG.warning("%s", line)
 
-    code = _softarm.call([*words, "--json-lines"], scene, hear)
+    code = _softarm.call([words[0], "--json-lines", *words[1:]], scene, hear)
     return code, summary
 
 

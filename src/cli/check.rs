@@ -6,6 +6,7 @@ use std::time::Instant;
 use nalgebra::Vector3;
 
 use super::console::Console;
+use super::error::CliError;
 use super::{Global, Outcome, exit, scene_name};
 use crate::mechanics::Rod;
 use crate::memory::in_words;
@@ -27,8 +28,18 @@ const CONTROL_ROUNDING: f64 = 1e-6;
 pub(super) fn run(scene_argument: &str, global: &Global, console: &Console) -> Outcome {
     let (scene, source) = console.load(scene_argument, global)?;
     let name = scene_name(scene_argument);
-    let until = |time| console.stop_signal(Some(Instant::now() + time));
-    let found = check_scene(&scene, &source, &name, global.n_threads(), &until)?;
+    let stop = console.stop_signal(None);
+    // Parts of a check do not read the signal: an interrupt abandons them.
+    let found = {
+        let (scene, source, until) = (scene.clone(), source.clone(), stop.clone());
+        let n_threads = global.n_threads();
+        let work = move || {
+            let until = |time| until.no_later_than(Instant::now() + time);
+            check_scene(&scene, &source, &name, n_threads, &until)
+        };
+        stop.unless_raised(usize::MAX, work)
+            .map_err(CliError::Stopped)??
+    };
     answer(&found, &scene, console);
     let summary = &found.summary;
     detail(summary, console);

@@ -51,6 +51,12 @@ pub(super) enum CliError {
     /// A plant could not be served.
     #[error("error: {0}")]
     Serve(ServeError),
+    /// A panic.
+    #[error(
+        "error: this is a fault of softarm and none of the scene: {0}; please report it with the scene (`softarm check SCENE --json` and the \
+         scene file) and this command line. What was written before is still there"
+    )]
+    Fault(String),
     /// A result directory lacks a file that the verb needs.
     #[error("error: {0}")]
     Directory(String),
@@ -108,6 +114,7 @@ impl CliError {
             Self::Serve(ServeError::Io(_)) => exit::UNWRITTEN,
             Self::Scene(_) | Self::Output(_) | Self::Directory(_) => exit::USAGE,
             Self::Stopped(_) => exit::STOPPED,
+            Self::Fault(_) => exit::FAULT,
             Self::Step(_)
             | Self::Statics(_)
             | Self::Guess(_)

@@ -22,6 +22,7 @@ mod tradeoff;
 mod verify;
 
 use std::ffi::OsString;
+use std::panic::{self, AssertUnwindSafe};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -42,6 +43,8 @@ mod exit {
     pub const STOPPED: u8 = 6;
     pub const REJECTED: u8 = 7;
     pub const UNWRITTEN: u8 = 8;
+    /// A fault of the program itself.
+    pub const FAULT: u8 = 70;
     /// Exit code after a second Ctrl-C or SIGTERM, as shells report for a process ended by Ctrl-C.
     pub const KILLED: u8 = 130;
 }
@@ -262,6 +265,9 @@ pub enum CallError {
     /// The model, the solver or the check broke down.
     #[error("{0}")]
     Numerical(String),
+    /// The program itself is at fault.
+    #[error("{0}")]
+    Fault(String),
 }
 
 impl From<CliError> for CallError {
@@ -272,6 +278,7 @@ impl From<CliError> for CallError {
             CliError::Scene(error) => Self::Scene(error),
             _ if code == exit::STOPPED => Self::Stopped(words),
             _ if code == exit::NUMERICAL => Self::Numerical(words),
+            _ if code == exit::FAULT => Self::Fault(words),
             _ => Self::Files(words),
         }
     }
@@ -288,12 +295,25 @@ impl Cli {
             mut command,
             global,
         } = self;
-        let outcome = sweep::run(&mut command, &global, &console, |command| {
-            dispatch(command, &global, &console)
+        let outcome = unless_at_fault(|| {
+            sweep::run(&mut command, &global, &console, |command| {
+                dispatch(command, &global, &console)
+            })
         });
         let outcome = outcome.and_then(|code| console.printed().map(|()| code));
         (outcome, console)
     }
+}
+
+/// Returns what `verb` returns, or a panic in it, on this thread or on one that it waits for, as a fault of the program.
+fn unless_at_fault(verb: impl FnOnce() -> Outcome) -> Outcome {
+    // The values that the verb may have left half changed are not used afterwards.
+    panic::catch_unwind(AssertUnwindSafe(verb)).unwrap_or_else(|panic| {
+        let words = (panic.downcast_ref::<String>().map(String::as_str))
+            .or_else(|| panic.downcast_ref::<&str>().copied())
+            .unwrap_or("a panic without words");
+        Err(CliError::Fault(words.into()))
+    })
 }
 
 /// Runs a verb.

@@ -421,6 +421,11 @@ fn conclude(
         }
     } else if check.is_some_and(|check| !check.is_certified()) {
         console.always("the solver converged, but the check rejects the result");
+    } else if check.is_none() && examined.unchecked.is_none() {
+        console.always("the solver converged, but the check could not be made");
+        for warning in examined.warnings.iter().filter(|_| console.is_quiet()) {
+            console.always(warning);
+        }
     }
     for sentence in &summary.advice {
         console.say(&format!("  {sentence}"));
@@ -453,8 +458,8 @@ fn conclude(
         show_check(check, problem, converged, console);
         if console.is_quiet() && converged && check.is_certified() {
             console.always(&format!(
-                "{} after {} iterations, {:.2} s: objective {:.8e}",
-                check.verdict(),
+                "{}; {} iterations, {:.2} s: objective {:.8e}",
+                check.sentence(problem),
                 summary.iterations,
                 summary.wall_s,
                 summary.objective
@@ -534,7 +539,7 @@ pub(super) fn show_check(
         console.say(&format!("  {line}"));
     }
     if converged {
-        console.verdict(check.is_certified(), check.verdict());
+        console.verdict(check.is_certified(), &check.sentence(problem));
         for item in check.items.iter().filter(|item| !item.holds()) {
             console.say(&format!("  {}: {}", item.name, item.remedy(problem)));
         }

@@ -5,7 +5,7 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::console::Console;
 use super::error::CliError;
@@ -70,10 +70,17 @@ pub(super) fn run(
         let before = finished(&place, kind)?;
         let there = before.is_some();
         console.event("result", &json!({ "key": key, "there": there }));
-        if let Some(summary) = before {
+        if let Some((summary, code)) = before {
             console.say(&format!("{}: there already", place.display()));
+            if code != exit::DONE {
+                let status = summary["status"].as_str().unwrap_or("rejected");
+                console.always(&format!(
+                    "{}: {status}, exit code {code} as when it was computed",
+                    place.display()
+                ));
+            }
             console.summary(&summary);
-            return Ok(exit::DONE);
+            return Ok(code);
         }
         own.out = Some(place);
     }
@@ -96,16 +103,50 @@ fn key(command: &Command, global: &Global, scene: &Scene) -> String {
     format!("{:016x}", hasher.finish())
 }
 
-/// Returns the summary of a finished result of this kind; `None` if there is none, or one whose files were being replaced.
-fn finished(place: &Path, kind: ResultKind) -> Result<Option<serde_json::Value>, CliError> {
+/// Returns the summary of a result of this kind that ended by itself, and the exit code of its verb; `None` if there is none, one that was
+/// stopped, or one whose files were being replaced.
+fn finished(place: &Path, kind: ResultKind) -> Result<Option<(Value, u8)>, CliError> {
     if !place.join("summary.json").is_file() {
         return Ok(None);
     }
     match ResultKind::read(place) {
-        Ok((own, summary)) => Ok((own == kind).then_some(summary)),
+        Ok((own, summary)) => {
+            let code = (own == kind).then(|| code_of(kind, &summary)).flatten();
+            Ok(code.map(|code| (summary, code)))
+        }
         // An earlier run was killed while it replaced files: the next one completes them.
         Err(OutputError::Refused { .. }) => Ok(None),
         Err(error) => Err(error.into()),
+    }
+}
+
+/// Returns the exit code with which a verb ended that wrote this summary; `None` where it was stopped before its end, by a deadline, an
+/// interrupt or a budget.
+fn code_of(kind: ResultKind, summary: &Value) -> Option<u8> {
+    let status = summary["status"].as_str();
+    match kind {
+        ResultKind::Equilibrium | ResultKind::Fit => Some(exit::DONE),
+        ResultKind::Simulate | ResultKind::Mpc => match status? {
+            "completed" => Some(exit::DONE),
+            "failed" => Some(exit::NUMERICAL),
+            _ => None,
+        },
+        ResultKind::Tradeoff => match (status?, summary["recommended"]["checked"].as_bool()) {
+            ("completed", Some(true)) => Some(exit::DONE),
+            ("completed", _) => Some(exit::NOT_CONVERGED),
+            _ => None,
+        },
+        ResultKind::Solve => {
+            let is_accurate = summary["accuracy"]["met"].as_bool() != Some(false);
+            match (status?, summary["check"]["verdict"].as_str()) {
+                ("converged", Some("certified")) if is_accurate => Some(exit::DONE),
+                ("converged", Some(_)) => Some(exit::REJECTED),
+                ("iteration-limit" | "step-too-small", _) => Some(exit::NOT_CONVERGED),
+                ("locally-infeasible", _) => Some(exit::INFEASIBLE),
+                ("failed", _) => Some(exit::NUMERICAL),
+                _ => None,
+            }
+        }
     }
 }
 

@@ -213,7 +213,12 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
             exit::STOPPED
         }
         (None, Some(recommended)) if recommended.checked => exit::DONE,
-        (None, _) => exit::NOT_CONVERGED,
+        (None, _) => {
+            if console.is_quiet() {
+                console.always(&sentence);
+            }
+            exit::NOT_CONVERGED
+        }
     })
 }
 

@@ -595,6 +595,7 @@ impl Rod {
         let places = (&mesh, p.strain_rule, &elements[..]);
         let mut actuators =
             RodActuators::new(&p.actuators, &p.pose_actuators, &p.potentials, places)?;
+        actuators.check_cables(&rest, scales.length)?;
         for (index, contact) in p.contacts.iter().enumerate() {
             contact.check()?;
             let held = match p.base {

@@ -1,11 +1,13 @@
 //! Motions for other programs: VTK for ParaView, CSV for spreadsheets and scripts, SVG for papers and pages.
 
 use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::Read as _;
 use std::path::Path;
 
 use nalgebra::Matrix3;
 
-use super::replace::{EXPORT_MARK, Own, TABLE_HEAD, Writer};
+use super::replace::{EXPORT_MARK, HEAD, Own, TABLE_HEAD, Writer};
 use super::{EffortRow, MotionRecord, OutputError};
 use crate::mechanics::rotation::quaternion;
 
@@ -29,6 +31,43 @@ impl Destination<'_> {
         }
         for (number, file) in files.iter().enumerate() {
             self.writer.write(&path(file), Own::Export, &text(number))?;
+        }
+        self.remove_beyond(files)
+    }
+
+    /// Removes the frames of an earlier export that has more of them: `NAME-NNNN.ENDING` with the endings of these files, if softarm wrote it.
+    fn remove_beyond(&self, files: &[String]) -> Result<(), OutputError> {
+        let Some(ending) = files.first().and_then(|file| file.rsplit_once('.')) else {
+            return Ok(());
+        };
+        let is_frame = |name: &str| {
+            (name.strip_prefix(self.name))
+                .and_then(|rest| {
+                    rest.strip_prefix('-')?
+                        .strip_suffix(ending.1)?
+                        .strip_suffix('.')
+                })
+                .is_some_and(|number| {
+                    number.len() >= 4 && number.bytes().all(|digit| digit.is_ascii_digit())
+                })
+        };
+        let cannot = |action| OutputError::unwritten(self.folder, action);
+        let folder = fs::read_dir(self.folder).map_err(cannot("cannot look into"))?;
+        for entry in folder.flatten() {
+            let name = entry.file_name();
+            let Some(name) = name.to_str().filter(|name| is_frame(name)) else {
+                continue;
+            };
+            // A frame of a user's own stays, as does what cannot be looked at.
+            let path = entry.path();
+            let mut head = Vec::new();
+            let read = File::open(&path).map(|file| file.take(HEAD).read_to_end(&mut head));
+            let is_own =
+                matches!(read, Ok(Ok(_))) && String::from_utf8_lossy(&head).contains(EXPORT_MARK);
+            if !is_own || files.iter().any(|file| file == name) {
+                continue;
+            }
+            fs::remove_file(&path).map_err(OutputError::unwritten(&path, "cannot remove"))?;
         }
         Ok(())
     }

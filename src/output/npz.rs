@@ -1,7 +1,7 @@
 //! NumPy archives of 64-bit numbers, written and read one number at a time, so that an array need not fit in memory.
 
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Read, Write};
+use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use npyz::npz::file_name_from_array_name;
@@ -15,7 +15,51 @@ use super::{OutputError, reading};
 /// An archive that is being read.
 pub(super) type Archive = ZipArchive<BufReader<File>>;
 /// An archive that is being written.
-pub(super) type ArchiveWriter = ZipWriter<BufWriter<File>>;
+pub(super) type ArchiveWriter = ZipWriter<Latched>;
+
+/// A file that keeps its first error, and drops what is written afterwards: the archive around it would report an error on stderr by itself
+/// when it is dropped.
+pub(super) struct Latched {
+    file: BufWriter<File>,
+    error: Option<io::Error>,
+}
+
+impl Latched {
+    fn keep<T>(&mut self, done: io::Result<T>, otherwise: T) -> io::Result<T> {
+        done.or_else(|error| {
+            self.error.get_or_insert(error);
+            Ok(otherwise)
+        })
+    }
+}
+
+impl Write for Latched {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.error.is_some() {
+            return Ok(bytes.len());
+        }
+        let done = self.file.write(bytes);
+        self.keep(done, bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        if self.error.is_some() {
+            return Ok(());
+        }
+        let done = self.file.flush();
+        self.keep(done, ())
+    }
+}
+
+impl Seek for Latched {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        if self.error.is_some() {
+            return Ok(0);
+        }
+        let done = self.file.seek(to);
+        self.keep(done, 0)
+    }
+}
 
 /// Opens an archive of any size.
 pub(super) fn open(path: &Path) -> Result<Archive, OutputError> {
@@ -57,9 +101,16 @@ pub(super) fn write(
     fill: impl FnOnce(&mut ArchiveWriter) -> io::Result<()>,
 ) -> Result<(), OutputError> {
     let attempt = || {
-        let mut archive = ZipWriter::new(BufWriter::new(File::create(path)?));
-        fill(&mut archive)?;
-        archive.finish()?.flush()
+        let mut archive = ZipWriter::new(Latched {
+            file: BufWriter::new(File::create(path)?),
+            error: None,
+        });
+        let filled = fill(&mut archive);
+        let finished = archive.finish().map_err(io::Error::from);
+        filled?;
+        let mut file = finished?;
+        file.flush()?;
+        file.error.map_or(Ok(()), Err)
     };
     attempt().map_err(OutputError::unwritten(path, "cannot write"))
 }

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use super::{OutputError, PAGE_MARK};
 
 /// Bytes at the beginning of a file in which softarm's mark is expected.
-const HEAD: u64 = 1 << 16;
+pub(super) const HEAD: u64 = 1 << 16;
 /// Cap on the bytes of a page that is read before it is replaced.
 const LARGEST_PAGE: u64 = 1 << 30;
 /// Cap on successive links, as in Linux.

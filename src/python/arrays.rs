@@ -6,8 +6,30 @@ use numpy::{AllowTypeChange, IntoPyArray, PyArray2, PyArray3, PyArrayLikeDyn};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-/// An array of numbers, or what numpy makes one of.
-pub(super) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+/// An array of real numbers, or what numpy makes one of; the imaginary part of complex ones would be lost, so that they are refused.
+pub(super) struct Numbers<'py>(PyArrayLikeDyn<'py, f64, AllowTypeChange>);
+
+impl<'py> std::ops::Deref for Numbers<'py> {
+    type Target = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl<'a, 'py> FromPyObject<'a, 'py> for Numbers<'py> {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        let kind = object.getattr("dtype").and_then(|own| own.getattr("kind"));
+        if kind.is_ok_and(|kind| kind.extract::<String>().is_ok_and(|kind| kind == "c")) {
+            return Err(PyValueError::new_err(
+                "an array of complex numbers; expected real ones: give its real part",
+            ));
+        }
+        Ok(Self(object.extract()?))
+    }
+}
 
 /// Returns the numbers of an array of the given shape, in C order, which need not be finite.
 ///

@@ -1,11 +1,14 @@
 //! The controller of a closed loop whose plant is a program in Python.
 
+use std::sync::mpsc;
+
 use nalgebra::Matrix3;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use super::arrays::{Numbers, any_numbers};
-use super::{raise, read, scene_error};
+use super::{beside, raise, read, scene_error};
+use crate::cli::Told;
 use crate::mpc::{MeasurementLine, ServeError, Server, rotation_rows};
 use crate::scene::{Scene, SceneSource};
 use crate::stop::StopSignal;
@@ -22,8 +25,9 @@ fn made(
     scene: &Scene,
     source: &SceneSource,
     name: &str,
+    stop: &StopSignal,
 ) -> Result<(Server<Vec<u8>>, usize), MakeError> {
-    let setup = scene.closed_loop(source, 0, &StopSignal::default())?;
+    let setup = scene.closed_loop(source, 0, stop)?;
     let server = Server::new(&setup.experiment, name, Vec::new()).map_err(|error| {
         let mpc = match &error {
             ServeError::Mpc(mpc) => scene.mpc_error(source, mpc),
@@ -63,12 +67,21 @@ impl Controller {
         overrides: Vec<String>,
     ) -> PyResult<Self> {
         let (scene, source) = read(py, name, text, &overrides)?;
-        let (mut server, n_nodes) =
-            py.detach(|| made(&scene, &source, name))
-                .map_err(|error| match error {
-                    MakeError::Scene(error) => scene_error(py, &error),
-                    MakeError::Serve(error) => raise(py, "ModelError", error.to_string()),
-                })?;
+        let name = name.to_string();
+        let work = move |told: mpsc::Sender<Told>, interrupted| {
+            let stop = StopSignal::new(None, Some(interrupted));
+            let found = made(&scene, &source, &name, &stop);
+            // The end of the work is heard as the end of what it tells.
+            drop(told);
+            found
+        };
+        let (mut server, n_nodes) = match beside(py, work, &mut |_| Ok(()))? {
+            (_, Some(error)) => return Err(error),
+            (found, None) => found.map_err(|error| match error {
+                MakeError::Scene(error) => scene_error(py, &error),
+                MakeError::Serve(error) => raise(py, "ModelError", error.to_string()),
+            })?,
+        };
         let greeting = taken(&mut server);
         Ok(Self {
             server,

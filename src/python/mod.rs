@@ -72,6 +72,7 @@ fn call_error(py: Python<'_>, error: &CallError) -> PyErr {
         CallError::Stopped(words) => raise(py, "Stopped", words.clone()),
         CallError::Files(words) => raise(py, "ResultError", words.clone()),
         CallError::Numerical(words) => raise(py, "ModelError", words.clone()),
+        CallError::Fault(words) => raise(py, "InternalError", words.clone()),
     }
 }
 

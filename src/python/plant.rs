@@ -215,6 +215,8 @@ impl Arm {
                 "time = {time}; expected a finite time in s"
             )));
         }
+        let mut rotations = rotations;
+        self.keep_base(&mut found[0], &mut rotations, time)?;
         let state = &mut self.state;
         for (q, node) in self.rod.nodes.iter().enumerate() {
             state.configuration.positions[q] = found[0][q];
@@ -230,6 +232,40 @@ impl Arm {
     /// Returns the inputs of all actuators that act now: those of the call before, or those of the scene.
     fn inputs(&self) -> Vec<f64> {
         (self.inputs.clone()).unwrap_or_else(|| self.rod.actuators.efforts(self.time))
+    }
+
+    /// Puts a base that is clamped exactly where it is held.
+    ///
+    /// # Errors
+    /// Returns a `ValueError` for a state that moves such a base, or turns it.
+    fn keep_base(
+        &self,
+        positions: &mut [Vector3<f64>],
+        rotations: &mut [Matrix3<f64>],
+        time: f64,
+    ) -> PyResult<()> {
+        let rod = &self.rod;
+        if rod.first_free_node() == 0 || rod.driven_base(time).is_some() {
+            return Ok(());
+        }
+        let (x, r) = (rod.rest.positions[0], rod.rest.rotations[0]);
+        let away = (positions[0] - x).norm();
+        if away > NEARLY_A_ROTATION * rod.scales.length {
+            return Err(PyValueError::new_err(format!(
+                "positions: node 0 is {away:.3e} m away from where the base is clamped, {:?} m; a state does not move the base, [base] of the scene \
+                 does",
+                x.as_slice()
+            )));
+        }
+        let turned = (rotations[0] - r).norm();
+        if turned > NEARLY_A_ROTATION.sqrt() {
+            return Err(PyValueError::new_err(format!(
+                "rotations: node 0 is turned from how the base is clamped (by {turned:.3e} in norm); a state does not turn the base, [base] of the \
+                 scene does"
+            )));
+        }
+        (positions[0], rotations[0]) = (x, r);
+        Ok(())
     }
 
     /// Moves the arm by `n` steps of `step` (s), or leaves it where it is, if `goes_on` says no after one of them.

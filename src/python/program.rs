@@ -1,5 +1,7 @@
 //! The optimal-control problem of a scene as arrays, for a solver of one's own.
 
+use std::sync::mpsc;
+
 use faer::Mat;
 use nalgebra::Vector3;
 use numpy::ndarray::{Array2, Array3, Array4};
@@ -9,7 +11,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
 use super::arrays::{Numbers, numbers};
-use super::{raise, read, scene_error};
+use super::{beside, raise, read, scene_error};
+use crate::cli::Told;
 use crate::control::{
     Guess, LiftedPoint, OptimalControlProblem, Transcription, block_transitions, first_point,
 };
@@ -77,6 +80,26 @@ impl Program {
     fn transcription(&self) -> Transcription<'_> {
         Transcription::new(self.problem(), 1)
     }
+
+    /// Returns what `work` makes of the problem, on a thread of its own that an interrupt of Python asks to stop.
+    fn interruptibly<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&OptimalControlProblem) -> Result<T, Failure> + Send + 'static,
+    ) -> PyResult<T> {
+        let mut problem = self.problem().clone();
+        let work = move |told: mpsc::Sender<Told>, interrupted| {
+            problem.stop = StopSignal::new(None, Some(interrupted));
+            let found = work(&problem);
+            // The end of the work is heard as the end of what it tells.
+            drop(told);
+            found
+        };
+        match beside(py, work, &mut |_| Ok(()))? {
+            (_, Some(error)) => Err(error),
+            (found, None) => found.map_err(|failure| failed(py, &failure)),
+        }
+    }
 }
 
 /// Returns the point with the simulated motion of given variables.
@@ -100,8 +123,16 @@ impl Program {
     ) -> PyResult<Self> {
         let (scene, source) = read(py, name, text, &overrides)?;
         // A deadline of the scene is one of its solves.
-        let posed = || scene.optimal_control_until(&source, &StopSignal::default());
-        let setup = py.detach(posed).map_err(|error| scene_error(py, &error))?;
+        let work = move |told: mpsc::Sender<Told>, interrupted| {
+            let stop = StopSignal::new(None, Some(interrupted));
+            let setup = scene.optimal_control_until(&source, &stop);
+            drop(told);
+            setup
+        };
+        let setup = match beside(py, work, &mut |_| Ok(()))? {
+            (_, Some(error)) => return Err(error),
+            (setup, None) => setup.map_err(|error| scene_error(py, &error))?,
+        };
         Ok(Self { setup })
     }
 
@@ -204,19 +235,19 @@ impl Program {
     /// The motion under given variables.
     fn rollout<'py>(&self, py: Python<'py>, variables: Numbers<'_>) -> PyResult<Motion<'py>> {
         let variables = self.variables(&variables)?;
-        let point = py.detach(|| at(&self.transcription(), &variables));
-        let point = point.map_err(|failure| failed(py, &failure))?;
+        let point = self.interruptibly(py, move |problem| {
+            at(&Transcription::new(problem, 1), &variables)
+        })?;
         Ok(motion(py, &point.trajectory))
     }
 
     /// Objective, constraints and inequalities on the motion under given variables.
     fn evaluate<'py>(&self, py: Python<'py>, variables: Numbers<'_>) -> PyResult<Values<'py>> {
         let variables = self.variables(&variables)?;
-        let values = py.detach(|| {
-            let program = self.transcription();
+        let values = self.interruptibly(py, move |problem| {
+            let program = Transcription::new(problem, 1);
             program.evaluate(&at(&program, &variables)?)
-        });
-        let values = values.map_err(|failure| failed(py, &failure))?;
+        })?;
         Ok((
             values.objective,
             values.constraints.into_pyarray(py),
@@ -255,7 +286,8 @@ impl Program {
         if let Some(given) = &inequality_multipliers {
             multipliers.inequalities = numbers("inequality_multipliers", given, &[n_rows])?;
         }
-        let found = py.detach(|| {
+        let (values, found) = self.interruptibly(py, move |problem| {
+            let program = Transcription::new(problem, 1);
             let point = at(&program, &variables)?;
             let values = program.evaluate(&point)?;
             let near = |row: &usize| {
@@ -269,8 +301,7 @@ impl Program {
             };
             let found = program.linearize(&point, &values, &request)?;
             Ok((values, found))
-        });
-        let (values, found) = found.map_err(|failure: Failure| failed(py, &failure))?;
+        })?;
         let out = PyDict::new(py);
         let held: Vec<f64> = (found.rows.iter())
             .map(|row| values.inequalities[*row])
@@ -298,13 +329,13 @@ impl Program {
     ) -> PyResult<Change<'py>> {
         let variables = self.variables(&variables)?;
         let change = numbers("change", &change, &[variables.len()])?;
-        let found = py.detach(|| {
-            let program = self.transcription();
+        let found = self.interruptibly(py, move |problem| {
+            let program = Transcription::new(problem, 1);
             let point = at(&program, &variables)?;
             let values = program.evaluate(&point)?;
             program.expand(&point, &values.defects, &change)
-        });
-        let along = found.map_err(|failure| failed(py, &failure))?.trajectory;
+        })?;
+        let along = found.trajectory;
         let n_nodes = self.problem().rod.n_nodes();
         Ok((
             rows_of(py, &along.positions, n_nodes),
@@ -319,13 +350,12 @@ impl Program {
         variables: Numbers<'_>,
     ) -> PyResult<Vec<Block<'py>>> {
         let variables = self.variables(&variables)?;
-        let found = py.detach(|| {
-            let coefficients = self.problem().wrenches(&variables);
-            let point = at(&self.transcription(), &variables)?;
-            block_transitions(self.problem(), &point.trajectory, &coefficients, 1)
+        let found = self.interruptibly(py, move |problem| {
+            let coefficients = problem.wrenches(&variables);
+            let point = at(&Transcription::new(problem, 1), &variables)?;
+            block_transitions(problem, &point.trajectory, &coefficients, 1)
                 .map_err(|error| Failure(error.to_string()))
-        });
-        let found = found.map_err(|failure| failed(py, &failure))?;
+        })?;
         Ok((found.iter())
             .map(|own| (array(py, &own.state), array(py, &own.input)))
             .collect())

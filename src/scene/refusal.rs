@@ -65,7 +65,11 @@ impl Scene {
             DiscretizeError::Start(error) => {
                 let has_state = (self.initial.as_ref()).is_some_and(|own| own.state.is_some());
                 let key = ["initial.shape", "initial.from"][usize::from(has_state)];
-                at(key, start_remedy(&error))
+                // A number that is hardly meant is a likelier cause than the loads.
+                match self.far_aside().as_slice() {
+                    [] => at(key, start_remedy(&error)),
+                    found => at(key, &found.join("; ")),
+                }
             }
             DiscretizeError::NotHeld(_) => at(
                 "task.at_rest",
@@ -132,6 +136,21 @@ impl Scene {
                 source.error_at(&key, message, None)
             }
         }
+    }
+
+    /// Returns the key of the winch with this displacement, m, and the name of its tendon.
+    fn pulled_past(&self, displacement: f64) -> (String, String) {
+        for (index, tendon) in self.tendon.iter().enumerate() {
+            let given = tendon.displacement_profile.iter().flatten();
+            let key = match given.map(|row| row[1]).find(|own| *own == displacement) {
+                Some(_) => "displacement_profile",
+                None if tendon.rest_displacement_m == displacement => "rest_displacement_m",
+                None => continue,
+            };
+            let name = (tendon.name.clone()).unwrap_or_else(|| format!("tendon {index}"));
+            return (format!("tendon.{index}.{key}"), name);
+        }
+        ("tendon".into(), "tendon".into())
     }
 
     /// Returns the error of [`Rod::new`] at the key of the scene that causes it.
@@ -208,6 +227,24 @@ impl Scene {
                 format!("makes the {parameter} {value}, which is not positive and finite"),
                 APART.into(),
             ),
+            "displacement of a winch" => {
+                let (key, name) = self.pulled_past(value);
+                let message = format!(
+                    "{name}: a winch that pulls in {} m takes the whole of its tendon and what is outside of the arm",
+                    -value
+                );
+                let help = "make the displacement smaller in size, or free_length_m longer";
+                return source.error_at(&key, message, Some(help.into()));
+            }
+            "length of a cable" => {
+                let key = match self.cable.len() {
+                    1 => "cable.0.anchor_m",
+                    _ => "cable",
+                };
+                let message = "its anchor is where it is attached to the arm at rest: such a cable has no direction";
+                let help = "move the anchor, or the place on the arm";
+                return source.error_at(key, message.to_string(), Some(help.into()));
+            }
             "length of an element" => (
                 "rod.length_m",
                 format!("makes the {parameter} {value} m, which is not positive and finite"),

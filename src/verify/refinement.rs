@@ -57,9 +57,12 @@ pub struct Between {
     pub time: f64,
 }
 
-/// Speed of the tip of the finest rod, or of the node that has the goal, at the end of the horizon, and the highest one before.
+/// Position and speed of the tip of the finest rod, or of the node that has the goal, at the end of the horizon, and the highest speed
+/// before.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TipMotion {
+    /// Position at the end, m.
+    pub position: Vector3<f64>,
     /// Speed at the end, m/s.
     pub speed: f64,
     /// Angular speed at the end, rad/s.
@@ -73,6 +76,7 @@ pub struct TipMotion {
 impl TipMotion {
     fn note(&mut self, rod: &Rod, node: usize, state: &State) {
         let inertia = &rod.nodes[node];
+        self.position = state.configuration.positions[node];
         self.speed = (state.linear_momentum[node] / inertia.mass).norm();
         self.spin = (state.angular_momentum[node].component_div(&inertia.rotary)).norm();
         self.highest_speed = worse(self.highest_speed, self.speed);

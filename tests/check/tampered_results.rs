@@ -516,6 +516,40 @@ fn numbers_without_a_rule_of_their_own_are_compared() {
     copy.verify().rejects("summary.json", "check.energy.work_J");
 }
 
+/// The value of every criterion that is no rounding, set to nothing and doubled: none is believed. What is left of equations that are solved
+/// to rounding, and of the replay on the same grid, is beyond what a second run repeats.
+#[test]
+fn values_of_criteria_are_compared() {
+    const ROUNDING: [&str; 7] = [
+        "kkt.stationarity",
+        "kkt.feasibility",
+        "kkt.complementarity",
+        "same_grid_m",
+        "same_grid_rad",
+        "momentum",
+        "tip_error_m",
+    ];
+    let original = Copy::new().json("summary.json");
+    let criteria = original["check"]["criteria"].as_array().unwrap();
+    let mut n_tampered = 0;
+    for (i, item) in criteria.iter().enumerate() {
+        let value = item["value"].as_f64().unwrap();
+        if ROUNDING.contains(&item["name"].as_str().unwrap()) || value == 0.0 {
+            continue;
+        }
+        for factor in [0.0, 2.0] {
+            let mut summary = original.clone();
+            summary["check"]["criteria"][i]["value"] = json!(factor * value);
+            let copy = Copy::new();
+            fs::write(copy.path("summary.json"), summary.to_string()).unwrap();
+            let place = format!("check.criteria.{i}.value");
+            copy.verify().rejects("summary.json", &place);
+            n_tampered += 1;
+        }
+    }
+    assert!(n_tampered >= 6, "{n_tampered}");
+}
+
 /// Counts and indices that are not the problem's: refused at the field, not taken for rows. An obstacle that was removed from the scene shifts
 /// all indices after it.
 #[test]

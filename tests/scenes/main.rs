@@ -8,6 +8,7 @@ mod accuracy;
 mod documents;
 mod errors_name_keys;
 mod first_arms;
+mod fuzz;
 mod robots;
 mod rows;
 mod scene_errors;

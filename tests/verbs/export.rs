@@ -87,6 +87,26 @@ fn exports_are_the_motion() {
             assert_eq!(third[3 * q + i], rotation[9 * q + 3 * i + 2]);
         }
     }
+    // Fewer frames leave none of the export before, and a file of the user's own stays whatever its name.
+    fs::write(desk.path("vtk/motion-0042.vtp"), "mine").unwrap();
+    let (code, _, talk) = desk.run(&[
+        "export", "run", "--to", "vtk", "--out", "vtk", "--frames", "3",
+    ]);
+    assert_eq!(code, DONE, "{talk}");
+    let mut left: Vec<String> = (fs::read_dir(desk.path("vtk")).unwrap())
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    left.sort();
+    assert_eq!(
+        left,
+        [
+            "motion-0000.vtp",
+            "motion-0001.vtp",
+            "motion-0002.vtp",
+            "motion-0042.vtp",
+            "motion.pvd"
+        ]
+    );
     let (code, _, talk) = desk.run(&["export", "run", "--to", "csv"]);
     assert_eq!(code, DONE, "{talk}");
     let table = fs::read_to_string(desk.path("run/csv/motion.csv")).unwrap();

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tempfile::TempDir;
-use tool::{DONE, HANGS, SCENE, STOPPED, UNWRITTEN, USAGE};
+use tool::{DONE, HANGS, NOT_CONVERGED, SCENE, STOPPED, UNWRITTEN, USAGE};
 
 /// A folder of its own with a scene in it, which is solved and simulated in a blink.
 struct Desk {
@@ -683,6 +683,40 @@ fn existing_results_are_skipped() {
     assert!(!sweep(&[]));
     let run = desk.run(&["check", "scene.toml", "--skip-existing"]);
     assert_eq!(run.code, Some(USAGE), "{}", run.stderr);
+}
+
+/// A solve that did not converge has the same exit code when it is skipped, with its reason; one that was stopped is computed again.
+#[test]
+fn skipped_results_keep_their_exit_codes() {
+    let desk = Desk::new();
+    let words = [
+        "solve",
+        "scene.toml",
+        "--out",
+        "sweep",
+        "--skip-existing",
+        "--quiet",
+        "--set",
+        "solver.max_iterations=1",
+    ];
+    desk.run(&words).exits(NOT_CONVERGED);
+    desk.run(&words)
+        .exits(NOT_CONVERGED)
+        .says(&["iteration-limit", "exit code 3"]);
+    let place = (fs::read_dir(desk.path("sweep")).unwrap().next().unwrap())
+        .unwrap()
+        .path()
+        .join("summary.json");
+    let text = fs::read_to_string(&place).unwrap();
+    fs::write(
+        &place,
+        text.replacen("\"iteration-limit\"", "\"interrupted\"", 1),
+    )
+    .unwrap();
+    let run = desk.run(&words);
+    assert!(!run.stderr.contains("exit code 3"), "{}", run.stderr);
+    let text = fs::read_to_string(&place).unwrap();
+    assert!(text.contains("\"iteration-limit\""), "{text}");
 }
 
 /// Without its large files a result has its numbers, and `verify` says what is missing.

@@ -12,9 +12,9 @@ use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
 use super::contact::{Contact, Touch};
-use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, Span};
+use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, PoseFunction as _, Span};
 use super::{Rod, RodError, require};
-use crate::mechanics::configuration::{Poses, Trajectory};
+use crate::mechanics::configuration::{Configuration, Poses, Trajectory};
 use crate::mechanics::element::{
     ActivePoint, ActiveTangent, Density, Element, ElementGradient, ElementPose, ElementStiffness,
     ElementStrain, IntervalStress, StrainRule, Stress,
@@ -391,6 +391,27 @@ impl RodActuators {
             }
         }
         Ok(out)
+    }
+
+    /// Checks that no cable ends where it is attached to the stress-free arm of this length, m, where its pull has no direction.
+    ///
+    /// # Errors
+    /// Returns [`RodError`] for such a cable.
+    pub(super) fn check_cables(&self, rest: &Configuration, length: f64) -> Result<(), RodError> {
+        for own in &self.functions {
+            if let OfPose::Cable(cable) = &own.function {
+                let at = own.pose(&rest.positions, &rest.rotations);
+                let way = cable.value(&at).abs();
+                let expected = "positive: its anchor is where it is attached";
+                require(
+                    "length of a cable",
+                    way,
+                    |way| way > 1e-9 * length,
+                    expected,
+                )?;
+            }
+        }
+        Ok(())
     }
 
     /// Adds the contact of this index, of a rod with these radii, on this mesh and of this length, m.

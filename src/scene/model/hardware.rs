@@ -323,9 +323,28 @@ impl Common<'_> {
     }
 }
 
+/// Distance of an actuator from the axis, in lengths of the arm, above which it is probably a mistake.
+const FAR_ASIDE: f64 = 0.25;
+
 impl Scene {
+    /// Describes the actuators whose lines are too far from the axis of the arm.
+    pub(crate) fn far_aside(&self) -> Vec<String> {
+        let length = self.rod.length_m.get();
+        self.routes()
+            .filter_map(|(key, route)| {
+                let [from, to] = [route.offset_from, route.offset_to].map(|[x, y]| x.hypot(y));
+                let far = from.max(to) / length;
+                (far > FAR_ASIDE).then(|| {
+                    format!(
+                        "{key}.offset_m: {far:.3e} lengths of the arm beside its axis are hardly meant (at most {FAR_ASIDE}); look for a unit \
+                         that was mistaken"
+                    )
+                })
+            })
+            .collect()
+    }
+
     /// The keys of the actuators in the arm, and the lines along which they lie.
-    #[cfg(feature = "cli")]
     pub(crate) fn routes(&self) -> impl Iterator<Item = (String, Route)> {
         (self.hardware().into_iter()).map(|own| {
             let EffortKeys { section, index, .. } = own.effort;

@@ -1,18 +1,18 @@
 //! Values of a scene that can be computed with but are probably mistakes: of a unit, or by a power of ten.
 
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 use nalgebra::Vector3;
 
-use crate::mechanics::{Rod, Route};
+use crate::mechanics::Rod;
 use crate::scene::{Load, Scene};
 
 /// Turns of a rod under a moment above which the moment is probably a mistake.
 const MANY_TURNS: f64 = 20.0;
 /// Stretch of a rod under a force above which rod models are not valid.
 const LARGE_STRAIN: f64 = 0.3;
-/// Distance of an actuator from the axis, in lengths of the arm, above which it is probably a mistake.
-const FAR_ASIDE: f64 = 0.25;
+/// Distance of an actuator from the axis, in radii, above which the arm is a backbone with disks.
+const ON_DISKS: f64 = 3.0;
 
 /// A value, the range of real values, and the names of the range's ends.
 struct Figure {
@@ -96,21 +96,49 @@ pub(super) fn hardly_meant(scene: &Scene, rod: &Rod) -> Vec<String> {
         .collect();
     let loads = (scene.load.iter().enumerate()).filter_map(|(index, load)| heavy(index, load, rod));
     out.extend(loads);
-    let routes = scene.routes();
-    out.extend(routes.filter_map(|(key, route)| far_aside(&key, &route, length)));
+    out.extend(scene.far_aside());
+    out.extend(beside_section(scene));
     out
 }
 
-/// Describes an actuator that is too far from the axis of an arm of this length, m.
-fn far_aside(key: &str, route: &Route, length: f64) -> Option<String> {
-    let [from, to] = [route.offset_from, route.offset_to].map(|[x, y]| x.hypot(y));
-    let far = from.max(to) / length;
-    (far > FAR_ASIDE).then(|| {
-        format!(
-            "{key}.offset_m: {far:.3e} lengths of the arm beside its axis are hardly meant (at most {FAR_ASIDE}); look for a unit that was \
-             mistaken"
-        )
-    })
+/// Describes actuators beside the section, where it is not so small that disks carry them, and chambers larger than it.
+fn beside_section(scene: &Scene) -> Vec<String> {
+    let radii = scene.radii();
+    let Some(thickest) = radii.iter().map(|(_, radius)| *radius).reduce(f64::max) else {
+        return Vec::new();
+    };
+    // Radius at a fraction of the length; segments have two rows where they meet, of which the larger counts.
+    let at = |s: f64| {
+        let mut found = 0.0f64;
+        for pair in radii.windows(2) {
+            let [(a, ra), (b, rb)] = [pair[0], pair[1]];
+            if (a..=b).contains(&s) {
+                let part = if b > a { (s - a) / (b - a) } else { 0.0 };
+                found = found.max(ra + part * (rb - ra));
+            }
+        }
+        if found > 0.0 { found } else { thickest }
+    };
+    let mut out = Vec::new();
+    for (key, route) in scene.routes() {
+        let ends = [(route.from, route.offset_from), (route.to, route.offset_to)];
+        let beyond = ends.map(|(s, [x, y])| x.hypot(y) / at(s));
+        let most = beyond[0].max(beyond[1]);
+        if most > 1.0 && most <= ON_DISKS {
+            out.push(format!(
+                "{key}.offset_m: lies outside of the section, at {most:.2} of its radius: right for disks on a backbone, and hardly for a cast arm"
+            ));
+        }
+    }
+    for (index, chamber) in scene.chamber.iter().enumerate() {
+        let (area, section) = (chamber.area_m2.get(), PI * thickest * thickest);
+        if area > section {
+            out.push(format!(
+                "chamber.{index}.area_m2: {area:.3e} m2 is more than the section of the arm has, {section:.3e} m2; look for a unit that was mistaken"
+            ));
+        }
+    }
+    out
 }
 
 /// Describes the effect of a load on the arm if it exceeds the plausible range.
