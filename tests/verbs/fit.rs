@@ -848,14 +848,13 @@ fn what_the_model_does_not_explain_is_said() {
 #[test]
 fn a_start_may_be_far_too_soft() {
     let key = "rod.material.youngs_modulus_pa";
-    for factor in [10.0, 30.0, 0.1, 1.0 / 30.0] {
-        let truth = 8e5;
-        let desk = noisy_desk(3, 0, &[]);
-        let set = format!("{key}={}", truth / factor);
+    for (start, truth) in [(8e5, 8e6), (8e5, 2.4e7), (8e6, 8e5), (2.4e7, 8e5)] {
+        let desk = noisy_desk(3, 0, &[&format!("{key}={truth}")]);
+        let set = format!("{key}={start}");
         let (code, summary, talk) = desk.run(&[&FIT[..], &[key, "--set", &set]].concat());
-        assert_eq!(code, DONE, "{factor}: {talk}");
+        assert_eq!(code, DONE, "{truth}: {talk}");
         let [found, error] = ["value", "standard_error"].map(|key| value(&summary, 0, key));
-        assert!((found - truth).abs() < 4.0 * error, "{factor}: {found}");
+        assert!((found - truth).abs() < 4.0 * error, "{truth}: {found}");
     }
 }
 
