@@ -115,7 +115,32 @@ pub(super) fn run(arguments: &FitArguments, global: &Global, console: &Console) 
     })
 }
 
+/// Returns the sentence that the model does not explain the data, with the place where it fails most.
+fn unexplained(summary: &FitSummary) -> Option<String> {
+    let own = &summary.explanation;
+    if own.explained {
+        return None;
+    }
+    let worst = own.worst.as_ref().map_or_else(String::new, |worst| {
+        format!(
+            "; it fails most in {}, marker {}, t = {} s: {} standard deviations of the noise in the root of the mean square",
+            worst.case,
+            worst.marker,
+            digits(worst.t_s),
+            digits(worst.off_sigmas)
+        )
+    });
+    Some(format!(
+        "the model does not explain these data: p = {:.1e} by size and {:.1e} by correlation of the residuals{worst}; the estimates may be \
+         off by far more than their standard errors",
+        own.p_size, own.p_correlation
+    ))
+}
+
 fn conclude(summary: &FitSummary, console: &Console) {
+    if let Some(words) = unexplained(summary) {
+        console.warn(&words);
+    }
     for own in &summary.parameters {
         let error = own.standard_error.map_or_else(
             || "the data cannot tell it alone".into(),
@@ -181,13 +206,18 @@ fn conclude(summary: &FitSummary, console: &Console) {
         let turned = (case.rms_rad).map_or_else(String::new, |angle| {
             format!(", turned by {}", quantity(angle, "rad"))
         });
+        let gaps = match case.gaps {
+            0 => String::new(),
+            1 => ", 1 gap".into(),
+            n => format!(", {n} gaps"),
+        };
         let outliers = match case.outliers {
             0 => String::new(),
             1 => ", 1 outlier".into(),
             n => format!(", {n} outliers"),
         };
         console.say(&format!(
-            "  {:36} {:>9}   {without:>9}{turned}{outliers}",
+            "  {:36} {:>9}   {without:>9}{turned}{outliers}{gaps}",
             case.name,
             known(case.rms_m, "m")
         ));

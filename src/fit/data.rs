@@ -141,6 +141,8 @@ pub struct Case {
     pub is_static: bool,
     /// Tells whether it is compared only.
     pub held_out: bool,
+    /// Number of times at which a position or orientation of a marker is missing in a table.
+    pub gaps: usize,
     /// Poses of markers that were seen, in the order of time.
     pub sights: Vec<Sight>,
 }
@@ -235,11 +237,13 @@ pub fn read(path: &Path) -> Result<(Data, Vec<Case>), String> {
             set: shape.set.clone(),
             is_static: true,
             held_out: shape.held_out,
+            gaps: 0,
             sights,
         });
     }
     for recording in &data.recording {
         let table = path.parent().unwrap_or(Path::new("")).join(&recording.csv);
+        let (sights, gaps) = rows(&table, data.sigma_m, &marker_of)?;
         cases.push(Case {
             name: recording
                 .name
@@ -248,7 +252,8 @@ pub fn read(path: &Path) -> Result<(Data, Vec<Case>), String> {
             set: recording.set.clone(),
             is_static: false,
             held_out: recording.held_out,
-            sights: rows(&table, &marker_of)?,
+            gaps,
+            sights,
         });
     }
     if !cases
@@ -285,11 +290,48 @@ struct Columns {
     orientation: Option<[usize; 4]>,
 }
 
-/// Reads the table of a recording.
+/// Words of a cell that was not seen.
+const MISSING: [&str; 5] = ["", "nan", "na", "null", "none"];
+/// Largest time of a recording, s, eleven days: later ones are those of a clock.
+const LATEST: f64 = 1e6;
+/// Exact zeros are a gap where the marker is at least this many standard deviations away before or after.
+const FAR: f64 = 20.0;
+
+/// Refuses zeros that a tracker writes for a marker that it does not see: rows with a position of exactly zero beside others of the same
+/// marker that are far away.
+fn refuse_zeros(markers: &[Columns], sights: &[Sight], sigma: f64) -> Result<(), (f64, String)> {
+    for own in markers {
+        let places = || {
+            (sights.iter())
+                .filter(|sight| sight.marker == own.marker)
+                .filter_map(|sight| Some((sight.time, sight.position?)))
+        };
+        let steps = || places().zip(places().skip(1));
+        let jumps = |(a, b): &(Vector3<f64>, Vector3<f64>)| {
+            (*a == Vector3::zeros()) != (*b == Vector3::zeros()) && (a - b).norm() > FAR * sigma
+        };
+        let first = steps().find(|((_, a), (_, b))| jumps(&(*a, *b)));
+        let Some(((before, a), (after, _))) = first else {
+            continue;
+        };
+        let n = places().filter(|(_, x)| *x == Vector3::zeros()).count();
+        let t = if a == Vector3::zeros() { before } else { after };
+        return Err((
+            t,
+            format!(
+                "{n} of its positions are exactly zero, and those beside them far from it: leave the cells of a gap empty"
+            ),
+        ));
+    }
+    Ok(())
+}
+
+/// Reads the table of a recording: what was seen, and the number of gaps.
 fn rows(
     path: &Path,
+    sigma: f64,
     marker_of: &dyn Fn(&str) -> Result<usize, String>,
-) -> Result<Vec<Sight>, String> {
+) -> Result<(Vec<Sight>, usize), String> {
     let text = text_of(path)?;
     let mut reader = csv::ReaderBuilder::new()
         .comment(Some(b'#'))
@@ -345,6 +387,7 @@ fn rows(
         }
     }
     let mut sights = Vec::new();
+    let mut gaps = 0;
     let mut before = f64::NEG_INFINITY;
     for record in reader.records() {
         let record = record.map_err(|error| format!("{}: {error}", path.display()))?;
@@ -365,8 +408,20 @@ fn rows(
                 format!("t_s = {t}: expected times from 0 s on that grow"),
             ));
         }
+        if t > LATEST {
+            return Err(at(
+                line,
+                format!(
+                    "t_s = {t}: times count from the start of the scene, in seconds; subtract the time of the clock at which the motion began"
+                ),
+            ));
+        }
         before = t;
-        let seen = |columns: &[usize]| columns.iter().any(|&index| record.get(index) != Some(""));
+        let is_missing = |index: usize| {
+            let cell = record.get(index).unwrap_or_default();
+            MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word))
+        };
+        let seen = |columns: &[usize]| columns.iter().any(|&index| !is_missing(index));
         for own in &markers {
             let mut sight = Sight {
                 marker: own.marker,
@@ -384,15 +439,19 @@ fn rows(
                     let head = &heads[columns[0]];
                     at(
                         line,
-                        format!("{head:?} and the next are no quaternion of length one"),
+                        format!("{head:?} and the next are no quaternion of length one; leave the cells of a gap empty"),
                     )
                 })?;
                 sight.orientation = Some(found);
             }
+            gaps += usize::from(own.position.is_some() && sight.position.is_none())
+                + usize::from(own.orientation.is_some() && sight.orientation.is_none());
             if sight.position.is_some() || sight.orientation.is_some() {
                 sights.push(sight);
             }
         }
     }
-    Ok(sights)
+    refuse_zeros(&markers, &sights, sigma)
+        .map_err(|(t, words)| format!("{}, t_s = {t}: {words}", path.display()))?;
+    Ok((sights, gaps))
 }

@@ -2,6 +2,7 @@
 //! errors, correlations, and the combinations that the data cannot tell.
 
 mod data;
+mod explained;
 mod least_squares;
 mod report;
 

@@ -6,6 +6,7 @@ use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
 
 use super::data::Case;
+use super::explained::{Explanation, explanation};
 use super::least_squares::{Minimum, weigh};
 use super::{Model, Pose};
 use crate::TOOL;
@@ -65,6 +66,9 @@ pub struct FitSummary {
     /// Angle from which an orientation is an outlier, rad.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub outliers_beyond_rad: Option<f64>,
+    /// Whether the model explains the data.
+    #[serde(flatten)]
+    pub explanation: Explanation,
     /// The fitted numbers.
     pub parameters: Vec<Parameter>,
     /// Correlations of the estimates, row by row; empty if a combination has no effect at all.
@@ -91,7 +95,7 @@ pub struct Parameter {
     pub start: f64,
     /// Estimate.
     pub value: f64,
-    /// Standard error by the scatter of the residuals; null where the data cannot tell it.
+    /// Standard error by the scatter of the residuals, and by their correlation where they have one; null where the data cannot tell it.
     pub standard_error: Option<f64>,
     /// Standard error that the noise of the measurements alone would give.
     pub standard_error_of_noise: Option<f64>,
@@ -133,6 +137,8 @@ pub struct CaseSummary {
     pub at_rest: bool,
     /// Tells whether it was compared only.
     pub held_out: bool,
+    /// Times at which a marker of a recording was not seen, by empty or `nan` cells.
+    pub gaps: usize,
     /// Places and orientations of markers, each marker counted once for a time.
     pub places: usize,
     /// Root of the mean square of the distances, m; null without a place.
@@ -193,6 +199,7 @@ pub(super) fn summary(
         .all(|own| own.standard_error.is_some())
         .then(|| normal.clone().try_inverse())
         .flatten();
+    let explanation = explanation(model, found, inverse.as_ref());
     let error = |i: usize| {
         (inverse.as_ref()).map(|inverse| inverse[(i, i)].max(0.0).sqrt() * free[i].scale)
     };
@@ -204,7 +211,7 @@ pub(super) fn summary(
                 times: own.times.clone(),
                 start: own.start,
                 value,
-                standard_error: error(i).map(|error| error * scatter),
+                standard_error: error(i).map(|error| error * scatter * explanation.widened_by),
                 standard_error_of_noise: error(i),
                 at_bound: own
                     .bounds
@@ -273,6 +280,7 @@ pub(super) fn summary(
             name: case.name.clone(),
             at_rest: case.is_static,
             held_out: case.held_out,
+            gaps: case.gaps,
             places: own.len(),
             rms_m,
             rms_rad,
@@ -315,6 +323,7 @@ pub(super) fn summary(
         sigma_rad: of_angles(model.sigma.angle),
         scatter_rad: of_angles(scatter * model.sigma.angle),
         outliers_beyond_rad: of_angles(limit_rad),
+        explanation,
         parameters,
         correlations,
         undetermined,
