@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import tempfile
+import weakref
 import zipfile
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,21 @@ from typing import Any
 import numpy as np
 
 from .errors import ResultError
+
+
+class Folder:
+    """A temporary folder, which goes with this object, at the latest at the end of the process that made it. A process forked from that
+    one leaves the folder alone.
+    """
+
+    def __init__(self) -> None:
+        self.name = tempfile.mkdtemp(prefix="softarm-")
+        weakref.finalize(self, _remove_own, self.name, os.getpid())
+
+
+def _remove_own(name: str, owner: int) -> None:
+    if os.getpid() == owner:
+        shutil.rmtree(name, ignore_errors=True)
 
 
 class Certificate:
@@ -51,7 +67,7 @@ class Result:
     def __init__(
         self,
         directory: str | os.PathLike[str],
-        holder: tempfile.TemporaryDirectory[str] | None = None,
+        holder: Folder | None = None,
         exit_code: int | None = None,
     ):
         self.directory = Path(directory)
@@ -193,10 +209,14 @@ class Result:
         parts = [f"softarm.Result of {self.command} {summary.get('scene')!r}: {self.status}"]
         if self.command == "solve":
             parts.append(self.certificate.verdict)
-            parts.append(f"objective {summary['objective']:.6g}, tip {1e3 * summary['tip_error_m']:.3g} mm off")
-        if self.command == "mpc" and summary["tip_error_m"]["rms"] is not None:
-            parts.append(f"tip {1e3 * summary['tip_error_m']['rms']:.3g} mm off (rms), {summary['overruns']} of {summary['samples']} samples late")
-        if "wall_s" in summary:
+            # A solve that was stopped early has neither.
+            objective, off = summary.get("objective"), summary.get("tip_error_m")
+            parts.append("no objective" if objective is None else f"objective {objective:.6g}")
+            if off is not None:
+                parts.append(f"tip {1e3 * off:.3g} mm off")
+        if self.command == "mpc" and (off := (summary.get("tip_error_m") or {}).get("rms")) is not None:
+            parts.append(f"tip {1e3 * off:.3g} mm off (rms), {summary['overruns']} of {summary['samples']} samples late")
+        if summary.get("wall_s") is not None:
             parts.append(f"{summary['wall_s']:.3g} s")
         return f"<{', '.join(parts)}>"
 
@@ -210,7 +230,7 @@ class Result:
 
 
 def _unpack(packed: bytes, exit_code: int | None) -> Result:
-    holder = tempfile.TemporaryDirectory(prefix="softarm-")
+    holder = Folder()
     target = Path(holder.name) / "result"
     with zipfile.ZipFile(io.BytesIO(packed)) as file:
         file.extractall(target)
@@ -229,5 +249,5 @@ def verify(directory: str | os.PathLike[str] | Result, *, quick: bool = False) -
     from .scene import _call
 
     path = directory.directory if isinstance(directory, Result) else directory
-    summary = _call(["verify", os.fspath(path), *(["--quick"] if quick else [])])[1]
+    summary = _call(["verify", *(["--quick"] if quick else []), "--", os.fspath(path)])[1]
     return Certificate({**summary["check"], "mismatches": summary["mismatches"]})

@@ -14,7 +14,7 @@ from typing import Any
 from . import _softarm
 from .control import Controller, Plant
 from .program import Program
-from .results import Result
+from .results import Folder, Result
 
 Event = Callable[[dict[str, Any]], None]
 TASK_VERBS = ("simulate", "solve", "mpc", "equilibrium", "tradeoff")
@@ -40,6 +40,15 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def _quoted(text: str) -> str:
+    """Returns a text as a basic string of TOML, which unlike JSON has no pairs of surrogates and escapes U+007F."""
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise ValueError(f"{text!r} is no text of Unicode: {error.reason}") from None
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def _literal(value: Any) -> str:
     """Returns a value as TOML on one line."""
     if isinstance(value, bool):
@@ -47,11 +56,11 @@ def _literal(value: Any) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, str):
-        return json.dumps(value)
+        return _quoted(value)
     if isinstance(value, list):
         return "[" + ", ".join(map(_literal, value)) + "]"
     if isinstance(value, dict):
-        rows = (f"{json.dumps(key)} = {_literal(item)}" for key, item in value.items() if item is not None)
+        rows = (f"{_quoted(key)} = {_literal(item)}" for key, item in value.items() if item is not None)
         return "{ " + ", ".join(rows) + " }"
     raise TypeError(f"a scene has numbers, texts, lists and dictionaries; {value!r} is a {type(value).__name__}")
 
@@ -67,7 +76,7 @@ def _toml(keys: Mapping[str, Any]) -> str:
         rows = sections if header else values
         later = []
         for key, value in table.items():
-            name = key if key.replace("_", "").isalnum() and key.isascii() else json.dumps(key)
+            name = key if key.replace("_", "").isalnum() and key.isascii() else _quoted(key)
             place = f"{path}.{name}" if path else name
             if isinstance(value, dict):
                 later.append((place, value, f"\n[{place}]"))
@@ -173,16 +182,16 @@ class Scene:
 
     def _call(self, verb: str, words: list[str], on_event: Event | None = None) -> tuple[int, dict[str, Any]]:
         for override in self._overrides:
-            words += ["--set", override]
-        return _call([verb, self._name, *words], (self._name, self._text), on_event)
+            words.append(f"--set={override}")
+        return _call([verb, *words, "--", self._name], (self._name, self._text), on_event)
 
     def _run(self, verb: str, out: str | os.PathLike[str] | None, words: list[str], on_event: Event | None) -> Result:
-        holder = None
+        holder: Folder | None = None
         if out is None:
-            holder = tempfile.TemporaryDirectory(prefix="softarm-")
+            holder = Folder()
             out = Path(holder.name) / verb
         try:
-            code, _ = self._call(verb, ["--out", os.fspath(out), *words], on_event)
+            code, _ = self._call(verb, [f"--out={os.fspath(out)}", *words], on_event)
         except KeyboardInterrupt as interrupt:
             # Ctrl-C asks the work to stop; its best result is there by now.
             if (Path(out) / "summary.json").is_file():
@@ -224,7 +233,7 @@ class Scene:
         earlier = start_from.directory if isinstance(start_from, Result) else start_from
         words = _options(starts=starts, accuracy=accuracy, threads=threads, seed=seed)
         if earlier is not None:
-            words += ["--from", os.fspath(earlier)]
+            words.append(f"--from={os.fspath(earlier)}")
         if deep:
             words.append("--deep")
         return self._run("solve", out, words, on_event)
@@ -279,16 +288,16 @@ class Scene:
         with its keys, whose tables are relative to the working directory. `result.scene` has the fitted numbers.
         """
         words = _options(threads=threads) + (["--robust"] if robust else [])
-        words += ["--free", ",".join(free)] if free else []
+        words += [f"--free={','.join(free)}"] if free else []
         if not isinstance(data, Mapping):
-            return self._run("fit", out, ["--data", os.fspath(data), *words], None)
+            return self._run("fit", out, [f"--data={os.fspath(data)}", *words], None)
         keys = _plain(data)
         for recording in keys.get("recording", []):
             recording["csv"] = os.path.abspath(recording["csv"])
         with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
             path = Path(folder) / "data.toml"
             path.write_text(_toml(keys), encoding="utf-8")
-            return self._run("fit", out, ["--data", os.fspath(path), *words], None)
+            return self._run("fit", out, [f"--data={os.fspath(path)}", *words], None)
 
     def controller(self) -> Controller:
         """Returns the controller of the closed loop, for a plant of one's own."""
@@ -327,7 +336,7 @@ def _call(
         else:
             LOG.warning("%s", line)
 
-    code = _softarm.call([*words, "--json-lines"], scene, hear)
+    code = _softarm.call([words[0], "--json-lines", *words[1:]], scene, hear)
     return code, summary
 
 
@@ -362,7 +371,7 @@ class _TaskScene(Scene):
             elif on_event is not None:
                 on_event(event)
 
-        return self._call(verb, ["--skip-existing", "--out", os.fspath(out), *self._more, *words], hear)
+        return self._call(verb, ["--skip-existing", f"--out={os.fspath(out)}", *self._more, *words], hear)
 
 
 def run(task: Mapping[str, Any], folder: str | os.PathLike[str] | None = None, *, small: bool = False) -> dict[str, Any]:
