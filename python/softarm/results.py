@@ -20,19 +20,19 @@ import numpy as np
 from .errors import ResultError
 
 
-class TemporaryFolder:
-    """A folder that lasts as long as this object, and that the process which made it removes: the copy that a forked child drops leaves the
-    files of its parent alone.
+class Folder:
+    """A temporary folder, which goes with this object, at the latest at the end of the process that made it. A process forked from that
+    one leaves the folder alone.
     """
 
     def __init__(self) -> None:
         self.name = tempfile.mkdtemp(prefix="softarm-")
-        self._end = weakref.finalize(self, _remove_own, self.name, os.getpid())
+        weakref.finalize(self, _remove_own, self.name, os.getpid())
 
 
-def _remove_own(folder: str, owner: int) -> None:
+def _remove_own(name: str, owner: int) -> None:
     if os.getpid() == owner:
-        shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(name, ignore_errors=True)
 
 
 class Certificate:
@@ -68,7 +68,7 @@ class Result:
     def __init__(
         self,
         directory: str | os.PathLike[str],
-        holder: TemporaryFolder | None = None,
+        holder: Folder | None = None,
         exit_code: int | None = None,
     ):
         self.directory = Path(directory)
@@ -223,14 +223,14 @@ class Result:
         parts = [f"softarm.Result of {self.command} {summary.get('scene')!r}: {self.status}"]
         if self.command == "solve":
             parts.append(self.certificate.verdict)
-            # A solve that was stopped has no numbers of its check, and may have none at all.
-            if summary.get("objective") is not None:
-                parts.append(f"objective {summary['objective']:.6g}")
-            if summary.get("tip_error_m") is not None:
-                parts.append(f"tip {1e3 * summary['tip_error_m']:.3g} mm off")
-        if self.command == "mpc" and summary["tip_error_m"]["rms"] is not None:
-            parts.append(f"tip {1e3 * summary['tip_error_m']['rms']:.3g} mm off (rms), {summary['overruns']} of {summary['samples']} samples late")
-        if "wall_s" in summary:
+            # A solve that was stopped early has neither.
+            objective, off = summary.get("objective"), summary.get("tip_error_m")
+            parts.append("no objective" if objective is None else f"objective {objective:.6g}")
+            if off is not None:
+                parts.append(f"tip {1e3 * off:.3g} mm off")
+        if self.command == "mpc" and (off := (summary.get("tip_error_m") or {}).get("rms")) is not None:
+            parts.append(f"tip {1e3 * off:.3g} mm off (rms), {summary['overruns']} of {summary['samples']} samples late")
+        if summary.get("wall_s") is not None:
             parts.append(f"{summary['wall_s']:.3g} s")
         return f"<{', '.join(parts)}>"
 
@@ -272,7 +272,7 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 def _unpack(packed: bytes, exit_code: int | None) -> Result:
-    holder = TemporaryFolder()
+    holder = Folder()
     target = Path(holder.name) / "result"
     with zipfile.ZipFile(io.BytesIO(packed)) as file:
         file.extractall(target)

@@ -16,7 +16,7 @@ from . import _softarm
 from .control import Controller, Plant
 from .errors import ResultError
 from .program import Program
-from .results import Result, TemporaryFolder
+from .results import Folder, Result
 
 Event = Callable[[dict[str, Any]], None]
 TASK_VERBS = ("simulate", "solve", "mpc", "equilibrium", "tradeoff")
@@ -42,9 +42,13 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _text(value: str) -> str:
-    """Returns a text as a string of TOML on one line, where control characters and U+007F are escaped and all others stand as they are."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+def _quoted(text: str) -> str:
+    """Returns a text as a basic string of TOML, which unlike JSON has no pairs of surrogates and escapes U+007F."""
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise ValueError(f"{text!r} is no text of Unicode: {error.reason}") from None
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _literal(value: Any) -> str:
@@ -54,11 +58,11 @@ def _literal(value: Any) -> str:
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, str):
-        return _text(value)
+        return _quoted(value)
     if isinstance(value, list):
         return "[" + ", ".join(map(_literal, value)) + "]"
     if isinstance(value, dict):
-        rows = (f"{_text(key)} = {_literal(item)}" for key, item in value.items() if item is not None)
+        rows = (f"{_quoted(key)} = {_literal(item)}" for key, item in value.items() if item is not None)
         return "{ " + ", ".join(rows) + " }"
     raise TypeError(f"a scene has numbers, texts, lists and dictionaries; {value!r} is a {type(value).__name__}")
 
@@ -74,7 +78,7 @@ def _toml(keys: Mapping[str, Any]) -> str:
         rows = sections if header else values
         later = []
         for key, value in table.items():
-            name = key if key.replace("_", "").isalnum() and key.isascii() else _text(key)
+            name = key if key.replace("_", "").isalnum() and key.isascii() else _quoted(key)
             place = f"{path}.{name}" if path else name
             if isinstance(value, dict):
                 later.append((place, value, f"\n[{place}]"))
@@ -180,17 +184,16 @@ class Scene:
 
     def _call(self, verb: str, words: list[str], on_event: Event | None = None) -> tuple[int, dict[str, Any]]:
         for override in self._overrides:
-            words += ["--set", override]
-        # A scene may have the name of an option.
+            words.append(f"--set={override}")
         return _call([verb, *words, "--", self._name], (self._name, self._text), on_event)
 
     def _run(self, verb: str, out: str | os.PathLike[str] | None, words: list[str], on_event: Event | None) -> Result:
-        holder = None
+        holder: Folder | None = None
         if out is None:
-            holder = TemporaryFolder()
+            holder = Folder()
             out = Path(holder.name) / verb
         try:
-            code, _ = self._call(verb, ["--out", os.fspath(out), *words], on_event)
+            code, _ = self._call(verb, [f"--out={os.fspath(out)}", *words], on_event)
         except KeyboardInterrupt as interrupt:
             # Ctrl-C asks the work to stop; its best result is there by now.
             if (Path(out) / "summary.json").is_file():
@@ -232,7 +235,7 @@ class Scene:
         earlier = start_from.directory if isinstance(start_from, Result) else start_from
         words = _options(starts=starts, accuracy=accuracy, threads=threads, seed=seed)
         if earlier is not None:
-            words += ["--from", os.fspath(earlier)]
+            words.append(f"--from={os.fspath(earlier)}")
         if deep:
             words.append("--deep")
         return self._run("solve", out, words, on_event)
@@ -290,16 +293,16 @@ class Scene:
         """
         words = _options(threads=threads) + (["--robust"] if robust else [])
         free = [free] if isinstance(free, str) else list(free)
-        words += ["--free", ",".join(free)] if free else []
+        words += [f"--free={','.join(free)}"] if free else []
         if not isinstance(data, Mapping):
-            return self._run("fit", out, ["--data", os.fspath(data), *words], None)
+            return self._run("fit", out, [f"--data={os.fspath(data)}", *words], None)
         keys = _plain(_with_columns(data))
         with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
             for index, recording in enumerate(keys.get("recording", [])):
                 recording["csv"] = _table_file(recording, index, folder)
             path = Path(folder) / "data.toml"
             path.write_text(_toml(keys), encoding="utf-8")
-            return self._run("fit", out, ["--data", os.fspath(path), *words], None)
+            return self._run("fit", out, [f"--data={os.fspath(path)}", *words], None)
 
     def controller(self) -> Controller:
         """Returns the controller of the closed loop, for a plant of one's own."""
@@ -413,7 +416,7 @@ class _TaskScene(Scene):
             elif on_event is not None:
                 on_event(event)
 
-        return self._call(verb, ["--skip-existing", "--out", os.fspath(out), *self._more, *words], hear)
+        return self._call(verb, ["--skip-existing", f"--out={os.fspath(out)}", *self._more, *words], hear)
 
 
 def run(task: Mapping[str, Any], folder: str | os.PathLike[str] | None = None, *, small: bool = False) -> dict[str, Any]:
