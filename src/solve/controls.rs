@@ -4,7 +4,9 @@ use std::path::Path;
 
 use crate::control::{Hold, NamedControl, OptimalControlProblem};
 use crate::mechanics::Wrench;
-use crate::output::{ControlRow, OutputError, read_controls, write_controls};
+#[cfg(feature = "cli")]
+use crate::output::read_controls;
+use crate::output::{ControlRow, OutputError, write_controls};
 
 /// Returns the heads of the columns of a problem's controls.
 fn headings(named: &[NamedControl]) -> Vec<String> {
@@ -57,6 +59,7 @@ pub(super) fn write_rows_of(
 ///
 /// # Errors
 /// [`OutputError`] for a file that cannot be read, or has the controls of another problem.
+#[cfg(feature = "cli")]
 pub(super) fn read_rows(
     directory: &Path,
     problem: &OptimalControlProblem,
