@@ -290,7 +290,9 @@ fn exit_code(solution: &Solution, examined: &Examined) -> u8 {
         }
         SqpStatus::Converged => exit::REJECTED,
         SqpStatus::LocallyInfeasible => exit::INFEASIBLE,
-        SqpStatus::IterationLimit | SqpStatus::StepTooSmall => exit::NOT_CONVERGED,
+        SqpStatus::IterationLimit | SqpStatus::StepTooSmall | SqpStatus::RoundingLimit { .. } => {
+            exit::NOT_CONVERGED
+        }
         SqpStatus::Stopped(_) => exit::STOPPED,
         SqpStatus::Failed(_) => exit::NUMERICAL,
     }

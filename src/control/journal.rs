@@ -109,6 +109,7 @@ impl<'a> Journal<'a> {
             SqpStatus::LocallyInfeasible => "locally infeasible".into(),
             SqpStatus::IterationLimit => "out of iterations".into(),
             SqpStatus::StepTooSmall => "no step led on".into(),
+            SqpStatus::RoundingLimit { .. } => "rounding limits the residuals".into(),
             SqpStatus::Stopped(_) => "stopped".into(),
             SqpStatus::Failed(reason) => reason.clone(),
         });

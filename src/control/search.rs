@@ -258,7 +258,11 @@ fn attempted(
             None => found,
             Some(earlier) => better_of(earlier, found),
         });
-        if matches!(status, SqpStatus::Converged | SqpStatus::Stopped(_)) {
+        // Another first guess does not round less.
+        if matches!(
+            status,
+            SqpStatus::Converged | SqpStatus::RoundingLimit { .. } | SqpStatus::Stopped(_)
+        ) {
             break;
         }
     }

@@ -334,6 +334,18 @@ pub(crate) fn status_words(
                 "no acceptable step was found; try solver.guess, more blocks, or more time".into(),
             ),
         ),
+        SqpStatus::RoundingLimit {
+            optimality,
+            feasibility,
+        } => (
+            "rounding-limit",
+            Some(format!(
+                "rounding limits the stationarity at {optimality:.1e} and the feasibility at {feasibility:.1e}, and Newton steps no longer lower \
+                 them: solver.tolerance = {:.0e} can be met",
+                // Twice for the part of the tolerance at which a solve stops, and again for the scatter of rounding.
+                4.0 * optimality.max(*feasibility)
+            )),
+        ),
         SqpStatus::Stopped(Stop::Deadline) => (
             "deadline",
             Some("solver.deadline_s is over; the best iterate is in the result directory".into()),

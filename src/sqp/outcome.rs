@@ -19,6 +19,13 @@ pub enum SqpStatus {
     IterationLimit,
     /// No acceptable step was found, or only steps without progress.
     StepTooSmall,
+    /// Newton steps no longer lower the residuals, which are above the tolerance: what is left of them is rounding.
+    RoundingLimit {
+        /// Least stationarity or complementarity that was reached.
+        optimality: f64,
+        /// Feasibility at that point.
+        feasibility: f64,
+    },
     /// A stop signal ended the solve.
     Stopped(Stop),
     /// The program cannot be evaluated at the start, or a subproblem could not be solved.

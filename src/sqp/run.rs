@@ -24,6 +24,7 @@ use super::program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
     LinearizationRequest, Softness, sum_of_largest,
 };
+use super::progress::Standstill;
 use super::quadratic_program::{LinearInequalities, QpError, QpSolution, QuadraticProgram};
 use super::settings::{
     HessianChoice, MERIT_ROUNDING, NEGLIGIBLE, ROW_TOLERANCE, SCALED_UNIT, SqpSettings,
@@ -645,6 +646,14 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         );
         self.filter = filter;
         verdict
+    }
+
+    /// Returns the reason why the last steps made no progress, if they were far below the size of the variables; none in a restoration.
+    pub(super) fn standstill(&self) -> Option<Standstill> {
+        if self.feasibility.phase.is_some() {
+            return None;
+        }
+        Standstill::of(&self.trace.history, norm(self.variables()).max(1.0))
     }
 
     /// Returns the row of the last iteration.

@@ -5,6 +5,7 @@ use std::ops::ControlFlow;
 use super::kkt::KktResidual;
 use super::outcome::{IterationRecord, SqpOutcome, SqpStatus};
 use super::program::LiftedProgram;
+use super::progress::Standstill;
 use super::run::{Run, Step, WarmStart};
 use super::settings::{DEFECT_PART, STOP_PART, SqpSettings, VIOLATION_PART};
 use crate::stop::Stop;
@@ -137,6 +138,18 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         }
         if let Some(stop) = run.stopped() {
             return Some(SqpStatus::Stopped(stop));
+        }
+        match run.standstill() {
+            Some(Standstill::Rounding) => {
+                let best = run.best_residual();
+                let limit = SqpStatus::RoundingLimit {
+                    optimality: best.optimality(),
+                    feasibility: best.feasibility,
+                };
+                return or_converged(run, limit);
+            }
+            Some(Standstill::Steps) => return or_converged(run, SqpStatus::StepTooSmall),
+            None => {}
         }
         let step = run.step(derivatives);
         if !matches!(step, Ok(Step::Taken))

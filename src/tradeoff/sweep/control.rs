@@ -368,6 +368,7 @@ fn words(status: &SqpStatus) -> String {
         SqpStatus::LocallyInfeasible => "locally infeasible".into(),
         SqpStatus::IterationLimit => "iteration limit".into(),
         SqpStatus::StepTooSmall => "step too small".into(),
+        SqpStatus::RoundingLimit { .. } => "rounding limit".into(),
         SqpStatus::Stopped(stop) => stop.to_string(),
         SqpStatus::Failed(words) => words.clone(),
     }
