@@ -109,13 +109,24 @@ class Command:
         return f"<softarm.Command {self.start:.6g} s to {self.end:.6g} s: {acts}>"
 
 
-def _finite(reading: Mapping[str, Any], place: str, faults: list[dict[str, Any]]) -> dict[str, Any]:
-    """Returns a reading without the fields that have numbers that are not finite, which JSON does not know."""
+def real(name: str, values: Any) -> Any:
+    """Returns an array as it is, unless it is complex: its imaginary part would be lost."""
+    if values is not None and np.iscomplexobj(values):
+        raise ValueError(f"{name} is complex; expected real numbers")
+    return values
+
+
+def _finite(reading: Mapping[str, Any], place: str, faults: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Returns a reading without the arrays that have numbers that are not finite, which JSON does not know; None where a single number is not,
+    without which (such as its place) the rest means nothing.
+    """
     out = {}
     for name, value in reading.items():
-        # Texts and what is not a number at all are for the controller to refuse.
-        numbers = isinstance(value, (float, list, tuple, np.ndarray, np.floating)) and not np.iscomplexobj(value)
-        if numbers and not np.isfinite(np.asarray(value, dtype=float)).all():
+        real(f"{place}.{name}", value)
+        if isinstance(value, (float, np.floating)) and not np.isfinite(value):
+            faults.append({"type": "error", "where": f"{place}.{name}", "message": f"{value} is not finite", "help": "leave the reading out"})
+            return None
+        if name != "time_s" and isinstance(value, (list, tuple, np.ndarray)) and not np.isfinite(np.asarray(value, dtype=float)).all():
             message = f"{np.asarray(value).tolist()} is not finite"
             faults.append({"type": "error", "where": f"{place}.{name}", "message": message, "help": "leave out what was not measured"})
         else:
@@ -180,14 +191,18 @@ class Controller:
         """
         if state is not None:
             positions, rotations, velocities, angular_velocities = [*state, None, None][:4]
+        given = {"positions": positions, "rotations": rotations, "velocities": velocities, "angular_velocities": angular_velocities}
+        for name, values in given.items():
+            real(name, values)
         faults: list[dict[str, Any]] = []
         more = None
         if readings is not None or reference is not None or obstacles is not None:
             fields: dict[str, Any] = {"type": "measurement"}
             if readings is not None:
-                fields["readings"] = [_finite(own, f"readings[{i}]", faults) for i, own in enumerate(readings)]
+                kept = [_finite(own, f"readings[{i}]", faults) for i, own in enumerate(readings)]
+                fields["readings"] = [own for own in kept if own is not None]
             if reference is not None:
-                rows = np.asarray(reference, dtype=float)
+                rows = np.asarray(real("reference", reference), dtype=float)
                 if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all():
                     raise ValueError(f"reference has the shape {rows.shape}; expected rows (t, x, y, z) of finite numbers, (n, 4)")
                 fields["reference_m"] = rows
@@ -298,6 +313,9 @@ class Plant:
         in; without them those of the scene act. They are constant, or go linearly to `wrenches_to` and
         `efforts_to`.
         """
+        given = {"wrenches": wrenches, "efforts": efforts, "wrenches_to": wrenches_to, "efforts_to": efforts_to}
+        for name, values in given.items():
+            real(name, values)
         self._native.step(dt, wrenches, efforts, wrenches_to, efforts_to)
         return self.state
 
@@ -343,6 +361,9 @@ class Plant:
         """Puts the arm into a state (positions, rotations and, else zero, velocities and angular velocities), at a time in s."""
         positions, rotations, *rates = state
         velocities, angular_velocities = [*rates, None, None][:2]
+        given = {"positions": positions, "rotations": rotations, "velocities": velocities, "angular_velocities": angular_velocities}
+        for name, values in given.items():
+            real(name, values)
         self._native.set_state(positions, rotations, velocities, angular_velocities, time)
 
     def copy(self) -> Plant:

@@ -1,7 +1,9 @@
 """The Python package against laws, the command line, and its own promises."""
 
 import copy
+import gc
 import json
+import os
 import pickle
 import signal
 import subprocess
@@ -499,3 +501,45 @@ def test_published_shapes_are_fitted():
     assert result.x.shape[:2] == (8, 16) and "m1 at 7.6923 N" in result._repr_html_()
     with pytest.raises(sa.ResultError, match="no number"):
         sa.Scene.load("soromox-tendons").fit(data, ["rod.material.youngs"])
+
+
+def test_texts_beyond_the_basic_plane_and_control_characters():
+    """TOML has no surrogate pairs, and escapes U+007F: names with either come back as they are."""
+    keys = sa.Scene.load("reach-tendons").to_dict()
+    for name in ("\U0001f419", "a\x7fb", 'quote " and \\', "tab\tand é"):
+        keys["tendon"][0]["name"] = name
+        assert sa.Scene(keys)["tendon.0.name"] == name
+
+
+def test_a_forked_process_leaves_the_files_of_a_result():
+    """The folder of a result goes with the process that made it, and not with a child that drops its copy."""
+    result = sa.Scene.load("swing").replace({"rod.elements": 3, "time.end_s": 0.02}).simulate()
+    if (child := os.fork()) == 0:
+        del result
+        gc.collect()
+        os._exit(0)
+    os.waitpid(child, 0)
+    assert result.x.ndim == 3
+    folder = result.directory
+    del result
+    gc.collect()
+    assert not folder.exists()
+
+
+def test_complex_numbers_are_refused():
+    """An imaginary part would be lost in silence."""
+    plant = sa.Scene.load("swing").replace({"rod.elements": 3}).plant()
+    with pytest.raises(ValueError, match="complex"):
+        plant.set_state((plant.state[0] + 0j, plant.state[1]))
+
+
+def test_a_scene_may_be_named_like_an_option():
+    """A name that begins with a dash is a name."""
+    scene = sa.Scene(sa.Scene.load("swing").to_dict(), name="--help")
+    assert scene.check()
+
+
+def test_a_stopped_solve_has_a_repr():
+    """A solve that its deadline ends before the check has no tip error, and its repr says what there is."""
+    result = sa.Scene.load("reach").replace({"rod.elements": 30, "solver.deadline_s": 0.3}).solve()
+    assert result.status in repr(result)
