@@ -2,8 +2,12 @@
 
 use nalgebra::{Rotation3, Vector3};
 use softarm::control::{Holding, OptimalControlProblem, holding};
-use softarm::mechanics::{Density, Material, Route, StrainActuator};
-use softarm::task::{Arm, Discretization, EffortControl, Task};
+use softarm::mechanics::{
+    Density, Material, NodeWrenches, Route, State, Stepper, StrainActuator, TimeGrid,
+};
+use softarm::scene::Scene;
+use softarm::solve::{SolveOptions, solve_problem};
+use softarm::task::{Arm, Discretization, EffortControl, Problem, Task};
 
 /// Elements of every arm; helical ones represent arcs exactly.
 const ELEMENTS: usize = 12;
@@ -152,3 +156,240 @@ fn a_common_tension_shortens_an_arm() {
     }
     assert!(missed.is_empty(), "{} missed: {missed:?}", missed.len());
 }
+
+fn posed(text: &str, overrides: &[&str]) -> Problem {
+    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+    let (scene, source) = Scene::from_toml("scene.toml", text, &overrides).unwrap();
+    scene.optimal_control(&source).unwrap().posed()
+}
+
+/// A hanging arm with three tendons that follow their commands with a lag. Without a lag the target is held with no tension in "b".
+const LATE_TENDONS: &str = "\
+[rod]
+length_m = 0.3
+elements = 10
+material = { youngs_modulus_pa = 3e5, poisson_ratio = 0.4, density_kg_m3 = 1070.0 }
+section = { radius_m = 0.01 }
+[base]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[damping]
+viscous_1_s = 1.0
+internal_s = 5e-3
+[initial]
+shape = \"equilibrium\"
+[time]
+end_s = 1.0
+[task]
+position_m = [0.05, 0.03, -0.28]
+tolerance_m = 2e-3
+[control]
+blocks = 16
+[[tendon]]
+name = \"a\"
+offset_m = [0.008, 0.0]
+tension_n = [0.0, 5.0]
+rate_n_s = 20.0
+lag_s = 0.05
+pretension_n = 0.3
+[[tendon]]
+name = \"b\"
+offset_m = [-0.004, 0.0069]
+tension_n = [0.0, 5.0]
+rate_n_s = 20.0
+lag_s = 0.05
+pretension_n = 0.3
+[[tendon]]
+name = \"c\"
+offset_m = [-0.004, -0.0069]
+tension_n = [0.0, 5.0]
+rate_n_s = 20.0
+lag_s = 0.05
+pretension_n = 0.3
+";
+
+/// Tensions with a lag are held inside their bounds, by no more than a hundredth of the range, and by more where the lag is longer; commands
+/// within the bounds lead to them, so that the solve converges, and obey the bounds between all time nodes, to the solver's tolerance.
+#[test]
+fn efforts_with_a_lag_are_held_inside_their_bounds() {
+    let mut slackest = Vec::new();
+    for (lag, hold) in [(0.01, "cubic"), (0.05, "cubic"), (0.05, "linear")] {
+        let lags: Vec<String> = (0..3).map(|i| format!("tendon.{i}.lag_s={lag}")).collect();
+        let hold = format!("control.hold=\"{hold}\"");
+        let overrides: Vec<&str> = (lags.iter().chain([&hold])).map(String::as_str).collect();
+        let problem = posed(LATE_TENDONS, &overrides);
+        let discrete = &problem.discrete;
+        let own = discrete.efforts.as_ref().expect("efforts");
+        let stay = discrete.stay.as_ref().expect("the arm stays");
+        let of = |place: usize| stay.wrenches[own.first + place / 6].to_array()[place % 6];
+        let held: Vec<f64> = own.places.iter().map(|place| 0.3 + of(*place)).collect();
+        let least = held.iter().copied().fold(f64::INFINITY, f64::min);
+        assert!(
+            least > 0.0 && least <= 0.05 * (1.0 + 1e-3),
+            "{lag} {hold}: {held:?}"
+        );
+        slackest.push(least);
+        let solution = solve_problem(&problem, &SolveOptions::default()).unwrap();
+        assert!(
+            solution.has_converged(),
+            "{lag} {hold}: {:?}",
+            solution.status()
+        );
+        // Commands within a block, from the values of a polynomial of third degree.
+        let (control, n) = (&discrete.control, discrete.actuators.len());
+        let fine = control.refined(8);
+        for k in 0..=fine.n_steps() {
+            for place in &own.places {
+                let effort = |j: usize| {
+                    let all = solution.coefficients[j * n + own.first + place / 6].to_array();
+                    all[place % 6]
+                };
+                let weights = fine.command_weights(k, lag);
+                let command = 0.3 + weights.iter().map(|&(j, w)| w * effort(j)).sum::<f64>();
+                assert!(
+                    (-5e-6..5.0 + 5e-6).contains(&command),
+                    "{lag} {hold}: {command} N at step {k} of 8 times as many"
+                );
+            }
+        }
+    }
+    assert!(slackest[0] < slackest[1], "{slackest:?}");
+}
+
+/// An arm whose tip a force and a moment bring to its target: two of the six controls are free.
+const FREE_TO_CHOOSE: &str = "\
+[rod]
+length_m = 0.3
+elements = 8
+material = { preset = \"dragon-skin-30\" }
+section = { radius_m = 0.012 }
+[base]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[damping]
+viscous_1_s = 0.5
+internal_s = 0.01
+[initial]
+shape = \"equilibrium\"
+[time]
+end_s = 0.8
+[task]
+position_m = [0.10, 0.05, -0.26]
+[control]
+blocks = 16
+force_max_n = 1.0
+moment_max_n_m = [0.05, 0.05, 0.0]
+";
+
+/// The wrench of least effort that holds the target puts the arm into a ball, or bends it more than a limit allows; another one is held,
+/// whose shape obeys them, with the target met all the same.
+#[test]
+fn held_shapes_obey_obstacles_and_limits() {
+    let shape = |more: &str| {
+        let problem = posed(&format!("{FREE_TO_CHOOSE}{more}"), &[]);
+        let stay = problem.discrete.stay.clone().expect("the arm stays");
+        assert!(stay.is_stable);
+        let tip = stay.shape.positions[problem.discrete.rod.tip()];
+        assert!((tip - Vector3::new(0.10, 0.05, -0.26)).norm() < 1e-6);
+        (problem, stay.shape.clone())
+    };
+    let center = Vector3::new(0.04307, -0.00827, -0.18204);
+    let clearance = |more: &str| {
+        let (_, shape) = shape(more);
+        let points = shape.positions.windows(2).flat_map(|ends| {
+            (0..=10).map(|i| ends[0] + (ends[1] - ends[0]) * (0.1 * f64::from(i)))
+        });
+        points
+            .map(|x| (x - center).norm())
+            .fold(f64::INFINITY, f64::min)
+            - 0.022
+    };
+    let ball =
+        "[[obstacle]]\nsphere = { center_m = [0.04307, -0.00827, -0.18204], radius_m = 0.010 }\n";
+    assert!(clearance("") < -1e-3 && clearance(ball) > 0.0);
+    let bend = |more: &str| {
+        let (problem, shape) = shape(more);
+        let rod = &problem.discrete.rod;
+        (0..rod.n_elements())
+            .map(|q| {
+                let turn = shape.rotations[q].tr_mul(&shape.rotations[q + 1]);
+                Rotation3::from_matrix_unchecked(turn).angle() / rod.elements[q].length
+            })
+            .fold(0.0, f64::max)
+    };
+    let limit = "[[limit]]\ncurvature_max_1_m = 6.0\n";
+    // The angle between the ends has the twist in it, which only adds to it.
+    assert!(
+        bend("") > 6.4 && bend(limit) < 6.05,
+        "{} {}",
+        bend(""),
+        bend(limit)
+    );
+}
+
+/// A target whose wrench of least effort feeds a fast motion of the arm is held by another one, under which deviations of all lengths of
+/// waves do not grow: the largest distance of any node in the last half second is below that in the first one.
+#[test]
+fn wrenches_that_feed_fast_motions_are_not_held() {
+    let problem = posed(FLUTTERING, &[]);
+    let discrete = &problem.discrete;
+    let stay = discrete.stay.as_ref().expect("the arm stays");
+    assert!(stay.is_stable);
+    let rod = &discrete.rod;
+    let mut state = State::at_rest(stay.shape.clone());
+    for (q, p) in state.linear_momentum.iter_mut().enumerate().skip(1) {
+        let side = if q % 2 == 0 { 1.0 } else { -1.0 };
+        *p += Vector3::new(0.3, side, 0.7) * (1e-3 * rod.nodes[q].mass);
+    }
+    let grid = TimeGrid {
+        n_steps: (6.0 / discrete.grid.step) as usize,
+        ..discrete.grid
+    };
+    let mut stepper = Stepper::new(rod, grid, state);
+    let nodes: Vec<usize> = discrete.actuators.iter().map(|own| own.node).collect();
+    let held = NodeWrenches::on(&nodes, &stay.wrenches);
+    let mut farthest = [0.0_f64; 2];
+    for k in 0..grid.n_steps {
+        stepper.advance([held; 2]).unwrap();
+        let t = k as f64 * grid.step;
+        let off = |q: usize| (stepper.position(q) - stay.shape.positions[q]).norm();
+        let most = (0..rod.n_nodes()).map(off).fold(0.0, f64::max);
+        if t < 0.5 {
+            farthest[0] = farthest[0].max(most);
+        } else if t > 5.5 {
+            farthest[1] = farthest[1].max(most);
+        }
+    }
+    assert!(farthest[1] < farthest[0], "{farthest:?}");
+}
+
+/// An arm of two segments, its moments those of its own body.
+const FLUTTERING: &str = "\
+[rod]
+length_m = 0.6
+elements = 20
+material = { youngs_modulus_pa = 8e5, poisson_ratio = 0.4, density_kg_m3 = 1070.0 }
+section = { radius_m = 0.02 }
+segment = [
+  { fraction = 0.45 },
+  { fraction = 0.55, section = { radius_m = 0.014 }, material = { youngs_modulus_pa = 1.4e6, poisson_ratio = 0.4, density_kg_m3 = 900.0 } },
+]
+[time]
+end_s = 1.6
+[base]
+direction = [1.0, 0.0, 0.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[damping]
+viscous_1_s = 0.5
+[initial]
+shape = \"equilibrium\"
+[control]
+force_max_n = 3.0
+moment_max_n_m = 0.5
+blocks = 14
+[task]
+position_m = [0.42238, 0.24102, -0.2972]
+";
