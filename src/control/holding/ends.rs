@@ -50,17 +50,20 @@ pub(super) fn ends(problem: &OptimalControlProblem, component: &Component) -> Op
 }
 
 /// Returns the distance from a bound at which an effort with a lag is held, from that of the first value and the range of the bounds: the
-/// distance that is left if the actuator begins to move toward the bound halfway, from anywhere in the range, but little beside the range,
-/// unless the first value itself leaves more.
+/// distance that is left if the actuator begins to move toward the bound halfway, from anywhere in the range, but little beside the range;
+/// and no less than what is left of the distance of the first value if it moves toward the bound from the start on.
 fn room(problem: &OptimalControlProblem, channel: &Channel, first: f64, range: f64) -> f64 {
     let gaps = problem.control.rate_gaps();
     let halfway = gaps.len() / 2;
     let is_cubic = problem.control.hold == Hold::Cubic;
-    let left: f64 = (gaps[halfway..].iter())
-        .map(|gap| ratio(channel.lag / gap, is_cubic))
-        .product();
-    let of_range = (left * range).clamp(NEAREST_TO_A_BOUND * range, FARTHEST_FROM_A_BOUND * range);
-    let of_first = left * first.max(0.0);
+    let left_after = |gaps: &[f64]| -> f64 {
+        (gaps.iter())
+            .map(|gap| ratio(channel.lag / gap, is_cubic))
+            .product()
+    };
+    let of_range = (left_after(&gaps[halfway..]) * range)
+        .clamp(NEAREST_TO_A_BOUND * range, FARTHEST_FROM_A_BOUND * range);
+    let of_first = left_after(&gaps) * first.max(0.0);
     if of_range.is_finite() {
         of_range.max(of_first)
     } else {
