@@ -1,8 +1,10 @@
 //! NumPy archives of 64-bit numbers, written and read one number at a time, so that an array need not fit in memory.
 
+use std::cell::RefCell;
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
+use std::rc::Rc;
 
 use npyz::npz::file_name_from_array_name;
 use npyz::{NpyFile, Order, WriteOptions, WriterBuilder};
@@ -17,47 +19,53 @@ pub(super) type Archive = ZipArchive<BufReader<File>>;
 /// An archive that is being written.
 pub(super) type ArchiveWriter = ZipWriter<Latched>;
 
-/// A file that keeps its first error, and drops what is written afterwards: the archive around it would report an error on stderr by itself
-/// when it is dropped.
+/// A file that keeps its first error in a place of its own, and drops what is written afterwards: the archive around it would report an error
+/// on stderr by itself when it is dropped.
 pub(super) struct Latched {
     file: BufWriter<File>,
-    error: Option<io::Error>,
+    position: u64,
+    error: Rc<RefCell<Option<io::Error>>>,
 }
 
 impl Latched {
-    fn keep<T>(&mut self, done: io::Result<T>, otherwise: T) -> io::Result<T> {
-        done.or_else(|error| {
-            self.error.get_or_insert(error);
-            Ok(otherwise)
-        })
+    /// Does something with the file, unless there was an error, and keeps an error.
+    fn attempt(&mut self, work: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) {
+        if self.error.borrow().is_none()
+            && let Err(error) = work(&mut self.file)
+        {
+            *self.error.borrow_mut() = Some(error);
+        }
     }
 }
 
 impl Write for Latched {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.error.is_some() {
-            return Ok(bytes.len());
-        }
-        let done = self.file.write(bytes);
-        self.keep(done, bytes.len())
+        self.attempt(|file| file.write_all(bytes));
+        self.position += bytes.len() as u64;
+        Ok(bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        if self.error.is_some() {
-            return Ok(());
-        }
-        let done = self.file.flush();
-        self.keep(done, ())
+        self.attempt(Write::flush);
+        Ok(())
     }
 }
 
 impl Seek for Latched {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        if self.error.is_some() {
-            return Ok(0);
+        let position = match to {
+            SeekFrom::Start(position) => Some(position),
+            SeekFrom::Current(change) => self.position.checked_add_signed(change),
+            SeekFrom::End(_) => None,
+        };
+        let Some(position) = position else {
+            return Err(io::Error::from(io::ErrorKind::Unsupported));
+        };
+        if position != self.position {
+            self.attempt(|file| file.seek(SeekFrom::Start(position)).map(|_| ()));
         }
-        let done = self.file.seek(to);
-        self.keep(done, 0)
+        self.position = position;
+        Ok(position)
     }
 }
 
@@ -101,16 +109,19 @@ pub(super) fn write(
     fill: impl FnOnce(&mut ArchiveWriter) -> io::Result<()>,
 ) -> Result<(), OutputError> {
     let attempt = || {
+        let error = Rc::new(RefCell::new(None));
         let mut archive = ZipWriter::new(Latched {
             file: BufWriter::new(File::create(path)?),
-            error: None,
+            position: 0,
+            error: Rc::clone(&error),
         });
         let filled = fill(&mut archive);
-        let finished = archive.finish().map_err(io::Error::from);
-        filled?;
-        let mut file = finished?;
-        file.flush()?;
-        file.error.map_or(Ok(()), Err)
+        let finished =
+            (archive.finish().map_err(io::Error::from)).and_then(|mut file| file.flush());
+        match error.take() {
+            Some(error) => Err(error),
+            None => filled.and(finished),
+        }
     };
     attempt().map_err(OutputError::unwritten(path, "cannot write"))
 }

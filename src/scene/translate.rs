@@ -51,6 +51,7 @@ impl Simulation {
 
     /// Returns the simulation with steps shorter by a divisor, whose rows are at the same times.
     #[must_use]
+    #[cfg(feature = "cli")]
     pub(crate) fn with_steps_divided(mut self, by: usize) -> Self {
         self.grid.step /= by as f64;
         self.grid.n_steps *= by;
