@@ -207,7 +207,8 @@ fn a_page_begins_with_what_happened() {
         "{lead}"
     );
     assert!(
-        lead.contains("; certified; 4 elements; computed in "),
+        lead.contains("; certified, and on finer grids it ends ")
+            && lead.contains(" from its target; 4 elements; computed in "),
         "{lead}"
     );
     assert!(

@@ -2,7 +2,7 @@
 //!
 //! An actuator on poses has, like one on [strains](super::strain_actuator), an effort `u` and a coordinate `y`, here a sum of functions
 //! `y(x, R)` of the poses of single nodes, and the potential `-u y`. A potential `V(x, R)` without an effort is such a function too; that of a
-//! [contact](super::contact) couples two nodes. Position, force and field are in the spatial frame; a rotation moves by `R exp(ζ̂)`, `ζ` in the body frame.
+//! contact (`rod/contact.rs`) couples two nodes. Position, force and field are in the spatial frame; a rotation moves by `R exp(ζ̂)`, `ζ` in the body frame.
 //!
 //! These forces act at the time nodes, like gravity and loads, under both time schemes. The step remains variational: with constant
 //! efforts the energy less `Σ u y` stays bounded. Of the motion of a node with the mass matrix `M` such a potential of the stiffness `K`
