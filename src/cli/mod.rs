@@ -69,7 +69,7 @@ const EXIT_CODES: &str = "Examples:
 
 Exit codes: 0 done (solve, verify: certified) · 2 bad command line or scene · 3 not converged · \
 4 locally infeasible · 5 numerical failure · 6 stopped by a deadline, Ctrl-C, SIGTERM or SIGHUP · 7 solved, but the check \
-rejects it (derivatives: one is wrong) · 8 the result, or standard output, could not be written · 130 ended at once by a second Ctrl-C or SIGTERM";
+rejects it (derivatives: one is wrong) · 8 the result, or standard output, could not be written · 70 a fault of softarm · 130 ended at once by a second Ctrl-C or SIGTERM";
 
 /// Options of every verb.
 #[derive(Clone, Debug, Args)]
