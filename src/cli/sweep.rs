@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use super::console::Console;
 use super::error::CliError;
 use super::{Command, Global, Outcome, SceneAndOut, exit};
+use crate::output::summary::SCHEMA_VERSION;
 use crate::output::{OutputError, ResultKind};
 use crate::scene::Scene;
 
@@ -99,7 +100,8 @@ pub(super) fn run(
 fn key(command: &Command, global: &Global, scene: &Scene) -> String {
     let mut hasher = DefaultHasher::new();
     (format!("{command:?}"), global.seed, global.small).hash(&mut hasher);
-    (scene.to_toml(), env!("CARGO_PKG_VERSION")).hash(&mut hasher);
+    let layout = (env!("CARGO_PKG_VERSION"), SCHEMA_VERSION);
+    (scene.to_toml(), layout).hash(&mut hasher);
     format!("{:016x}", hasher.finish())
 }
 
