@@ -1,10 +1,8 @@
 //! NumPy archives of 64-bit numbers, written and read one number at a time, so that an array need not fit in memory.
 
-use std::cell::RefCell;
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
-use std::rc::Rc;
 
 use npyz::npz::file_name_from_array_name;
 use npyz::{NpyFile, Order, WriteOptions, WriterBuilder};
@@ -17,57 +15,7 @@ use super::{OutputError, reading};
 /// An archive that is being read.
 pub(super) type Archive = ZipArchive<BufReader<File>>;
 /// An archive that is being written.
-pub(super) type ArchiveWriter = ZipWriter<Latched>;
-
-/// A file that keeps its first error in a place of its own, and drops what is written afterwards: the archive around it would report an error
-/// on stderr by itself when it is dropped.
-pub(super) struct Latched {
-    file: BufWriter<File>,
-    position: u64,
-    error: Rc<RefCell<Option<io::Error>>>,
-}
-
-impl Latched {
-    /// Does something with the file, unless there was an error, and keeps an error.
-    fn attempt(&mut self, work: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) {
-        if self.error.borrow().is_none()
-            && let Err(error) = work(&mut self.file)
-        {
-            *self.error.borrow_mut() = Some(error);
-        }
-    }
-}
-
-impl Write for Latched {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.attempt(|file| file.write_all(bytes));
-        self.position += bytes.len() as u64;
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.attempt(Write::flush);
-        Ok(())
-    }
-}
-
-impl Seek for Latched {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        let position = match to {
-            SeekFrom::Start(position) => Some(position),
-            SeekFrom::Current(change) => self.position.checked_add_signed(change),
-            SeekFrom::End(_) => None,
-        };
-        let Some(position) = position else {
-            return Err(io::Error::from(io::ErrorKind::Unsupported));
-        };
-        if position != self.position {
-            self.attempt(|file| file.seek(SeekFrom::Start(position)).map(|_| ()));
-        }
-        self.position = position;
-        Ok(position)
-    }
-}
+pub(super) type ArchiveWriter = ZipWriter<BufWriter<File>>;
 
 /// Opens an archive of any size.
 pub(super) fn open(path: &Path) -> Result<Archive, OutputError> {
@@ -109,19 +57,9 @@ pub(super) fn write(
     fill: impl FnOnce(&mut ArchiveWriter) -> io::Result<()>,
 ) -> Result<(), OutputError> {
     let attempt = || {
-        let error = Rc::new(RefCell::new(None));
-        let mut archive = ZipWriter::new(Latched {
-            file: BufWriter::new(File::create(path)?),
-            position: 0,
-            error: Rc::clone(&error),
-        });
-        let filled = fill(&mut archive);
-        let finished =
-            (archive.finish().map_err(io::Error::from)).and_then(|mut file| file.flush());
-        match error.take() {
-            Some(error) => Err(error),
-            None => filled.and(finished),
-        }
+        let mut archive = ZipWriter::new(BufWriter::new(File::create(path)?));
+        fill(&mut archive)?;
+        archive.finish()?.flush()
     };
     attempt().map_err(OutputError::unwritten(path, "cannot write"))
 }
