@@ -21,6 +21,7 @@ mod sweep;
 mod tradeoff;
 mod verify;
 
+use std::any::Any;
 use std::ffi::OsString;
 use std::panic::{self, AssertUnwindSafe};
 use std::path::PathBuf;
@@ -308,12 +309,15 @@ impl Cli {
 /// Returns what `verb` returns, or a panic in it, on this thread or on one that it waits for, as a fault of the program.
 fn unless_at_fault(verb: impl FnOnce() -> Outcome) -> Outcome {
     // The values that the verb may have left half changed are not used afterwards.
-    panic::catch_unwind(AssertUnwindSafe(verb)).unwrap_or_else(|panic| {
-        let words = (panic.downcast_ref::<String>().map(String::as_str))
-            .or_else(|| panic.downcast_ref::<&str>().copied())
-            .unwrap_or("a panic without words");
-        Err(CliError::Fault(words.into()))
-    })
+    panic::catch_unwind(AssertUnwindSafe(verb))
+        .unwrap_or_else(|panic| Err(CliError::Fault(panic_words(&*panic).into())))
+}
+
+/// Returns the words of a panic.
+pub(crate) fn panic_words(panic: &(dyn Any + Send)) -> &str {
+    (panic.downcast_ref::<String>().map(String::as_str))
+        .or_else(|| panic.downcast_ref::<&str>().copied())
+        .unwrap_or("a panic without words")
 }
 
 /// Runs a verb.

@@ -1,4 +1,4 @@
-//! Whether the model explains the data: size and correlation of the residuals, and what correlated ones mean for standard errors.
+//! Tests of a model by the size and the correlation of its residuals, and the effect of correlated ones on standard errors.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;

@@ -66,7 +66,7 @@ pub struct FitSummary {
     /// Angle from which an orientation is an outlier, rad.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub outliers_beyond_rad: Option<f64>,
-    /// Whether the model explains the data.
+    /// Tests of the model by its residuals.
     #[serde(flatten)]
     pub explanation: Explanation,
     /// The fitted numbers.

@@ -115,9 +115,7 @@ fn beside<T: Send + 'static>(
     match py.detach(|| worker.join()) {
         Ok(made) => Ok((made, raised)),
         Err(panic) => {
-            let words = (panic.downcast_ref::<String>().map(String::as_str))
-                .or_else(|| panic.downcast_ref::<&str>().copied())
-                .unwrap_or("a panic without words");
+            let words = crate::cli::panic_words(&*panic);
             let words = format!("{words}; this is a fault of softarm, please report it");
             Err(raise(py, "InternalError", words))
         }

@@ -21,7 +21,7 @@ pub struct HeldGrowth {
     /// Rate at which small deviations grow as `exp(s t)` on the grid of the solution, 1/s; 0 if none grows.
     #[serde(rename = "own_1_s")]
     pub own: f64,
-    /// The same on a grid of twice the elements; absent where no equilibrium was found on it.
+    /// Rate of growth on a grid of twice the elements, 1/s; absent where no equilibrium was found on it.
     #[serde(rename = "refined_1_s")]
     pub refined: Option<f64>,
     /// Frequency of the growing motion, Hz; 0 for an arm that topples or buckles, or where nothing grows.

@@ -42,7 +42,7 @@ pub(crate) enum End {
     Failed(StepError),
 }
 
-/// What ends the steps of a run.
+/// The end of the steps of a run.
 enum Stepped {
     /// The run is over.
     To(End),

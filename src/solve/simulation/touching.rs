@@ -10,7 +10,7 @@ use crate::mechanics::{Deepest, Rod, StepError};
 
 /// Longest step as a fraction of the one that contacts [allow](Rod::contact_step_at) where the scene leaves the step open, before it is shortened.
 const LONGEST: f64 = 0.6;
-/// The same after it is shortened, so that a somewhat deeper impact does not shorten it again.
+/// Shortened step as a fraction of the one that contacts allow, so that a somewhat deeper impact does not shorten it again.
 const SHORTENED: f64 = 0.4;
 /// Largest energy that contacts may give, as a fraction of what they have taken up.
 const GIVEN: f64 = 0.25;
