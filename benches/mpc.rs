@@ -289,11 +289,12 @@ fn known(seconds: f64) -> Result<(), MpcError> {
     println!("## The circle, on arms that are not the model: the true state at once\n");
     println!(
         "Distance of the tip from its reference after the first turn, in % of the length, over {seconds} s: root mean square / largest. One tuning \
-         serves all rows. The law at the tip has the best of {} pairs of gains on the first arm: {} times the stiffness of the tip, a damping ratio of \
-         {}. Open loop and controller count effort from zero along the path (the default), and from what holds the tip there.\n",
-        TipGains::TRIED.0.len() * TipGains::TRIED.1.len(),
+         serves all rows. The law at the tip has the best of {} sets of gains on the first arm: {} times the stiffness of the tip, a damping ratio of \
+         {}, {} integrals a period. Open loop and controller count effort from zero along the path (the default), and from what holds the tip there.\n",
+        TipGains::TRIALS,
         gains.stiffness,
-        gains.damping
+        gains.damping,
+        gains.integral
     );
     let pd = with_law(known.clone(), Law::Tip(gains));
     table(
@@ -325,8 +326,8 @@ fn sensed(seconds: f64) -> Result<(), MpcError> {
     println!(
         "As before, over {seconds} s, with poses at three places with 0.2 mm and 0.2 degrees of noise and no velocities, 200 Hz, 5 ms old, and commands \
          one period late, which all laws predict over but where it is said: by a Kalman filter with all unknowns, by one of the state alone, and \
-         counted from what holds the tip. The law at the tip has the best gains in these conditions: {} and {}.\n",
-        gains.stiffness, gains.damping
+         counted from what holds the tip. The law at the tip has the best gains in these conditions: {}, {} and {}.\n",
+        gains.stiffness, gains.damping, gains.integral
     );
     let pd = with_law(sensed.clone(), Law::Tip(gains));
     let mut late = sensed.clone();

@@ -102,6 +102,11 @@ class Command:
         """With an estimator: how far the last measurement was from what it expected, and how many signals of it were refused."""
         return self.answer["innovation"]
 
+    @property
+    def advice(self) -> list[str]:
+        """Sentences on what is wrong over the last second: an estimate in doubt, and limits that no command keeps; empty if nothing is."""
+        return self.answer.get("advice", [])
+
     def __repr__(self) -> str:
         acts = ", ".join(f"{name} {to:.4g}" for name, (_, to) in self.efforts.items())
         if self.answer["wrenches"]:
@@ -179,13 +184,14 @@ class Controller:
         angular_velocities: npt.ArrayLike | None = None,
         readings: Sequence[Mapping[str, Any]] | None = None,
         reference: npt.ArrayLike | None = None,
+        reference_wxyz: npt.ArrayLike | None = None,
         obstacles: Sequence[Mapping[str, Any]] | None = None,
     ) -> Command:
         """Answers a measurement at `time` (s; the next sample's if it is left out), and prepares the next sample.
 
         A measurement is a `state` on the nodes of the model (positions, rotations and, else unknown, velocities and angular velocities), poses of
-        them, or `readings` of sensors. `reference` has rows (t, x, y, z) of another path for the tip; fields of readings and obstacles are
-        those of `docs/serving.md`. A faulty measurement raises nothing, and numbers that are not finite are one: what cannot be used is left
+        them, or `readings` of sensors. `reference` has rows (t, x, y, z) of another path for the tip, and `reference_wxyz` rows (t, w, x, y, z) of
+        other orientations; fields of readings and obstacles are those of `docs/serving.md`. A faulty measurement raises nothing, and numbers that are not finite are one: what cannot be used is left
         out or, if nothing is left, answered by a fallback, and `command.refused` says what was wrong. An array of another shape is a
         `ValueError`.
         """
@@ -196,16 +202,20 @@ class Controller:
             real(name, values)
         faults: list[dict[str, Any]] = []
         more = None
-        if readings is not None or reference is not None or obstacles is not None:
+        references = [("reference", "reference_m", reference, "(t, x, y, z)"), ("reference_wxyz", "reference_wxyz", reference_wxyz, "(t, w, x, y, z)")]
+        if any(given is not None for given in (readings, reference, reference_wxyz, obstacles)):
             fields: dict[str, Any] = {"type": "measurement"}
             if readings is not None:
                 kept = [_finite(own, f"readings[{i}]", faults) for i, own in enumerate(readings)]
                 fields["readings"] = [own for own in kept if own is not None]
-            if reference is not None:
-                rows = np.asarray(real("reference", reference), dtype=float)
-                if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all():
-                    raise ValueError(f"reference has the shape {rows.shape}; expected rows (t, x, y, z) of finite numbers, (n, 4)")
-                fields["reference_m"] = rows
+            for name, field, values, columns in references:
+                if values is None:
+                    continue
+                n = len(columns.split(","))
+                rows = np.asarray(real(name, values), dtype=float)
+                if rows.ndim != 2 or rows.shape[1] != n or not np.isfinite(rows).all():
+                    raise ValueError(f"{name} has the shape {rows.shape}; expected rows {columns} of finite numbers, (n, {n})")
+                fields[field] = rows
             if obstacles is not None:
                 fields["obstacles"] = [dict(own) for own in obstacles]
             more = json.dumps(fields, default=lambda own: own.tolist())

@@ -282,6 +282,16 @@ def test_a_faulty_measurement_is_answered():
         controller.step(reference=[[0.0, 0.0, 1.0]])
 
 
+def test_references_turn_and_advice_is_told():
+    scene = sa.Scene.load("mpc-reach")
+    controller, plant = scene.controller(), scene.plant()
+    command = controller.step(plant.state_on(controller), reference_wxyz=[[0.0, 1.0, 0.0, 0.0, 0.0]])
+    assert not [own for own in command.refused if own["where"].startswith("reference_wxyz")]
+    assert command.advice == []
+    with pytest.raises(ValueError, match="rows"):
+        controller.step(plant.state_on(controller), reference_wxyz=[[0.0, 1.0]])
+
+
 def test_measurements_that_cannot_be_are_left_out():
     """NaN and millimeters in the place of meters: a loop goes on with what is left, and says what it left out."""
     scene = sa.Scene.load("mpc-track-circle").replace({"estimator.kind": "none", "estimator.disturbances": []})

@@ -22,8 +22,8 @@ use crate::solve::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun};
 pub(super) struct MpcArguments {
     #[command(flatten)]
     pub(super) scene: SceneAndOut,
-    /// Also run the plan without feedback and with a regulator about it, a spring and a damper at the tip with the best of 24 pairs of gains, the
-    /// controller on an arm that is its model, and on an arm that waits for it; print one table
+    /// Also run the plan without feedback and with a regulator about it, a spring, a damper and an integral at the tip with the best of 33 sets
+    /// of gains, the controller on an arm that is its model, and on an arm that waits for it; print one table
     #[arg(long)]
     baselines: bool,
     /// Drive a plant in another process: lines of JSON on standard input and output (docs/serving.md); writes no files
@@ -78,10 +78,11 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
         LoopEvent::Ended => progress.bar.finish_and_clear(),
         LoopEvent::Baseline(contender) => console.say(&format!("running {}", label(contender))),
         LoopEvent::Tuned(gains) => console.say(&format!(
-            "  the best of {} pairs of gains: {} times the stiffness of the tip, a damping ratio of {}",
-            TipGains::TRIED.0.len() * TipGains::TRIED.1.len(),
+            "  the best of {} sets of gains: {} times the stiffness of the tip, a damping ratio of {}, {} integrals a period",
+            TipGains::TRIALS,
             gains.stiffness,
-            gains.damping
+            gains.damping,
+            gains.integral
         )),
     });
     let LoopRun {
@@ -232,7 +233,7 @@ fn label(contender: Contender) -> &'static str {
     match contender {
         Contender::OpenLoop => "open loop",
         Contender::Regulator => "regulator",
-        Contender::TipPd => "PD at the tip",
+        Contender::TipPd => "PID at the tip",
         Contender::PlantIsModel => "MPC, plant = model",
         Contender::PlantWaits => "MPC, plant waits",
         _ => "MPC",
@@ -249,6 +250,9 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
             1e3 * p.max
         ));
     };
+    for peak in summary.limits.iter().filter(|peak| peak.violated) {
+        console.say(&format!("VIOLATED: {}", peak.words()));
+    }
     console.say(&format!(
         "{} samples, {} overruns of {} ms, {:.1} times real time; a sample takes (p50, p95, p99, longest)",
         summary.samples,

@@ -105,6 +105,9 @@ pub struct PathMultiplier {
     pub multiplier: f64,
 }
 
+/// Fraction of the length with which the penetration of a plane by a line without thickness is compared.
+const FLAT_REFERENCE: f64 = 0.05;
+
 /// Least of the arm's radii, m; 0 for a line without thickness.
 #[must_use]
 pub fn thinnest(radii: &[f64]) -> f64 {
@@ -358,6 +361,25 @@ impl PathLimit {
             | Self::Speed { largest, .. }
             | Self::Tilt { largest, .. } => Some(*largest),
             Self::Clearance { .. } | Self::Stretch { .. } | Self::Term(_) => None,
+        }
+    }
+
+    /// Returns the size to which an excess over the limit is compared, in the unit of the limit: for an obstacle its least radius, the arm's
+    /// and the margin together, or for a flat one the arm's radius, at least 0.05 L; for stretches and terms of one's own 1; and otherwise
+    /// the limit itself. `radii` are those of the arm at its nodes, m.
+    #[must_use]
+    pub fn reference(&self, rod: &Rod, radii: &[f64]) -> f64 {
+        match self {
+            Self::Clearance { shape, margin, .. } => {
+                let thickness = thinnest(radii);
+                let radius = shape.least_radius() + thickness + margin;
+                if radius.is_finite() && radius > 0.0 {
+                    radius
+                } else {
+                    thickness.max(FLAT_REFERENCE * rod.scales.length)
+                }
+            }
+            other => other.size().unwrap_or(1.0),
         }
     }
 

@@ -72,6 +72,9 @@ pub(crate) const SLOWEST_GROWTH: f64 = 1e-4;
 /// `ω²`, relative to that of the arm at rest, above which an equilibrium is certainly stable: shapes that may turn about the base's axis
 /// have 0 up to an error of discretization.
 pub(crate) const POSITIVE: f64 = 1e-6;
+/// Imaginary part of an `s`, relative to its size, above which a motion swings: two equal real `s` are off by about the square root of the
+/// rounding of the matrix, in either direction, which is 1e-5 of the largest one at most.
+const LEAST_SWING: f64 = 1e-4;
 /// Unsymmetric part of the stiffness, relative to its largest entry, above which loads have no potential.
 const ASYMMETRIC: f64 = 1e-9;
 
@@ -442,9 +445,10 @@ impl Tangent {
                 .copied()
                 .max_by(|a, b| a.re.total_cmp(&b.re))
                 .filter(|fastest| fastest.re > SLOWEST_GROWTH * unit.sqrt());
+            // Of two equal decays without a swing, rounding makes a pair that swings very slowly.
             lowest = (motions.iter())
+                .filter(|motion| motion.im > LEAST_SWING * motion.norm())
                 .map(|motion| motion.im)
-                .filter(|omega| *omega > 0.0)
                 .min_by(f64::total_cmp);
         }
         let is_stable = growth.is_none() && (is_definite || !has_potential);

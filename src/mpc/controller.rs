@@ -52,6 +52,8 @@ pub struct SampleRecord {
     pub subproblem: SubproblemEnd,
     /// Largest violation of a limit in the plan, to first order and in the scale of the limit; 0 for none.
     pub violation: f64,
+    /// Tells whether the plan violates a limit although a violation has the highest price: the limit cannot be kept.
+    pub breaks_limit: bool,
 }
 
 /// A model-predictive controller on the full rod.
@@ -335,6 +337,7 @@ impl Controller {
                     converged: true,
                 },
                 violation: 0.0,
+                breaks_limit: false,
             },
             settings: *settings,
             horizon,
@@ -433,6 +436,13 @@ impl Controller {
     /// Returns the actuators in the arm whose efforts are controls, with the channels of these.
     pub(super) fn driven(&self) -> impl Iterator<Item = (&Drive, &Channel)> {
         self.horizon.problem.driven()
+    }
+
+    /// Returns the names of the obstacles and limits that the last plan violates although a violation has the highest price: bounds, or the
+    /// time that is left, do not let the controller keep them.
+    pub fn broken_limits(&self) -> impl Iterator<Item = &str> {
+        let path = &self.horizon.problem.path;
+        (self.horizon.broken_limits()).map(|limit| &path[limit].name[..])
     }
 
     /// Returns the state in which the task begins.
@@ -769,6 +779,9 @@ impl Controller {
         self.record.change = largest;
         self.record.subproblem = end;
         self.record.violation = self.subproblem.soft.largest(&self.change).max(0.0);
+        let soft = &self.subproblem.soft;
+        (self.horizon).reprice(soft, &self.change, end.iterations > 0);
+        self.record.breaks_limit = self.horizon.broken_limits().next().is_some();
         Ok(())
     }
 

@@ -144,12 +144,13 @@ pub(super) struct Horizon {
 }
 
 impl Horizon {
-    /// Creates the horizon. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated limit.
+    /// Creates the horizon. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated limit, `None` if it
+    /// follows the multipliers.
     pub fn new(
         mut problem: OptimalControlProblem,
         mut knots: Knots,
         weight: f64,
-        price: f64,
+        price: Option<f64>,
     ) -> Result<Self, MpcError> {
         let has_tolerance = |goal: &Goal| matches!(goal.enforcement, Enforcement::Within { .. });
         if problem.goals.iter().any(has_tolerance) {
@@ -335,6 +336,16 @@ impl Horizon {
         own.clear();
         own.extend_from_slice(rotations);
         self.evaluate_anew();
+    }
+
+    /// Lets the prices of limits follow a plan, see [`Rows::reprice`].
+    pub fn reprice(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) {
+        self.rows.reprice(soft, x, bounded);
+    }
+
+    /// Indices of the limits that the last plan violates although a violation has the highest price.
+    pub fn broken_limits(&self) -> impl Iterator<Item = usize> {
+        (0..self.problem.path.len()).filter(|limit| self.rows.prices.is_broken(*limit))
     }
 
     /// Names of the obstacles.

@@ -84,6 +84,7 @@ pub use estimator::{
     BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,
     KalmanFilter, KalmanSettings, ObserverSettings, Predictor, RandomWalk, Regridded,
 };
+pub use limits::KEPT;
 pub use plant::{Plant, RodPlant};
 pub use sensor::{Sensor, SensorPreset, SensorSettings};
 pub use serving::{

@@ -6,7 +6,7 @@
 
 use faer::Mat;
 
-use super::limits::{LimitRow, Maxima, limit_rows};
+use super::limits::{LimitRow, Maxima, Prices, limit_rows};
 use super::soft_rows::SoftRows;
 use crate::control::path::RodView;
 use crate::control::residual::{Residual, ResidualKind, States, cost_residuals, goal_residuals};
@@ -43,6 +43,7 @@ pub(super) struct Rows {
     limit_forms: Vec<RowForms>,
     limit_values: Vec<f64>,
     maxima: Maxima,
+    pub prices: Prices,
     /// Forms; their time nodes are on the present grid from `first.form` on.
     forms: Vec<StateForm>,
     form_nodes: Vec<usize>,
@@ -88,16 +89,18 @@ fn residuals(problem: &OptimalControlProblem, weight: f64) -> Vec<Residual> {
 }
 
 impl Rows {
-    /// Creates the rows. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated hard limit.
+    /// Creates the rows. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated hard limit, `None` if
+    /// it follows the multipliers.
     pub fn new(
         problem: &OptimalControlProblem,
         states: &States,
         weight: f64,
-        price: f64,
+        price: Option<f64>,
         n_states: usize,
     ) -> Self {
         let residuals = residuals(problem, weight);
-        let limits = limit_rows(problem, price);
+        let prices = Prices::new(problem, price);
+        let limits = limit_rows(problem, &prices);
         let mut starts = Vec::with_capacity(residuals.len());
         // Time nodes of the forms of every row, the limits' last.
         let mut nodes: Vec<[Option<usize>; 2]> = Vec::new();
@@ -133,6 +136,7 @@ impl Rows {
             values: vec![0.0; n_rows],
             limit_values: vec![LimitRow::NOWHERE; limits.len()],
             maxima: Maxima::default(),
+            prices,
             form_nodes: forms.iter().map(|form| form.time_node).collect(),
             passed: 0,
             first: First::default(),
@@ -322,7 +326,7 @@ impl Rows {
         let present = self.first.limit..self.limits.len();
         soft.prices.clear();
         soft.prices
-            .extend(self.limits[present.clone()].iter().map(|row| row.prices));
+            .extend((self.limits[present.clone()].iter()).map(|row| self.prices.of(row)));
         soft.values.clear();
         soft.values.resize(soft.prices.len(), LimitRow::NOWHERE);
         for (at, index) in present.enumerate() {
@@ -333,6 +337,17 @@ impl Rows {
                 *slope = self.slope(forms, |form| sweep.along_column(form, j));
             }
         }
+    }
+
+    /// Lets the prices of limits follow the plan at `x`, the solution of a subproblem with these rows; `bounded` tells whether a set or a row
+    /// bounds it.
+    pub fn reprice(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) {
+        self.prices.begin();
+        for (at, row) in self.limits[self.first.limit..].iter().enumerate() {
+            let share = if bounded { soft.share(at) } else { 0.0 };
+            self.prices.see(row.limit, soft.value(at, x), share);
+        }
+        self.prices.end();
     }
 
     /// Writes the values of the present limits for a start that deviates.

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::error::{MpcError, state_fits};
+use super::estimator::comparison::model_error;
 use super::estimator::{Disturbance, Kind, Reader};
 use super::signal::{EARLY, Measurement, Reading, Signal};
 use crate::mechanics::rotation::exp;
@@ -175,6 +176,29 @@ impl SensorSettings {
                 None,
             ],
         ]
+    }
+
+    /// Returns the names, as in scenes, of the quantities that the sensor measures more exactly than a model with its elements can, each with
+    /// its standard deviation and with that of the model's error; a Kalman filter takes the latter for it.
+    pub(crate) fn sharper_than(&self, model: &Rod) -> Vec<(&'static str, f64, f64)> {
+        let measured = [
+            ("position_sigma_m", Kind::Position, self.position),
+            ("rotation_sigma_rad", Kind::Rotation, self.rotation),
+            ("velocity_sigma_m_s", Kind::Velocity, self.velocity),
+            (
+                "angular_velocity_sigma_rad_s",
+                Kind::AngularVelocity,
+                self.angular_velocity,
+            ),
+            ("curvature_sigma_1_m", Kind::Curvature, self.curvature),
+        ];
+        (measured.into_iter())
+            .filter_map(|(name, kind, sigma)| {
+                let own = model_error(kind, model, f64::INFINITY);
+                let sigma = sigma.filter(|sigma| *sigma < own)?;
+                Some((name, sigma, own))
+            })
+            .collect()
     }
 
     fn check(&self) -> Result<(), MpcError> {

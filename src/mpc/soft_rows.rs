@@ -69,6 +69,17 @@ impl SoftRows {
             .fold(f64::NEG_INFINITY, f64::max)
     }
 
+    /// Returns the value of a row at `x`.
+    pub fn value(&self, row: usize, x: &[f64]) -> f64 {
+        self.values[row] + self.times(row, x)
+    }
+
+    /// Returns the multiplier of a row in the last solve, divided by the price that a violation of nothing has: 1 where the row gives way.
+    /// It is zero if no set and no row bound the solution.
+    pub fn share(&self, row: usize) -> f64 {
+        self.y[row][0] / self.prices[row][0]
+    }
+
     fn times(&self, row: usize, x: &[f64]) -> f64 {
         let slopes = self.slopes.col_as_slice(row);
         slopes.iter().zip(x).map(|(j, x)| j * x).sum()

@@ -139,6 +139,8 @@ pub struct MpcSummary {
     pub innovations: Option<Innovations>,
     /// Number of samples with active bounds.
     pub bounded: usize,
+    /// Samples whose plan violates an obstacle or a limit that no command within the bounds keeps.
+    pub breaking: usize,
     /// Nearest approaches to obstacles and limits, at the ends of samples.
     pub limits: Vec<LimitPeak>,
     /// Ranges of the efforts that acted in the actuators in the arm, at the ends of samples; absent without them.
@@ -176,12 +178,28 @@ pub struct LimitPeak {
     pub name: String,
     /// Excess over the limit, in its unit; negative within the limit.
     pub excess: f64,
+    /// Excess up to which the limit counts as kept: a hundredth of the radius of obstacle and arm, or of the limit; infinite for a soft one.
+    #[serde(skip)]
+    pub allowed: f64,
+    /// Tells whether the limit was violated by more than a hundredth of the radius of obstacle and arm, or of the limit; never for a soft one.
+    pub violated: bool,
     /// `m`, `1/m`, or nothing.
     pub unit: &'static str,
     /// Time, s.
     pub at_s: f64,
     /// Node of the plant, or first node of the element.
     pub node: usize,
+}
+
+impl LimitPeak {
+    /// Says by how much the limit was exceeded, when and where.
+    #[must_use]
+    pub fn words(&self) -> String {
+        format!(
+            "{} exceeded by {:.3e} {} at node {}, t = {:.3} s",
+            self.name, self.excess, self.unit, self.node, self.at_s
+        )
+    }
 }
 
 /// Result of another law on the same arm.

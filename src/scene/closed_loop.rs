@@ -10,7 +10,7 @@ use super::model::{
 };
 use super::section::profile;
 use super::source::SceneSource;
-use super::values::{Instant, Number, Positive, known};
+use super::values::{Instant, Number, Positive, digits, known};
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
@@ -163,7 +163,7 @@ impl Scene {
             jump: mpc.jump.get(),
             effort: mpc.effort_from,
             target_weight: mpc.target_weight.get(),
-            limit_price: mpc.limit_price.get(),
+            limit_price: mpc.limit_price.map(Number::get),
             iterations: mpc.iterations,
             deadline: mpc.deadline_s.map(Number::get),
             ..MpcSettings::receding(horizon)
@@ -249,6 +249,8 @@ impl Scene {
             estimator.disturbances = Some(estimator.unknowns(self.tip_kind()));
         }
 
+        let mut warnings = self.concerns(due, duration);
+        warnings.extend(self.sharp_sensors(&sensors, &model));
         // The controller's problem and the one here have the same weights.
         for (track, discrete) in
             (task.cost.tracks.iter_mut()).zip(&posed.discrete.objective.tracking)
@@ -277,7 +279,7 @@ impl Scene {
             followed: Transfer::new(&found.rod, &model).nearest()[followed(&posed.discrete)],
             plant: found.rod,
             resolved,
-            warnings: self.concerns(due, duration),
+            warnings,
             model,
             initial: found.initial,
         })
@@ -372,6 +374,28 @@ impl Scene {
             ));
         }
         out
+    }
+
+    /// Returns a sentence for every sensor that is more exact than the model of a Kalman filter.
+    fn sharp_sensors(&self, sensors: &[SensorSettings], model: &Rod) -> Vec<String> {
+        if self.estimator.as_ref().map(|estimator| estimator.kind) != Some(EstimatorKind::Kalman) {
+            return Vec::new();
+        }
+        let of = |(index, sensor): (usize, &SensorSettings)| {
+            let sharper = sensor.sharper_than(model);
+            let own = |(name, sigma, error): &(&str, f64, f64)| {
+                format!("{name} = {} below {}", digits(*sigma), digits(*error))
+            };
+            (!sharper.is_empty()).then(|| {
+                format!(
+                    "sensor.{index} is more exact than a model of {} elements ({}): the filter takes it as exact as the model; more rod.elements use \
+                     more of it",
+                    model.n_elements(),
+                    sharper.iter().map(own).collect::<Vec<_>>().join(", ")
+                )
+            })
+        };
+        sensors.iter().enumerate().filter_map(of).collect()
     }
 
     /// Returns the plant: the arm that the controller acts on, with its discretization.

@@ -10,7 +10,7 @@ use super::model::{
 };
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
-use super::values::{Number, known};
+use super::values::{Number, digits, known};
 use crate::control::{Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search};
 use crate::mechanics::rotation::{exp, from_quaternion};
 use crate::mechanics::rows;
@@ -178,6 +178,7 @@ impl Scene {
         source: &SceneSource,
         stop: &StopSignal,
     ) -> Result<Simulation, SceneError> {
+        self.check_step(source)?;
         let arm = self.arm(source)?;
         let refused = |error| self.discretize_error(source, error);
         let motion = arm
@@ -483,9 +484,27 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] when `[control]` is missing, or both `[task]` and `[[objective.track]]`.
     pub fn posed_task(&self, source: &SceneSource) -> Result<Task, SceneError> {
+        self.check_step(source)?;
         let end = self.time.end_s.get();
         let end = (self.task.as_ref()).map_or(end, |task| task.instant(end));
         self.posed_task_until(source, end)
+    }
+
+    /// Refuses a step that is longer than the motion. A loop may have steps longer than `time.end_s`, because its horizon is longer, and an
+    /// equilibrium has none.
+    fn check_step(&self, source: &SceneSource) -> Result<(), SceneError> {
+        let end = self.time.end_s.get();
+        match self.time.step_s {
+            TimeStep::Seconds(step) if end > 0.0 && step > end => {
+                let message = format!(
+                    "a step of {} s is longer than time.end_s, {} s",
+                    digits(step),
+                    digits(end)
+                );
+                Err(source.error_at("time.step_s", message, None))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Returns the task that the scene describes, with paths that go on until `end`, s.

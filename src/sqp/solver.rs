@@ -139,7 +139,10 @@ impl<'a, P: LiftedProgram> Solver<'a, P> {
         if let Some(stop) = run.stopped() {
             return Some(SqpStatus::Stopped(stop));
         }
+        // A point that violates its constraints by more than the tolerance is not one that rounding keeps from being a solution.
+        let is_feasible = run.best_residual().feasibility <= settings.tolerance;
         match run.standstill() {
+            Some(Standstill::Rounding) if !is_feasible => {}
             Some(Standstill::Rounding) => {
                 let best = run.best_residual();
                 let limit = SqpStatus::RoundingLimit {

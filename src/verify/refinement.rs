@@ -9,7 +9,6 @@ use super::standing::{Fastest, Held, HeldGrowth, reach_at_rest};
 use super::stay::{StayReplay, follow};
 use super::worse::worse;
 use super::{CheckError, ReplayKind, Solution, Variant, refined_grid, refined_signal};
-use crate::control::path::thinnest;
 use crate::control::{OptimalControlProblem, PathEnforcement, PathLimit};
 use crate::mechanics::stability::{bent_step, stable_step};
 use crate::mechanics::{
@@ -373,21 +372,10 @@ impl<'a> Watch<'a> {
                 .map(|q| if q == last { tip } else { radius(q) })
                 .collect()
         };
-        let thickness = thinnest(&radii);
         let mut limits = Vec::new();
         let mut worst = Vec::new();
         for constraint in &problem.path {
-            let reference = match &constraint.limit {
-                PathLimit::Clearance { shape, margin, .. } => {
-                    let radius = shape.least_radius() + thickness + margin;
-                    if radius.is_finite() && radius > 0.0 {
-                        radius
-                    } else {
-                        thickness.max(FLAT_REFERENCE * rod.scales.length)
-                    }
-                }
-                other => other.size().unwrap_or(1.0),
-            };
+            let reference = constraint.limit.reference(rod, &radii);
             let nodes = &constraint.time_nodes;
             let (Some(first), Some(last)) = (nodes.first(), nodes.last()) else {
                 continue;
@@ -461,9 +449,6 @@ impl<'a> Watch<'a> {
         self.before = here;
     }
 }
-
-/// Fraction of the length with which the penetration of a plane by a line without thickness is compared.
-const FLAT_REFERENCE: f64 = 0.05;
 
 /// Extremes of the strains over a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -725,7 +725,8 @@ fn constraints_that_bend_more_than_the_cost() {
         };
         let [first_order, auto, exact] =
             choices.map(|choice| go(&bowl, &[0.0; 5], &settings(choice)));
-        assert_eq!(first_order.status, SqpStatus::IterationLimit, "{bend}");
+        let gives_up = [SqpStatus::IterationLimit, SqpStatus::StepTooSmall];
+        assert!(gives_up.contains(&first_order.status), "{bend}");
         assert_eq!(auto.status, SqpStatus::Converged, "{bend}");
         let [auto, exact] = [auto, exact].map(|outcome| outcome.history.len());
         assert!(

@@ -283,7 +283,7 @@ impl Driver {
             }
             (None, Law::Mpc) => self.controlled(acts_from),
             (None, Law::Regulator) => self.regulated(acts_from),
-            (None, Law::Tip(_)) => match &self.tip_law {
+            (None, Law::Tip(_)) => match &mut self.tip_law {
                 Some(law) => {
                     law.command(&mut self.controller, &self.state, acts_from);
                     Ok(())

@@ -305,6 +305,20 @@ pub enum Contender {
     PlantWaits,
 }
 
+impl Experiment {
+    /// Returns the names, as in scenes, of the quantities that a Kalman filter could estimate and does not; empty without one.
+    #[must_use]
+    pub fn missing_unknowns(&self) -> Vec<&'static str> {
+        match &self.sensing {
+            Sensing::Estimated {
+                estimator: EstimatorChoice::Kalman(unknowns),
+                ..
+            } => unknowns.missing(),
+            _ => Vec::new(),
+        }
+    }
+}
+
 impl Contender {
     /// All contenders.
     pub const ALL: [Self; 6] = [

@@ -1,9 +1,12 @@
 //! Control laws for comparison with the controller.
 
+use std::f64::consts::TAU;
+
 use nalgebra::Vector3;
 
+use crate::control::Bound;
 use crate::mechanics::{State, Wrench};
-use crate::mpc::beam::{modal_mass, weakest_stiffness};
+use crate::mpc::beam::{frequencies, modal_mass, weakest_stiffness};
 use crate::mpc::controller::{Aim, Controller};
 use crate::mpc::error::MpcError;
 use crate::mpc::holding::{Along, Holding};
@@ -21,7 +24,7 @@ pub enum Law {
     /// measurement changes).
     Regulator,
     /// A force at the tip, or at the node that follows: the force that holds the model at the reference, plus a spring and a damper towards
-    /// the reference.
+    /// the reference, and the integral of what is left (a PID law).
     Tip(TipGains),
 }
 
@@ -32,6 +35,9 @@ pub struct TipGains {
     pub stiffness: f64,
     /// Damping ratio of the arm's first mode with spring and damper.
     pub damping: f64,
+    /// How many times the integral of a constant error repeats the spring's force within the first natural period `T₁`: `T₁/Tᵢ` with the
+    /// integral time `Tᵢ`; 0 for none.
+    pub integral: f64,
 }
 
 impl Default for TipGains {
@@ -39,6 +45,7 @@ impl Default for TipGains {
         Self {
             stiffness: 1.0,
             damping: 0.5,
+            integral: 0.0,
         }
     }
 }
@@ -46,11 +53,15 @@ impl Default for TipGains {
 impl TipGains {
     /// Values of [`stiffness`](Self::stiffness) and [`damping`](Self::damping), all pairs of which
     /// [`Experiment::tuned_tip_gains`](super::Experiment::tuned_tip_gains) tries, in ratios of two to three; they bound the work.
-    pub const TRIED: ([f64; 6], [f64; 4]) =
+    pub(super) const TRIED: ([f64; 6], [f64; 4]) =
         ([1.0, 3.0, 10.0, 30.0, 60.0, 100.0], [0.25, 0.5, 1.0, 2.0]);
-    /// Cap on the duration of the trial of a pair after the time from which errors count, in natural periods of a cantilever: the second
-    /// period shows whether the swing of the first one grows.
-    pub(super) const PERIODS: f64 = 2.0;
+    /// Values of [`integral`](Self::integral) that are tried with the best pairs.
+    pub(super) const INTEGRALS: [f64; 3] = [0.3, 1.0, 3.0];
+    /// Number of pairs with which integrals are tried.
+    pub(super) const BEST: usize = 3;
+    /// Number of trials.
+    pub const TRIALS: usize =
+        Self::TRIED.0.len() * Self::TRIED.1.len() + Self::BEST * Self::INTEGRALS.len();
 }
 
 /// A law that acts on the node that follows.
@@ -59,6 +70,10 @@ pub(super) struct TipLaw {
     holding: Holding,
     stiffness: f64,
     damping: f64,
+    /// Factor on the integral of the distance, N/(m s); below it, the force of the integral, N.
+    integral: f64,
+    integrated: Vector3<f64>,
+    bound: Option<Bound>,
 }
 
 impl TipLaw {
@@ -69,13 +84,13 @@ impl TipLaw {
                 "a spring and a damper need a reference: give the task a track or a target",
             ));
         }
-        let acts = (controller.actuators().iter())
-            .any(|actuator| actuator.node == controller.followed() && actuator.force.acts());
-        if !acts {
+        let own = (controller.actuators().iter())
+            .find(|actuator| actuator.node == controller.followed() && actuator.force.acts());
+        let Some(bound) = own.map(|actuator| actuator.force.bound) else {
             return Err(MpcError::Unsupported(
                 "a spring and a damper need a force on the node that follows the reference: no actuator has one",
             ));
-        }
+        };
         let own = weakest_stiffness(rod);
         let Some(holding) = controller.holding(Along::All) else {
             return Err(MpcError::Unsupported(
@@ -86,12 +101,16 @@ impl TipLaw {
         Ok(Self {
             holding,
             stiffness,
+            integral: gains.integral * stiffness * frequencies(rod)[0] / TAU,
+            integrated: Vector3::zeros(),
+            bound,
             damping: 2.0 * gains.damping * ((own + stiffness) * modal_mass(rod)).sqrt(),
         })
     }
 
-    /// Lets the controller issue the command from `start` on, constant over a period as far as rates allow.
-    pub(super) fn command(&self, controller: &mut Controller, state: &State, start: f64) {
+    /// Lets the controller issue the command from `start` on, constant over a period as far as rates allow. The integral waits while the
+    /// force exceeds its bound, so that it does not wind up.
+    pub(super) fn command(&mut self, controller: &mut Controller, state: &State, start: f64) {
         let (rod, node) = (controller.rod(), controller.followed());
         let reference = |t: f64| Vector3::from(controller.reference(t).unwrap_or_default());
         let h = controller.settings().period;
@@ -99,7 +118,21 @@ impl TipLaw {
         let velocity = state.linear_momentum[node] / rod.nodes[node].mass;
         let holding = self.holding.wrench(start, 1.0);
         let off = reference(start) - state.configuration.positions[node];
-        let force = holding.force + self.stiffness * off + self.damping * (wanted - velocity);
+        let force = holding.force
+            + self.stiffness * off
+            + self.damping * (wanted - velocity)
+            + self.integrated;
+        let saturates = match self.bound {
+            None => false,
+            Some(Bound::Norm(most)) => force.norm() > most,
+            Some(Bound::PerAxis(most)) => (0..3).any(|i| force[i].abs() > most[i]),
+            Some(Bound::Between { lower, upper }) => {
+                (0..3).any(|i| force[i] < lower[i] || force[i] > upper[i])
+            }
+        };
+        if !saturates {
+            self.integrated += self.integral * h * off;
+        }
         controller.steer(start, Aim::Follow(Wrench { force, ..holding }));
     }
 }

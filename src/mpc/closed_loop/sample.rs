@@ -32,6 +32,9 @@ pub struct Sample {
     pub iterations: usize,
     /// End of the subproblem.
     pub subproblem: SubproblemEnd,
+    /// Tells whether the plan violates an obstacle or a limit that no command within the bounds keeps,
+    /// see [`Controller::broken_limits`](crate::mpc::Controller::broken_limits).
+    pub breaks_limit: bool,
     /// First wrench of the command at the time at which it begins to act: force (spatial frame, N) and moment (body frame, N m).
     pub wrench: Wrench,
     /// Seconds of estimation.
@@ -70,6 +73,7 @@ impl Sample {
                 iterations: 0,
                 converged: true,
             },
+            breaks_limit: false,
             wrench: Wrench::default(),
             estimate_s: 0.0,
             predict_s: 0.0,
@@ -88,6 +92,7 @@ impl Sample {
         self.predicted_cost = record.predicted_cost;
         self.iterations = record.iterations;
         self.subproblem = record.subproblem;
+        self.breaks_limit = record.breaks_limit && self.fallback.is_none();
     }
 
     /// Returns the distance of the tip from its reference at the beginning of the sample, m; NaN without a reference.
@@ -196,6 +201,8 @@ pub struct Tally {
     pub real_time_factor: f64,
     /// Number of samples whose subproblem had active bounds.
     pub bounded: usize,
+    /// Number of samples whose plan violates an obstacle or a limit that no command within the bounds keeps.
+    pub breaking: usize,
     /// Number of fallbacks by cause.
     pub fallbacks: BTreeMap<String, usize>,
     /// Innovations; `None` without an estimator that predicts its measurements.
@@ -246,6 +253,37 @@ impl Innovations {
     }
 }
 
+impl Innovations {
+    /// Says that the estimate is in doubt and what may cause it, where innovations are larger than expected. `missing` are the names of the
+    /// unknowns that the filter does not look for, `n_elements` the number of its elements.
+    #[must_use]
+    pub fn doubt(&self, missing: &[&str], n_elements: usize) -> Option<String> {
+        let cause = if missing.is_empty() {
+            format!(
+                "something is wrong that no unknown describes, such as waves that {n_elements} elements do not have (rod.elements), a step of the \
+                 command from rest (a bound on its rate takes it away), or a sensor that is noisier than [[sensor]] says"
+            )
+        } else {
+            format!(
+                "something is wrong that is not among estimator.disturbances, which lacks {}, or a sensor is noisier than [[sensor]] says{}",
+                missing.join(", "),
+                if missing.contains(&"delay") {
+                    "; commands that act late, by a lag of tendons as well, look like that, and \"delay\" finds them"
+                } else {
+                    ""
+                }
+            )
+        };
+        self.is_off.then(|| {
+            format!(
+                "the estimate is in doubt: the squares of what is measured otherwise than expected are {:.2} times as large as the filter expects \
+                 (consistent: at most {:.2}); {cause}",
+                self.per_number, self.at_most
+            )
+        })
+    }
+}
+
 impl Tally {
     /// Computes the statistics of a run with this period, s.
     #[must_use]
@@ -268,6 +306,9 @@ impl Tally {
             real_time_factor: samples.len() as f64 * period / computed,
             bounded: (samples.iter())
                 .filter(|sample| sample.subproblem.iterations > 0)
+                .count(),
+            breaking: (samples.iter())
+                .filter(|sample| sample.breaks_limit)
                 .count(),
             fallbacks,
             innovations: Innovations::of(samples),

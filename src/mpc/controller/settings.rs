@@ -41,11 +41,10 @@ pub struct MpcSettings {
     pub effort: EffortFrom,
     /// Weight of the squared scaled residuals of targets, halved: targets are soft.
     pub target_weight: f64,
-    /// Price `w` of the penalty `w (σ + ½ σ²)` per second on the violation `σ` of a limit, in the limit's scale. Limits are soft: the
-    /// controller may violate them if the cost saved exceeds the price, so that no plan fails because of them. A price far above the
-    /// multipliers of the limits (the weight of a track times the distance, divided by the length, by which a limit holds the track's node
-    /// back) makes commands jump for tiny violations.
-    pub limit_price: f64,
+    /// Price `w` of the penalty `w (σ + ½ σ²)` per second on the violation `σ` of a limit, in the limit's scale, so that no plan fails
+    /// because of a limit. `None`: the price follows the multipliers of the limit, and the limit holds wherever controls within their bounds
+    /// can keep it. With a number, the controller violates a limit if the cost saved exceeds the price.
+    pub limit_price: Option<f64>,
     /// Gauss-Newton iterations per sample, at least 1; fewer if the plan no longer changes.
     pub iterations: usize,
     /// Time after which [feedback](super::Controller::feedback) should have its command: no further iteration begins that would end later
@@ -74,7 +73,7 @@ impl MpcSettings {
             jump: 100.0,
             effort: EffortFrom::Auto,
             target_weight: 1e4,
-            limit_price: 5e3,
+            limit_price: None,
             iterations: 1,
             deadline: None,
             subproblem_iterations: 40,
@@ -100,7 +99,7 @@ impl MpcSettings {
         positive("block", self.block)?;
         positive("deadline", self.deadline.unwrap_or(1.0))?;
         positive("target_weight", self.target_weight)?;
-        positive("limit_price", self.limit_price)?;
+        positive("limit_price", self.limit_price.unwrap_or(1.0))?;
         positive("subproblem_tolerance", self.subproblem_tolerance)?;
         let others = [
             ("start", self.start),

@@ -54,7 +54,6 @@ impl Controller {
                 if self.horizon.roll_out(&self.plan).is_ok() {
                     let found = self.cost();
                     if found <= cost + COST_ROUNDING * cost.abs() {
-                        cost = found;
                         break;
                     }
                 }
@@ -69,6 +68,8 @@ impl Controller {
             }
             self.horizon.linearize()?;
             self.condense()?;
+            // Prices of limits may have changed.
+            cost = self.cost();
             if part * self.record.change < Self::SETTLED {
                 break;
             }

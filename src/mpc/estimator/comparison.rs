@@ -34,6 +34,8 @@ pub(super) struct Comparison {
     pub rows: Rows,
     /// Place and size of the innovation of the position nearest to the tip.
     nearest: Option<(f64, f64)>,
+    /// Time between two measurements, s.
+    pub interval: f64,
 }
 
 impl Comparison {
@@ -42,6 +44,7 @@ impl Comparison {
             reader: Reader::new(model),
             rows: Rows::default(),
             nearest: None,
+            interval: f64::INFINITY,
         }
     }
 
@@ -101,7 +104,7 @@ impl Comparison {
             self.rows.signals.push(Row {
                 end: self.rows.terms.len(),
                 residual,
-                sigma: believable(signal.sigma, kind, scale(kind, rod)),
+                sigma: believable(signal.sigma, kind, rod, self.interval),
             });
             if kind == Kind::Position && self.nearest.is_none_or(|(other, _)| other <= place) {
                 self.nearest = Some((place, residual.norm()));
@@ -157,17 +160,34 @@ fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
     Ok(())
 }
 
-/// Returns the standard deviation of a reading: that of the sensor, or the smallest that the filter accepts if the sensor claims to be
-/// exact.
-fn believable(sigma: f64, kind: Kind, unit: f64) -> f64 {
-    if sigma > EXACT * unit {
-        return sigma;
-    }
-    match kind {
-        Kind::Velocity | Kind::AngularVelocity => EXACT_VELOCITY * unit,
-        _ => EXACT * unit,
-    }
+/// Returns the standard deviation of a reading: that of the sensor, or the smallest that the filter accepts if the sensor claims to be more
+/// exact than the model.
+fn believable(sigma: f64, kind: Kind, rod: &Rod, interval: f64) -> f64 {
+    sigma.max(model_error(kind, rod, interval))
 }
+
+/// Returns the standard deviation of white noise that tells as little, at one measurement every `interval` (s), as the error of the model
+/// allows to know.
+///
+/// An arm that is bent by one radian turns by `θ = 1/K` along each of its `K` elements of the length `l = L/K`. A chord is shorter than its
+/// arc by up to `l θ²/24`, and by up to `θ²/12` its direction differs from that of the mean frame of its ends: nodes of the arm that are
+/// taken exactly as they are stretch and shear the elements by as much. An error anywhere within such a bound has the standard deviation of
+/// the bound over √3. It stays while the arm keeps its shape, during which measurements repeat it: for the time `1/ω₁ = 0.28 T` of a
+/// cantilever with the time scale `T`. `n` equal errors tell as little as `n` independent ones that are `√n` times as large.
+pub(in crate::mpc) fn model_error(kind: Kind, rod: &Rod, interval: f64) -> f64 {
+    let n = rod.n_elements() as f64;
+    let own = match kind {
+        Kind::Position => 1.0 / (24.0 * n.powi(3)) / f64::sqrt(3.0),
+        Kind::Rotation | Kind::Curvature => 1.0 / (12.0 * n.powi(2)) / f64::sqrt(3.0),
+        Kind::Velocity | Kind::AngularVelocity => EXACT_VELOCITY,
+        Kind::BaseForce | Kind::BaseMoment => EXACT,
+    };
+    let repeated = (LASTS * rod.scales.time / interval).max(1.0);
+    own.max(EXACT) * scale(kind, rod) * repeated.sqrt()
+}
+
+/// Time for which the error of a model stays the same, divided by the time scale of the arm: `1/ω₁` of a cantilever, 1/3.516.
+const LASTS: f64 = 0.28;
 
 /// Returns the unit of a kind of reading.
 fn scale(kind: Kind, rod: &Rod) -> f64 {

@@ -220,6 +220,8 @@ pub struct KalmanFilter {
     /// Estimate and covariance to which a failed correction returns.
     before: (Estimate, Mat<f64>),
     tangent: StateTangent,
+    /// Time of the last correction, s.
+    corrected_at: f64,
 }
 
 impl std::fmt::Debug for KalmanFilter {
@@ -296,6 +298,7 @@ impl KalmanFilter {
             expected: Vec::new(),
             before: (estimate.clone(), Mat::zeros(layout.n, layout.n)),
             tangent: StateTangent::zeros(n_nodes),
+            corrected_at: f64::NEG_INFINITY,
             layout,
             estimate,
         };
@@ -680,6 +683,11 @@ impl Estimator for KalmanFilter {
         self.point.state.clone_from(&self.estimate.state);
         self.point.disturbance = self.estimate.disturbance;
         self.gate.clear();
+        let since = self.estimate.time - self.corrected_at;
+        if since > 0.0 {
+            self.comparison.interval = since;
+            self.corrected_at = self.estimate.time;
+        }
         self.compare(measurement)?;
         self.covariance.begin_correction();
         let mut refused = 0;

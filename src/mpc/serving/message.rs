@@ -271,6 +271,8 @@ pub(super) struct CommandLine {
     pub skipped_samples: usize,
     pub disturbance: Option<DisturbanceLine>,
     pub innovation: Option<InnovationLine>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub advice: Vec<String>,
     pub phases_s: Phases,
 }
 

@@ -15,7 +15,7 @@
 mod intake;
 mod message;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::{self, BufRead, Write};
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -28,7 +28,10 @@ use self::message::{
     Hello, InnovationLine, Kind, Line, NodeLine, Phases, SensorLine, TipLine, WrenchLine, rows,
     version_message,
 };
-use super::closed_loop::{Cause, Driver, Experiment, Known, Percentiles, Sample, TipError};
+use super::closed_loop::{
+    Cause, Driver, Experiment, Innovations, Known, Percentiles, Sample, TipError,
+};
+use super::controller::Controller;
 use super::error::MpcError;
 use crate::mechanics::rotation::from_quaternion;
 
@@ -133,6 +136,53 @@ pub struct Server<W> {
     length: f64,
     /// Seconds of the last preparation.
     prepared_in: f64,
+    recent: Recent,
+}
+
+/// Samples of the last second, on which advice rests: a transient is over by then, and a lag or a wrong model is not.
+#[derive(Debug)]
+struct Recent {
+    samples: VecDeque<Sample>,
+    most: usize,
+    /// Unknowns that the filter does not look for.
+    missing: Vec<&'static str>,
+}
+
+/// Time over which samples are looked at, s, and the least number of them.
+const RECENT: f64 = 1.0;
+const FEWEST_RECENT: usize = 20;
+
+impl Recent {
+    fn new(experiment: &Experiment) -> Self {
+        let most = (RECENT / experiment.mpc.period).round() as usize;
+        Self {
+            samples: VecDeque::new(),
+            most: most.max(FEWEST_RECENT),
+            missing: experiment.missing_unknowns(),
+        }
+    }
+
+    /// Takes a sample, and returns sentences on what is wrong: limits that cannot be kept, and an estimate in doubt.
+    fn advice(&mut self, sample: &Sample, controller: &Controller) -> Vec<String> {
+        if self.samples.len() == self.most {
+            self.samples.pop_front();
+        }
+        self.samples.push_back(sample.clone());
+        let mut out = Vec::new();
+        if sample.breaks_limit {
+            out.extend(controller.broken_limits().map(|name| {
+                format!(
+                    "{name}: no command within the bounds and rates of [control] keeps it over the horizon"
+                )
+            }));
+        }
+        if self.samples.len() == self.most {
+            let found = Innovations::of(self.samples.make_contiguous());
+            let n_elements = controller.rod().n_elements();
+            out.extend(found.and_then(|found| found.doubt(&self.missing, n_elements)));
+        }
+        out
+    }
 }
 
 /// Data for a summary.
@@ -177,6 +227,7 @@ impl<W: Write> Server<W> {
             n_lines: 0,
             record: Record::default(),
             prepared_in: 0.0,
+            recent: Recent::new(experiment),
         };
         server.greet(scene, experiment.duration)?;
         Ok(server)
@@ -534,6 +585,7 @@ impl<W: Write> Server<W> {
             distance_m: found.distance,
             refused_signals: found.refused,
         });
+        let advice = (self.recent).advice(sample, responded.controller());
         let phases_s = Phases {
             read,
             estimate: sample.estimate_s,
@@ -548,6 +600,7 @@ impl<W: Write> Server<W> {
             skipped_samples: n_skipped,
             disturbance,
             innovation,
+            advice,
             phases_s,
             ..command(&responded, sample.t, self.intake.rotation_change)
         };
@@ -670,6 +723,7 @@ fn command(driver: &Driver, time_s: f64, rotation_change: Option<f64>) -> Comman
         skipped_samples: 0,
         disturbance: None,
         innovation: None,
+        advice: Vec::new(),
         phases_s: Phases::default(),
     }
 }

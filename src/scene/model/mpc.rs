@@ -25,7 +25,7 @@ impl Default for Mpc {
             jump: known(JUMP),
             effort_from: settings.effort,
             target_weight: known(settings.target_weight),
-            limit_price: known(settings.limit_price),
+            limit_price: None,
             iterations: settings.iterations,
             deadline_s: None,
             duration_s: None,
@@ -91,10 +91,11 @@ pub struct Mpc {
     /// If the horizon recedes, a track takes the place of the target, with ten times the default weight, or with the
     /// default weights if there is an orientation too.
     pub target_weight: Positive<values::Weight>,
-    /// Price of obstacles and limits that have no `soft` of their own, as its `linear` and its `quadratic`; positive,
-    /// default 5000. A limit holds if its price exceeds the weight of a track times the distance, over the length, by
-    /// which the limit keeps the node from its reference. With prices far above that, commands jump.
-    pub limit_price: Positive<values::Weight>,
+    /// Price of obstacles and limits that have no `soft` of their own, as its `linear` and its `quadratic`; positive.
+    /// Absent: the price of every limit follows the pull of the reference, so that the limit holds wherever the
+    /// commands can keep it. With a number, a limit gives way where the cost saved exceeds the price.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limit_price: Option<Positive<values::Weight>>,
     /// Gauss-Newton iterations per sample, at least 1, default 1. They end early if the plan does not change any more.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub iterations: usize,

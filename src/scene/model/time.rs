@@ -124,14 +124,6 @@ impl Keys<'_> {
         };
         self.positive("time.step_s", step, "time step", "seconds")?;
         is_long_enough("time.step_s", step)?;
-        if end > 0.0 && step > end {
-            let message = format!(
-                "a step of {} s is longer than time.end_s, {} s",
-                digits(step),
-                digits(end)
-            );
-            return Err(self.source.error_at("time.step_s", message, None));
-        }
         if end / step > MOST_STEPS {
             let message = format!(
                 "makes {} steps up to time.end_s, {} s",

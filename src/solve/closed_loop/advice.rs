@@ -4,6 +4,7 @@ use crate::mpc::{
     Cause, Contender, EstimatorChoice, FallbackSettings, Innovations, Outcome, Sensing, TipError,
     Unknowns,
 };
+use crate::output::closed_loop::LimitPeak;
 use crate::scene::ClosedLoopSetup;
 use crate::stop::StopSignal;
 
@@ -12,11 +13,39 @@ const FAR: f64 = 0.01;
 
 /// Returns sentences on the errors of a loop: an estimate that cannot be trusted, fallbacks and bounds that the loop reports, and changes
 /// that may help if the tip is far off at the end.
-pub(super) fn advice(setup: &ClosedLoopSetup, run: &Outcome, others: &[Outcome]) -> Vec<String> {
-    let mut out = estimate_advice(setup, run);
+pub(super) fn advice(
+    setup: &ClosedLoopSetup,
+    run: &Outcome,
+    others: &[Outcome],
+    limits: &[LimitPeak],
+) -> Vec<String> {
+    let mut out = limit_advice(setup, run, limits);
+    out.extend(estimate_advice(setup, run));
     out.extend(causes(setup, run, others));
     out.extend(changes(setup, run));
     out
+}
+
+/// Returns a sentence on every obstacle and limit that was not kept.
+fn limit_advice(setup: &ClosedLoopSetup, run: &Outcome, limits: &[LimitPeak]) -> Vec<String> {
+    let why = if let Some(price) = setup.experiment.mpc.limit_price {
+        format!(
+            "mpc.limit_price = {price} is what a violation costs: without the key, the price rises until the limit holds"
+        )
+    } else if run.tally.breaking > 0 {
+        format!(
+            "in {} of {} samples no command within the bounds and rates of [control] keeps it over the horizon: larger bounds, a longer \
+             mpc.horizon_s to begin earlier, or another reference",
+            run.tally.breaking, run.tally.samples
+        )
+    } else {
+        "the plan keeps it, the arm does not: what the model has wrong, or motion between the samples of the horizon, takes the rest; a margin_m or a \
+         smaller limit leaves room for that"
+            .into()
+    };
+    (limits.iter().filter(|peak| peak.violated))
+        .map(|peak| format!("{}: {why}", peak.words()))
+        .collect()
 }
 
 /// Causes that figures of the runs name.
@@ -88,31 +117,9 @@ const LAST: f64 = 0.75;
 /// Returns the remarks on the scene that follow from the innovations of the filter.
 fn estimate_advice(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
     let mut out = Vec::new();
-    if let Some(found) = (run.tally.innovations).filter(|found| found.is_off) {
-        let missing = match &setup.experiment.sensing {
-            Sensing::Estimated {
-                estimator: EstimatorChoice::Kalman(unknowns),
-                ..
-            } => unknowns.missing(),
-            _ => Vec::new(),
-        };
-        let cause = if missing.is_empty() {
-            format!(
-                "something is wrong that no unknown describes, such as waves that {} elements do not have (rod.elements), a step of the command from \
-                 rest (a bound on its rate takes it away), or a sensor that is noisier than [[sensor]] says",
-                setup.model.n_elements()
-            )
-        } else {
-            format!(
-                "something is wrong that is not among estimator.disturbances, which lacks {}, or a sensor is noisier than [[sensor]] says",
-                missing.join(", ")
-            )
-        };
-        out.push(format!(
-            "the estimate is in doubt: the squares of what is measured otherwise than expected are {:.2} times as large as the filter expects \
-             (consistent: at most {:.2}); {cause}",
-            found.per_number, found.at_most
-        ));
+    if let Some(found) = &run.tally.innovations {
+        let missing = setup.experiment.missing_unknowns();
+        out.extend(found.doubt(&missing, setup.model.n_elements()));
     }
     let late = (run.samples.last())
         .map(|last| (last.disturbance.delay, last.deviation.delay))

@@ -241,9 +241,10 @@ impl LoopOrder<'_> {
             fallbacks: tally.fallbacks.clone(),
             innovations: tally.innovations,
             bounded: tally.bounded,
+            breaking: tally.breaking,
             efforts: Vec::new(),
+            advice: advice(setup, run, others, &limits),
             limits,
-            advice: advice(setup, run, others),
             transfer_error_m: run.transfer_error,
             seed: (setup.resolved.mpc.as_ref())
                 .and_then(|mpc| mpc.seed)

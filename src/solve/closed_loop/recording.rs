@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
+use crate::control::path::PathEnforcement;
 use crate::control::{Hold, NamedControl, PathLimit, RodView};
 use crate::mechanics::{
     Configuration, Energy, NodalState, Rod, State, TimeGrid, Trajectory, Wrench,
 };
-use crate::mpc::{ClosedLoop, Sample};
+use crate::mpc::{ClosedLoop, KEPT, Sample};
 use crate::output::closed_loop::{EffortRange, LimitPeak, MpcSummary, SampleRow, write_samples};
 use crate::output::{
     ControlRow, END_FILE, EffortRow, MotionRecord, OutputError, ResultDirectory, RowFiles,
@@ -52,6 +53,11 @@ impl LimitWatch {
         let peaks = (own.task.limits.iter().zip(&limits))
             .map(|(named, limit)| LimitPeak {
                 name: named.name.clone(),
+                allowed: match named.enforcement {
+                    PathEnforcement::Hard => KEPT * limit.reference(rod, &radii),
+                    PathEnforcement::Soft { .. } => f64::INFINITY,
+                },
+                violated: false,
                 excess: f64::NEG_INFINITY,
                 unit: limit.unit(),
                 at_s: 0.0,
@@ -93,6 +99,7 @@ impl LimitWatch {
             let excess = value * limit.scale(rod);
             if excess > peak.excess {
                 peak.excess = excess;
+                peak.violated = excess > peak.allowed;
                 peak.at_s = t;
                 peak.node = limit.node(rod, item);
             }
