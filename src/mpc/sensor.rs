@@ -178,18 +178,12 @@ impl SensorSettings {
         ]
     }
 
-    /// Returns the names, as in scenes, of the quantities that the sensor measures more exactly than a model with its elements can, each with
+    /// Returns the names, as in scenes, of the quantities of a shape that the sensor measures more exactly than a model with its elements can, each with
     /// its standard deviation and with that of the model's error; a Kalman filter takes the latter for it.
     pub(crate) fn sharper_than(&self, model: &Rod) -> Vec<(&'static str, f64, f64)> {
         let measured = [
             ("position_sigma_m", Kind::Position, self.position),
             ("rotation_sigma_rad", Kind::Rotation, self.rotation),
-            ("velocity_sigma_m_s", Kind::Velocity, self.velocity),
-            (
-                "angular_velocity_sigma_rad_s",
-                Kind::AngularVelocity,
-                self.angular_velocity,
-            ),
             ("curvature_sigma_1_m", Kind::Curvature, self.curvature),
         ];
         (measured.into_iter())

@@ -163,6 +163,10 @@ fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
 /// Returns the standard deviation of a reading: that of the sensor, or the smallest that the filter accepts if the sensor claims to be more
 /// exact than the model.
 fn believable(sigma: f64, kind: Kind, rod: &Rod, interval: f64) -> f64 {
+    let is_velocity = matches!(kind, Kind::Velocity | Kind::AngularVelocity);
+    if is_velocity && sigma > EXACT * scale(kind, rod) {
+        return sigma;
+    }
     sigma.max(model_error(kind, rod, interval))
 }
 
