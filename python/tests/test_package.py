@@ -284,9 +284,17 @@ def test_a_faulty_measurement_is_answered():
 
 def test_references_turn_and_advice_is_told():
     scene = sa.Scene.load("mpc-reach")
+    turned = [[0.0, 1.0, 0.0, 0.0, 0.0]]
+
+    def refused(scene):
+        controller, plant = scene.controller(), scene.plant()
+        command = controller.step(plant.state_on(controller), reference_wxyz=turned)
+        return [own["message"] for own in command.refused if own["where"].startswith("reference_wxyz")]
+
+    assert ["an orientation" in message for message in refused(scene)] == [True]
+    assert refused(scene.replace({"task.orientation_wxyz": [1.0, 0.0, 0.0, 0.0]})) == []
     controller, plant = scene.controller(), scene.plant()
-    command = controller.step(plant.state_on(controller), reference_wxyz=[[0.0, 1.0, 0.0, 0.0, 0.0]])
-    assert not [own for own in command.refused if own["where"].startswith("reference_wxyz")]
+    command = controller.step(plant.state_on(controller))
     assert command.advice == []
     with pytest.raises(ValueError, match="rows"):
         controller.step(plant.state_on(controller), reference_wxyz=[[0.0, 1.0]])
@@ -417,7 +425,8 @@ def test_arms_of_a_batch_with_values_of_their_own():
     for index, modulus in enumerate(moduli):
         alone = scene.replace({key: modulus}).plant()
         state = alone.state
-        moved = (state.x + [0.0, 0.1 * index, 0.0], state.R)
+        # The base stays where it is clamped.
+        moved = (state.x + np.outer(alone.places**2, [0.0, 0.1 * index, 0.0]), state.R)
         alone.set_state(moved)
         arms.set_state(index, *moved)
         alone.step(0.1)

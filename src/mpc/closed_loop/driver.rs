@@ -312,6 +312,7 @@ impl Driver {
         };
         self.send(sample.acts_from);
         sample.note_command(&self.sent[self.sent.len() - 1], self.controller.record());
+        (sample.disturbance, sample.deviation) = (self.disturbance, self.deviation);
         Responded {
             driver: self,
             sample,
@@ -342,8 +343,6 @@ impl Driver {
         sample.prepare_s = clock.elapsed().as_secs_f64();
         sample.sample_s = self.begin.elapsed().as_secs_f64();
         sample.is_overrun = sample.sample_s > self.controller.settings().period;
-        sample.disturbance = self.disturbance;
-        sample.deviation = self.deviation;
         self.index = self.index.saturating_add(1);
     }
 

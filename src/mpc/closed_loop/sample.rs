@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::fallback::{Action, Cause};
-use crate::mechanics::Wrench;
+use crate::mechanics::{Rod, Wrench};
 use crate::mpc::command::Command;
 use crate::mpc::controller::SampleRecord;
 use crate::mpc::estimator::{Disturbance, Innovation};
@@ -57,6 +57,11 @@ pub struct Sample {
     pub deviation: Disturbance,
 }
 
+/// Part of the weight of an arm above which an estimated lift is told, and the number of its standard deviations: an arm whose density is off
+/// by less than that is as its data sheet says.
+const LARGE_LIFT: f64 = 0.3;
+const CERTAIN_LIFT: f64 = 3.0;
+
 impl Sample {
     pub(super) fn at(t: f64) -> Self {
         Self {
@@ -93,6 +98,23 @@ impl Sample {
         self.iterations = record.iterations;
         self.subproblem = record.subproblem;
         self.breaks_limit = record.breaks_limit && self.fallback.is_none();
+    }
+
+    /// Says that the estimated distributed force carries much of the weight of the arm `rod`, which an arm does to its model that stretches less;
+    /// `None` if it does not, or within the noise.
+    #[must_use]
+    pub fn lift(&self, rod: &Rod) -> Option<String> {
+        let down = rod.gravity.try_normalize(0.0)?;
+        let weight = rod.mass() * rod.gravity.norm() / rod.scales.length;
+        let lift = -down.dot(&self.disturbance.distributed);
+        let deviation = down.abs().dot(&self.deviation.distributed);
+        (lift > LARGE_LIFT * weight && lift > CERTAIN_LIFT * deviation).then(|| {
+            format!(
+                "the estimate has a force of {lift:.3} N/m against gravity all along the arm, {:.0} % of its weight: if nothing lifts it, it is lighter \
+                 (plant.density_factor, [rod.material]) or stretches less than its model ([rod.stiffness] ea); the force is then an error of the model",
+                100.0 * lift / weight
+            )
+        })
     }
 
     /// Returns the distance of the tip from its reference at the beginning of the sample, m; NaN without a reference.

@@ -180,6 +180,7 @@ impl Recent {
             let found = Innovations::of(self.samples.make_contiguous());
             let n_elements = controller.rod().n_elements();
             out.extend(found.and_then(|found| found.doubt(&self.missing, n_elements)));
+            out.extend(sample.lift(controller.rod()));
         }
         out
     }

@@ -121,6 +121,7 @@ fn estimate_advice(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
         let missing = setup.experiment.missing_unknowns();
         out.extend(found.doubt(&missing, setup.model.n_elements()));
     }
+    out.extend((run.samples.last()).and_then(|last| last.lift(&setup.model)));
     let late = (run.samples.last())
         .map(|last| (last.disturbance.delay, last.deviation.delay))
         .filter(|(delay, deviation)| *deviation > 0.0 && delay.abs() > CERTAIN * deviation);

@@ -1,5 +1,7 @@
 //! The warm start of a solve from the end of another one.
 
+use std::sync::Arc;
+
 use super::super::norms::norm;
 use super::super::program::LiftedProgram;
 use super::super::program::Multipliers;
@@ -34,6 +36,13 @@ impl<P: LiftedProgram> Run<'_, P> {
                 sizes(own)
             ));
         }
+        // Every trial point has its slacks reset. At one that is a solution already, a variable that stands for a residual in a small ball
+        // would otherwise be off by the violation of its constraint, and the ball's normal by that over the radius.
+        (self.program).reset_slacks(
+            Arc::make_mut(&mut self.iterate.point),
+            &mut self.iterate.evaluation,
+        );
+        self.best.point = Arc::clone(&self.iterate.point);
         self.iterate.multipliers = start.multipliers.clone();
         self.best.multipliers = start.multipliers.clone();
         self.working_set.last.clone_from(&start.working_rows);
