@@ -34,7 +34,7 @@ use crate::mechanics::equilibrium::{
     EquilibriumError, NodeSpring, ends_are_held, static_equilibrium_until,
 };
 use crate::mechanics::rotation::exp;
-use crate::mechanics::tangent::own_squared_frequency;
+use crate::mechanics::tangent::{Motions, own_squared_frequency};
 use crate::mechanics::{Configuration, Rod};
 use crate::sqp::{HessianChoice, LiftedProgram, LinearizationRequest, SqpSettings, solve};
 use crate::stop::Stop;
@@ -819,7 +819,7 @@ impl Search<'_> {
             }
         }
         let tangent = statics.tangent(&shape, &point.controls, &NodeSpring::default());
-        let stability = tangent.stability(rod, &shape, statics.unit)?;
+        let stability = tangent.stability(rod, &shape, statics.unit, Motions::All)?;
         // The energy of a stay needs a definite stiffness, also under moments.
         let is_stable = stability.growth_rate.is_none() && stability.is_definite;
         let free = self.target.node.checked_sub(rod.first_free_node())?;

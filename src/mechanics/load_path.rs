@@ -16,7 +16,7 @@ use super::equilibrium::{
 };
 use super::load::{Load, LoadFrame};
 use super::rod::Rod;
-use super::tangent::{POSITIVE, Stability, Tangent, own_squared_frequency};
+use super::tangent::{Motions, POSITIVE, Stability, Tangent, own_squared_frequency};
 use crate::stop::StopSignal;
 
 /// Loads that the factor multiplies; the others stay as they are.
@@ -52,7 +52,8 @@ pub struct LoadedShape {
     pub factor: f64,
     /// The shape.
     pub shape: Configuration,
-    /// Stability under constant loads; `None` if the stiffness is not finite.
+    /// Stability under constant loads; `None` if the stiffness is not finite. Under loads without a potential the slowest motions decide
+    /// along a path, and all of them where it was [examined](LoadPath::examined).
     pub stability: Option<Stability>,
     /// Tells whether the path ended before this factor, so that the arm jumped to another equilibrium.
     pub jumped: bool,
@@ -108,8 +109,9 @@ pub const LARGEST_FACTOR: f64 = 1e4;
 /// First stride of the load factor, and the smallest one as a fraction of the factor.
 const FIRST_STRIDE: f64 = 0.05;
 const LEAST_STRIDE: f64 = 1e-6;
-/// Relative error of a critical factor.
+/// Relative error of a critical factor, and of one at which fast motions begin to grow.
 const PRECISION: f64 = 1e-7;
+const FAST_PRECISION: f64 = 1e-3;
 /// Largest displacement of a node in one stride, divided by the length of the arm: at a limit point, the smallest stride moves nodes by
 /// about its square root, 1e-3, and other equilibria are a fraction of the length away.
 const NEAR: f64 = 0.1;
@@ -235,7 +237,7 @@ impl<'a> LoadPath<'a> {
             return Ok(unloaded);
         }
         let found = growing.at(&unloaded, 1.0)?;
-        Ok(self.looked_at(0.0, found.shape, found.jumped))
+        Ok(self.looked_at(0.0, found.shape, found.jumped, Motions::Slowest))
     }
 
     /// Returns the equilibrium at a factor in which the arm settles from a shape.
@@ -248,7 +250,7 @@ impl<'a> LoadPath<'a> {
         let rod = self.rod_at(factor);
         let none = NodeSpring::default();
         let shape = static_equilibrium_until(&rod, from, self.time, &none, self.stop)?;
-        Ok(self.looked_at(factor, shape, jumped))
+        Ok(self.looked_at(factor, shape, jumped, Motions::Slowest))
     }
 
     /// Returns the equilibrium near that of another path at the same factor.
@@ -259,23 +261,46 @@ impl<'a> LoadPath<'a> {
         self.settled(from.factor, &from.shape, from.jumped)
     }
 
-    fn looked_at(&self, factor: f64, shape: Configuration, jumped: bool) -> LoadedShape {
-        let rod = self.rod_at(factor);
-        let tangent = Tangent::stiffness(&rod, &shape, self.time);
+    fn looked_at(
+        &self,
+        factor: f64,
+        shape: Configuration,
+        jumped: bool,
+        motions: Motions,
+    ) -> LoadedShape {
         LoadedShape {
             factor,
-            stability: tangent.stability(&rod, &shape, self.unit),
+            stability: self.stability(factor, &shape, motions),
             shape,
             jumped,
         }
     }
 
+    fn stability(&self, factor: f64, shape: &Configuration, motions: Motions) -> Option<Stability> {
+        let rod = self.rod_at(factor);
+        Tangent::stiffness(&rod, shape, self.time).stability(&rod, shape, self.unit, motions)
+    }
+
+    /// Returns an equilibrium with its stability under the growth of all motions of the grid, which is costly where loads have no
+    /// potential.
+    #[must_use]
+    pub fn examined(&self, at: LoadedShape) -> LoadedShape {
+        match at.stability {
+            Some(found) if !found.has_potential => LoadedShape {
+                stability: self.stability(at.factor, &at.shape, Motions::All),
+                ..at
+            },
+            _ => at,
+        }
+    }
+
     /// Follows the path from an equilibrium to a factor, and calls `each` with every equilibrium on the way, which may end it; returns the
-    /// last equilibrium that was reached.
+    /// last equilibrium that was reached. The stability of every equilibrium is that of the given motions.
     fn follow(
         &self,
         from: &LoadedShape,
         to: f64,
+        motions: Motions,
         each: &mut dyn FnMut(&LoadedShape) -> ControlFlow<()>,
     ) -> Result<LoadedShape, EquilibriumError> {
         let under = |factor: f64| self.rod_at(factor);
@@ -290,7 +315,7 @@ impl<'a> LoadPath<'a> {
             &NodeSpring::default(),
             self.stop,
             &mut |factor, shape, is_least| {
-                let next = self.looked_at(factor, shape.clone(), from.jumped);
+                let next = self.looked_at(factor, shape.clone(), from.jumped, motions);
                 let turns = self.sign(&last) * self.sign(&next) < 0;
                 let nodes = last.shape.positions.iter().zip(&next.shape.positions);
                 let way = nodes.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
@@ -326,9 +351,10 @@ impl<'a> LoadPath<'a> {
     /// # Errors
     /// Returns [`EquilibriumError`] if there is none.
     pub fn at(&self, from: &LoadedShape, factor: f64) -> Result<LoadedShape, EquilibriumError> {
-        let reached = self.follow(from, factor, &mut |_| ControlFlow::Continue(()))?;
+        let each = &mut |_: &LoadedShape| ControlFlow::Continue(());
+        let reached = self.follow(from, factor, Motions::None, each)?;
         if reached.factor == factor {
-            Ok(reached)
+            Ok(self.looked_at(factor, reached.shape, reached.jumped, Motions::Slowest))
         } else {
             self.settled(factor, &reached.shape, true)
         }
@@ -360,11 +386,33 @@ impl<'a> LoadPath<'a> {
         if !self.is_loaded() {
             return kept(0.0, Kept::Unloaded);
         }
+        let found = self.critical_of_slowest(start)?;
+        match &found.last.stability {
+            Some(stability) if !stability.has_potential => {
+                let last = self.examined(found.last);
+                let start = self.examined(start.clone());
+                match (is_stable(&last), is_stable(&start)) {
+                    (true, _) => Ok(found.critical),
+                    (false, true) => self.bisected(start, last, Motions::All),
+                    (false, false) => {
+                        let how = how(&start);
+                        let factor = start.factor;
+                        Ok(Critical::Lost { factor, how })
+                    }
+                }
+            }
+            _ => Ok(found.critical),
+        }
+    }
+
+    /// Returns what [`Self::critical`] does if fast motions do not grow before slow ones, from a stable start under loads.
+    fn critical_of_slowest(&self, start: &LoadedShape) -> Result<Followed, EquilibriumError> {
+        let is_stable = |at: &LoadedShape| at.stability.is_some_and(|found| found.is_stable);
         let mut last = start.clone();
         let mut squares = vec![(start.factor, squared(start))];
         let mut beyond = None;
         let mut is_credible = true;
-        let reached = self.follow(start, LARGEST_FACTOR, &mut |at| {
+        let reached = self.follow(start, LARGEST_FACTOR, Motions::Slowest, &mut |at| {
             let [least, most] = CREDIBLE_DILATATION;
             let dilatation = self.rod.dilatation(&at.shape.positions);
             if !dilatation.iter().all(|e| (least..=most).contains(e)) {
@@ -379,22 +427,23 @@ impl<'a> LoadPath<'a> {
             last = at.clone();
             ControlFlow::Continue(())
         })?;
-        if let Some(beyond) = beyond {
-            return self.bisected(last, beyond);
-        }
-        if !is_credible {
-            return kept(last.factor, Kept::OutOfRange);
-        }
-        if reached.factor >= LARGEST_FACTOR {
-            return kept(reached.factor, Kept::ToTheEnd);
-        }
-        match fold(&squares) {
-            Some(factor) => Ok(Critical::Lost {
-                factor,
-                how: Loss::Snapping,
-            }),
-            None => kept(reached.factor, Kept::NotFollowed),
-        }
+        let kept = |factor, why| Critical::Kept { factor, why };
+        let critical = if let Some(beyond) = beyond {
+            self.bisected(last.clone(), beyond, Motions::Slowest)?
+        } else if !is_credible {
+            kept(last.factor, Kept::OutOfRange)
+        } else if reached.factor >= LARGEST_FACTOR {
+            kept(reached.factor, Kept::ToTheEnd)
+        } else {
+            match fold(&squares) {
+                Some(factor) => Critical::Lost {
+                    factor,
+                    how: Loss::Snapping,
+                },
+                None => kept(reached.factor, Kept::NotFollowed),
+            }
+        };
+        Ok(Followed { critical, last })
     }
 
     /// Returns the factor between a stable and an unstable equilibrium of the path.
@@ -402,11 +451,19 @@ impl<'a> LoadPath<'a> {
         &self,
         mut stable: LoadedShape,
         mut unstable: LoadedShape,
+        motions: Motions,
     ) -> Result<Critical, EquilibriumError> {
-        while unstable.factor - stable.factor > PRECISION * unstable.factor {
+        let precision = match motions {
+            Motions::All => FAST_PRECISION,
+            Motions::Slowest | Motions::None => PRECISION,
+        };
+        while unstable.factor - stable.factor > precision * unstable.factor {
             self.stop.check().map_err(EquilibriumError::Stopped)?;
             let middle = 0.5 * (stable.factor + unstable.factor);
-            let at = self.at(&stable, middle)?;
+            let mut at = self.at(&stable, middle)?;
+            if motions == Motions::All {
+                at = self.examined(at);
+            }
             if at.stability.is_some_and(|found| found.is_stable) {
                 stable = at;
             } else {
@@ -417,13 +474,21 @@ impl<'a> LoadPath<'a> {
         let mut how = how(&unstable);
         if how == Loss::Buckling {
             let past = (1.0 + PAST) * unstable.factor;
-            let reached = self.follow(&unstable, past, &mut |_| ControlFlow::Continue(()))?;
+            let each = &mut |_: &LoadedShape| ControlFlow::Continue(());
+            let reached = self.follow(&unstable, past, Motions::None, each)?;
             if reached.factor < past {
                 how = Loss::Snapping;
             }
         }
         Ok(Critical::Lost { factor, how })
     }
+}
+
+/// The way of a path to its critical factor.
+struct Followed {
+    critical: Critical,
+    /// Last equilibrium that was found stable on strides from the start.
+    last: LoadedShape,
 }
 
 /// Returns the kind of instability of an equilibrium.

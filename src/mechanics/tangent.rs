@@ -57,11 +57,23 @@ pub struct Stability {
     pub first_frequency: Option<f64>,
 }
 
+/// Motions whose growth decides about the stability under loads without a potential.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Motions {
+    /// All of the grid: a result. A dense eigenvalue problem.
+    All,
+    /// The slowest ones: a guide along a path.
+    Slowest,
+    /// None: without a potential the stability remains unknown.
+    None,
+}
+
 impl Stability {
     /// Computes the stability of an equilibrium of a rod under its loads at time `t`; `None` if a value is not finite.
     #[must_use]
     pub fn of(rod: &Rod, at: &Configuration, t: f64) -> Option<Self> {
-        Tangent::stiffness(rod, at, t).stability(rod, at, own_squared_frequency(rod))
+        let unit = own_squared_frequency(rod);
+        Tangent::stiffness(rod, at, t).stability(rod, at, unit, Motions::All)
     }
 }
 
@@ -414,8 +426,18 @@ impl Tangent {
     /// Returns the stability of the equilibrium with this stiffness. The smallest `ω²` of a stiffness with a potential decides; without a
     /// potential (body moments, forces that turn with the arm), or if it is negative, the growth rate does. Motions that [the ends leave
     /// loose](Rod::most_loose_motions) do not count where nothing else holds them. `unit` is
-    /// [`own_squared_frequency`]. `None` if a value is not finite.
-    pub fn stability(&self, rod: &Rod, at: &Configuration, unit: f64) -> Option<Stability> {
+    /// [`own_squared_frequency`]. `None` if a value is not finite, or if no motions are to decide where they would.
+    pub fn stability(
+        &self,
+        rod: &Rod,
+        at: &Configuration,
+        unit: f64,
+        motions: Motions,
+    ) -> Option<Stability> {
+        let has_potential = self.asymmetry() <= ASYMMETRIC;
+        if motions == Motions::None && !has_potential {
+            return None;
+        }
         let loose = loose_motions_of_held(rod);
         let mut rounding = POSITIVE * unit;
         if loose > 0 {
@@ -427,13 +449,12 @@ impl Tangent {
             .map(|(i, mode)| (i, mode.squared_frequency))
             .find(|(i, square)| *i == loose || square.abs() > rounding)?
             .1;
-        let has_potential = self.asymmetry() <= ASYMMETRIC;
         let is_definite = square > rounding;
         let mut growth = None;
         let mut lowest = is_definite.then(|| square.sqrt());
-        if !has_potential || square < -rounding {
+        if motions != Motions::None && (!has_potential || square < -rounding) {
             // With a potential, the lowest modes are those that grow.
-            let motions = if has_potential {
+            let motions = if has_potential || motions == Motions::Slowest {
                 self.slowest_motions(rod, at, unit)?
             } else {
                 self.small_motions(rod, at, unit)?

@@ -110,7 +110,7 @@ pub fn statics(
     };
     let path = LoadPath::new(&rod, options.varied, options.time, aside, stop)?;
     let start = path.start()?;
-    let own = path.at(&start, 1.0)?;
+    let own = path.examined(path.at(&start, 1.0)?);
     let critical = path.critical(&start)?;
     let is_stable = own.stability.is_some_and(|found| found.is_stable);
     let goes_to = match is_stable {
@@ -203,6 +203,7 @@ fn pushed(
         .and_then(|leaning| free.released(&leaning));
     match found {
         Ok(found) => {
+            let found = free.examined(found);
             let grows = (found.stability).is_none_or(|found| found.growth_rate.is_some());
             let tip = rod.tip();
             let away = (found.shape.positions[tip] - own.shape.positions[tip]).norm();

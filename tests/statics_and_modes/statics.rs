@@ -11,7 +11,7 @@ use softarm::control::{CannotHold, Held, Holding, OptimalControlProblem, holding
 use softarm::mechanics::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium};
 use softarm::mechanics::{
     BaseCondition, Critical, Kept, Load, LoadFrame, LoadPath, Loss, Material, Rod, RodParameters,
-    Section, SectionProfile, SmallMotions, StrainRule, Varied,
+    Section, SectionProfile, SmallMotions, Stability, StrainRule, Varied,
 };
 use softarm::scene::Scene;
 use softarm::solve::{StaticsOptions, statics};
@@ -469,6 +469,35 @@ fn critical_load_factors_are_the_published_ones() {
     assert_converges("Greenhill", 7.837_347, 8, 3e-3, greenhill);
     let beck = |n| lost(&pressed(n, LoadFrame::Body), Varied::All, Loss::Flutter);
     assert_converges("Beck", 20.05, 10, 1e-2, beck);
+}
+
+/// Under a moment fixed to the section, the growth of all motions begins at the critical factor, on grids whose fast motions grow
+/// before slow ones and on others: an arm without gravity, bent by a moment in the plane of two of its axes, with viscous damping.
+#[test]
+fn all_motions_decide_about_a_moment() {
+    for (n, twist) in [(8, 0.0), (8, 0.02), (16, 0.02)] {
+        let rod = Rod::new(&RodParameters {
+            loads: tip_load(n, [0.0; 3], [0.2, 0.1, twist], LoadFrame::Body),
+            viscous_damping: 0.3,
+            ..unit_rod(StrainRule::Helical, n, 1e4)
+        })
+        .unwrap();
+        let factor = lost(&rod, Varied::All, Loss::Flutter);
+        let stop = StopSignal::default();
+        let path = LoadPath::new(&rod, Varied::All, 0.0, Vector3::zeros(), &stop).unwrap();
+        let start = path.start().unwrap();
+        let grows = |factor: f64| {
+            let at = path.at(&start, factor).unwrap();
+            let stability = Stability::of(&path.rod_at(factor), &at.shape, 0.0).unwrap();
+            stability.growth_rate.is_some()
+        };
+        eprintln!("{n} {twist} {factor}");
+        // Twice the relative error of a factor at which fast motions begin to grow.
+        assert!(
+            !grows(0.998 * factor) && grows(1.002 * factor),
+            "{n}, {factor}"
+        );
+    }
 }
 
 /// The factor multiplies what it is asked to: of an upright column under its weight `w` (of Greenhill's) and a force `p` (of Euler's), which loses its stability at
