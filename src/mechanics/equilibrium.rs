@@ -954,13 +954,14 @@ impl<'a> Statics<'a> {
             let tolerance = TOLERANCE.max(self.rounding(&center));
             if size <= tolerance {
                 let shape = self.refined_once(center, &residual);
-                if may_leave && saddles < from.saddles + MOST_SADDLES {
-                    if let Some(away) = self.away_from_saddle(&shape) {
-                        saddles += 1;
-                        residual = self.residual(&away);
-                        center = away;
-                        continue;
-                    }
+                if may_leave
+                    && saddles < from.saddles + MOST_SADDLES
+                    && let Some(away) = self.away_from_saddle(&shape)
+                {
+                    saddles += 1;
+                    residual = self.residual(&away);
+                    center = away;
+                    continue;
                 }
                 let shape = checked(self.rod, shape)?;
                 return Ok(Settled { shape, saddles });
@@ -989,15 +990,17 @@ impl<'a> Statics<'a> {
                     return Ok(Settled { shape, saddles });
                 }
             }
-            if may_leave && !definite && size < NEAR_SADDLE {
-                if let Some(away) = self.away_from_saddle(&center) {
-                    saddles += 1;
-                    may_leave = saddles < from.saddles + MOST_SADDLES;
-                    residual = self.residual(&away);
-                    center = away;
-                    shift = 0.0;
-                    continue;
-                }
+            if may_leave
+                && !definite
+                && size < NEAR_SADDLE
+                && let Some(away) = self.away_from_saddle(&center)
+            {
+                saddles += 1;
+                may_leave = saddles < from.saddles + MOST_SADDLES;
+                residual = self.residual(&away);
+                center = away;
+                shift = 0.0;
+                continue;
             }
             let Some(lower) = self.lower(&center, &residual, &mut shift) else {
                 break;
@@ -1126,7 +1129,7 @@ impl<'a> Statics<'a> {
         let mut mode = modes[0].shape.clone();
         let is_double = modes.get(1).is_some_and(|second| {
             let apart = second.squared_frequency - modes[0].squared_frequency;
-            apart < 1e-6 * modes[0].squared_frequency.abs()
+            apart < 1e-6 * (modes[0].squared_frequency.abs() + unit)
         });
         if is_double {
             let second = &modes[1].shape;

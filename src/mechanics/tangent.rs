@@ -180,7 +180,9 @@ impl Tangent {
 
     /// Adds the change of the tensions of winches with the configuration, which couples all nodes that a tendon pulls.
     pub fn add_winches(&mut self, rod: &Rod, at: &Configuration, t: f64) {
-        self.products.extend(winch_stiffness(rod, at, t));
+        let taut = winch_stiffness(rod, at, t).into_iter();
+        self.products
+            .extend(taut.filter(|(factor, _)| *factor > 0.0));
     }
 
     /// Returns the same matrix with the products of winches as blocks.
