@@ -157,8 +157,6 @@ const SUFFICIENT_DECREASE: f64 = 1e-4;
 const HALVINGS: usize = 5;
 /// Rounding of the energy, relative to the sum of its parts.
 const ENERGY_ROUNDING: f64 = 1e-13;
-/// Scaled residual below which a saddle is near enough to be left.
-const NEAR_SADDLE: f64 = 1e-2;
 /// First displacement away from a saddle, in lengths of the arm or rad, and cap on its halvings.
 const LEAVING: f64 = 0.1;
 const LEAVING_HALVINGS: usize = 16;
@@ -178,6 +176,9 @@ const LARGEST_NEWTON_TURN: f64 = 0.5;
 const SMALL_TURN: f64 = 1e-3;
 /// Fraction of the loads in the first step of a continuation, and the smallest one.
 const FIRST_STRIDE: f64 = 0.1;
+/// Largest way of a node in the last Newton step, divided by the length: along a motion without stiffness, as of a round column about its
+/// axis, a step is rounding divided by rounding, and leads anywhere among equal shapes.
+const LARGEST_REFINEMENT: f64 = 1e-4;
 const LEAST_STRIDE: f64 = 1e-3;
 /// Cap on Newton's steps at one load.
 const CONTINUATION_STEPS: usize = 12;
@@ -715,7 +716,12 @@ impl<'a> Statics<'a> {
     fn refined_once(&mut self, at: Configuration, residual: &[Vector6<f64>]) -> Configuration {
         let tolerance = TOLERANCE.max(self.rounding(&at));
         match self.newton(&at, residual) {
-            Some((nearer, left)) if self.scaled(&left) <= tolerance => nearer,
+            Some((nearer, left))
+                if self.scaled(&left) <= tolerance
+                    && largest_way(&at, &nearer) <= LARGEST_REFINEMENT * self.rod.scales.length =>
+            {
+                nearer
+            }
             _ => at,
         }
     }
@@ -946,7 +952,7 @@ impl<'a> Statics<'a> {
         let mut iterations = 0;
         let mut shift = 0.0;
         let mut was_continued = false;
-        let mut may_leave = leaves;
+        let may_leave = leaves;
         while iterations < OUTER_LIMIT {
             stop.check()?;
             iterations += 1;
@@ -989,18 +995,6 @@ impl<'a> Statics<'a> {
                     let shape = checked(rod, shape)?;
                     return Ok(Settled { shape, saddles });
                 }
-            }
-            if may_leave
-                && !definite
-                && size < NEAR_SADDLE
-                && let Some(away) = self.away_from_saddle(&center)
-            {
-                saddles += 1;
-                may_leave = saddles < from.saddles + MOST_SADDLES;
-                residual = self.residual(&away);
-                center = away;
-                shift = 0.0;
-                continue;
             }
             let Some(lower) = self.lower(&center, &residual, &mut shift) else {
                 break;
@@ -1197,6 +1191,13 @@ impl<'a> Statics<'a> {
         }
         None
     }
+}
+
+/// Returns the largest way of a node from one shape to another, m.
+fn largest_way(from: &Configuration, to: &Configuration) -> f64 {
+    (from.positions.iter().zip(&to.positions))
+        .map(|(from, to)| (to - from).norm())
+        .fold(0.0, f64::max)
 }
 
 /// Returns the shift that is tried after another one.
