@@ -194,7 +194,7 @@ fn tell(
     };
     let error = summary.refined_space_m.map_or_else(
         || "twice the elements have another equilibrium or none".to_string(),
-        |error| format!("elements put it {} off", quantity(error, "m")),
+        |error| format!("elements put a node up to {} off", quantity(error, "m")),
     );
     say(
         "tip",
@@ -213,6 +213,16 @@ fn tell(
             quantity(norm(summary.base.moment_n_m), "N m")
         ),
     );
+    if let Some(tip) = &summary.tip_reaction {
+        say(
+            "",
+            &format!(
+                "and its tip is held with {} and {}",
+                quantity(norm(tip.force_n), "N"),
+                quantity(norm(tip.moment_n_m), "N m")
+            ),
+        );
+    }
     let stability = &summary.stability;
     let words = match (stability.growth_rate_1_s, stability.first_frequency_hz) {
         (Some(rate), _) => format!(

@@ -7,7 +7,7 @@ use super::problem::{ActuatedNode, Goal, OptimalControlProblem};
 use super::tracking::Tracking;
 use super::transcription::{LiftedPoint, simulate};
 use super::turns::{long_turns, longer_ways, quarter_turns};
-use crate::mechanics::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium_until};
+use crate::mechanics::equilibrium::{EquilibriumError, NodeSpring, nearby_equilibrium_until};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::strain_coordinates::between;
 use crate::mechanics::{Configuration, StepError, Trajectory, Wrench};
@@ -267,7 +267,7 @@ impl StaticPath {
                         .map(|to| (to, stiffness * scales.force / scales.length)),
                     rotation: rotation.map(|to| (to, stiffness * scales.moment)),
                 };
-                shape = static_equilibrium_until(rod, &shape, t, &spring, &problem.stop)?;
+                shape = nearby_equilibrium_until(rod, &shape, t, &spring, &problem.stop)?;
             }
             let pull = spring.wrench(&shape.positions[tip], &shape.rotations[tip]);
             let hold = (problem.actuators.iter().zip(&nothing).enumerate()).map(

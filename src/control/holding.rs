@@ -31,7 +31,7 @@ use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
 use super::problem::{GoalPart, OptimalControlProblem};
 use crate::mechanics::equilibrium::{
-    EquilibriumError, NodeSpring, ends_are_held, static_equilibrium_until,
+    EquilibriumError, NodeSpring, ends_are_held, nearby_equilibrium_until, static_equilibrium_until,
 };
 use crate::mechanics::rotation::exp;
 use crate::mechanics::tangent::{Motions, own_squared_frequency};
@@ -700,7 +700,7 @@ impl Search<'_> {
         springs: &NodeSpring,
     ) -> Result<Configuration, EquilibriumError> {
         let stop = &self.statics.problem.stop;
-        static_equilibrium_until(self.rod(), from, self.statics.time, springs, stop)
+        nearby_equilibrium_until(self.rod(), from, self.statics.time, springs, stop)
     }
 
     /// Returns a shape that springs on the node have pulled to the goal: from the start, or from one that is bent to a side.

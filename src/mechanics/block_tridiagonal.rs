@@ -57,6 +57,7 @@ impl BlockCholesky {
     }
 
     /// `L⁻¹ b`, in place.
+    #[cfg(test)]
     pub fn solve_lower(&self, b: &mut [Vector6<f64>]) {
         for i in 0..b.len() {
             if i > 0 {
@@ -69,6 +70,7 @@ impl BlockCholesky {
     }
 
     /// `L⁻ᵀ b`, in place.
+    #[cfg(test)]
     pub fn solve_lower_transposed(&self, b: &mut [Vector6<f64>]) {
         for i in (0..b.len()).rev() {
             if i + 1 < b.len() {

@@ -1,16 +1,20 @@
-//! Static equilibrium of a rod with a held end under its loads, gravity, and springs on a node.
+//! Static equilibrium of a rod with a held end under its loads, gravity, and springs on a node: a stable one where there is one.
 //!
-//! Globally, argmin's L-BFGS minimizes the potential energy in the tangent space of the current configuration, in coordinates in which the
-//! elastic stiffness there is the identity; locally, Newton's method with faer's sparse LU solves the equilibrium itself, with steps along
-//! which the strains are linear, so that turning does not stretch. Loads without a potential (body-fixed forces, moments) enter the
-//! minimization at their current direction and Newton's method exactly; if Newton's method fails from the start, these loads are increased
-//! from zero.
+//! The potential energy is minimized by Newton's method with the tangent stiffness `K` (faer's sparse LU). Where a full step does not reduce
+//! both residual and energy, `K + σ W` takes its place, with the weights `W` of the nodes and a shift `σ` that makes it positive definite
+//! and grows until the energy falls (Levenberg and Marquardt). The strains of all elements are linear along a step, so that turning does
+//! not stretch; a held tip that this carries away is taken back by the motion that the stiffness gives it. A shape in which an element is
+//! [crushed](EquilibriumError::Crushed) is never accepted.
+//!
+//! Where the iterations end on a saddle, they leave it along its negative mode, to the side of lower energy, and go on; of two sides of equal
+//! energy the one along the first axis of the base is taken. An arm whose tip is held elsewhere than its stress-free shape ends is led
+//! there, which passes its bifurcations in this way; of the shapes that are reached from there by turning it about the line through its
+//! ends the one of least energy is returned.
+//!
+//! Loads without a potential (body-fixed forces, moments) have no energy. They enter the minimization at their current direction and
+//! Newton's method exactly, and if Newton's method fails from the start, they are increased from zero. No saddle is left under them: the
+//! equilibrium is the one on the path from zero loads. [`Stability`](super::Stability) tells whether it is stable.
 
-use std::cell::{Cell, RefCell};
-
-use argmin::core::{CostFunction, Error as ArgminError, Executor, Gradient, State as _};
-use argmin::solver::linesearch::MoreThuenteLineSearch;
-use argmin::solver::quasinewton::LBFGS;
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::block_tridiagonal::{BlockCholesky, BlockTridiagonal};
@@ -22,7 +26,7 @@ use super::rod::Rod;
 use super::rotation::{exp, log, log_tangent};
 use super::stiffness::{free_stiffness, tangent_stiffness};
 use super::strain_coordinates::retract_shape;
-use super::tangent::Tangent;
+use super::tangent::{POSITIVE, Tangent, TangentLu};
 use crate::stop::{Stop, StopSignal};
 
 /// Springs that pull a node to a position and an orientation; by default there are none.
@@ -103,6 +107,16 @@ pub enum EquilibriumError {
         /// Length divided by the length at rest.
         dilatation: f64,
     },
+    /// An element is crushed or turned inside out: its model bears no such pressure.
+    #[error(
+        "element {element} would be pressed to {stretch:.2} of its length: its model bears no such pressure"
+    )]
+    Crushed {
+        /// Index of the element, between nodes `element` and `element + 1`.
+        element: usize,
+        /// Strain along the normal of its sections, 1 without strain.
+        stretch: f64,
+    },
     /// The shape at the start does not end where its tip is held.
     #[error(
         "the shape at the start does not end where the tip is held: it ends {distance:.3e} m and {angle:.3e} rad away; start from its equilibrium \
@@ -123,14 +137,35 @@ pub enum EquilibriumError {
 const TOLERANCE: f64 = 1e-9;
 /// Dilatation above which a length has no meaning.
 const LARGEST_DILATATION: f64 = 1e6;
-/// Cap on the alternations of minimization and Newton's method.
-const OUTER_LIMIT: usize = 200;
-/// Cap on the iterations of a stage of L-BFGS.
-const LBFGS_ITERATIONS: u64 = 30;
-/// Vectors that L-BFGS stores.
-const LBFGS_MEMORY: usize = 12;
-/// Cap on the evaluations of the energy in a stage. Its line searches, usually of one to three, have no limit of their own.
-const EVALUATION_LIMIT: usize = 1000;
+/// Strain along the normal of its sections below which an element is crushed: a linear law describes no such pressure.
+const LEAST_STRETCH: f64 = 0.1;
+/// Cap on the iterations, and on the saddles that are left.
+const OUTER_LIMIT: usize = 400;
+const MOST_SADDLES: usize = 20;
+/// First shift of the stiffness, in units of the [weights](Statics::weights), its factor after a refused step, and its largest value. The
+/// lowest mode of a cantilever has an eigenvalue of about 12.
+const FIRST_SHIFT: f64 = 1.0;
+const SHIFT_GROWTH: f64 = 4.0;
+const LARGEST_SHIFT: f64 = 1e15;
+/// Shift below which an indefinite stiffness counts as neutral: rounding of a loose motion, or of a critical load.
+const NEUTRAL_SHIFT: f64 = 1e-5;
+/// Largest turn of a node in a step of the minimization, rad.
+const LARGEST_TURN: f64 = 1.0;
+/// Part of the decrease of a linear model by which the energy falls at least (Nocedal & Wright 2006, p. 33), and cap on the halvings of a
+/// step.
+const SUFFICIENT_DECREASE: f64 = 1e-4;
+const HALVINGS: usize = 5;
+/// Rounding of the energy, relative to the sum of its parts.
+const ENERGY_ROUNDING: f64 = 1e-13;
+/// First displacement away from a saddle, in lengths of the arm or rad, and cap on its halvings.
+const LEAVING: f64 = 0.1;
+const LEAVING_HALVINGS: usize = 16;
+/// Cap on the steps that take a held tip back to its place.
+const CLOSING_STEPS: usize = 8;
+/// Relative difference of energies up to which two shapes are mirror images.
+const SAME_ENERGY: f64 = 1e-6;
+/// Angles about the line through two held ends from which other shapes are sought, in quarter turns.
+const QUARTERS: [f64; 3] = [1.0, 2.0, 3.0];
 /// Cap on Newton's steps without a smaller residual before the minimization takes over. A full step that turns a node stretches its
 /// elements by the square of the turn, and the residual falls only with the next step; without a potential the minimization would not help.
 const NEWTON_PATIENCE: usize = 8;
@@ -141,6 +176,9 @@ const LARGEST_NEWTON_TURN: f64 = 0.5;
 const SMALL_TURN: f64 = 1e-3;
 /// Fraction of the loads in the first step of a continuation, and the smallest one.
 const FIRST_STRIDE: f64 = 0.1;
+/// Largest way of a node in the last Newton step, divided by the length: along a motion without stiffness, as of a round column about its
+/// axis, a step is rounding divided by rounding, and leads anywhere among equal shapes.
+const LARGEST_REFINEMENT: f64 = 1e-4;
 const LEAST_STRIDE: f64 = 1e-3;
 /// Cap on Newton's steps at one load.
 const CONTINUATION_STEPS: usize = 12;
@@ -150,7 +188,16 @@ const CLOSED: f64 = 1e-12;
 /// stiffness: far below every other one, so that a step is wrong by about this part of itself. It is above the rounding of the others.
 const LEAST_TURN_STIFFNESS: f64 = 1e-8;
 
-/// Finds an equilibrium from `start`, with the base as in `start` and loads at their value at time `t`.
+/// An equilibrium, and the way to it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settled {
+    /// The shape.
+    pub shape: Configuration,
+    /// Number of saddles that were left on the way: shapes that are at rest, and unstable.
+    pub saddles: usize,
+}
+
+/// Finds a stable equilibrium from `start`, with the base as in `start` and loads at their value at time `t`.
 ///
 /// # Errors
 /// Returns [`EquilibriumError`] for a free base, if the iterations run out, or for a load that no shape bears.
@@ -174,55 +221,94 @@ pub fn static_equilibrium_until(
     spring: &NodeSpring,
     stop: &StopSignal,
 ) -> Result<Configuration, EquilibriumError> {
+    settled(rod, start, t, spring, stop).map(|found| found.shape)
+}
+
+/// Finds the equilibrium next to `start`, be it stable or not, as searches need it that follow one; as [`static_equilibrium_until`]
+/// otherwise.
+///
+/// # Errors
+/// As [`static_equilibrium_until`].
+pub fn nearby_equilibrium_until(
+    rod: &Rod,
+    start: &Configuration,
+    t: f64,
+    spring: &NodeSpring,
+    stop: &StopSignal,
+) -> Result<Configuration, EquilibriumError> {
+    found(rod, start, t, spring, stop, false).map(|found| found.shape)
+}
+
+/// Finds an equilibrium as [`static_equilibrium_until`] does, and tells how many saddles were left on the way.
+///
+/// # Errors
+/// As [`static_equilibrium_until`].
+pub fn settled(
+    rod: &Rod,
+    start: &Configuration,
+    t: f64,
+    spring: &NodeSpring,
+    stop: &StopSignal,
+) -> Result<Settled, EquilibriumError> {
+    found(rod, start, t, spring, stop, true)
+}
+
+fn found(
+    rod: &Rod,
+    start: &Configuration,
+    t: f64,
+    spring: &NodeSpring,
+    stop: &StopSignal,
+    leaves: bool,
+) -> Result<Settled, EquilibriumError> {
     if !rod.is_held() {
         return Err(EquilibriumError::FreeBase);
     }
-    let mut center = match ends_are_held(rod, start, t) {
-        false => led(rod, start, t, spring, stop)?,
-        true => start.clone(),
-    };
     let mut statics = Statics::new(rod, t, *spring);
-    let mut residual = statics.residual(&center);
-    let mut iterations = 0;
-    let mut was_continued = false;
-    while iterations < OUTER_LIMIT {
-        stop.check()?;
-        iterations += 1;
-        let size = statics.scaled(&residual);
-        let tolerance = TOLERANCE.max(statics.rounding(&center));
-        if size <= tolerance {
-            return checked(rod, statics.refined_once(center, &residual));
-        }
-        if let Some((trial, trial_residual)) = statics.newton_steps(&center, &residual) {
-            if statics.scaled(&trial_residual) < 0.5 * size {
-                center = trial;
-                residual = trial_residual;
-                continue;
-            }
-            // At rounding, further steps bring no improvement.
-            if size < 1e3 * TOLERANCE && statics.scaled(&trial_residual) < 1e3 * TOLERANCE {
-                let is_nearer = statics.scaled(&trial_residual) < size;
-                return checked(rod, if is_nearer { trial } else { center });
-            }
-        }
-        if !statics.is_conservative() && !was_continued {
-            was_continued = true;
-            if let Some(found) = continued(rod, start, t, spring, stop)? {
-                return checked(rod, found);
-            }
-        }
-        let lower = statics.minimize(&center, stop);
-        stop.check()?;
-        if lower == center {
-            break;
-        }
-        center = lower;
-        residual = statics.residual(&center);
+    let leaves = leaves && statics.is_conservative();
+    let is_led = !ends_are_held(rod, start, t);
+    let mut first = Settled {
+        shape: start.clone(),
+        saddles: 0,
+    };
+    if is_led {
+        first = led(rod, start, t, spring, stop, leaves)?;
     }
-    Err(EquilibriumError::NotConverged {
-        iterations,
-        residual: statics.scaled(&residual),
-    })
+    let mut best = match statics.at_rest(&first, stop, leaves) {
+        Ok(found) => found,
+        Err(error @ EquilibriumError::NotConverged { .. }) if !is_led => {
+            match raised(rod, start, t, spring, stop, leaves)? {
+                Some(found) => found,
+                None => return Err(error),
+            }
+        }
+        Err(error) => return Err(error),
+    };
+    if is_led && leaves && !rod.has_free_tip() && rod.base != EndCondition::Free {
+        for quarters in QUARTERS {
+            let Some(turned) = statics.turned_about_ends(&best.shape, quarters) else {
+                continue;
+            };
+            let from = Settled {
+                shape: turned,
+                saddles: best.saddles,
+            };
+            match statics.at_rest(&from, stop, true) {
+                Ok(other) => {
+                    let (own, size) = statics.energy(&best.shape, &best.shape);
+                    let (lower, _) = statics.energy(&other.shape, &best.shape);
+                    if lower < own - SAME_ENERGY * size {
+                        best = other;
+                    }
+                }
+                Err(EquilibriumError::Stopped(stop)) => {
+                    return Err(EquilibriumError::Stopped(stop));
+                }
+                Err(_) => {}
+            }
+        }
+    }
+    Ok(best)
 }
 
 /// Tells whether the held ends of a shape are where they are held.
@@ -239,7 +325,8 @@ fn led(
     t: f64,
     spring: &NodeSpring,
     stop: &StopSignal,
-) -> Result<Configuration, EquilibriumError> {
+    leaves: bool,
+) -> Result<Settled, EquilibriumError> {
     let tip = rod.tip();
     let (x, r) = (start.positions[tip], start.rotations[tip]);
     let to = rod
@@ -257,15 +344,41 @@ fn led(
         },
         ..rod.clone()
     };
-    let shape = static_equilibrium_until(&under(0.0), start, t, spring, stop)?;
-    let strides = [FIRST_STRIDE, LEAST_STRIDE];
-    let each = &mut |_, _: &Configuration, _| Passage::On;
-    let (part, shape) = followed(&under, (0.0, shape), 1.0, strides, t, spring, stop, each)?;
+    let mut at = found(&under(0.0), start, t, spring, stop, leaves)?;
+    let mut part = 0.0;
+    if leaves {
+        let mut stride = FIRST_STRIDE;
+        while part < 1.0 {
+            stop.check()?;
+            let next = f64::min(part + stride, 1.0);
+            let held = under(next);
+            let mut statics = Statics::new(&held, t, *spring);
+            let moved = statics.with_closed_ends(&at.shape).and_then(|shape| {
+                let saddles = at.saddles;
+                statics
+                    .at_rest(&Settled { shape, saddles }, stop, true)
+                    .ok()
+            });
+            stop.check()?;
+            match moved {
+                Some(moved) => {
+                    (at, part) = (moved, next);
+                    stride *= 1.5;
+                }
+                None if stride <= LEAST_STRIDE => break,
+                None => stride *= 0.5,
+            }
+        }
+    } else {
+        let strides = [FIRST_STRIDE, LEAST_STRIDE];
+        let each = &mut |_, _: &Configuration, _| Passage::On;
+        (part, at.shape) = followed(&under, (0.0, at.shape), 1.0, strides, t, spring, stop, each)?;
+    }
     if part == 1.0 {
-        return Ok(shape);
+        return Ok(at);
     }
     // Where the path cannot be followed, the arm settles from a shape that is moved and turned by as much as its place along it says.
-    let mut out = shape;
+    let out = &mut at.shape;
     let (x, r) = (out.positions[tip], out.rotations[tip]);
     let turn = log(&r.tr_mul(&to.1));
     for (q, s) in rod.mesh.fractions().into_iter().enumerate() {
@@ -273,7 +386,45 @@ fn led(
         out.rotations[q] *= exp(&(s * turn));
     }
     (out.positions[tip], out.rotations[tip]) = to;
-    Ok(out)
+    Ok(at)
+}
+
+/// Returns the equilibrium that is reached when gravity, loads and efforts of actuators are increased from zero; `None` if it cannot be
+/// followed. The last resort of an arm that does not settle from its start.
+fn raised(
+    rod: &Rod,
+    start: &Configuration,
+    t: f64,
+    spring: &NodeSpring,
+    stop: &StopSignal,
+    leaves: bool,
+) -> Result<Option<Settled>, EquilibriumError> {
+    let under = |part: f64| {
+        let mut rod = rod.clone();
+        rod.multiply_loads(part);
+        rod.gravity *= part;
+        rod
+    };
+    let mut at = Settled {
+        shape: start.clone(),
+        saddles: 0,
+    };
+    let (mut part, mut stride) = (0.0, FIRST_STRIDE);
+    while part < 1.0 {
+        stop.check()?;
+        let next = f64::min(part + stride, 1.0);
+        let loaded = under(next);
+        match Statics::new(&loaded, t, *spring).at_rest(&at, stop, leaves) {
+            Ok(next_at) => {
+                (at, part) = (next_at, next);
+                stride *= 2.0;
+            }
+            Err(EquilibriumError::Stopped(stop)) => return Err(EquilibriumError::Stopped(stop)),
+            Err(_) if stride <= 0.1 * FIRST_STRIDE => return Ok(None),
+            Err(_) => stride *= 0.25,
+        }
+    }
+    Ok(Some(at))
 }
 
 /// Returns the equilibrium that is reached when the loads without a potential are increased from zero; `None` if Newton's method cannot
@@ -296,7 +447,7 @@ fn continued(
         }
         rod
     };
-    let shape = static_equilibrium_until(&under(0.0), start, t, spring, stop)?;
+    let shape = nearby_equilibrium_until(&under(0.0), start, t, spring, stop)?;
     let strides = [FIRST_STRIDE, LEAST_STRIDE];
     let each = &mut |_, _: &Configuration, _| Passage::On;
     let (part, shape) = followed(&under, (0.0, shape), 1.0, strides, t, spring, stop, each)?;
@@ -370,13 +521,27 @@ fn has_potential(load: &Load) -> bool {
 
 fn checked(rod: &Rod, shape: Configuration) -> Result<Configuration, EquilibriumError> {
     let dilatation = rod.dilatation(&shape.positions);
-    match dilatation.iter().position(|e| !(*e < LARGEST_DILATATION)) {
-        None => Ok(shape),
-        Some(element) => Err(EquilibriumError::Overstretched {
+    if let Some(element) = dilatation.iter().position(|e| !(*e < LARGEST_DILATATION)) {
+        return Err(EquilibriumError::Overstretched {
             element,
             dilatation: dilatation[element],
-        }),
+        });
     }
+    match crushed(rod, &shape) {
+        None => Ok(shape),
+        Some((element, stretch)) => Err(EquilibriumError::Crushed { element, stretch }),
+    }
+}
+
+/// Returns the first element whose strain along the normal of its sections is below [`LEAST_STRETCH`], and that strain.
+fn crushed(rod: &Rod, at: &Configuration) -> Option<(usize, f64)> {
+    (rod.elements.iter().enumerate())
+        .map(|(q, element)| {
+            let pose = Rod::element_pose(q, &at.positions, &at.rotations);
+            let [a, b] = rod.strain_rule.strain(element.length, &pose).linear;
+            (q, a.z.min(b.z))
+        })
+        .find(|(_, stretch)| !(*stretch >= LEAST_STRETCH))
 }
 
 struct Statics<'a> {
@@ -426,12 +591,57 @@ impl<'a> Statics<'a> {
         Vector6::new(linear, linear, linear, angular, angular, angular)
     }
 
-    /// Returns the matrix of Newton's method: minus the derivative of the [residual](Self::residual).
-    fn jacobian(&self, at: &Configuration) -> BlockTridiagonal {
+    /// Returns the weights `W` of the free nodes: `EI/L³` and `EI/L` times the part of the length that a node has.
+    fn weights(&self) -> Vec<Vector6<f64>> {
+        let scales = &self.rod.scales;
+        let (linear, angular) = (scales.force / scales.length, scales.moment);
+        let places = self.rod.places();
+        let first = self.rod.first_free_node();
+        (first..places.len())
+            .map(|q| {
+                let before = places[q.saturating_sub(1)];
+                let after = places[(q + 1).min(places.len() - 1)];
+                let part = 0.5 * (after - before);
+                Vector6::new(linear, linear, linear, angular, angular, angular) * part
+            })
+            .collect()
+    }
+
+    /// Tells whether the symmetric part of `K + σ W`, without the springs of winches, is positive definite on the motions that joints
+    /// leave free.
+    fn is_definite(&self, at: &Configuration, shift: f64) -> bool {
+        let mut k = self.stiffness(at);
+        for (block, weight) in k.diagonal.iter_mut().zip(self.weights()) {
+            *block = 0.5 * (*block + block.transpose()) + Matrix6::from_diagonal(&(weight * shift));
+        }
+        let below: Vec<_> = (k.below.iter().zip(&k.above))
+            .map(|(b, a)| 0.5 * (b + a.transpose()))
+            .collect();
+        BlockCholesky::new(&k.diagonal, &below).is_some()
+    }
+
+    /// Returns the factors of `K + σ W`, with rows of the [gaps](Self::residual) of joints.
+    fn factor(&self, at: &Configuration, shift: f64) -> Option<TangentLu> {
+        let mut tangent = Tangent::of(self.jacobian(at, shift));
+        tangent.add_winches(self.rod, at, self.t);
+        tangent.factor()
+    }
+
+    /// Returns the matrix of Newton's method: minus the derivative of the [residual](Self::residual), plus a shift times the
+    /// [weights](Self::weights).
+    fn jacobian(&self, at: &Configuration, shift: f64) -> BlockTridiagonal {
+        let shifted = |out: &mut BlockTridiagonal| {
+            for (block, weight) in out.diagonal.iter_mut().zip(self.weights()) {
+                *block += Matrix6::from_diagonal(&(weight * shift));
+            }
+        };
         if self.rod.joints.is_empty() {
-            return self.stiffness(at);
+            let mut out = self.stiffness(at);
+            shifted(&mut out);
+            return out;
         }
         let mut out = free_stiffness(self.rod, at, self.t);
+        shifted(&mut out);
         if self.rod.most_loose_motions() > 0 {
             let stiffest = (self.rod.elements.iter())
                 .map(|element| element.linear_stiffness.max() * element.length)
@@ -506,7 +716,12 @@ impl<'a> Statics<'a> {
     fn refined_once(&mut self, at: Configuration, residual: &[Vector6<f64>]) -> Configuration {
         let tolerance = TOLERANCE.max(self.rounding(&at));
         match self.newton(&at, residual) {
-            Some((nearer, left)) if self.scaled(&left) <= tolerance => nearer,
+            Some((nearer, left))
+                if self.scaled(&left) <= tolerance
+                    && largest_way(&at, &nearer) <= LARGEST_REFINEMENT * self.rod.scales.length =>
+            {
+                nearer
+            }
             _ => at,
         }
     }
@@ -558,9 +773,7 @@ impl<'a> Statics<'a> {
         at: &Configuration,
         residual: &[Vector6<f64>],
     ) -> Option<(Configuration, Vec<Vector6<f64>>)> {
-        let mut tangent = Tangent::of(self.jacobian(at));
-        tangent.add_winches(self.rod, at, self.t);
-        let factor = tangent.factor()?;
+        let factor = self.factor(at, 0.0)?;
         let step = factor.solve(&[residual.to_vec()]).swap_remove(0);
         let l = self.rod.shortest_element();
         let reach = l * step.len() as f64;
@@ -571,17 +784,7 @@ impl<'a> Statics<'a> {
         if !is_short && self.is_conservative() {
             return None;
         }
-        // Short steps need not preserve the strains, and have less rounding.
-        let farthest = (step.iter())
-            .map(|s| s.fixed_rows::<3>(3).norm())
-            .fold(0.0, f64::max);
-        let first = self.rod.first_free_node();
-        // Strains that change linearly would carry a held tip away.
-        let trial = if farthest > SMALL_TURN && self.rod.has_free_tip() {
-            strained(at, &step, first)
-        } else {
-            moved(at, &step, first)
-        };
+        let trial = self.stepped(at, &step, &factor)?;
         if !is_short && !(largest_bend(at, &trial) < LARGEST_NEWTON_TURN) {
             return None;
         }
@@ -589,76 +792,417 @@ impl<'a> Statics<'a> {
         Some((trial, residual))
     }
 
-    /// Runs a stage of L-BFGS from `center`, on the energy with non-conservative loads frozen.
-    fn minimize(&mut self, center: &Configuration, stop: &StopSignal) -> Configuration {
-        let k = self.stiffness(center);
-        let symmetric: Vec<_> = k
-            .diagonal
-            .iter()
-            .map(|d| 0.5 * (d + d.transpose()))
-            .collect();
-        let below: Vec<_> = k
-            .below
-            .iter()
-            .zip(&k.above)
-            .map(|(b, a)| 0.5 * (b + a.transpose()))
-            .collect();
-        // Shifts an indefinite stiffness until it can be factored; the shift is relative to each diagonal entry.
+    /// Returns the shape after a step `(δx, η)` of the free nodes, with the tip where it is held; `None` if it does not come back there.
+    fn stepped(
+        &self,
+        at: &Configuration,
+        step: &[Vector6<f64>],
+        factor: &TangentLu,
+    ) -> Option<Configuration> {
+        let farthest = (step.iter())
+            .map(|s| s.fixed_rows::<3>(3).norm())
+            .fold(0.0, f64::max);
+        let first = self.rod.first_free_node();
+        // Short steps need not preserve the strains, and have less rounding.
+        if !(farthest > SMALL_TURN) {
+            return Some(moved(at, step, first));
+        }
+        let trial = strained(at, step, first);
+        if self.rod.has_free_tip() {
+            return Some(trial);
+        }
+        self.closed(trial, factor)
+    }
+
+    /// Returns the shape near another one with the tip where it is held: by the motion with this gap that the stiffness gives, as long as
+    /// there is one.
+    fn closed(&self, mut at: Configuration, factor: &TangentLu) -> Option<Configuration> {
+        let first = self.rod.first_free_node();
+        let size = |at: &Configuration| {
+            let (distance, angle) = self.rod.largest_gap(at, self.t);
+            (distance / self.rod.scales.length).max(angle)
+        };
+        let mut gap = size(&at);
+        for _ in 0..CLOSING_STEPS {
+            if gap <= CLOSED {
+                break;
+            }
+            let mut right = vec![Vector6::zeros(); self.rod.n_nodes() - first];
+            for joint in &self.rod.joints {
+                let way = self.rod.gap(joint, &at, self.t);
+                right[joint.node - first] = self.of_gap().component_mul(&way);
+            }
+            let step = factor.solve(&[right]).swap_remove(0);
+            let next = if gap > SMALL_TURN * SMALL_TURN {
+                strained(&at, &step, first)
+            } else {
+                moved(&at, &step, first)
+            };
+            let left = size(&next);
+            if !(left < 0.9 * gap) {
+                break;
+            }
+            (at, gap) = (next, left);
+        }
+        (gap <= 1e3 * CLOSED).then_some(at)
+    }
+
+    /// Returns a shape near another one whose ends are where they are held.
+    fn with_closed_ends(&self, at: &Configuration) -> Option<Configuration> {
         let mut shift = 0.0;
-        let factor = loop {
-            let shifted: Vec<_> = symmetric
-                .iter()
-                .map(|d| {
-                    let diagonal = d.diagonal().abs() + Vector6::repeat(f64::MIN_POSITIVE);
-                    d + Matrix6::from_diagonal(&(diagonal * shift))
-                })
-                .collect();
-            if let Some(factor) = BlockCholesky::new(&shifted, &below) {
-                break factor;
+        while shift <= LARGEST_SHIFT {
+            if self.is_definite(at, shift) {
+                let factor = self.factor(at, shift)?;
+                let closed = self.closed(at.clone(), &factor)?;
+                return crushed(self.rod, &closed).is_none().then_some(closed);
             }
-            if shift > 1e12 {
-                return center.clone();
+            shift = next_shift(shift);
+        }
+        None
+    }
+
+    /// Returns the shape that is turned about the line through its ends by a number of quarter turns, less towards clamped ends, with its
+    /// ends where they are held.
+    fn turned_about_ends(&self, at: &Configuration, quarters: f64) -> Option<Configuration> {
+        let tip = self.rod.tip();
+        let from = at.positions[0];
+        let axis = (at.positions[tip] - from).try_normalize(1e-6 * self.rod.scales.length)?;
+        let bow = (at.positions.iter())
+            .map(|x| {
+                let way = x - from;
+                (way - axis * axis.dot(&way)).norm()
+            })
+            .fold(0.0, f64::max);
+        if !(bow > 1e-3 * self.rod.scales.length) {
+            return None;
+        }
+        let eased = |is_held: bool, way: f64| match is_held {
+            true => (way / 0.25).min(1.0),
+            false => 1.0,
+        };
+        let is_clamped = |end: &EndCondition| {
+            !matches!(
+                end,
+                EndCondition::Pinned { axis: None } | EndCondition::Free
+            )
+        };
+        let held = [&self.rod.base, &self.rod.tip_end].map(is_clamped);
+        let mut out = at.clone();
+        for (q, s) in self.rod.places().into_iter().enumerate() {
+            let part = eased(held[0], s) * eased(held[1], 1.0 - s);
+            let turn = exp(&(axis * (part * quarters * std::f64::consts::FRAC_PI_2)));
+            out.positions[q] = from + turn * (at.positions[q] - from);
+            out.rotations[q] = turn * at.rotations[q];
+        }
+        (out.positions[tip], out.rotations[tip]) = (
+            at.positions[tip],
+            match held[1] {
+                true => at.rotations[tip],
+                false => out.rotations[tip],
+            },
+        );
+        crushed(self.rod, &out).is_none().then_some(out)
+    }
+
+    /// Returns the potential energy, J, of a shape, and the sum of the sizes of its parts; loads without a potential keep the direction
+    /// that they have in the shape `center`. Infinite where an element is [crushed](EquilibriumError::Crushed).
+    fn energy(&self, at: &Configuration, center: &Configuration) -> (f64, f64) {
+        let rod = self.rod;
+        if crushed(rod, at).is_some() {
+            return (f64::INFINITY, f64::INFINITY);
+        }
+        let node = self.spring.node;
+        let mut parts = vec![
+            rod.elastic_energy(&at.positions, &at.rotations),
+            rod.gravity_energy(&at.positions),
+            self.spring.energy(&at.positions[node], &at.rotations[node]),
+            rod.potential_energy(&at.positions, &at.rotations),
+        ];
+        if !rod.actuators.is_empty() {
+            let efforts = rod.actuators.efforts(self.t);
+            parts.push(rod.actuator_energy(&at.positions, &at.rotations, &efforts));
+        }
+        for load in &rod.loads {
+            let q = load.node;
+            let wrench = load.wrench(self.t, &center.rotations[q]);
+            let turn = log(&center.rotations[q].tr_mul(&at.rotations[q]));
+            let way = at.positions[q] - center.positions[q];
+            parts.push(-wrench.force.dot(&way) - wrench.moment.dot(&turn));
+        }
+        let sum: f64 = parts.iter().sum();
+        match sum.is_finite() {
+            true => (sum, parts.iter().map(|part| part.abs()).sum()),
+            false => (f64::INFINITY, f64::INFINITY),
+        }
+    }
+
+    /// Returns the equilibrium in which the arm settles from a shape whose ends are held: a stable one if it `leaves` saddles.
+    fn at_rest(
+        &mut self,
+        from: &Settled,
+        stop: &StopSignal,
+        leaves: bool,
+    ) -> Result<Settled, EquilibriumError> {
+        let Settled {
+            shape: mut center,
+            mut saddles,
+        } = from.clone();
+        let is_conservative = self.is_conservative();
+        let mut residual = self.residual(&center);
+        let mut iterations = 0;
+        let mut shift = 0.0;
+        let mut was_continued = false;
+        let may_leave = leaves;
+        while iterations < OUTER_LIMIT {
+            stop.check()?;
+            iterations += 1;
+            let size = self.scaled(&residual);
+            let tolerance = TOLERANCE.max(self.rounding(&center));
+            if size <= tolerance {
+                let shape = self.refined_once(center, &residual);
+                if may_leave
+                    && saddles < from.saddles + MOST_SADDLES
+                    && let Some(away) = self.away_from_saddle(&shape)
+                {
+                    saddles += 1;
+                    residual = self.residual(&away);
+                    center = away;
+                    continue;
+                }
+                let shape = checked(self.rod, shape)?;
+                return Ok(Settled { shape, saddles });
             }
-            shift = if shift == 0.0 { 1e-6 } else { 10.0 * shift };
+            let definite = leaves && self.is_definite(&center, 0.0);
+            if let Some((trial, trial_residual)) = self.newton_steps(&center, &residual) {
+                let is_lower = !leaves || definite || self.falls(&center, &residual, &trial);
+                if is_lower && self.scaled(&trial_residual) < 0.5 * size {
+                    center = trial;
+                    residual = trial_residual;
+                    shift = 0.0;
+                    continue;
+                }
+                // At rounding, further steps bring no improvement.
+                if size < 1e3 * TOLERANCE && self.scaled(&trial_residual) < 1e3 * TOLERANCE {
+                    let is_nearer = self.scaled(&trial_residual) < size;
+                    let shape = checked(self.rod, if is_nearer { trial } else { center })?;
+                    return Ok(Settled { shape, saddles });
+                }
+            }
+            if !is_conservative && !was_continued {
+                was_continued = true;
+                let (rod, t, spring) = (self.rod, self.t, self.spring);
+                if let Some(shape) = continued(rod, &from.shape, t, &spring, stop)? {
+                    let shape = checked(rod, shape)?;
+                    return Ok(Settled { shape, saddles });
+                }
+            }
+            let Some(lower) = self.lower(&center, &residual, &mut shift) else {
+                break;
+            };
+            center = lower;
+            residual = self.residual(&center);
+        }
+        Err(EquilibriumError::NotConverged {
+            iterations,
+            residual: self.scaled(&residual),
+        })
+    }
+
+    /// Tells whether a trial lies downhill: in the direction of the forces, with less energy up to rounding.
+    fn falls(
+        &self,
+        center: &Configuration,
+        residual: &[Vector6<f64>],
+        trial: &Configuration,
+    ) -> bool {
+        let first = self.rod.first_free_node();
+        let along: f64 = (residual.iter().enumerate())
+            .map(|(i, r)| {
+                let q = i + first;
+                let way = trial.positions[q] - center.positions[q];
+                let turn = log(&center.rotations[q].tr_mul(&trial.rotations[q]));
+                r.fixed_rows::<3>(0).dot(&way) + r.fixed_rows::<3>(3).dot(&turn)
+            })
+            .sum();
+        let (own, size) = self.energy(center, center);
+        let (next, _) = self.energy(trial, center);
+        let rounding = ENERGY_ROUNDING * size;
+        along > -rounding && next <= own + rounding
+    }
+
+    /// Returns a shape with less energy by a step with `K + σ W`; `shift` is `σ` of the last step and becomes that of this one. `None` if
+    /// no step reduces the energy beyond rounding.
+    fn lower(
+        &mut self,
+        center: &Configuration,
+        residual: &[Vector6<f64>],
+        shift: &mut f64,
+    ) -> Option<Configuration> {
+        let (own, size) = self.energy(center, center);
+        let residual_size = self.scaled(residual);
+        while *shift <= LARGEST_SHIFT {
+            let factor = (self.is_definite(center, *shift))
+                .then(|| self.factor(center, *shift))
+                .flatten();
+            let Some(factor) = factor else {
+                *shift = next_shift(*shift);
+                continue;
+            };
+            let mut step = factor.solve(&[residual.to_vec()]).swap_remove(0);
+            let (mut turn, mut way) = (0.0_f64, 0.0_f64);
+            for part in &step {
+                way = way.max(part.fixed_rows::<3>(0).norm());
+                turn = turn.max(part.fixed_rows::<3>(3).norm());
+            }
+            let far = turn.max(way / (0.5 * self.rod.scales.length));
+            if !far.is_finite() {
+                return None;
+            }
+            let mut part = (LARGEST_TURN / far).min(1.0);
+            let slope = super::tangent::dot(residual, &step);
+            for _ in 0..HALVINGS {
+                for own in &mut step {
+                    *own *= part;
+                }
+                if let Some(trial) = self.stepped(center, &step, &factor) {
+                    let expected = super::tangent::dot(residual, &step);
+                    let (next, _) = self.energy(&trial, center);
+                    let is_lower = next <= own - SUFFICIENT_DECREASE * expected;
+                    // Where rounding hides the decrease, the residual decides.
+                    let is_hidden = expected < 1e3 * ENERGY_ROUNDING * size
+                        && next <= own + ENERGY_ROUNDING * size;
+                    if (is_lower && expected > ENERGY_ROUNDING * size)
+                        || (is_hidden && {
+                            let after = self.residual(&trial);
+                            self.scaled(&after) < 0.9 * residual_size
+                        })
+                    {
+                        *shift = match expected > 0.5 * slope {
+                            true if *shift <= FIRST_SHIFT => 0.0,
+                            true => *shift / (2.0 * SHIFT_GROWTH),
+                            false => *shift,
+                        };
+                        return Some(trial);
+                    }
+                }
+                part = 0.5;
+            }
+            *shift = next_shift(next_shift(*shift));
+        }
+        None
+    }
+
+    /// Returns a shape with less energy beside a saddle, along its lowest mode; `None` if the shape is not a saddle beyond rounding. Of two
+    /// sides of equal energy it is the one along the first axis of the base.
+    fn away_from_saddle(&self, at: &Configuration) -> Option<Configuration> {
+        if self.is_definite(at, NEUTRAL_SHIFT) {
+            return None;
+        }
+        let rod = self.rod;
+        let mut tangent = Tangent::of(self.stiffness(at));
+        tangent.add_winches(rod, at, self.t);
+        let unit = rod.scales.time.powi(-2);
+        let modes = tangent.lowest_modes(rod, at, unit, 2)?;
+        let least = (POSITIVE * unit).max(tangent.rounding(rod, at));
+        if !(modes[0].squared_frequency < -least) {
+            return None;
+        }
+        let first = rod.first_free_node();
+        let places = rod.places();
+        // The way along an axis of the base, more of it towards the tip, so that it is not zero for waves.
+        let along = |axis: usize, shape: &[Vector6<f64>]| -> f64 {
+            let axis = at.rotations[0].column(axis).into_owned();
+            (shape.iter().enumerate())
+                .map(|(i, own)| (1.0 + places[i + first]) * axis.dot(&own.fixed_rows::<3>(0)))
+                .sum()
         };
-        let frozen: Vec<Wrench> = frozen_loads(self.rod, center, self.t);
-        let problem = PotentialEnergy {
-            rod: self.rod,
-            spring: self.spring,
-            center,
-            frozen,
-            factor: &factor,
-            forces: RefCell::new(NodalForces::zeros(self.rod.n_nodes())),
-            evaluations: Cell::new(0),
-            t: self.t,
-            stop,
+        let size = |shape: &[Vector6<f64>]| -> f64 {
+            let own = |s: &Vector6<f64>| s.fixed_rows::<3>(0).norm();
+            shape.iter().map(own).sum()
         };
-        let n = 6 * k.diagonal.len();
-        let run = LBFGS::new(MoreThuenteLineSearch::new(), LBFGS_MEMORY)
-            .with_tolerance_grad(1e-12)
-            .and_then(|solver| {
-                Executor::new(problem, solver)
-                    .configure(|state| state.param(vec![0.0; n]).max_iters(LBFGS_ITERATIONS))
-                    .timer(false)
-                    .run()
+        let mut mode = modes[0].shape.clone();
+        let is_double = modes.get(1).is_some_and(|second| {
+            let apart = second.squared_frequency - modes[0].squared_frequency;
+            apart < 1e-6 * (modes[0].squared_frequency.abs() + unit)
+        });
+        if is_double {
+            let second = &modes[1].shape;
+            let (a, b) = (along(0, &mode), along(0, second));
+            let norm = a.hypot(b);
+            if norm > 1e-6 * (size(&mode) + size(second)) {
+                for (own, second) in mode.iter_mut().zip(second) {
+                    *own = *own * (a / norm) + second * (b / norm);
+                }
+            }
+        }
+        let ways = [0, 1, 2].map(|axis| along(axis, &mode));
+        let towards = ways.iter().find(|way| way.abs() > 1e-6 * size(&mode));
+        let mut sign = towards.map_or(1.0, |way| way.signum());
+        let far = (mode.iter())
+            .map(|s| {
+                let way = s.fixed_rows::<3>(0).norm() / rod.scales.length;
+                way.max(s.fixed_rows::<3>(3).norm())
+            })
+            .fold(0.0, f64::max);
+        if !(far > 0.0 && far.is_finite()) {
+            return None;
+        }
+        sign *= LEAVING / far;
+        let (own, size) = self.energy(at, at);
+        let factor = self.factor(at, self.definite_shift(at)?)?;
+        for halving in 0..LEAVING_HALVINGS {
+            let trials = [1.0, -1.0].map(|side| {
+                let length = side * sign * 0.5_f64.powi(halving as i32);
+                let step: Vec<_> = mode.iter().map(|s| s * length).collect();
+                let trial = self.stepped(at, &step, &factor)?;
+                let (energy, _) = self.energy(&trial, at);
+                Some((energy, trial))
             });
-        // A line search without improvement ends the stage; the caller sees no progress and stops.
-        let Ok(result) = run else {
-            return center.clone();
-        };
-        let Some(z) = result.state().get_best_param() else {
-            return center.clone();
-        };
-        let mut step = blocks(z);
-        factor.solve_lower_transposed(&mut step);
-        moved(center, &step, self.rod.first_free_node())
+            let [plus, minus] = trials;
+            let best = match (plus, minus) {
+                (Some(plus), Some(minus)) => {
+                    let gain = own - plus.0.min(minus.0);
+                    // Mirror images have the same energy.
+                    if minus.0 < plus.0 - 1e-3 * gain.abs() {
+                        Some(minus)
+                    } else {
+                        Some(plus)
+                    }
+                }
+                (plus, minus) => plus.or(minus),
+            };
+            if let Some((energy, trial)) = best
+                && energy < own - 10.0 * ENERGY_ROUNDING * size
+            {
+                return Some(trial);
+            }
+        }
+        None
+    }
+
+    /// Returns a shift with which the stiffness is positive definite.
+    fn definite_shift(&self, at: &Configuration) -> Option<f64> {
+        let mut shift = 0.0;
+        while shift <= LARGEST_SHIFT {
+            if self.is_definite(at, shift) {
+                return Some(shift);
+            }
+            shift = next_shift(shift);
+        }
+        None
     }
 }
 
-fn blocks(flat: &[f64]) -> Vec<Vector6<f64>> {
-    flat.chunks_exact(6)
-        .map(Vector6::from_column_slice)
-        .collect()
+/// Returns the largest way of a node from one shape to another, m.
+fn largest_way(from: &Configuration, to: &Configuration) -> f64 {
+    (from.positions.iter().zip(&to.positions))
+        .map(|(from, to)| (to - from).norm())
+        .fold(0.0, f64::max)
+}
+
+/// Returns the shift that is tried after another one.
+fn next_shift(shift: f64) -> f64 {
+    (SHIFT_GROWTH * shift).max(FIRST_SHIFT)
 }
 
 /// Returns `x + δx`, `R exp(η)` on the free nodes, from node `first` on.
@@ -699,115 +1243,4 @@ fn largest_bend(from: &Configuration, to: &Configuration) -> f64 {
     (0..from.rotations.len() - 1)
         .map(|q| (turn(to, q) - turn(from, q)).norm())
         .fold(0.0, |most, bend| if bend <= most { most } else { bend })
-}
-
-/// Returns the rod's loads as wrenches at `center`, summed per node.
-fn frozen_loads(rod: &Rod, center: &Configuration, t: f64) -> Vec<Wrench> {
-    let mut out = vec![Wrench::default(); rod.n_nodes()];
-    for load in &rod.loads {
-        let wrench = load.wrench(t, &center.rotations[load.node]);
-        out[load.node].force += wrench.force;
-        out[load.node].moment += wrench.moment;
-    }
-    out
-}
-
-/// Potential energy as a function of `z`, where `(δx, η) = L⁻ᵀ z` and `L Lᵀ` is the stiffness at the center.
-struct PotentialEnergy<'a> {
-    rod: &'a Rod,
-    spring: NodeSpring,
-    center: &'a Configuration,
-    frozen: Vec<Wrench>,
-    factor: &'a BlockCholesky,
-    forces: RefCell<NodalForces>,
-    evaluations: Cell<usize>,
-    t: f64,
-    stop: &'a StopSignal,
-}
-
-impl PotentialEnergy<'_> {
-    fn step(&self, z: &[f64]) -> Vec<Vector6<f64>> {
-        let mut step = blocks(z);
-        self.factor.solve_lower_transposed(&mut step);
-        step
-    }
-}
-
-impl CostFunction for PotentialEnergy<'_> {
-    type Param = Vec<f64>;
-    type Output = f64;
-
-    fn cost(&self, z: &Vec<f64>) -> Result<f64, ArgminError> {
-        self.evaluations.set(self.evaluations.get() + 1);
-        if self.evaluations.get() > EVALUATION_LIMIT {
-            return Err(ArgminError::msg("a line search without end"));
-        }
-        self.stop.check()?;
-        let step = self.step(z);
-        let at = moved(self.center, &step, self.rod.first_free_node());
-        let node = self.spring.node;
-        let mut energy = self.rod.elastic_energy(&at.positions, &at.rotations)
-            + self.rod.gravity_energy(&at.positions)
-            + (self.spring).energy(&at.positions[node], &at.rotations[node]);
-        if !self.rod.actuators.is_empty() {
-            let efforts = self.rod.actuators.efforts(self.t);
-            energy += (self.rod).actuator_energy(&at.positions, &at.rotations, &efforts);
-        }
-        energy += (self.rod).potential_energy(&at.positions, &at.rotations);
-        for (load, s) in self
-            .frozen
-            .iter()
-            .skip(self.rod.first_free_node())
-            .zip(&step)
-        {
-            energy -=
-                load.force.dot(&s.fixed_rows::<3>(0)) + load.moment.dot(&s.fixed_rows::<3>(3));
-        }
-        Ok(energy)
-    }
-}
-
-impl Gradient for PotentialEnergy<'_> {
-    type Param = Vec<f64>;
-    type Gradient = Vec<f64>;
-
-    fn gradient(&self, z: &Vec<f64>) -> Result<Vec<f64>, ArgminError> {
-        let step = self.step(z);
-        let first = self.rod.first_free_node();
-        let at = moved(self.center, &step, first);
-        let node = self.spring.node;
-        let mut forces = self.forces.borrow_mut();
-        forces.evaluate(self.rod, &at.positions, &at.rotations, self.t);
-        // The loads in `forces` are those at the displaced rotations; the frozen ones replace them.
-        for load in &self.rod.loads {
-            let wrench = load.wrench(self.t, &at.rotations[load.node]);
-            forces.forces[load.node] -= wrench.force;
-            forces.moments[load.node] -= wrench.moment;
-        }
-        let pull = (self.spring).wrench(&at.positions[node], &at.rotations[node]);
-        forces.forces[node] += pull.force;
-        forces.moments[node] += pull.moment;
-        let mut gradient: Vec<Vector6<f64>> = step
-            .iter()
-            .enumerate()
-            .map(|(i, s)| {
-                let q = i + first;
-                let eta: Vector3<f64> = s.fixed_rows::<3>(3).into();
-                // The body tangent of exp is the inverse of Sᵀ; its transpose pulls moments back to the chart.
-                let chart = log_tangent(&eta)
-                    .try_inverse()
-                    .unwrap_or_else(Matrix3::identity)
-                    * forces.moments[q];
-                let force = -forces.forces[q] - self.frozen[q].force;
-                let moment = -chart - self.frozen[q].moment;
-                Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z)
-            })
-            .collect();
-        for joint in &self.rod.joints {
-            let own = &mut gradient[joint.node - first];
-            *own = joint.project(own);
-        }
-        self.factor.solve_lower(&mut gradient);
-        Ok(gradient.iter().flat_map(|g| g.iter().copied()).collect())
-    }
 }

@@ -24,12 +24,12 @@ use crate::stop::StopSignal;
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 #[serde(rename_all = "kebab-case")]
 pub enum Varied {
-    /// Gravity and all loads.
+    /// Gravity, all loads and the inputs of actuators: efforts, displacements of winches.
     #[default]
     All,
-    /// The loads of the scene, under constant gravity.
+    /// The loads and the inputs of actuators, under constant gravity.
     Loads,
-    /// Gravity, under constant loads.
+    /// Gravity, under constant loads and inputs.
     Gravity,
 }
 
@@ -38,8 +38,8 @@ impl Varied {
     #[must_use]
     pub fn words(self) -> &'static str {
         match self {
-            Self::All => "gravity and all loads",
-            Self::Loads => "the loads, under constant gravity",
+            Self::All => "gravity, all loads and inputs of actuators",
+            Self::Loads => "the loads and inputs of actuators, under constant gravity",
             Self::Gravity => "gravity, under constant loads",
         }
     }
@@ -167,10 +167,7 @@ impl<'a> LoadPath<'a> {
             out.gravity *= factor;
         }
         if self.varied != Varied::Gravity {
-            for load in &mut out.loads {
-                load.force *= factor;
-                load.moment *= factor;
-            }
+            out.multiply_loads(factor);
         }
         if self.aside != Vector3::zeros() {
             out.loads.push(Load {
@@ -191,7 +188,8 @@ impl<'a> LoadPath<'a> {
         let loads = self.varied != Varied::Gravity;
         let mut acting = (self.rod.loads.iter())
             .filter(|load| load.force != Vector3::zeros() || load.moment != Vector3::zeros());
-        weighs || (loads && acting.next().is_some())
+        let is_driven = self.rod.actuators.are_driven(self.time);
+        weighs || (loads && (is_driven || acting.next().is_some()))
     }
 
     /// Tells whether the path begins at factor 1: the tip is held elsewhere than the stress-free shape ends. Such an arm has several shapes

@@ -120,7 +120,10 @@ pub use ends::{EndCondition, Joint};
 pub use energy::Energy;
 #[doc(hidden)]
 pub use energy_norm::EnergyNorm;
-pub use equilibrium::{EquilibriumError, NodeSpring, static_equilibrium, static_equilibrium_until};
+pub use equilibrium::{
+    EquilibriumError, NodeSpring, Settled, nearby_equilibrium_until, settled, static_equilibrium,
+    static_equilibrium_until,
+};
 #[doc(hidden)]
 pub use forms::{FormTerm, StateForm};
 #[doc(hidden)]

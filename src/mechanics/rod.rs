@@ -827,6 +827,15 @@ impl Rod {
             .sum::<f64>()
     }
 
+    /// Multiplies all loads but gravity: forces, moments, and the inputs of actuators (efforts, displacements of winches).
+    pub(crate) fn multiply_loads(&mut self, factor: f64) {
+        for load in &mut self.loads {
+            load.force *= factor;
+            load.moment *= factor;
+        }
+        self.actuators.multiply_inputs(factor);
+    }
+
     /// Returns the dilatation `e_q = |x_{q+1} - x_q| / l` of every element (the paper's equation (58)).
     #[must_use]
     pub fn dilatation(&self, positions: &[Vector3<f64>]) -> Vec<f64> {

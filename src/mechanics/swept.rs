@@ -6,7 +6,7 @@
 use nalgebra::{Matrix2, Matrix3, Unit, Vector2, Vector3};
 
 use super::configuration::Configuration;
-use super::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium_until};
+use super::equilibrium::{EquilibriumError, NodeSpring, nearby_equilibrium_until};
 use super::load::{Load, LoadFrame};
 use super::rod::Rod;
 use super::tangent::Tangent;
@@ -41,7 +41,7 @@ impl<'a> SweptSurface<'a> {
         time: f64,
         stop: &StopSignal,
     ) -> Result<Self, EquilibriumError> {
-        let shape = static_equilibrium_until(rod, start, time, &NodeSpring::default(), stop)?;
+        let shape = nearby_equilibrium_until(rod, start, time, &NodeSpring::default(), stop)?;
         let base: Matrix3<f64> = shape.rotations[0];
         let axis = |i: usize| base.column(i).into_owned();
         Ok(Self {
@@ -92,7 +92,7 @@ impl<'a> SweptSurface<'a> {
             };
             self.force += change;
             let none = NodeSpring::default();
-            match static_equilibrium_until(&self.loaded(), &self.shape, self.time, &none, stop) {
+            match nearby_equilibrium_until(&self.loaded(), &self.shape, self.time, &none, stop) {
                 Ok(shape) => self.shape = shape,
                 Err(EquilibriumError::Stopped(stop)) => {
                     return Err(EquilibriumError::Stopped(stop));

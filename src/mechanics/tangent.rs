@@ -12,7 +12,7 @@ use faer::Side;
 use faer::linalg::solvers::Solve as _;
 use faer::sparse::linalg::solvers::{Llt, Lu};
 use faer::sparse::{SparseColMat, Triplet};
-use nalgebra::{Complex, DMatrix, Matrix3, Matrix6, Schur, Vector3, Vector6};
+use nalgebra::{Complex, DMatrix, DVector, Matrix3, Matrix6, Schur, Vector3, Vector6};
 
 use super::block_tridiagonal::BlockTridiagonal;
 use super::configuration::Configuration;
@@ -21,11 +21,16 @@ use super::rod::Rod;
 use super::stiffness::{tangent_stiffness, winch_stiffness};
 use super::vibration::inertia_roots;
 
-/// A square matrix of 6×6 blocks over the free nodes, the first of them in block 0.
+/// A square matrix of 6×6 blocks over the free nodes, the first of them in block 0, and products `f v vᵀ` of winches.
+///
+/// The tension of a winch couples all nodes that its tendon passes. As products these couplings cost as much as the nodes, as blocks the
+/// square of it.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Tangent {
     n_blocks: usize,
     blocks: BTreeMap<(usize, usize), Matrix6<f64>>,
+    /// `f > 0` and `v` of every winch with tension.
+    products: Vec<(f64, Vec<Vector6<f64>>)>,
 }
 
 /// A mode of `K_s q = ω² M q`, `K_s` the symmetric part of `K`, with `qᵀ M q = 1`.
@@ -141,6 +146,8 @@ const GROWTH_MODES: usize = 12;
 /// Steps of inverse iteration that improve them: the error of the slowest motions is then the cube of the ratio of their `ω²` to that of
 /// the fastest one.
 const INVERSE_ITERATIONS: usize = 3;
+/// Relative error of a solution beyond which the products of winches are factored as blocks.
+const WELL_SOLVED: f64 = 1e-6;
 /// Cap on the steps of the QR iteration for each eigenvalue.
 const QR_STEPS: usize = 100;
 
@@ -150,6 +157,7 @@ impl Tangent {
         let mut out = Self {
             n_blocks: blocks.diagonal.len(),
             blocks: BTreeMap::new(),
+            products: Vec::new(),
         };
         out.add_blocks(blocks);
         out
@@ -175,13 +183,25 @@ impl Tangent {
 
     /// Adds the change of the tensions of winches with the configuration, which couples all nodes that a tendon pulls.
     pub fn add_winches(&mut self, rod: &Rod, at: &Configuration, t: f64) {
-        for (factor, vector) in winch_stiffness(rod, at, t) {
+        let taut = winch_stiffness(rod, at, t).into_iter();
+        self.products
+            .extend(taut.filter(|(factor, _)| *factor > 0.0));
+    }
+
+    /// Returns the same matrix with the products of winches as blocks.
+    pub fn in_blocks(&self) -> Self {
+        let mut out = Self {
+            products: Vec::new(),
+            ..self.clone()
+        };
+        for (factor, vector) in &self.products {
             for (row, left) in vector.iter().enumerate() {
                 for (column, right) in vector.iter().enumerate() {
-                    self.add(row, column, &(left * right.transpose() * factor));
+                    out.add(row, column, &(left * right.transpose() * *factor));
                 }
             }
         }
+        out
     }
 
     /// Returns the number of rows and columns.
@@ -196,7 +216,11 @@ impl Tangent {
             *blocks.entry((row, column)).or_insert_with(Matrix6::zeros) += 0.5 * block;
             *blocks.entry((column, row)).or_insert_with(Matrix6::zeros) += 0.5 * block.transpose();
         }
-        Self { blocks, ..*self }
+        Self {
+            blocks,
+            n_blocks: self.n_blocks,
+            products: self.products.clone(),
+        }
     }
 
     /// Returns `K + σ M`, `σ` in 1/s².
@@ -214,9 +238,39 @@ impl Tangent {
     }
 
     /// Returns the factors of the matrix; `None` if it is singular.
+    ///
+    /// The products `V F Vᵀ` of winches enter by `K⁻¹ = T⁻¹ - Z (F⁻¹ + Vᵀ Z)⁻¹ Vᵀ T⁻¹` with the blocks `T` and `Z = T⁻¹ V` (Sherman,
+    /// Morrison, Woodbury). Where winches alone make the matrix regular, they are factored as blocks.
     pub fn factor(&self) -> Option<TangentLu> {
         let lu = sparse(self.n_blocks, &self.blocks)?.sp_lu().ok()?;
-        Some(TangentLu(lu))
+        if self.products.is_empty() {
+            return Some(TangentLu { lu, added: None });
+        }
+        let vectors: Vec<_> = self.products.iter().map(|(_, v)| v.clone()).collect();
+        let mut out = TangentLu { lu, added: None };
+        let answers = out.solve(&vectors);
+        let m = vectors.len();
+        let small = DMatrix::from_fn(m, m, |i, j| {
+            let own = if i == j {
+                self.products[i].0.recip()
+            } else {
+                0.0
+            };
+            own + dot(&vectors[i], &answers[j])
+        });
+        if let Some(inverse) = small.try_inverse() {
+            out.added = Some(Added {
+                answers,
+                inverse,
+                matrix: self.clone(),
+            });
+            let back = self.times(&out.solve(&vectors[..1])[0]);
+            let off: Vec<_> = back.iter().zip(&vectors[0]).map(|(a, b)| a - b).collect();
+            if dot(&off, &off) <= WELL_SOLVED * WELL_SOLVED * dot(&vectors[0], &vectors[0]) {
+                return Some(out);
+            }
+        }
+        self.in_blocks().factor()
     }
 
     /// Computes the lowest `count` modes, ascending, with the inertia of the rod; `unit` (1/s²) is about the smallest `ω²` of a stable arm.
@@ -238,6 +292,18 @@ impl Tangent {
         }
         let (shift, factor) = positive(self.n_blocks, &scaled, unit)?;
         let n = 6 * self.n_blocks;
+        // The products V F Vᵀ of winches, as in `factor`.
+        let m = self.products.len();
+        let added = DMatrix::from_fn(n, m, |i, j| {
+            self.products[j].1[i / 6][i % 6] * roots[i / 6][i % 6]
+        });
+        let answers = factor.solve(&Mat::from_fn(n, m, |i, j| added[(i, j)]));
+        let answers = DMatrix::from_fn(n, m, |i, j| answers[(i, j)]);
+        let mut small = added.tr_mul(&answers);
+        for (j, (own, _)) in self.products.iter().enumerate() {
+            small[(j, j)] += own.recip();
+        }
+        let inner = small.try_inverse()?;
         let size = (count + GUARD_MODES).min(n);
         let mut basis = DMatrix::from_fn(n, size, |i, j| {
             (1.0 + i as f64 * (1.0 + 0.37 * j as f64)).sin()
@@ -246,7 +312,10 @@ impl Tangent {
         for _ in 0..MODE_ITERATIONS {
             basis = basis.qr().q();
             let answer = factor.solve(&Mat::from_fn(n, size, |i, j| basis[(i, j)]));
-            let answer = DMatrix::from_fn(n, size, |i, j| answer[(i, j)]);
+            let mut answer = DMatrix::from_fn(n, size, |i, j| answer[(i, j)]);
+            if m > 0 {
+                answer -= &answers * (&inner * added.tr_mul(&answer));
+            }
             let small = basis.tr_mul(&answer);
             let eigen = (0.5 * (&small + small.transpose())).symmetric_eigen();
             let mut order: Vec<usize> = (0..size).collect();
@@ -401,6 +470,12 @@ impl Tangent {
         for (&(row, column), block) in &mut out.blocks {
             block.component_mul_assign(&(factor * roots[row] * roots[column].transpose()));
         }
+        for (size, vector) in &mut out.products {
+            *size *= factor;
+            for (part, root) in vector.iter_mut().zip(roots) {
+                part.component_mul_assign(root);
+            }
+        }
         out
     }
 
@@ -409,6 +484,7 @@ impl Tangent {
         Self {
             n_blocks,
             blocks: BTreeMap::new(),
+            products: Vec::new(),
         }
     }
 
@@ -420,6 +496,14 @@ impl Tangent {
             for i in 0..6 {
                 for j in 0..6 {
                     out[(6 * row + i, 6 * column + j)] = block[(i, j)];
+                }
+            }
+        }
+        for (size, vector) in &self.products {
+            for i in 0..n {
+                let left = size * vector[i / 6][i % 6];
+                for j in 0..n {
+                    out[(i, j)] += left * vector[j / 6][j % 6];
                 }
             }
         }
@@ -485,12 +569,20 @@ impl Tangent {
     }
 
     /// Returns the rounding of an `ω²` of zero, 1/s²: that of the largest entry of `M^{-½} K M^{-½}`.
-    fn rounding(&self, rod: &Rod, at: &Configuration) -> f64 {
+    pub fn rounding(&self, rod: &Rod, at: &Configuration) -> f64 {
         let roots = inertia_roots(rod, at);
         let scaled = self.blocks.iter().map(|(&(row, column), block)| {
             (block.component_mul(&(roots[row] * roots[column].transpose()))).amax()
         });
-        64.0 * f64::EPSILON * scaled.fold(0.0, f64::max)
+        let mut largest = scaled.fold(0.0, f64::max);
+        for (factor, vector) in &self.products {
+            let parts = vector
+                .iter()
+                .zip(&roots)
+                .map(|(v, root)| v.component_mul(root).amax());
+            largest = largest.max(factor * parts.fold(0.0, f64::max).powi(2));
+        }
+        64.0 * f64::EPSILON * largest
     }
 
     /// Returns the motions without stiffness, which [the ends leave loose](Rod::most_loose_motions) and no load holds; `unit` is
@@ -525,6 +617,7 @@ impl Tangent {
 
     /// Returns the largest entry of the unsymmetric part, divided by the largest entry.
     pub fn asymmetry(&self) -> f64 {
+        // The products of winches are symmetric.
         let largest = self.blocks.values().map(Matrix6::amax).fold(0.0, f64::max);
         let zero = Matrix6::zeros();
         let unsymmetric = self.blocks.iter().map(|(&(row, column), block)| {
@@ -540,6 +633,12 @@ impl Tangent {
         for (&(row, column), block) in &self.blocks {
             out[row] += block * vector[column];
         }
+        for (factor, own) in &self.products {
+            let size = factor * dot(own, vector);
+            for (out, own) in out.iter_mut().zip(own) {
+                *out += own * size;
+            }
+        }
         out
     }
 }
@@ -554,7 +653,9 @@ pub(crate) fn motions_of(
 ) -> Option<Vec<Complex<f64>>> {
     let is_finite = |matrix: &Tangent| {
         let mut entries = matrix.blocks.values().flat_map(|block| block.iter());
+        let mut products = matrix.products.iter().flat_map(|(_, vector)| vector);
         entries.all(|entry| entry.is_finite())
+            && products.all(|part| part.iter().all(|entry| entry.is_finite()))
     };
     if !(is_finite(stiffness) && internal.as_ref().is_none_or(is_finite) && viscous.is_finite()) {
         return None;
@@ -661,17 +762,66 @@ fn slowest_of(stiffness: &Tangent, damping: &Tangent) -> Option<Vec<Complex<f64>
 }
 
 /// LU factors of a [`Tangent`].
-pub(crate) struct TangentLu(Lu<usize, f64>);
+pub(crate) struct TangentLu {
+    /// Factors of the blocks.
+    lu: Lu<usize, f64>,
+    /// What winches add.
+    added: Option<Added>,
+}
+
+/// What the products `V F Vᵀ` of winches add to the inverse of the blocks `T`.
+struct Added {
+    /// `T⁻¹ V`
+    answers: Vec<Vec<Vector6<f64>>>,
+    /// `(F⁻¹ + Vᵀ T⁻¹ V)⁻¹`
+    inverse: DMatrix<f64>,
+    /// The whole matrix.
+    matrix: Tangent,
+}
 
 impl TangentLu {
     /// Returns `K⁻¹` times each of the right-hand sides.
     pub fn solve(&self, right: &[Vec<Vector6<f64>>]) -> Vec<Vec<Vector6<f64>>> {
+        let Some(added) = &self.added else {
+            return self.blocks_solve(right);
+        };
+        let correct = |mut answers: Vec<Vec<Vector6<f64>>>| {
+            for answer in &mut answers {
+                let along = (added.matrix.products.iter()).map(|(_, v)| dot(v, answer));
+                let sizes = &added.inverse * DVector::from_iterator(added.answers.len(), along);
+                for (own, size) in added.answers.iter().zip(&sizes) {
+                    for (part, own) in answer.iter_mut().zip(own) {
+                        *part -= own * *size;
+                    }
+                }
+            }
+            answers
+        };
+        let mut answers = correct(self.blocks_solve(right));
+        // One refinement: the blocks alone may be worse conditioned than the whole.
+        let left: Vec<Vec<_>> = (right.iter().zip(&answers))
+            .map(|(b, x)| {
+                (b.iter().zip(added.matrix.times(x)))
+                    .map(|(b, kx)| b - kx)
+                    .collect()
+            })
+            .collect();
+        for (answer, change) in answers.iter_mut().zip(correct(self.blocks_solve(&left))) {
+            for (part, change) in answer.iter_mut().zip(change) {
+                *part += change;
+            }
+        }
+        answers
+    }
+
+    /// Returns `T⁻¹` times each of the right-hand sides, with the blocks `T`.
+    fn blocks_solve(&self, right: &[Vec<Vector6<f64>>]) -> Vec<Vec<Vector6<f64>>> {
         let Some(first) = right.first() else {
             return Vec::new();
         };
         let n = first.len();
         let matrix = Mat::from_fn(6 * n, right.len(), |i, j| right[j][i / 6][i % 6]);
-        let answer = self.0.solve(&matrix);
+        let answer = self.lu.solve(&matrix);
         (0..right.len())
             .map(|j| {
                 (0..n)

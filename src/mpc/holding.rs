@@ -23,7 +23,7 @@ use crate::control::ControlsAlong;
 use crate::control::OptimalControlProblem;
 use crate::control::TIP_STIFFNESS;
 use crate::mechanics::beam::Beam;
-use crate::mechanics::equilibrium::{NodeSpring, static_equilibrium_until};
+use crate::mechanics::equilibrium::{NodeSpring, nearby_equilibrium_until};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Configuration, Load, LoadFrame, Rod, Wrench};
@@ -352,7 +352,7 @@ impl<'a> Search<'a> {
 
     /// Returns the shape at rest under springs that pull to `aim`, from near another.
     fn held(&self, aim: &Vector6<f64>, from: &Configuration) -> Option<Configuration> {
-        static_equilibrium_until(self.rod, from, self.t, &self.spring(aim), self.stop).ok()
+        nearby_equilibrium_until(self.rod, from, self.t, &self.spring(aim), self.stop).ok()
     }
 
     /// Returns the displacement of the node from the target, and the wrench of the springs.

@@ -280,8 +280,11 @@ fn equilibrium_remedy(error: &EquilibriumError) -> &'static str {
             "set base.kind = \"clamped\" or hold the tip, or initial.shape = \"rest\""
         }
         EquilibriumError::NotConverged { .. } => {
-            "set initial.shape = \"rest\" and let it settle (damping.viscous_1_s, or a profile that raises a [[load]] from 0), or \
-             make gravity and loads smaller or the rod stiffer, if no unit was mistaken"
+            "set initial.shape = \"rest\" and let it settle (damping.viscous_1_s, or a profile that raises a [[load]] from 0); \
+             look for a unit that was mistaken, or take more elements"
+        }
+        EquilibriumError::Crushed { .. } => {
+            "make the loads smaller or the rod stiffer, or hold the tip where the arm reaches it without being crushed"
         }
         EquilibriumError::Overstretched { .. } => {
             "make the loads smaller or the rod stiffer; rod.model = \"standard\" bears any pull"

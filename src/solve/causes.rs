@@ -1,11 +1,12 @@
 //! Explanations of a simulation that broke down, such as an arm that topples under its weight.
 
-use crate::mechanics::equilibrium::{NodeSpring, static_equilibrium};
+use crate::mechanics::equilibrium::{NodeSpring, nearby_equilibrium_until};
 use crate::mechanics::stability::automatic_step;
 use crate::mechanics::vibration::weight_in_words;
 use crate::mechanics::{
     Configuration, Rod, RodModel, SmallMotions, State, StrainRule, TimeGrid, TimeScheme,
 };
+use crate::stop::StopSignal;
 
 /// Growth of a small deviation over the time of a motion above which the motion is called unstable. It decides about a sentence alone: a
 /// deviation by a hundredth of the length, as real arms have it, becomes one that is seen.
@@ -87,7 +88,9 @@ fn unstable_equilibrium(
     if !rod.is_held() || !is_loaded || !has_potential {
         return None;
     }
-    let shape = static_equilibrium(rod, near, t, &NodeSpring::default()).ok()?;
+    let shape =
+        nearby_equilibrium_until(rod, near, t, &NodeSpring::default(), &StopSignal::default())
+            .ok()?;
     let rate = SmallMotions::about(rod, &shape, t).growth_rate()?;
     (rate * duration > UNSTABLE_GROWTH.ln()).then_some((shape, rate))
 }

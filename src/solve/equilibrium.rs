@@ -39,17 +39,20 @@ pub(crate) struct EquilibriumSummary {
     pub tip: TipPose,
     /// Distance of the tip from its place at load factor 0, m.
     pub tip_displacement_m: f64,
-    /// Estimated error of the tip by the discretization in elements, m; absent if twice as many have another equilibrium.
+    /// Estimated error of the node that moves most by the discretization in elements, m; absent if twice as many have another equilibrium.
     pub refined_space_m: Option<f64>,
-    /// Length of the polygon of nodes, m.
+    /// Length of the arcs between the nodes, m.
     pub length_m: f64,
-    /// Dilatation of the elements.
+    /// Dilatation of the elements: that of their arcs.
     pub dilatation: Range,
     /// Energy, J.
     #[serde(rename = "energy_J")]
     pub energy: StaticEnergy,
     /// Wrench of the base on the arm.
     pub base: BaseWrench,
+    /// Wrench of what holds the tip on the arm; absent for a free tip.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tip_reaction: Option<BaseWrench>,
     /// Largest bending curvature of any element, 1/m, including rest curvature.
     pub curvature_max_1_m: f64,
     /// Largest twist of any element, 1/m, including rest twist.
@@ -94,12 +97,12 @@ pub(crate) struct ActuatorAtRest {
     pub coordinate: f64,
 }
 
-/// Wrench of the base on the arm.
+/// Wrench of a held end on the arm.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct BaseWrench {
     /// Spatial frame, N.
     pub force_n: [f64; 3],
-    /// Moment, frame of the base, N m.
+    /// Moment, frame of that end, N m.
     pub moment_n_m: [f64; 3],
 }
 
@@ -116,7 +119,7 @@ pub(crate) struct StabilitySummary {
     pub growth_rate_1_s: Option<f64>,
     /// The reason why they grow: the loads have no potential, or the arm topples or buckles under them.
     pub why: Option<&'static str>,
-    /// Stiffness of the tip along its softest direction against a dead force, N/m.
+    /// Stiffness of a free tip along its softest direction against a dead force, N/m.
     pub tip_stiffness_n_m: Option<f64>,
 }
 
@@ -219,17 +222,21 @@ impl EquilibriumSummary {
         let tip = rod.tip();
         let mut dilatation = Range::EMPTY;
         let mut length_m = 0.0;
-        for (ratio, element) in rod
-            .dilatation(&own.shape.positions)
-            .iter()
-            .zip(&rod.elements)
-        {
-            dilatation.include(*ratio);
+        for (q, element) in rod.elements.iter().enumerate() {
+            let ends = Rod::element_pose(q, &own.shape.positions, &own.shape.rotations);
+            let ratio = rod.strain_rule.strain(element.length, &ends).linear[0].norm();
+            dilatation.include(ratio);
             length_m += ratio * element.length;
         }
         let q = quaternion(&own.shape.rotations[tip]);
         let energy = Energy::of(rod, &State::at_rest(own.shape.clone()));
-        let base = rod.static_reaction(&own.shape, options.time);
+        let wrench = |node: usize| {
+            let found = rod.static_reaction_at(node, &own.shape, options.time);
+            BaseWrench {
+                force_n: found.force.into(),
+                moment_n_m: found.moment.into(),
+            }
+        };
         let (mut curvature, mut twist) = (0.0_f64, 0.0_f64);
         for (q, element) in rod.elements.iter().enumerate() {
             let ends = Rod::element_pose(q, &own.shape.positions, &own.shape.rotations);
@@ -268,10 +275,8 @@ impl EquilibriumSummary {
                 elastic: energy.elastic,
                 potential: energy.potential,
             },
-            base: BaseWrench {
-                force_n: base.force.into(),
-                moment_n_m: base.moment.into(),
-            },
+            base: wrench(0),
+            tip_reaction: (!rod.has_free_tip()).then(|| wrench(tip)),
             curvature_max_1_m: curvature,
             twist_max_1_m: twist,
             actuators: actuators_at_rest(rod, &own.shape, options.time),

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::mechanics::equilibrium::EquilibriumError;
-use crate::mechanics::{Critical, LoadPath, LoadedShape, Rod, RodError, Varied};
+use crate::mechanics::{Configuration, Critical, LoadPath, LoadedShape, Rod, RodError, Varied};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
 
@@ -57,7 +57,7 @@ pub struct Statics {
     pub aside: Vector3<f64>,
     /// Equilibrium at load factor 1.
     pub own: LoadedShape,
-    /// Displacement of the tip at that equilibrium per dead force on it, m/N, spatial frame.
+    /// Displacement of a free tip at that equilibrium per dead force on it, m/N, spatial frame.
     pub tip_compliance: Option<Matrix3<f64>>,
     /// Stable equilibrium to which a slightly pushed arm goes, if `own` is not stable and another equilibrium is found.
     pub goes_to: Option<LoadedShape>,
@@ -69,8 +69,8 @@ pub struct Statics {
     pub sweep: Vec<LoadedShape>,
     /// Reason why the sweep ends early.
     pub cut: Option<EquilibriumError>,
-    /// Estimated discretization error of the tip of `own`, m, from an arm with twice as many elements; `None` where that arm has no
-    /// equilibrium.
+    /// Estimated discretization error of the node of `own` that moves most, m, from an arm with twice as many elements; `None` where that
+    /// arm has no equilibrium.
     pub refined_space: Option<f64>,
 }
 
@@ -138,11 +138,19 @@ pub fn statics(
         }
     }
     let finer = arm.rod(&discretization.refined(2))?;
-    let refined_space = tip_at_one(&finer, options, aside, stop)?
-        .map(|tip| RICHARDSON * (tip - own.shape.positions[rod.tip()]).norm());
+    let refined_space = shape_at_one(&finer, options, aside, stop)?.map(|fine| {
+        let ways = (own.shape.positions.iter())
+            .zip(fine.positions.iter().step_by(2))
+            .map(|(coarse, fine)| (fine - coarse).norm());
+        RICHARDSON * ways.fold(0.0, f64::max)
+    });
     Ok(Statics {
         aside,
-        tip_compliance: path.tip_compliance(&own),
+        // The stiffness of a joint is none of the arm's.
+        tip_compliance: match rod.has_free_tip() {
+            true => path.tip_compliance(&own),
+            false => None,
+        },
         own,
         goes_to,
         from_factor: if path.begins_loaded() { 1.0 } else { 0.0 },
@@ -154,16 +162,16 @@ pub fn statics(
     })
 }
 
-/// Returns the tip of the equilibrium at factor 1, m, or `None` where there is none.
-fn tip_at_one(
+/// Returns the equilibrium at factor 1, or `None` where there is none.
+fn shape_at_one(
     rod: &Rod,
     options: &StaticsOptions,
     aside: Vector3<f64>,
     stop: &StopSignal,
-) -> Result<Option<Vector3<f64>>, StaticsError> {
+) -> Result<Option<Configuration>, StaticsError> {
     let path = LoadPath::new(rod, options.varied, options.time, aside, stop)?;
     match path.start().and_then(|start| path.at(&start, 1.0)) {
-        Ok(own) => Ok(Some(own.shape.positions[rod.tip()])),
+        Ok(own) => Ok(Some(own.shape)),
         Err(EquilibriumError::Stopped(stop)) => Err(EquilibriumError::Stopped(stop).into()),
         Err(_) => Ok(None),
     }

@@ -15,8 +15,9 @@ use softarm::mechanics::{
     BaseCondition, BaseMotion, Configuration, ControlSignal, DistributedLoad, Load, LoadFrame,
     Material, MotionCurve, NodeInertia, NodeSpring, Oscillation, Rod, RodModel, RodParameters,
     Section, SectionProfile, SectionSegment, Shape, State, StrainRule, TimeGrid, TimeScheme,
-    Trajectory, Wrench, static_equilibrium,
+    Trajectory, Wrench, nearby_equilibrium_until,
 };
+use softarm::stop::StopSignal;
 
 pub const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
 
@@ -192,7 +193,7 @@ pub fn tip_load(n: usize, force: [f64; 3], moment: [f64; 3], frame: LoadFrame) -
     }]
 }
 
-/// Equilibrium reached by raising the loads in `parts` equal parts.
+/// Equilibrium, stable or not, reached by raising the loads in `parts` equal parts.
 pub fn equilibrium(parameters: &RodParameters, parts: usize) -> (Rod, Configuration) {
     let mut shape = None;
     let mut last = None;
@@ -210,7 +211,9 @@ pub fn equilibrium(parameters: &RodParameters, parts: usize) -> (Rod, Configurat
         p.gravity *= factor;
         let rod = Rod::new(&p).unwrap();
         let start = shape.take().unwrap_or_else(|| rod.rest.clone());
-        shape = Some(static_equilibrium(&rod, &start, 0.0, &NodeSpring::default()).unwrap());
+        let none = NodeSpring::default();
+        let stop = StopSignal::default();
+        shape = Some(nearby_equilibrium_until(&rod, &start, 0.0, &none, &stop).unwrap());
         last = Some(rod);
     }
     (last.unwrap(), shape.unwrap())

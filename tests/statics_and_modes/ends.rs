@@ -1,6 +1,6 @@
 //! Equilibria and frequencies of arms with held tips and joints, against closed forms and published values.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
     BaseCondition, Critical, EndCondition, Kept, Load, LoadFrame, LoadPath, Loss, NodeSpring, Rod,
@@ -313,4 +313,70 @@ fn a_cable_hangs_along_its_load_path() {
             ..
         }
     ));
+}
+
+/// A rod between clamps that come together by 0.4 of its length buckles: an elastica of four equal quarters with modulus `k`, of
+/// `2 E(k)/K(k) - 1 = 0.6`, force `16 K(k)² EI/L²` and a width of `k L/K(k)`, to the elements' error, of second order in their bend, 1/40 of
+/// the length. With its ends at one place, or crossed, it leaves the plane. In every case nothing grows, and no element is inverted.
+#[test]
+fn a_rod_pushed_together_buckles() {
+    let n = 40;
+    for distance in [0.6, 0.0, -0.4] {
+        let rod = Rod::new(&RodParameters {
+            tip: EndCondition::Clamped,
+            ..RodParameters::straight(1.0, n, section(1e5, [1.0, 1.0, 1.0]))
+        })
+        .expect("a rod");
+        let there = (Vector3::new(0.0, 0.0, distance), Matrix3::identity());
+        let rod = Rod {
+            tip_reference: there,
+            ..rod
+        };
+        let shape =
+            static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).expect("a shape");
+        let dilatation = rod.dilatation(&shape.positions);
+        assert!(dilatation.iter().all(|e| (0.9..1.1).contains(e)));
+        let stability = Stability::of(&rod, &shape, 0.0).expect("finite");
+        assert_eq!(stability.growth_rate, None, "{distance}");
+        if distance <= 0.0 {
+            continue;
+        }
+        let (mut low, mut high) = (0.0_f64, 1.0_f64);
+        let quarters = |k: f64| {
+            // Complete elliptic integrals by the arithmetic-geometric mean (Abramowitz and Stegun, 17.6).
+            let (mut a, mut g, mut c, mut sum, mut weight) =
+                (1.0, (1.0 - k * k).sqrt(), k, 0.5 * k * k, 0.5);
+            while c > 1e-16 {
+                c = 0.5 * (a - g);
+                (a, g) = (0.5 * (a + g), (a * g).sqrt());
+                weight *= 2.0;
+                sum += weight * c * c;
+            }
+            let first = 0.5 * std::f64::consts::PI / a;
+            (first, first * (1.0 - sum))
+        };
+        for _ in 0..60 {
+            let k = 0.5 * (low + high);
+            let (first, second) = quarters(k);
+            if 2.0 * second / first - 1.0 > distance {
+                low = k;
+            } else {
+                high = k;
+            }
+        }
+        let (first, _) = quarters(low);
+        let force = rod.static_reaction(&shape, 0.0).force.norm();
+        let exact = 16.0 * first * first;
+        assert!(
+            (force / exact - 1.0).abs() < 2e-2,
+            "{distance}: {force}, {exact}"
+        );
+        let line = |x: &Vector3<f64>| x.xy().norm();
+        let width = shape.positions.iter().map(line).fold(0.0, f64::max);
+        let wide = low / first;
+        assert!(
+            (width / wide - 1.0).abs() < 2e-2,
+            "{distance}: {width}, {wide}"
+        );
+    }
 }

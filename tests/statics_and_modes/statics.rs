@@ -8,7 +8,9 @@ use common::published::statics::{bent_across, elastica, post_buckling, unit_rod}
 use common::{RULES, equilibrium, soft_arm, tip_load};
 use nalgebra::Vector3;
 use softarm::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
-use softarm::mechanics::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium};
+use softarm::mechanics::equilibrium::{
+    EquilibriumError, NodeSpring, nearby_equilibrium_until, static_equilibrium,
+};
 use softarm::mechanics::{
     BaseCondition, Critical, Kept, Load, LoadFrame, LoadPath, Loss, Material, Rod, RodParameters,
     Section, SectionProfile, SmallMotions, Stability, StrainRule, Varied,
@@ -530,7 +532,8 @@ fn the_factor_multiplies_what_is_asked() {
         let path = LoadPath::new(&rod, varied, 0.0, Vector3::zeros(), &stop).unwrap();
         let grows = |factor: f64| {
             let rod = path.rod_at(factor);
-            let shape = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).unwrap();
+            let none = NodeSpring::default();
+            let shape = nearby_equilibrium_until(&rod, &rod.rest, 0.0, &none, &stop).unwrap();
             SmallMotions::about(&rod, &shape, 0.0)
                 .growth_rate()
                 .is_some()

@@ -430,6 +430,20 @@ impl RodActuators {
         Ok(())
     }
 
+    /// Multiplies the given inputs of all actuators: efforts, and displacements of winches.
+    pub(in crate::mechanics) fn multiply_inputs(&mut self, factor: f64) {
+        let own = self.drives.iter_mut().map(|drive| &mut drive.effort);
+        let strains = self.strains.iter_mut().map(|strain| &mut strain.effort);
+        for (_, input) in own.chain(strains).flatten() {
+            *input *= factor;
+        }
+    }
+
+    /// Tells whether a given input is not zero at time `t`.
+    pub(in crate::mechanics) fn are_driven(&self, t: f64) -> bool {
+        self.efforts(t).iter().any(|input| *input != 0.0)
+    }
+
     /// Multiplies the forces of all contacts.
     pub(in crate::mechanics) fn multiply_contact_forces(&mut self, factor: f64) {
         for touch in &mut self.touches {

@@ -22,7 +22,7 @@ use super::causes::{MOST_ELEMENTS, stands_by_symmetry};
 use crate::control::{Bound, Channel, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::vibration::{SmallMotions, weight_number};
-use crate::mechanics::{NodeSpring, Place, Rod, static_equilibrium};
+use crate::mechanics::{NodeSpring, Place, Rod, nearby_equilibrium_until};
 use crate::memory::{of_simulation, of_solve};
 use crate::output::quantity::{digits, quantity};
 use crate::output::summary::{
@@ -239,7 +239,13 @@ fn at_rest(rod: &Rod) -> (RestSummary, Option<String>) {
         bare.gravity = Vector3::zeros();
         bare.rest.clone()
     } else {
-        match static_equilibrium(&bare, &bare.rest, 0.0, &NodeSpring::default()) {
+        match nearby_equilibrium_until(
+            &bare,
+            &bare.rest,
+            0.0,
+            &NodeSpring::default(),
+            &StopSignal::default(),
+        ) {
             Ok(shape) => shape,
             Err(error) => {
                 out.no_equilibrium = Some(error.to_string());
