@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::mechanics::equilibrium::EquilibriumError;
+use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{Configuration, Critical, LoadPath, LoadedShape, Rod, RodError, Varied};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
@@ -138,7 +139,7 @@ pub fn statics(
         }
     }
     let finer = arm.rod(&discretization.refined(2))?;
-    let refined_space = shape_at_one(&finer, options, aside, stop)?.map(|fine| {
+    let refined_space = shape_on(&finer, &own, options, aside, stop)?.map(|fine| {
         let ways = (own.shape.positions.iter())
             .zip(fine.positions.iter().step_by(2))
             .map(|(coarse, fine)| (fine - coarse).norm());
@@ -162,18 +163,43 @@ pub fn statics(
     })
 }
 
-/// Returns the equilibrium at factor 1, or `None` where there is none.
-fn shape_at_one(
-    rod: &Rod,
+/// Returns the equilibrium of a rod with twice the elements next to that of the own one, or `None` where there is none. An arm may have
+/// several equilibria, and a whole circle of them where nothing brings it back, of which another search could find another one.
+fn shape_on(
+    finer: &Rod,
+    own: &LoadedShape,
     options: &StaticsOptions,
     aside: Vector3<f64>,
     stop: &StopSignal,
 ) -> Result<Option<Configuration>, StaticsError> {
-    let path = LoadPath::new(rod, options.varied, options.time, aside, stop)?;
-    match path.start().and_then(|start| path.at(&start, 1.0)) {
-        Ok(own) => Ok(Some(own.shape)),
+    let path = LoadPath::new(finer, options.varied, options.time, aside, stop)?;
+    let start = LoadedShape {
+        shape: doubled(&own.shape),
+        ..own.clone()
+    };
+    match path.released(&start) {
+        Ok(found) => Ok(Some(found.shape)),
         Err(EquilibriumError::Stopped(stop)) => Err(EquilibriumError::Stopped(stop).into()),
         Err(_) => Ok(None),
+    }
+}
+
+/// Returns the shape with a node in the middle of every element: in the middle of the chord, turned half as far.
+fn doubled(shape: &Configuration) -> Configuration {
+    let (x, r) = (&shape.positions, &shape.rotations);
+    let last = x.len() - 1;
+    let node = |at: usize| {
+        let q = at / 2;
+        if at.is_multiple_of(2) {
+            return (x[q], r[q]);
+        }
+        let turn = 0.5 * log(&r[q].tr_mul(&r[q + 1]));
+        (0.5 * (x[q] + x[q + 1]), r[q] * exp(&turn))
+    };
+    let (positions, rotations) = (0..=2 * last).map(node).unzip();
+    Configuration {
+        positions,
+        rotations,
     }
 }
 
