@@ -142,7 +142,7 @@ fn numbers_out_of_range() {
         ("time.end_s", vec!["-1", "nan", "inf", "0"]),
         (
             "time.step_s",
-            vec!["0", "-1", "nan", "inf", "2", "1e-300", "fast", "[1]"],
+            vec!["0", "-1", "nan", "inf", "1e-300", "fast", "[1]"],
         ),
         ("task.at_s", vec!["0", "-1", "nan", "1.1"]),
         ("task.weight", vec!["0", "nan", "1"]),

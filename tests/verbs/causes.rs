@@ -28,8 +28,6 @@ direction = [0.0, 0.0, {direction}]
 acceleration_m_s2 = [0.0, 0.0, -9.81]
 [payload]
 mass_kg = 0.05
-[initial]
-shape = \"equilibrium\"
 [time]
 end_s = 1.5
 [task]

@@ -922,7 +922,8 @@ fn an_unknown_lag_is_named_or_found() {
     assert_eq!(desk.summary("with")["innovations"]["is_off"], false);
 }
 
-/// The scene of a loop that is shorter than a step of its horizon gives the same loop again, and an equilibrium does not mind the step.
+/// The scene of a loop that is shorter than a step of its horizon gives the same loop again, and an equilibrium does not mind the step. A
+/// solve, whose motion is as long as its scene says, refuses it by its key.
 #[test]
 fn scenes_of_short_loops_are_read_again() {
     let desk = Desk::new();
@@ -942,4 +943,12 @@ fn scenes_of_short_loops_are_read_again() {
     assert_eq!(run.code, DONE, "{}", run.stderr);
     let run = desk.run(&["equilibrium", scene.to_str().unwrap(), "--out", "rest"]);
     assert_eq!(run.code, DONE, "{}", run.stderr);
+    let run = desk.run(&["solve", "reach", "--set", "time.step_s=2", "--out", "long"]);
+    assert_eq!(run.code, USAGE, "{}", run.stderr);
+    assert!(run.stderr.contains("--set time.step_s=2"), "{}", run.stderr);
+    assert!(
+        run.stderr.contains("is longer than time.end_s"),
+        "{}",
+        run.stderr
+    );
 }
