@@ -282,6 +282,7 @@ impl Unknowns {
             internal: parameter(self.internal, EXPECTED_INTERNAL * model.scales.time),
             delay: parameter(self.delay, EXPECTED_DELAY * model.scales.time),
             refuses: true,
+            model_error: true,
             ..KalmanSettings::of(model)
         }
     }

@@ -34,8 +34,8 @@ pub(super) struct Comparison {
     pub rows: Rows,
     /// Place and size of the innovation of the position nearest to the tip.
     nearest: Option<(f64, f64)>,
-    /// Time between two measurements, s.
-    pub interval: f64,
+    /// Time between two measurements, s, where sensors are not believed to be more exact than the model.
+    pub interval: Option<f64>,
 }
 
 impl Comparison {
@@ -44,7 +44,7 @@ impl Comparison {
             reader: Reader::new(model),
             rows: Rows::default(),
             nearest: None,
-            interval: f64::INFINITY,
+            interval: None,
         }
     }
 
@@ -162,12 +162,15 @@ fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
 
 /// Returns the standard deviation of a reading: that of the sensor, or the smallest that the filter accepts if the sensor claims to be more
 /// exact than the model.
-fn believable(sigma: f64, kind: Kind, rod: &Rod, interval: f64) -> f64 {
+fn believable(sigma: f64, kind: Kind, rod: &Rod, interval: Option<f64>) -> f64 {
     let is_velocity = matches!(kind, Kind::Velocity | Kind::AngularVelocity);
-    if is_velocity && sigma > EXACT * scale(kind, rod) {
-        return sigma;
+    let exact = EXACT * scale(kind, rod);
+    match interval {
+        _ if is_velocity && sigma > exact => sigma,
+        Some(interval) => sigma.max(model_error(kind, rod, interval)),
+        None if is_velocity => EXACT_VELOCITY * scale(kind, rod),
+        None => sigma.max(exact),
     }
-    sigma.max(model_error(kind, rod, interval))
 }
 
 /// Returns the standard deviation of white noise that tells as little, at one measurement every `interval` (s), as the error of the model

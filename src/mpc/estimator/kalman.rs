@@ -71,6 +71,9 @@ pub struct KalmanSettings {
     /// recent signals are all farther off than expected, by their median (Hampel 1974), the model is wrong, and the threshold is multiplied
     /// by as much. A signal that is refused three consecutive times is accepted afterwards: then the estimate is wrong.
     pub refuses: bool,
+    /// Tells whether sensors are taken to be no more exact than the elements of the model, as an arm that is not the model demands
+    /// (decision 116).
+    pub model_error: bool,
     /// Longest time step of the model, s.
     pub longest_step: f64,
 }
@@ -92,6 +95,7 @@ impl KalmanSettings {
             internal: None,
             delay: None,
             refuses: false,
+            model_error: false,
             longest_step: automatic_step(model),
         }
     }
@@ -220,8 +224,9 @@ pub struct KalmanFilter {
     /// Estimate and covariance to which a failed correction returns.
     before: (Estimate, Mat<f64>),
     tangent: StateTangent,
-    /// Time of the last correction, s.
+    /// Time of the last correction, and between it and the one before, s.
     corrected_at: f64,
+    interval: f64,
 }
 
 impl std::fmt::Debug for KalmanFilter {
@@ -299,6 +304,7 @@ impl KalmanFilter {
             before: (estimate.clone(), Mat::zeros(layout.n, layout.n)),
             tangent: StateTangent::zeros(n_nodes),
             corrected_at: f64::NEG_INFINITY,
+            interval: f64::INFINITY,
             layout,
             estimate,
         };
@@ -684,10 +690,8 @@ impl Estimator for KalmanFilter {
         self.point.disturbance = self.estimate.disturbance;
         self.gate.clear();
         let since = self.estimate.time - self.corrected_at;
-        if since > 0.0 {
-            self.comparison.interval = since;
-            self.corrected_at = self.estimate.time;
-        }
+        let interval = if since > 0.0 { since } else { self.interval };
+        self.comparison.interval = self.settings.model_error.then_some(interval);
         self.compare(measurement)?;
         self.covariance.begin_correction();
         let mut refused = 0;
@@ -720,6 +724,7 @@ impl Estimator for KalmanFilter {
         }
         self.accept_point();
         self.write_deviation();
+        (self.corrected_at, self.interval) = (self.estimate.time, interval);
         Ok(innovation)
     }
 
@@ -733,6 +738,7 @@ impl Estimator for KalmanFilter {
         self.estimate.time = time;
         self.estimate.state.clone_from(state);
         self.estimate.disturbance = Disturbance::NONE;
+        (self.corrected_at, self.interval) = (f64::NEG_INFINITY, f64::INFINITY);
         let shape = equal_energies(model, &state.configuration, &self.layout);
         let shape = shape.as_ref().unwrap_or(&self.at_rest);
         let energy = energy(model, self.settings.initial);
