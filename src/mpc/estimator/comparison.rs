@@ -167,7 +167,11 @@ fn believable(sigma: f64, kind: Kind, rod: &Rod, interval: Option<f64>) -> f64 {
     let exact = EXACT * scale(kind, rod);
     match interval {
         _ if is_velocity && sigma > exact => sigma,
-        Some(interval) => sigma.max(model_error(kind, rod, interval)),
+        // A sensor that is less exact than an error of the model, be it once or again and again, says how exact it is.
+        Some(interval) if sigma < model_error(kind, rod, f64::INFINITY) => {
+            model_error(kind, rod, interval)
+        }
+        Some(_) => sigma.max(exact),
         None if is_velocity => EXACT_VELOCITY * scale(kind, rod),
         None => sigma.max(exact),
     }
