@@ -174,11 +174,11 @@ const NEWTON_PATIENCE: usize = 8;
 const LARGEST_NEWTON_TURN: f64 = 0.5;
 /// Turn of a node up to which a step may stretch the rod, which it does by the square of the turn.
 const SMALL_TURN: f64 = 1e-3;
-/// Fraction of the loads in the first step of a continuation, and the smallest one.
-const FIRST_STRIDE: f64 = 0.1;
 /// Largest way of a node in the last Newton step, divided by the length: along a motion without stiffness, as of a round column about its
 /// axis, a step is rounding divided by rounding, and leads anywhere among equal shapes.
 const LARGEST_REFINEMENT: f64 = 1e-4;
+/// Fraction of the loads in the first step of a continuation, and the smallest one.
+const FIRST_STRIDE: f64 = 0.1;
 const LEAST_STRIDE: f64 = 1e-3;
 /// Cap on Newton's steps at one load.
 const CONTINUATION_STEPS: usize = 12;

@@ -765,11 +765,11 @@ fn slowest_of(stiffness: &Tangent, damping: &Tangent) -> Option<Vec<Complex<f64>
 pub(crate) struct TangentLu {
     /// Factors of the blocks.
     lu: Lu<usize, f64>,
-    /// What winches add.
+    /// The terms of winches; `None` without any.
     added: Option<Added>,
 }
 
-/// What the products `V F Vᵀ` of winches add to the inverse of the blocks `T`.
+/// The terms that the products `V F Vᵀ` of winches add to the inverse of the blocks `T`.
 struct Added {
     /// `T⁻¹ V`
     answers: Vec<Vec<Vector6<f64>>>,

@@ -778,9 +778,8 @@ impl Controller {
         self.record.predicted_cost = cost;
         self.record.change = largest;
         self.record.subproblem = end;
-        self.record.violation = self.subproblem.soft.largest(&self.change).max(0.0);
         let soft = &self.subproblem.soft;
-        (self.horizon).reprice(soft, &self.change, end.iterations > 0);
+        self.record.violation = (self.horizon).reprice(soft, &self.change, end.iterations > 0);
         self.record.breaks_limit = self.horizon.broken_limits().next().is_some();
         Ok(())
     }

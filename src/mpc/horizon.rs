@@ -339,8 +339,8 @@ impl Horizon {
     }
 
     /// Lets the prices of limits follow a plan, see [`Rows::reprice`].
-    pub fn reprice(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) {
-        self.rows.reprice(soft, x, bounded);
+    pub fn reprice(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) -> f64 {
+        self.rows.reprice(soft, x, bounded)
     }
 
     /// Indices of the limits that the last plan violates although a violation has the highest price.

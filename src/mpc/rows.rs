@@ -340,14 +340,18 @@ impl Rows {
     }
 
     /// Lets the prices of limits follow the plan at `x`, the solution of a subproblem with these rows; `bounded` tells whether a set or a row
-    /// bounds it.
-    pub fn reprice(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) {
+    /// bounds it. Returns the largest violation of the plan, 0 for none.
+    pub fn reprice(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) -> f64 {
+        let mut largest = 0.0f64;
         self.prices.begin();
         for (at, row) in self.limits[self.first.limit..].iter().enumerate() {
             let share = if bounded { soft.share(at) } else { 0.0 };
-            self.prices.see(row.limit, soft.value(at, x), share);
+            let value = soft.value(at, x);
+            self.prices.see(row.limit, value, share);
+            largest = largest.max(value);
         }
         self.prices.end();
+        largest
     }
 
     /// Writes the values of the present limits for a start that deviates.

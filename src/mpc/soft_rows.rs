@@ -65,7 +65,7 @@ impl SoftRows {
     /// Returns the largest value of a row at `x`; negative infinity without rows.
     pub fn largest(&self, x: &[f64]) -> f64 {
         (0..self.len())
-            .map(|i| self.values[i] + self.times(i, x))
+            .map(|i| self.value(i, x))
             .fold(f64::NEG_INFINITY, f64::max)
     }
 
@@ -88,7 +88,7 @@ impl SoftRows {
     /// Sets slacks and multipliers at `x` to the products `product`, as far as the prices allow.
     pub fn start(&mut self, x: &[f64], product: f64) {
         for i in 0..self.len() {
-            let r = self.values[i] + self.times(i, x);
+            let r = self.value(i, x);
             let [w1, w2] = self.prices[i];
             let violated = r.max(0.0);
             let sigma = violated + 2.0 * product / (w1 + w2 * violated);

@@ -306,20 +306,6 @@ pub enum Contender {
     PlantWaits,
 }
 
-impl Experiment {
-    /// Returns the names, as in scenes, of the quantities that a Kalman filter could estimate and does not; empty without one.
-    #[must_use]
-    pub fn missing_unknowns(&self) -> Vec<&'static str> {
-        match &self.sensing {
-            Sensing::Estimated {
-                estimator: EstimatorChoice::Kalman(unknowns),
-                ..
-            } => unknowns.missing(),
-            _ => Vec::new(),
-        }
-    }
-}
-
 impl Contender {
     /// All contenders.
     pub const ALL: [Self; 6] = [
@@ -368,6 +354,18 @@ pub struct Outcome {
 pub type SampleObserver<'a> = dyn FnMut(&Sample, &ClosedLoop) -> ControlFlow<()> + 'a;
 
 impl Experiment {
+    /// Returns the names, as in scenes, of the quantities that a Kalman filter could estimate and does not; empty without one.
+    #[must_use]
+    pub fn missing_unknowns(&self) -> Vec<&'static str> {
+        match &self.sensing {
+            Sensing::Estimated {
+                estimator: EstimatorChoice::Kalman(unknowns),
+                ..
+            } => unknowns.missing(),
+            _ => Vec::new(),
+        }
+    }
+
     /// Returns a loop with the true state of a plant that is the model, as a base for changes.
     #[must_use]
     pub fn new(arm: Arm, task: Task, discretization: Discretization, mpc: MpcSettings) -> Self {

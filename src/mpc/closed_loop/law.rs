@@ -35,8 +35,8 @@ pub struct TipGains {
     pub stiffness: f64,
     /// Damping ratio of the arm's first mode with spring and damper.
     pub damping: f64,
-    /// How many times the integral of a constant error repeats the spring's force within the first natural period `T₁`: `T₁/Tᵢ` with the
-    /// integral time `Tᵢ`; 0 for none.
+    /// First natural period over the integral time, `T₁/Tᵢ`: the number of times that the integral of a constant error repeats the spring's
+    /// force within `T₁`; 0 for none.
     pub integral: f64,
 }
 
