@@ -47,7 +47,8 @@ pub(super) struct EquilibriumArguments {
         allow_negative_numbers = true
     )]
     time: f64,
-    /// Constant force across the tip, divided by EI/L²: with it a symmetric arm buckles gradually, to the side of the force
+    /// Constant force across the tip, or across the node that gives way most where the tip is held, divided by EI/L²: with it a symmetric arm
+    /// buckles gradually, to the side of the force
     #[arg(
         long,
         value_name = "PART",
@@ -121,8 +122,14 @@ pub(super) fn run(arguments: &EquilibriumArguments, global: &Global, console: &C
         target.display().to_string(),
     ];
     let summary = EquilibriumSummary::of(&found, &options, names, wall);
-    let path = LoadPath::new(&found.rod, options.varied, options.time, found.aside, &stop)
-        .map_err(|error| refused(&scene, &source, error.into()))?;
+    let path = LoadPath::new(
+        &found.rod,
+        options.varied,
+        options.time,
+        found.aside.clone(),
+        &stop,
+    )
+    .map_err(|error| refused(&scene, &source, error.into()))?;
     let record = sweep_record(&found, |factor| path.rod_at(factor), options.time);
     let written = directory.publish(|result| {
         result.write_text("scene.toml", &scene.to_toml())?;
@@ -246,7 +253,22 @@ fn tell(
     if let Some(place) = summary.goes_to_m {
         say(
             "",
-            &format!("pushed a little, its tip goes to {}", point(place)),
+            &match summary.goes_to_node {
+                Some(node) if node != found.rod.tip() => {
+                    format!("pushed a little, its node {node} goes to {}", point(place))
+                }
+                _ => format!("pushed a little, its tip goes to {}", point(place)),
+            },
+        );
+    }
+    if summary.left_saddles > 0 {
+        say(
+            "",
+            &format!(
+                "unstable equilibria that it left on its way here: {}, each to a side of less energy; of two equal sides it took the one along the \
+                 base's first axis",
+                summary.left_saddles
+            ),
         );
     }
     let buckling = &summary.buckling;

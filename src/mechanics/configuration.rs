@@ -23,6 +23,19 @@ impl Configuration {
     pub fn poses(&self) -> Poses<'_> {
         (&self.positions, &self.rotations)
     }
+
+    /// Returns the node that is farthest from its place in other positions, the first of several, and its distance, m.
+    pub(crate) fn farthest_node<'a>(
+        &self,
+        places: impl IntoIterator<Item = &'a Vector3<f64>>,
+    ) -> (usize, f64) {
+        (self.positions.iter().zip(places).enumerate())
+            .map(|(node, (own, other))| (node, (other - own).norm()))
+            .fold(
+                (0, 0.0),
+                |most, own| if own.1 > most.1 { own } else { most },
+            )
+    }
 }
 
 /// A configuration with its momenta at the same instant.

@@ -11,10 +11,8 @@ use std::ops::ControlFlow;
 use nalgebra::{Matrix3, Vector3};
 
 use super::configuration::Configuration;
-use super::equilibrium::{
-    EquilibriumError, NodeSpring, Passage, ends_are_held, followed, static_equilibrium_until,
-};
-use super::load::{Load, LoadFrame};
+use super::equilibrium::{EquilibriumError, NodeSpring, Passage, ends_are_held, followed, settled};
+use super::load::Load;
 use super::rod::Rod;
 use super::tangent::{Motions, POSITIVE, Stability, Tangent, own_squared_frequency};
 use crate::stop::StopSignal;
@@ -57,6 +55,8 @@ pub struct LoadedShape {
     pub stability: Option<Stability>,
     /// Tells whether the path ended before this factor, so that the arm jumped to another equilibrium.
     pub jumped: bool,
+    /// Number of unstable equilibria that were left on the way, each to a side of less energy; 0 where the path was followed.
+    pub saddles: usize,
 }
 
 /// Kind of a loss of stability along a load path.
@@ -126,16 +126,16 @@ pub struct LoadPath<'a> {
     varied: Varied,
     /// Time at which profiles of loads and the motion of a driven base are evaluated, s.
     time: f64,
-    /// Dead force on the tip that the factor does not multiply, N: an imperfection that decides to which side a symmetric arm buckles.
-    aside: Vector3<f64>,
+    /// Dead force that the factor does not multiply: an imperfection that decides to which side a symmetric arm buckles.
+    aside: Option<Load>,
     /// Smallest `ω²` of the unloaded arm, 1/s².
     unit: f64,
     stop: &'a StopSignal,
 }
 
 impl<'a> LoadPath<'a> {
-    /// Creates the path of a rod whose loads have their values at `time` (s), with a dead force `aside` (N, spatial frame) on the tip at
-    /// every factor.
+    /// Creates the path of a rod whose loads have their values at `time` (s), with a dead force `aside` at every
+    /// factor.
     ///
     /// # Errors
     /// Returns [`EquilibriumError::FreeBase`].
@@ -143,7 +143,7 @@ impl<'a> LoadPath<'a> {
         rod: &'a Rod,
         varied: Varied,
         time: f64,
-        aside: Vector3<f64>,
+        aside: Option<Load>,
         stop: &'a StopSignal,
     ) -> Result<Self, EquilibriumError> {
         if !rod.is_held() {
@@ -169,15 +169,7 @@ impl<'a> LoadPath<'a> {
         if self.varied != Varied::Gravity {
             out.multiply_loads(factor);
         }
-        if self.aside != Vector3::zeros() {
-            out.loads.push(Load {
-                node: out.tip(),
-                force: self.aside,
-                moment: Vector3::zeros(),
-                frame: LoadFrame::Spatial,
-                profile: Vec::new(),
-            });
-        }
+        out.loads.extend(self.aside.clone());
         out
     }
 
@@ -211,6 +203,19 @@ impl<'a> LoadPath<'a> {
         self.tangent(at).tip_compliance()
     }
 
+    /// Returns the node that is not held and gives way most to a dead force on it, and its displacement per force, m/N, spatial frame;
+    /// without the latter if the stiffness is singular.
+    pub(crate) fn softest_node(&self, at: &LoadedShape) -> (usize, Option<Matrix3<f64>>) {
+        let first = self.rod.first_free_node();
+        let free = self.rod.n_nodes() - first;
+        let all = self.tangent(at).compliances(0..free).unwrap_or_default();
+        (all.into_iter().enumerate())
+            .max_by(|(_, a), (_, b)| a.norm().total_cmp(&b.norm()))
+            .map_or((self.rod.tip(), None), |(free, own)| {
+                (free + first, Some(own))
+            })
+    }
+
     /// Returns the equilibrium at factor 0, which is reached from the stress-free shape while the loads that the factor does not multiply
     /// grow from zero. On a path that [begins loaded](Self::begins_loaded) it is the one in which the arm settles without these loads from
     /// its equilibrium at factor 1.
@@ -227,7 +232,7 @@ impl<'a> LoadPath<'a> {
         let growing = LoadPath {
             rod: &constant,
             varied: Varied::All,
-            aside: Vector3::zeros(),
+            aside: None,
             ..*self
         };
         let unloaded = growing.settled(0.0, &rest, false)?;
@@ -235,7 +240,10 @@ impl<'a> LoadPath<'a> {
             return Ok(unloaded);
         }
         let found = growing.at(&unloaded, 1.0)?;
-        Ok(self.looked_at(0.0, found.shape, found.jumped, Motions::Slowest))
+        Ok(LoadedShape {
+            saddles: found.saddles,
+            ..self.looked_at(0.0, found.shape, found.jumped, Motions::Slowest)
+        })
     }
 
     /// Returns the equilibrium at a factor in which the arm settles from a shape.
@@ -247,8 +255,11 @@ impl<'a> LoadPath<'a> {
     ) -> Result<LoadedShape, EquilibriumError> {
         let rod = self.rod_at(factor);
         let none = NodeSpring::default();
-        let shape = static_equilibrium_until(&rod, from, self.time, &none, self.stop)?;
-        Ok(self.looked_at(factor, shape, jumped, Motions::Slowest))
+        let found = settled(&rod, from, self.time, &none, self.stop)?;
+        Ok(LoadedShape {
+            saddles: found.saddles,
+            ..self.looked_at(factor, found.shape, jumped, Motions::Slowest)
+        })
     }
 
     /// Returns the equilibrium near that of another path at the same factor.
@@ -271,6 +282,7 @@ impl<'a> LoadPath<'a> {
             stability: self.stability(factor, &shape, motions),
             shape,
             jumped,
+            saddles: 0,
         }
     }
 
@@ -352,7 +364,10 @@ impl<'a> LoadPath<'a> {
         let each = &mut |_: &LoadedShape| ControlFlow::Continue(());
         let reached = self.follow(from, factor, Motions::None, each)?;
         if reached.factor == factor {
-            Ok(self.looked_at(factor, reached.shape, reached.jumped, Motions::Slowest))
+            Ok(LoadedShape {
+                saddles: from.saddles,
+                ..self.looked_at(factor, reached.shape, reached.jumped, Motions::Slowest)
+            })
         } else {
             self.settled(factor, &reached.shape, true)
         }

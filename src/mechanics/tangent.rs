@@ -606,13 +606,24 @@ impl Tangent {
 
     /// Returns the displacement of a free node (node 0 is the first of them) per force on it, as [`Self::tip_compliance`].
     pub fn compliance(&self, free: usize) -> Option<Matrix3<f64>> {
+        Some(self.compliances([free])?.swap_remove(0))
+    }
+
+    /// Returns the displacement of each of some free nodes per force on it, as [`Self::compliance`].
+    pub fn compliances(&self, nodes: impl IntoIterator<Item = usize>) -> Option<Vec<Matrix3<f64>>> {
+        let factor = self.factor()?;
+        let at = |free| self.compliance_by(&factor, free);
+        Some(nodes.into_iter().map(at).collect())
+    }
+
+    fn compliance_by(&self, factor: &TangentLu, free: usize) -> Matrix3<f64> {
         let unit_force = |axis: usize| {
             let mut force = vec![Vector6::zeros(); self.n_blocks];
             force[free][axis] = 1.0;
             force
         };
-        let answers = self.factor()?.solve(&[0, 1, 2].map(unit_force));
-        Some(Matrix3::from_fn(|i, j| answers[j][free][i]))
+        let answers = factor.solve(&[0, 1, 2].map(unit_force));
+        Matrix3::from_fn(|i, j| answers[j][free][i])
     }
 
     /// Returns the largest entry of the unsymmetric part, divided by the largest entry.

@@ -62,8 +62,14 @@ pub(crate) struct EquilibriumSummary {
     pub actuators: Vec<ActuatorAtRest>,
     /// Stability under the present loads.
     pub stability: StabilitySummary,
-    /// Tip position to which the arm moves after a small push, if its equilibrium is not stable and another one was found, m.
+    /// Number of unstable equilibria that the arm left on its way to this one, each to a side of less energy; absent if there were none.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub left_saddles: usize,
+    /// Place to which a node moves after a small push, if the equilibrium is not stable and another one was found, m.
     pub goes_to_m: Option<[f64; 3]>,
+    /// That node: the tip, or the node that moves most where the tip is held.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub goes_to_node: Option<usize>,
     /// The load factor at which stability is lost.
     pub buckling: BucklingSummary,
     /// Equilibria at the load factors of the sweep.
@@ -252,6 +258,14 @@ impl EquilibriumSummary {
                 .recip()
         });
         let start = found.sweep.first().unwrap_or(own);
+        let goes_to = found.goes_to.as_ref().map(|there| {
+            let places = &there.shape.positions;
+            let node = match rod.has_free_tip() {
+                true => tip,
+                false => own.shape.farthest_node(places).0,
+            };
+            (node, places[node])
+        });
         EquilibriumSummary {
             schema_version: SCHEMA_VERSION,
             tool: TOOL,
@@ -281,7 +295,9 @@ impl EquilibriumSummary {
             twist_max_1_m: twist,
             actuators: actuators_at_rest(rod, &own.shape, options.time),
             stability: StabilitySummary::of(own.stability.as_ref(), stiffness),
-            goes_to_m: (found.goes_to.as_ref()).map(|at| at.shape.positions[tip].into()),
+            left_saddles: own.saddles,
+            goes_to_m: goes_to.map(|(_, place)| place.into()),
+            goes_to_node: goes_to.map(|(node, _)| node),
             buckling: BucklingSummary::of(&found.critical, found.from_factor),
             sweep: (found.sweep.iter())
                 .map(|at| SweepPoint {
@@ -296,6 +312,11 @@ impl EquilibriumSummary {
             directory,
         }
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde asks for it")]
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// Returns efforts and coordinates of the actuators of an arm with a winch.

@@ -4,7 +4,9 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{Configuration, Critical, LoadPath, LoadedShape, Rod, RodError, Varied};
+use crate::mechanics::{
+    Configuration, Critical, Load, LoadFrame, LoadPath, LoadedShape, Rod, RodError, Varied,
+};
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization};
 
@@ -19,8 +21,8 @@ pub struct StaticsOptions {
     pub points: usize,
     /// Time at which loads with a profile and a driven base are evaluated, s.
     pub time: f64,
-    /// Imperfection: a dead force across the tip in the arm's softest direction, as a multiple of EI/L². With it a symmetric arm buckles
-    /// gradually.
+    /// Imperfection: a dead force on the node that gives way most, in its softest direction, as a multiple of EI/L². That node is the tip
+    /// unless it is held. With it a symmetric arm buckles gradually.
     pub imperfection: f64,
 }
 
@@ -54,8 +56,8 @@ impl StaticsOptions {
 pub struct Statics {
     /// Rod under the loads at factor 1.
     pub rod: Rod,
-    /// Dead force on the tip that the load factor does not multiply, N, spatial frame.
-    pub aside: Vector3<f64>,
+    /// Dead force that the load factor does not multiply: the imperfection.
+    pub aside: Option<Load>,
     /// Equilibrium at load factor 1.
     pub own: LoadedShape,
     /// Displacement of a free tip at that equilibrium per dead force on it, m/N, spatial frame.
@@ -106,10 +108,10 @@ pub fn statics(
 ) -> Result<Statics, StaticsError> {
     let rod = arm.rod(discretization)?;
     let aside = match options.imperfection {
-        0.0 => Vector3::zeros(),
-        part => part * rod.scales.force * softest(&rod, options, stop)?,
+        0.0 => None,
+        part => Some(push(&rod, part, options, stop)?),
     };
-    let path = LoadPath::new(&rod, options.varied, options.time, aside, stop)?;
+    let path = LoadPath::new(&rod, options.varied, options.time, aside.clone(), stop)?;
     let start = path.start()?;
     let own = path.examined(path.at(&start, 1.0)?);
     let critical = path.critical(&start)?;
@@ -139,11 +141,9 @@ pub fn statics(
         }
     }
     let finer = arm.rod(&discretization.refined(2))?;
-    let refined_space = shape_on(&finer, &own, options, aside, stop)?.map(|fine| {
-        let ways = (own.shape.positions.iter())
-            .zip(fine.positions.iter().step_by(2))
-            .map(|(coarse, fine)| (fine - coarse).norm());
-        RICHARDSON * ways.fold(0.0, f64::max)
+    let refined_space = shape_on(&finer, &own, options, aside.as_ref(), stop)?.map(|fine| {
+        let (_, way) = own.shape.farthest_node(fine.positions.iter().step_by(2));
+        RICHARDSON * way
     });
     Ok(Statics {
         aside,
@@ -169,9 +169,13 @@ fn shape_on(
     finer: &Rod,
     own: &LoadedShape,
     options: &StaticsOptions,
-    aside: Vector3<f64>,
+    aside: Option<&Load>,
     stop: &StopSignal,
 ) -> Result<Option<Configuration>, StaticsError> {
+    let aside = aside.map(|load| Load {
+        node: 2 * load.node,
+        ..load.clone()
+    });
     let path = LoadPath::new(finer, options.varied, options.time, aside, stop)?;
     let start = LoadedShape {
         shape: doubled(&own.shape),
@@ -203,22 +207,34 @@ fn doubled(shape: &Configuration) -> Configuration {
     }
 }
 
-/// Returns the unit vector along which the tip of the unloaded arm is most compliant; for a straight arm the first axis of its section.
-fn softest(
+/// Returns a dead force of a part of EI/L² on the node of the unloaded arm that is most compliant, along its softest direction; for a
+/// straight arm the first axis of its section.
+fn push(
     rod: &Rod,
+    part: f64,
     options: &StaticsOptions,
     stop: &StopSignal,
-) -> Result<Vector3<f64>, StaticsError> {
-    let path = LoadPath::new(rod, options.varied, options.time, Vector3::zeros(), stop)?;
+) -> Result<Load, StaticsError> {
+    let path = LoadPath::new(rod, options.varied, options.time, None, stop)?;
     let start = path.start()?;
     let first = start.shape.rotations[0].column(0).into_owned();
-    let Some(compliance) = path.tip_compliance(&start) else {
-        return Ok(first);
+    let (node, compliance) = match rod.has_free_tip() {
+        true => (rod.tip(), path.tip_compliance(&start)),
+        false => path.softest_node(&start),
     };
-    let compliance = 0.5 * (compliance + compliance.transpose());
-    // The power of the compliance selects the softest directions; of equally soft ones it keeps the one nearest to the first axis.
-    let softest = compliance * compliance * compliance * first;
-    Ok(softest.try_normalize(0.0).unwrap_or(first))
+    let direction = compliance.map_or(first, |compliance| {
+        let compliance = 0.5 * (compliance + compliance.transpose());
+        // The power of the compliance selects the softest directions; of equally soft ones it keeps the one nearest to the first axis.
+        let softest = compliance * compliance * compliance * first;
+        softest.try_normalize(0.0).unwrap_or(first)
+    });
+    Ok(Load {
+        node,
+        force: part * rod.scales.force * direction,
+        moment: Vector3::zeros(),
+        frame: LoadFrame::Spatial,
+        profile: Vec::new(),
+    })
 }
 
 /// Returns the stable equilibrium that the arm reaches when its loads grow from zero while a small force pushes its tip aside, after that
@@ -229,9 +245,9 @@ fn pushed(
     options: &StaticsOptions,
     stop: &StopSignal,
 ) -> Result<Option<LoadedShape>, StaticsError> {
-    let aside = PUSH * rod.scales.force * softest(rod, options, stop)?;
-    let path = LoadPath::new(rod, options.varied, options.time, aside, stop)?;
-    let free = LoadPath::new(rod, options.varied, options.time, Vector3::zeros(), stop)?;
+    let aside = push(rod, PUSH, options, stop)?;
+    let path = LoadPath::new(rod, options.varied, options.time, Some(aside), stop)?;
+    let free = LoadPath::new(rod, options.varied, options.time, None, stop)?;
     let found = (path.start())
         .and_then(|start| path.at(&start, 1.0))
         .and_then(|leaning| free.released(&leaning));
@@ -239,8 +255,7 @@ fn pushed(
         Ok(found) => {
             let found = free.examined(found);
             let grows = (found.stability).is_none_or(|found| found.growth_rate.is_some());
-            let tip = rod.tip();
-            let away = (found.shape.positions[tip] - own.shape.positions[tip]).norm();
+            let (_, away) = own.shape.farthest_node(&found.shape.positions);
             Ok((!grows && away > PUSH * rod.scales.length).then_some(found))
         }
         Err(EquilibriumError::Stopped(stop)) => Err(EquilibriumError::Stopped(stop).into()),

@@ -5,8 +5,9 @@ use nalgebra::{Matrix4, SMatrix, Vector2, Vector3, Vector4};
 use softarm::control::Shape;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    Contact, Rod, RodParameters, Section, SectionProfile, static_equilibrium,
+    Contact, NodeSpring, Rod, RodParameters, Section, SectionProfile, static_equilibrium,
 };
+use softarm::scene::Scene;
 
 /// A cantilever along the first axis at the height `height` above a floor.
 #[derive(Clone, Copy)]
@@ -220,4 +221,76 @@ fn the_floor_becomes_rigid_in_proportion_to_the_penetration() {
     assert!((1.7..2.3).contains(&ratio), "{moments:?}");
     let extrapolated = 2.0 * moments[2] - moments[1];
     assert!((extrapolated - 1.0).abs() < 2e-3, "{extrapolated}");
+}
+
+/// A cable lies on a floor and rises to a hand at one end: its horizontal pull is that of the elastic catenary from the point of touchdown on
+/// (Irvine 1981, section 1.4), whatever its bending stiffness, as long as it is small. The bending stiffness and the elements change
+/// the pull by the part of the hanging length over which the cable bends, `sqrt(EI/H)`, and that of an element.
+#[test]
+fn a_cable_rises_from_the_floor() {
+    let (length, span, height, axial) = (1.0, 0.75, 0.4, 7.068_583_470_577_034_5);
+    let weight: f64 = 0.021_205_75 * 9.81;
+    let root = |mut low: f64, mut high: f64, falls: &dyn Fn(f64) -> f64| {
+        for _ in 0..200 {
+            let middle = 0.5 * (low + high);
+            if falls(middle) > 0.0 {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        0.5 * (low + high)
+    };
+    // Of the length that hangs, s: its pull from the height, and the span with the part that lies.
+    let pull = |s: f64| {
+        let v = weight * s;
+        let rise = |h: f64| (h.hypot(v) - h) / weight + v * s / (2.0 * axial) - height;
+        root(1e-9, 10.0, &rise)
+    };
+    let across = |s: f64| {
+        let h = pull(s);
+        let hangs = h / weight * (weight * s / h).asinh() + h * s / axial;
+        span - hangs - (length - s) * (1.0 + h / axial)
+    };
+    let hanging = root(height, length, &across);
+    let exact = pull(hanging);
+    for bending in [1e-6, 4e-7, 1e-7] {
+        for elements in [40, 80] {
+            let text = format!(
+                r#"
+[rod]
+length_m = 1.0
+elements = {elements}
+display_radius_m = 0.0015
+stiffness = {{ ea_n = {axial}, ga_n = 2.35, ei_n_m2 = {bending}, gj_n_m2 = {bending} }}
+inertia = {{ mass_kg_m = 0.02120575, rotary_kg_m = [1e-8, 1e-8, 2e-8] }}
+[base]
+kind = "pinned"
+direction = [1.0, 0.0, 0.0]
+[tip]
+kind = "pinned"
+position_m = [{span}, 0.0, {height}]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[[contact]]
+name = "floor"
+half_space = {{ point_m = [0.0, 0.0, -0.0015], normal = [0.0, 0.0, 1.0] }}
+penetration_m = 0.0002
+[time]
+end_s = 1.0
+"#
+            );
+            let (scene, source) = Scene::from_toml("cable", &text, &[]).expect("a scene");
+            let arm = scene.arm(&source).expect("an arm");
+            let rod = arm.rod(&scene.discretization()).expect("a rod");
+            let found = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default());
+            let shape = found.unwrap_or_else(|error| panic!("{bending:e} {elements}: {error}"));
+            let h = rod.static_reaction_at(rod.tip(), &shape, 0.0).force.x;
+            let parts = (bending / exact).sqrt() / hanging + 0.5 / f64::from(elements);
+            assert!(
+                (h / exact - 1.0).abs() < parts,
+                "{bending:e} {elements}: {h} {exact}"
+            );
+        }
+    }
 }

@@ -205,7 +205,7 @@ fn an_arch_snaps_through() {
     })
     .expect("a rod");
     let stop = StopSignal::default();
-    let path = LoadPath::new(&rod, Varied::All, 0.0, Vector3::zeros(), &stop).expect("held");
+    let path = LoadPath::new(&rod, Varied::All, 0.0, None, &stop).expect("held");
     let start = path.start().expect("a start");
     let found = path.critical(&start).expect("a path");
     let Critical::Lost { factor, how } = found else {
@@ -281,7 +281,7 @@ fn a_cable_hangs_along_its_load_path() {
     };
     let rod = Rod::new(&parameters).unwrap();
     let stop = StopSignal::default();
-    let path = LoadPath::new(&rod, Varied::All, 0.0, Vector3::zeros(), &stop).unwrap();
+    let path = LoadPath::new(&rod, Varied::All, 0.0, None, &stop).unwrap();
     let start = path.start().unwrap();
     let own = path.at(&start, 1.0).unwrap();
     assert!(
@@ -303,7 +303,7 @@ fn a_cable_hangs_along_its_load_path() {
         Critical::Kept { factor, .. } => assert!(factor > 1.0, "{factor}"),
         lost => panic!("{lost:?}"),
     }
-    let weightless = LoadPath::new(&rod, Varied::Loads, 0.0, Vector3::zeros(), &stop).unwrap();
+    let weightless = LoadPath::new(&rod, Varied::Loads, 0.0, None, &stop).unwrap();
     let start = weightless.start().unwrap();
     let found = weightless.critical(&start).unwrap();
     assert!(matches!(

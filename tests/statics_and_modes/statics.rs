@@ -6,14 +6,15 @@ use std::f64::consts::PI;
 
 use common::published::statics::{bent_across, elastica, post_buckling, unit_rod};
 use common::{RULES, equilibrium, soft_arm, tip_load};
-use nalgebra::Vector3;
+use nalgebra::{Cholesky, DMatrix, Vector3};
 use softarm::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
 use softarm::mechanics::equilibrium::{
     EquilibriumError, NodeSpring, nearby_equilibrium_until, static_equilibrium,
 };
 use softarm::mechanics::{
-    BaseCondition, Critical, Kept, Load, LoadFrame, LoadPath, Loss, Material, Rod, RodParameters,
-    Section, SectionProfile, SmallMotions, Stability, StrainRule, Varied,
+    BaseCondition, Configuration, Critical, EndCondition, Kept, Load, LoadFrame, LoadPath, Loss,
+    Material, Rod, RodParameters, Section, SectionProfile, SmallMotions, Stability, StrainRule,
+    Varied,
 };
 use softarm::scene::Scene;
 use softarm::solve::{StaticsOptions, statics};
@@ -412,7 +413,7 @@ fn too_little_holds_nothing() {
 /// The path of a rod whose loads all grow together.
 fn critical_factor(rod: &Rod, varied: Varied) -> Critical {
     let stop = StopSignal::default();
-    let path = LoadPath::new(rod, varied, 0.0, Vector3::zeros(), &stop).unwrap();
+    let path = LoadPath::new(rod, varied, 0.0, None, &stop).unwrap();
     path.critical(&path.start().unwrap()).unwrap()
 }
 
@@ -486,7 +487,7 @@ fn all_motions_decide_about_a_moment() {
         .unwrap();
         let factor = lost(&rod, Varied::All, Loss::Flutter);
         let stop = StopSignal::default();
-        let path = LoadPath::new(&rod, Varied::All, 0.0, Vector3::zeros(), &stop).unwrap();
+        let path = LoadPath::new(&rod, Varied::All, 0.0, None, &stop).unwrap();
         let start = path.start().unwrap();
         let grows = |factor: f64| {
             let at = path.at(&start, factor).unwrap();
@@ -529,7 +530,7 @@ fn the_factor_multiplies_what_is_asked() {
         assert!((0.995..1.05).contains(&over), "{varied:?}: {factor}");
         // At the factor the smallest eigenvalue vanishes: on either side of it the column sways, or topples.
         let stop = StopSignal::default();
-        let path = LoadPath::new(&rod, varied, 0.0, Vector3::zeros(), &stop).unwrap();
+        let path = LoadPath::new(&rod, varied, 0.0, None, &stop).unwrap();
         let grows = |factor: f64| {
             let rod = path.rod_at(factor);
             let none = NodeSpring::default();
@@ -555,7 +556,7 @@ fn a_sweep_across_is_the_elastica() {
         })
         .unwrap();
         let stop = StopSignal::default();
-        let path = LoadPath::new(&rod, Varied::All, 0.0, Vector3::zeros(), &stop).unwrap();
+        let path = LoadPath::new(&rod, Varied::All, 0.0, None, &stop).unwrap();
         let mut at = path.start().unwrap();
         let mut worst = 0.0_f64;
         for row in rows.iter().filter(|row| row.load <= last) {
@@ -628,6 +629,77 @@ fn a_buckled_column_goes_to_its_published_shape() {
     assert!(apart < allowed, "{apart:e} {allowed:e}");
 }
 
+/// A column between two clamps that carries its weight: straight it is stable up to the load at which the energy of bending beside the work of
+/// the weight has no minimum there (a Ritz series, the weight being borne half by either end). Beyond it, pushed a little, its middle goes
+/// aside, the tip being held; and an imperfection in the middle bends it gradually to that side.
+#[test]
+fn columns_between_clamps_buckle_under_their_weight() {
+    // Weight q L³/EI at which ∫ w''² = q ∫ (s - 1/2) w'² for w = Σ c_k (cos (k-1)πs - cos (k+1)πs), the force being (s - 1/2) q L in compression
+    // towards the lower end at s = 1.
+    let count = 14;
+    let steps = 4000;
+    let (mut bends, mut falls) = (DMatrix::zeros(count, count), DMatrix::zeros(count, count));
+    for step in 0..steps {
+        let s = (f64::from(step) + 0.5) / f64::from(steps);
+        let of = |k: usize| {
+            let (a, b) = (PI * k as f64, PI * (k + 2) as f64);
+            let slope = -a * (a * s).sin() + b * (b * s).sin();
+            let bend = -a * a * (a * s).cos() + b * b * (b * s).cos();
+            (slope, bend)
+        };
+        for i in 0..count {
+            for j in 0..count {
+                bends[(i, j)] += of(i).1 * of(j).1 / f64::from(steps);
+                falls[(i, j)] += (s - 0.5) * of(i).0 * of(j).0 / f64::from(steps);
+            }
+        }
+    }
+    let root: DMatrix<f64> = Cholesky::new(bends).unwrap().l().try_inverse().unwrap();
+    let scaled = &root * falls * root.transpose();
+    let critical = 1.0 / scaled.symmetric_eigenvalues().max();
+
+    let (n, radius, density) = (20, 0.01, 1000.0);
+    let material = Material::isotropic(1e8, 0.5, density);
+    let mut arm = Arm::cylinder(&material, 1.0, radius);
+    let bending = 1e8 * PI * radius.powi(4) / 4.0;
+    let weight = density * PI * radius * radius;
+    arm.gravity = Vector3::new(0.0, 0.0, -1.2 * critical * bending / weight);
+    arm.tip = EndCondition::Clamped;
+    let discretization = Discretization::with_elements(n);
+    let run = |imperfection: f64| {
+        let options = StaticsOptions {
+            imperfection,
+            ..StaticsOptions::default()
+        };
+        statics(&arm, &discretization, &options, &StopSignal::default()).unwrap()
+    };
+    let found = run(0.0);
+    let Critical::Lost { factor, how } = found.critical else {
+        panic!("{:?}", found.critical);
+    };
+    assert_eq!(how, Loss::Buckling);
+    // Elements soften by about (half a wave of four)²; shear and stretch of this column by 1e-3.
+    assert!((factor * 1.2 - 1.0).abs() < 0.02, "{factor}");
+    assert!(found.own.stability.unwrap().growth_rate.is_some());
+    let there = found.goes_to.expect("a stable shape");
+    let width = |shape: &Configuration| {
+        let aside = shape.positions.iter().map(|x| x.xy().norm());
+        aside.fold(0.0, f64::max)
+    };
+    // Its ends do not approach, so that it stretches as it bends: it goes aside by about its radius.
+    let aside = width(&there.shape) / radius;
+    assert!((0.5..2.0).contains(&aside), "{aside}");
+    let pushed = run(1e-3);
+    let load = pushed.aside.expect("a force");
+    assert!(load.node.abs_diff(n / 2) <= 1, "{}", load.node);
+    assert!(pushed.own.stability.unwrap().is_stable);
+    let (straight, bent) = (width(&found.own.shape), width(&pushed.own.shape));
+    assert!(
+        straight < 1e-9 && (bent / width(&there.shape) - 1.0).abs() < 0.1,
+        "{straight} {bent}"
+    );
+}
+
 /// An arm that bends in a plane alone, leans to one side under more than its critical weight and is pulled to the other one snaps through: at the factor found the equilibrium it leans
 /// in vanishes, and no other one is near.
 #[test]
@@ -649,7 +721,7 @@ fn leaning_arms_snap_through() {
     .unwrap();
     let factor = lost(&rod, Varied::Loads, Loss::Snapping);
     let stop = StopSignal::default();
-    let path = LoadPath::new(&rod, Varied::Loads, 0.0, Vector3::zeros(), &stop).unwrap();
+    let path = LoadPath::new(&rod, Varied::Loads, 0.0, None, &stop).unwrap();
     let start = path.start().unwrap();
     assert!(start.shape.positions[n].x < -0.3);
     let before = path.at(&start, 0.999 * factor).unwrap();

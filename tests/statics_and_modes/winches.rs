@@ -6,9 +6,10 @@
 
 use nalgebra::Vector3;
 use softarm::mechanics::{
-    Configuration, Density, Load, LoadFrame, Material, Rod, RodParameters, Route, Section,
-    SectionProfile, StrainActuator, Winch, static_equilibrium,
+    Configuration, Density, Load, LoadFrame, LoadPath, Material, Rod, RodParameters, Route,
+    Section, SectionProfile, StrainActuator, Varied, Winch, static_equilibrium,
 };
+use softarm::stop::StopSignal;
 
 const LENGTH: f64 = 0.7144;
 const RADIUS: f64 = 0.675e-3;
@@ -147,4 +148,65 @@ fn a_winch_stiffens_the_arm() {
     assert!(after < before, "the force slackens the tendon");
     assert!((held - start).norm() < 0.5 * (loose - start).norm());
     assert!((same - held).norm() < 1e-8, "{}", (same - held).norm());
+}
+
+/// A weightless arm bends into an arc under its winch, whose tension is a closed form: with the strain `-T/EA` and the curvature `T d/EI` the
+/// tendon keeps `L (1 - T/EA - T d²/EI)` inside of the arm, and `ℓ + b = (L + b + z)(1 + C T)` is linear in `T`. It is found for sections
+/// from a thousand times softer to a hundred times stiffer than the tendon's hold on them, and along the path of the loads.
+#[test]
+fn winches_are_found_at_any_stiffness() {
+    let (length, radius, offset, compliance, outside) = (0.1865, 0.5e-3, 4.5e-3, 1.4e-5, 10.0);
+    for modulus in [1e6, 1e7, 2.5e7, 5e7, 1e8, 1e9, 1e10, 1e11] {
+        let section = Section::circle(&Material::isotropic(modulus, 0.3, 2e4), radius);
+        let (axial, bending) = (section.linear_stiffness.z, section.angular_stiffness.y);
+        let tension = |z: f64| {
+            let inside = length / axial + length * offset * offset / bending;
+            -z / (inside + compliance * (length + outside + z))
+        };
+        let rod = |z: f64| {
+            let parameters = RodParameters {
+                actuators: vec![StrainActuator {
+                    name: "tendon".into(),
+                    density: Density::Shortening,
+                    scale: 1.0,
+                    route: Route::straight([offset, 0.0]),
+                    effort: vec![(0.0, z)],
+                    winch: Some(Winch {
+                        compliance,
+                        outside,
+                    }),
+                    largest: 0.0,
+                }],
+                ..RodParameters::straight(length, 9, SectionProfile::Uniform(section.clone()))
+            };
+            Rod::new(&parameters).expect("a rod")
+        };
+        let assert_arc = |rod: &Rod, z: f64, shape: &Configuration| {
+            let found = rod.efforts_at(vec![z], &shape.positions, &shape.rotations)[0];
+            let exact = tension(z);
+            // Newton's method ends at 1e-9 of EI/L², and the rounding of positions is the stretch of the tendon outside.
+            let rounding = 1e-9 * bending / (length * length) + 1e-15 / (compliance * length);
+            assert!(
+                (found - exact).abs() < 1e-7 * exact + rounding,
+                "{modulus:e}: {found} {exact}"
+            );
+            let (bent, stretch) = (exact * offset / bending, 1.0 - exact / axial);
+            let aside = stretch * (1.0 - (bent * length).cos()) / bent;
+            let tip = shape.positions[rod.tip()];
+            assert!(
+                (tip.xy().norm() - aside).abs() < 1e-6 * length,
+                "{modulus:e}: {tip} {aside}"
+            );
+        };
+        let pulled = rod(-1e-3);
+        let shape = static_equilibrium(&pulled, &pulled.rest, 0.0, &Default::default());
+        assert_arc(&pulled, -1e-3, &shape.expect("an equilibrium"));
+        let stop = StopSignal::default();
+        let path = LoadPath::new(&pulled, Varied::All, 0.0, None, &stop).expect("a held base");
+        assert!(path.is_loaded());
+        let half = path
+            .at(&path.start().expect("a start"), 0.5)
+            .expect("an equilibrium");
+        assert_arc(&rod(-0.5e-3), -0.5e-3, &half.shape);
+    }
 }

@@ -3,15 +3,19 @@
 use nalgebra::Vector3;
 
 use super::super::causes::SAME;
+use super::MOST_ELEMENTS;
 use super::hardly_meant::hardly_meant;
 use crate::mechanics::stability::{bent_step, posed_step, resolving_step, stable_step};
 use crate::mechanics::tangent::{Tangent, own_squared_frequency};
 use crate::mechanics::vibration::{weight_in_words, weight_number};
 use crate::mechanics::{
-    Configuration, Density, EndCondition, Rod, RodModel, RotaryInertia, StrainRule, TimeScheme,
+    Configuration, Density, EndCondition, NodeSpring, Rod, RodModel, RotaryInertia, StrainRule,
+    TimeScheme, settled,
 };
 use crate::output::summary::{ContactFact, ContactFacts, OutputSize, RestSummary};
 use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
+use crate::stop::StopSignal;
+use crate::task::StartShape;
 
 /// Fraction by which the trapezoidal rule stiffens bending from which on it is said: more than the accuracy that scenes ask for.
 const LOCKING_LIMIT: f64 = 0.05;
@@ -241,6 +245,20 @@ pub(super) fn begins_inside(rod: &Rod, at: &Configuration) -> Option<String> {
 /// of all the weight. It decides about a sentence alone.
 const FLUNG: f64 = 10.0;
 
+/// An equilibrium at the start that is reached by leaving unstable ones.
+fn one_of_several(scene: &Scene, rod: &Rod) -> Option<String> {
+    if !matches!(scene.start().shape, StartShape::Equilibrium) || rod.n_elements() > MOST_ELEMENTS {
+        return None;
+    }
+    let (none, stop) = (NodeSpring::default(), StopSignal::default());
+    let saddles = settled(rod, &rod.rest, 0.0, &none, &stop).ok()?.saddles;
+    (saddles > 0).then(|| {
+        "initial.shape: the arm does not keep its straightest shape at t = 0, which is unstable: it settles in one of less energy, of two \
+         mirror images in the one along the base's first axis; a small [[load]] chooses another side"
+            .into()
+    })
+}
+
 /// Returns the remarks that a user should see before a run.
 pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
     let mut out = hardly_meant(scene, rod);
@@ -253,6 +271,7 @@ pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
         ));
     }
     out.extend(pressed(rod));
+    out.extend(one_of_several(scene, rod));
     if scene.rod.rotary_inertia == RotaryInertiaKey::Auto
         && rod.rotary_inertia == RotaryInertia::Segment
     {
