@@ -847,14 +847,18 @@ impl<'a> Statics<'a> {
         (gap <= 1e3 * CLOSED).then_some(at)
     }
 
-    /// Returns a shape near another one whose ends are where they are held.
+    /// Returns a shape near another one whose ends are where they are held, by the least shift of the stiffness that leads there: where the
+    /// stiffness is nearly singular, the motion that it gives is too long to be trusted.
     fn with_closed_ends(&self, at: &Configuration) -> Option<Configuration> {
         let mut shift = 0.0;
         while shift <= LARGEST_SHIFT {
-            if self.is_definite(at, shift) {
-                let factor = self.factor(at, shift)?;
-                let closed = self.closed(at.clone(), &factor)?;
-                return crushed(self.rod, &closed).is_none().then_some(closed);
+            let closed = (self.is_definite(at, shift))
+                .then(|| self.factor(at, shift))
+                .flatten()
+                .and_then(|factor| self.closed(at.clone(), &factor))
+                .filter(|closed| crushed(self.rod, closed).is_none());
+            if closed.is_some() {
+                return closed;
             }
             shift = next_shift(shift);
         }
