@@ -182,7 +182,7 @@ fn half_a_turn_is_nothing_special() {
             "\
 [rod]
 length_m = 0.5
-elements = 10
+elements = 6
 [rod.material]
 youngs_modulus_pa = 1e6
 poisson_ratio = 0.5

@@ -100,7 +100,7 @@ fn targets_are_reached_and_held() {
                 "estimator.kind='none'",
                 "estimator.disturbances=[]",
                 "objective.effort=10",
-                "mpc.duration_s=8",
+                "mpc.duration_s=5",
                 "objective.track=[{ path_m = [[0.0, 0.15, 0.0, -0.35]], weight = 9e4 }]",
                 &effort,
             ],

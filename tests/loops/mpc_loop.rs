@@ -402,12 +402,23 @@ fn outliers_cost_nothing() {
     );
 }
 
-/// Ten thousand samples with a push every five seconds, measurements that are lost, not finite, or finite and absurd, one at a time and in bursts:
+/// Thousands of samples with a push every five seconds, measurements that are lost, not finite, or finite and absurd, one at a time and in bursts:
 /// no panic, the motion stays finite, forces and moments within their bounds at every sample, every command that is not the controller's has its
 /// cause, failures of the controller's own among them, and between the troubles the tip is where it should be.
 #[test]
+fn thousands_of_samples_are_survived() {
+    survive(2_500);
+}
+
+/// The same over ten thousand: `cargo test --release --test loops mpc_loop -- --ignored --nocapture`.
+#[test]
+#[ignore = "takes minutes"]
 fn ten_thousand_samples_are_survived() {
-    const SAMPLES: usize = 10_000;
+    survive(10_000);
+}
+
+/// Runs the troubled loop for so many samples of 10 ms.
+fn survive(samples: usize) {
     let mut struck = scene();
     struck.task.cost.tracks[0].path = (0..=2000)
         .map(|i| 0.05 * f64::from(i))
@@ -458,7 +469,7 @@ fn ten_thousand_samples_are_survived() {
     let mut closed = tampered(&struck, &rod, fallback, Box::new(tamper)).unwrap();
     let (mut n, mut causes) = (0, std::collections::BTreeMap::new());
     let (mut squares, mut quiet) = (0.0, 0);
-    let ended = closed.run(SAMPLES, &mut |sample, _| {
+    let ended = closed.run(samples, &mut |sample, _| {
         n += 1;
         let force = sample.wrench.force.norm();
         assert!(force <= FORCE * (1.0 + 1e-9), "{} {force}", sample.t);
@@ -475,7 +486,7 @@ fn ten_thousand_samples_are_survived() {
         ControlFlow::Continue(())
     });
     ended.unwrap();
-    assert_eq!(n, SAMPLES);
+    assert_eq!(n, samples);
     for cause in [Cause::NoMeasurement, Cause::BadMeasurement] {
         assert!(causes.contains_key(&cause), "{causes:?}");
     }
