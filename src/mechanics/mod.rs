@@ -117,7 +117,7 @@ pub use configuration::{Configuration, State, Trajectory, TrajectoryTangent};
 pub use diagnostics::{Diagnostics, MomentumBalance, PowerBalance};
 pub use element::{Density, RodModel, StrainRule};
 pub use ends::{EndCondition, Joint};
-pub use energy::Energy;
+pub use energy::{Energy, kinetic_energy};
 #[doc(hidden)]
 pub use energy_norm::EnergyNorm;
 pub use equilibrium::{

@@ -1,7 +1,7 @@
 //! NumPy archives of 64-bit numbers, written and read one number at a time, so that an array need not fit in memory.
 
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Read, Write};
+use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use npyz::npz::file_name_from_array_name;
@@ -15,7 +15,71 @@ use super::{OutputError, reading};
 /// An archive that is being read.
 pub(super) type Archive = ZipArchive<BufReader<File>>;
 /// An archive that is being written.
-pub(super) type ArchiveWriter = ZipWriter<BufWriter<File>>;
+pub(super) type ArchiveWriter = ZipWriter<Sink>;
+
+/// A file that an archive is written to. Its first failure is returned, and whatever comes after is accepted and lost: an archive that is
+/// given up tries to end itself, and would tell of another failure on the standard error.
+#[derive(Debug)]
+pub(super) struct Sink {
+    file: BufWriter<File>,
+    position: u64,
+    has_failed: bool,
+}
+
+impl Sink {
+    fn new(file: File) -> Self {
+        Self {
+            file: BufWriter::new(file),
+            position: 0,
+            has_failed: false,
+        }
+    }
+
+    /// Returns the result of an operation on the file, with a note of its failure.
+    fn noted<T>(&mut self, result: io::Result<T>) -> io::Result<T> {
+        let is_failure = |error: &io::Error| error.kind() != io::ErrorKind::Interrupted;
+        self.has_failed |= result.as_ref().err().is_some_and(is_failure);
+        result
+    }
+}
+
+impl Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = match self.has_failed {
+            true => bytes.len(),
+            false => {
+                let result = self.file.write(bytes);
+                self.noted(result)?
+            }
+        };
+        self.position += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        if self.has_failed {
+            return Ok(());
+        }
+        let result = self.file.flush();
+        self.noted(result)
+    }
+}
+
+impl Seek for Sink {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.position = match (self.has_failed, to) {
+            (false, to) => {
+                let result = self.file.seek(to);
+                self.noted(result)?
+            }
+            (true, SeekFrom::Start(place)) => place,
+            (true, SeekFrom::Current(way) | SeekFrom::End(way)) => {
+                self.position.saturating_add_signed(way)
+            }
+        };
+        Ok(self.position)
+    }
+}
 
 /// Opens an archive of any size.
 pub(super) fn open(path: &Path) -> Result<Archive, OutputError> {
@@ -57,7 +121,7 @@ pub(super) fn write(
     fill: impl FnOnce(&mut ArchiveWriter) -> io::Result<()>,
 ) -> Result<(), OutputError> {
     let attempt = || {
-        let mut archive = ZipWriter::new(BufWriter::new(File::create(path)?));
+        let mut archive = ZipWriter::new(Sink::new(File::create(path)?));
         fill(&mut archive)?;
         archive.finish()?.flush()
     };

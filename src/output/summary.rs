@@ -308,6 +308,9 @@ pub struct SimulateSummary {
     /// Largest depths in the bodies that the arm touches; absent where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub contact: Vec<DepthSummary>,
+    /// Kinetic energy, J, that changes its sign from step to step at the end, if that is most of it; absent otherwise.
+    #[serde(rename = "ringing_J", skip_serializing_if = "Option::is_none")]
+    pub ringing: Option<f64>,
     /// Slack of the tendons on winches; absent where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub slack: Vec<SlackSummary>,
@@ -449,10 +452,18 @@ pub struct DepthSummary {
 }
 
 impl SimulateSummary {
-    /// Returns what to know about the depths in bodies after the run.
+    /// Returns what to know about the depths in bodies and about waves after the run.
     #[must_use]
     pub fn concerns(&self) -> Vec<String> {
         let mut out = Vec::new();
+        if let Some(ringing) = self.ringing {
+            out.push(format!(
+                "time.step_s: at the end {ringing:.3e} J of kinetic energy change their sign from step to step, in waves that implicit steps of \
+                 {:.3e} s do not resolve and no damping takes; let what jumps grow over several steps, as a displacement or a load, or give a \
+                 shorter step_s",
+                self.step_s
+            ));
+        }
         for contact in &self.contact {
             if !(contact.through < 1.0) {
                 out.push(format!(

@@ -7,6 +7,7 @@ mod arrays;
 mod controller;
 mod plant;
 mod program;
+mod words;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
@@ -16,6 +17,8 @@ use std::time::Duration;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyList};
+
+use words::in_python;
 
 use crate::cli::{CallError, Caller, Told};
 use crate::scene::{Scene, SceneError, SceneSource, builtin};
@@ -60,7 +63,8 @@ fn scene_error(py: Python<'_>, error: &SceneError) -> PyErr {
         .and_then(|class| {
             let words = error.to_string();
             let words = words.strip_prefix("error: ").unwrap_or(&words);
-            class.call1((words, error.key(), error.line(), error.help()))
+            let help = error.help().map(in_python);
+            class.call1((in_python(words), error.key(), error.line(), help))
         });
     made.map_or_else(|error| error, PyErr::from_value)
 }
@@ -68,10 +72,10 @@ fn scene_error(py: Python<'_>, error: &SceneError) -> PyErr {
 fn call_error(py: Python<'_>, error: &CallError) -> PyErr {
     match error {
         CallError::Scene(error) => scene_error(py, error),
-        CallError::Usage(words) => PyValueError::new_err(words.clone()),
-        CallError::Stopped(words) => raise(py, "Stopped", words.clone()),
-        CallError::Files(words) => raise(py, "ResultError", words.clone()),
-        CallError::Numerical(words) => raise(py, "ModelError", words.clone()),
+        CallError::Usage(words) => PyValueError::new_err(in_python(words)),
+        CallError::Stopped(words) => raise(py, "Stopped", in_python(words)),
+        CallError::Files(words) => raise(py, "ResultError", in_python(words)),
+        CallError::Numerical(words) => raise(py, "ModelError", in_python(words)),
         CallError::Fault(words) => raise(py, "InternalError", words.clone()),
     }
 }
@@ -147,9 +151,9 @@ fn call(
         None => Ok(()),
         Some(hears) => {
             let (kind, line) = match told {
-                Told::Message(line) => ("message", line),
-                Told::Warning(line) => ("warning", line),
-                Told::Reason(line) => ("reason", line),
+                Told::Message(line) => ("message", in_python(&line)),
+                Told::Warning(line) => ("warning", in_python(&line)),
+                Told::Reason(line) => ("reason", in_python(&line)),
                 Told::Data(line) => ("data", line),
             };
             hears.call1(py, (kind, line)).map(|_| ())

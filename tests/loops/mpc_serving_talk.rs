@@ -8,7 +8,8 @@ use std::process::{Command as Program, Stdio};
 use serde_json::{Value, json};
 use serving::{Desk, Pipe, assert_same, command_of, scene};
 use softarm::mpc::{
-    EstimatorChoice, Sensing, SensorChoice, SensorPreset, ServingEnd, Unknowns, read_line, serve,
+    EstimatorChoice, FallbackSettings, Sensing, SensorChoice, SensorPreset, ServingEnd, Unknowns,
+    read_line, serve,
 };
 
 /// Every kind of bad line is answered by an error that says where and what to do, and by the fall-back's command, which is within its bound; the
@@ -142,6 +143,31 @@ fn fallbacks_follow_each_other() {
     assert!(actions[10..].iter().all(|action| action == "ramp"));
     let back = desk.initial(0.81);
     assert!(desk.command(&back)["fallback"].is_null());
+}
+
+/// With `hold`, and no plan to go on with, the command that was sent last is held instead.
+#[test]
+fn the_last_command_may_be_held() {
+    let mut scene = scene();
+    scene.settings.fallback = FallbackSettings {
+        holds: true,
+        plan_samples: 0,
+        damping_samples: 0,
+        ..FallbackSettings::default()
+    };
+    let mut desk = Desk::new(&scene);
+    let mut last = Value::Null;
+    for k in 0..3 {
+        let line = desk.initial(0.01 * f64::from(k));
+        last = desk.command(&line);
+    }
+    let ended = command_of(&last).to;
+    assert!(ended.iter().any(|own| own.force.norm() > 1e-3), "{last}");
+    for _ in 0..60 {
+        let [_, command] = desk.error("?");
+        assert_eq!(command["fallback"]["action"], "hold");
+        assert_eq!(command_of(&command).to, ended);
+    }
 }
 
 /// A time that goes back is answered by the command that was sent last, and takes no sample; a plant that leaves samples out is told how many,

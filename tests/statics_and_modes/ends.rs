@@ -3,9 +3,9 @@
 use nalgebra::{Matrix3, Vector3};
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{
-    BaseCondition, Critical, EndCondition, Kept, Load, LoadFrame, LoadPath, Loss, NodeSpring, Rod,
-    RodParameters, Section, SectionProfile, SmallMotions, Stability, StrainRule, Varied,
-    static_equilibrium,
+    BaseCondition, Configuration, Critical, EndCondition, Energy, Kept, Load, LoadFrame, LoadPath,
+    Loss, NodeSpring, Rod, RodParameters, Section, SectionProfile, SmallMotions, Stability, State,
+    StrainRule, Varied, static_equilibrium,
 };
 use softarm::stop::StopSignal;
 
@@ -378,5 +378,49 @@ fn a_rod_pushed_together_buckles() {
             (width / wide - 1.0).abs() < 2e-2,
             "{distance}: {width}, {wide}"
         );
+    }
+}
+
+/// An arm between two ends that are nearer to each other than its length has several equilibria. The one that is found has no more energy than
+/// those in which the arm settles that another weight, along any of six other directions, had bent before.
+#[test]
+fn arms_between_ends_rest_where_energy_is_least() {
+    let ends = [
+        [ball(), ball()],
+        [hinge(Vector3::y()), ball()],
+        [EndCondition::Clamped, ball()],
+        [EndCondition::Clamped, EndCondition::Clamped],
+    ];
+    let none = NodeSpring::default();
+    let energy =
+        |rod: &Rod, shape: &Configuration| Energy::of(rod, &State::at_rest(shape.clone())).total();
+    for [base, tip] in ends {
+        for (span, weight) in [(0.5, 5.0), (0.8, 20.0)] {
+            let rod = Rod::new(&RodParameters {
+                base: base.clone(),
+                tip: tip.clone(),
+                tip_position: Some(Vector3::new(0.2, 0.0, span)),
+                gravity: weight * Vector3::new(-0.6, 0.3, 0.2),
+                ..RodParameters::straight(1.0, 16, section(1e4, [1.0, 1.0, 1.0]))
+            })
+            .expect("a rod");
+            let found = static_equilibrium(&rod, &rod.rest, 0.0, &none).expect("a shape");
+            let (own, size) = (energy(&rod, &found), weight);
+            for direction in [Vector3::x(), Vector3::y(), Vector3::z()] {
+                for sign in [1.0, -1.0] {
+                    let other = Rod {
+                        gravity: sign * 2.0 * weight * direction,
+                        ..rod.clone()
+                    };
+                    let bent = static_equilibrium(&other, &found, 0.0, &none).expect("a shape");
+                    let back = static_equilibrium(&rod, &bent, 0.0, &none).expect("a shape");
+                    let least = energy(&rod, &back);
+                    assert!(
+                        own < least + 1e-6 * size,
+                        "{base:?} {tip:?} {span}: {own} J, and {least} J after a weight along {sign} {direction:?}"
+                    );
+                }
+            }
+        }
     }
 }

@@ -118,6 +118,67 @@ fn an_arm_falls_and_lies() {
     assert!(page.contains("without friction"));
 }
 
+/// A rod of 3 mm is pushed through a slot of 1 mm to spare between two bars of 5 mm, with elements that are three and six times as long as a bar
+/// is thick: it lies on the lower bar, wherever its nodes are, hardly deeper than the penetration, and never goes through.
+#[test]
+fn a_rod_is_pushed_through_a_slot() {
+    let slot = r#"
+[rod]
+length_m = 0.3
+elements = 20
+[rod.material]
+youngs_modulus_pa = 5e6
+poisson_ratio = 0.45
+density_kg_m3 = 1100.0
+[rod.section]
+radius_m = 0.003
+[base]
+kind = "driven"
+position_m = [-0.265, 0.0, 0.0]
+direction = [1.0, 0.0, 0.0]
+motion = { translation_m = [[0.0, 0.0, 0.0, 0.0], [1.0, 0.1, 0.0, 0.0]] }
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -1]
+[damping]
+viscous_1_s = 5.0
+internal_s = 0.005
+[[contact]]
+name = "lower"
+capsule = { from_m = [0.02, -0.1, -0.0085], to_m = [0.02, 0.1, -0.0085], radius_m = 0.005 }
+penetration_m = 5e-4
+[[contact]]
+name = "upper"
+capsule = { from_m = [0.02, -0.1, 0.0085], to_m = [0.02, 0.1, 0.0085], radius_m = 0.005 }
+penetration_m = 5e-4
+[time]
+end_s = 1.2
+"#;
+    let desk = Desk::with(slot);
+    let mut depths = Vec::new();
+    for elements in ["rod.elements=10", "rod.elements=20"] {
+        let (code, summary, words) = desk.run(&[
+            "simulate",
+            "scene.toml",
+            "--out",
+            "run",
+            "--json",
+            "--set",
+            elements,
+        ]);
+        assert_eq!(code, DONE, "{words}");
+        for own in summary["contact"].as_array().unwrap() {
+            assert!(number(&own["through"]) < 0.2, "{elements}: {own}");
+        }
+        depths.push(number(&summary["contact"][0]["penetration_m"]));
+    }
+    // The force of the bar is that of twice the weight at most: the rod turns about it while it is pushed on.
+    assert!(
+        depths.iter().all(|depth| (2e-4..1e-3).contains(depth)),
+        "{depths:?}"
+    );
+    assert!((depths[0] / depths[1] - 1.0).abs() < 0.1, "{depths:?}");
+}
+
 /// The check prints what contacts do to the step; one that shortens it has a remedy, which works; an arm that begins inside is named.
 #[test]
 fn the_check_knows_the_step() {

@@ -917,3 +917,50 @@ fn results_are_the_same_bytes() {
         }
     }
 }
+
+/// A thin wire on a winch that pulls 4 mm within one implicit step: what the step does not resolve changes its sign from step to step for good,
+/// and a sentence and the summary say so. Pulled over twenty steps it does not ring, and nothing is said.
+#[test]
+fn ringing_motions_are_told() {
+    let scene = |pulled: f64| {
+        format!(
+            r#"
+[rod]
+length_m = 0.1865
+elements = 9
+[rod.material]
+youngs_modulus_pa = 50e9
+poisson_ratio = 0.3
+density_kg_m3 = 20000.0
+[rod.section]
+radius_m = 0.5e-3
+[damping]
+viscous_1_s = 60.0
+internal_s = 0.02
+[[tendon]]
+offset_m = [0.0045, 0.0]
+displacement_profile = [[0.0, 0.0], [{pulled}, -4e-3]]
+compliance_1_n = 1.4e-5
+free_length_m = 10.0
+[time]
+end_s = 1.0
+step_s = 0.02
+integrator = "implicit"
+"#
+        )
+    };
+    let desk = Desk::new();
+    let told = |pulled: f64| {
+        let run = desk.run("simulate", &scene(pulled), &[], &["--out", "run"]);
+        assert_eq!(run.code, DONE, "{run:?}");
+        let summary: Value = serde_json::from_str(&run.stdout).unwrap();
+        let rings = summary["ringing_J"].as_f64();
+        let said = summary["warnings"]
+            .to_string()
+            .contains("change their sign from step to step");
+        assert_eq!(rings.is_some(), said, "{run:?}");
+        rings
+    };
+    assert!(told(0.02).is_some_and(|energy| energy > 1e-5));
+    assert_eq!(told(0.4), None);
+}

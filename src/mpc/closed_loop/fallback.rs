@@ -1,5 +1,5 @@
 //! The fallbacks for a sample without a command: the plan as it is, then damping at the tip or the node that follows a reference, then a ramp
-//! to zero.
+//! to zero, or the last command held.
 
 use nalgebra::Vector3;
 
@@ -68,6 +68,8 @@ pub enum Action {
     Damping,
     /// A ramp from the last command to zero.
     Ramp,
+    /// The last command.
+    Hold,
 }
 
 impl std::fmt::Display for Action {
@@ -76,6 +78,7 @@ impl std::fmt::Display for Action {
             Self::Plan => "plan",
             Self::Damping => "damping",
             Self::Ramp => "ramp",
+            Self::Hold => "hold",
         })
     }
 }
@@ -92,6 +95,8 @@ pub struct FallbackSettings {
     pub damping_samples: usize,
     /// Duration of a ramp to zero, s.
     pub ramp: f64,
+    /// Tells whether the last command is held in place of the ramp.
+    pub holds: bool,
     /// Damping of that force divided by the critical damping of a cantilever's first mode.
     pub damping: f64,
 }
@@ -103,6 +108,7 @@ impl Default for FallbackSettings {
             plan_samples: 10,
             damping_samples: 50,
             ramp: 0.5,
+            holds: false,
             damping: 0.5,
         }
     }
@@ -201,6 +207,9 @@ impl Fallback {
             let force = self.damped(controller.rod(), controller.followed(), state);
             controller.steer(start, Aim::Follow(force));
             Action::Damping
+        } else if self.settings.holds {
+            controller.steer(start, Aim::Part(1.0));
+            Action::Hold
         } else {
             let left = (1.0 - controller.settings().period / self.settings.ramp).max(0.0);
             controller.steer(start, Aim::Part(left));

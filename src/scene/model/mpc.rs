@@ -49,6 +49,7 @@ impl Default for Fallback {
             plan_samples: settings.plan_samples,
             damping_samples: settings.damping_samples,
             ramp_s: known(settings.ramp),
+            hold: settings.holds,
             damping: known(settings.damping),
         }
     }
@@ -145,7 +146,7 @@ pub enum Computing {
 }
 
 /// Commands of samples for which no command can be computed: the plan goes on, then the tip is damped, then the wrench
-/// goes to zero along a ramp.
+/// goes to zero along a ramp, or stays as it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -160,6 +161,9 @@ pub struct Fallback {
     pub damping_samples: usize,
     /// Duration in s of the ramp to zero, positive, default 0.5.
     pub ramp_s: Positive<values::Duration>,
+    /// Holds the last command in place of the ramp, default false: an arm that carries a load would fall with it. With `plan_samples = 0` and
+    /// `damping_samples = 0` it is held from the first sample on.
+    pub hold: bool,
     /// Damping of the tip's force over the critical one of a cantilever's first mode, positive, default 0.5.
     pub damping: Positive<values::Factor>,
 }
@@ -184,6 +188,7 @@ impl Mpc {
                 plan_samples: fallback.plan_samples,
                 damping_samples: fallback.damping_samples,
                 ramp: fallback.ramp_s.get(),
+                holds: fallback.hold,
                 damping: fallback.damping.get(),
             },
             ..LoopSettings::default()

@@ -174,6 +174,13 @@ impl Work<'_, '_> {
                 let setup =
                     (motion.setup(&open, longest, self.sweep.stop)).map_err(RunError::from)?;
                 let is_free = finest.runs.len() < FEWEST_GRIDS;
+                if is_free && self.left() < setup.predicted() {
+                    self.say(format!(
+                        "beyond the budget: the reference takes {FEWEST_GRIDS} grids at least, and that of {} elements about {:.1} s",
+                        open.elements,
+                        setup.predicted()
+                    ));
+                }
                 if !is_free && !self.has_time_for_reference(open.elements, setup.predicted()) {
                     break;
                 }
