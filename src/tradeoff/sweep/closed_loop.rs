@@ -159,8 +159,15 @@ impl Work<'_, '_> {
         if !rms.is_finite() {
             return Ok(point.failed("no error counts: mpc.counted_from_s is after the end"));
         }
+        let doubt = run.tally.innovations.filter(|found| found.is_off);
         Ok(Point {
             status: Fate::Done,
+            why: doubt.map(|found| {
+                format!(
+                    "its estimate is in doubt: innovations are {:.2} times as large as the filter expects, where {:.2} are the most",
+                    found.per_number, found.at_most
+                )
+            }),
             errors: Some(Errors {
                 tip_end: run.tip_error.last / length,
                 tip: run.tip_error.max / length,
@@ -259,7 +266,7 @@ impl Work<'_, '_> {
         };
         let error = own.error.unwrap_or(f64::NAN).max(self.sweep.tolerance);
         let mut good: Vec<&Point> = (self.points.iter().skip(1))
-            .filter(|point| point.time() < own.time())
+            .filter(|point| point.time() < own.time() && point.why.is_none())
             .filter(|point| point.error.is_some_and(|e| e <= AS_GOOD * error))
             .collect();
         good.sort_by(|a, b| a.time().total_cmp(&b.time()));
@@ -269,10 +276,11 @@ impl Work<'_, '_> {
     }
 
     /// Returns the setting with the fastest samples that meets the tolerance, also around a plant with twice the elements, for as much of
-    /// the scene's own duration as the budget allows.
+    /// the scene's own duration as the budget allows. Its estimate is not in doubt: an error that happens to be small says little of the
+    /// next run.
     fn recommend_loop(&mut self, pace: f64) -> Option<Recommendation> {
         let good = (self.points.iter())
-            .filter(|point| point.meets(self.sweep.tolerance))
+            .filter(|point| point.meets(self.sweep.tolerance) && point.why.is_none())
             .cloned()
             .collect();
         let against = "an arm as it is with twice the elements";
@@ -280,7 +288,8 @@ impl Work<'_, '_> {
             let own = work.sweep.scene_duration();
             let longest = (work.left() / pace).clamp(work.run_s, own);
             let checked = work.looped(&point.setting, Some(longest), 2)?;
-            Ok(checked.error.unwrap_or(f64::INFINITY))
+            let error = checked.error.filter(|_| checked.why.is_none());
+            Ok(error.unwrap_or(f64::INFINITY))
         })
     }
 
@@ -299,8 +308,17 @@ impl Work<'_, '_> {
                 reference.error
             ));
         }
+        let doubtful = (self.points.iter())
+            .filter(|point| point.meets(tolerance) && point.why.is_some())
+            .count();
+        if doubtful > 0 {
+            self.finding(format!(
+                "settings that meet the tolerance with an estimate in doubt, which are not recommended: {doubtful}"
+            ));
+        }
         match recommended {
             Some(_) => {}
+            None if doubtful > 0 => {}
             None => {
                 let best = (self.points.iter())
                     .filter_map(|point| point.error)
