@@ -8,6 +8,9 @@
 //! equilibria with smaller moments follow. Likewise obstacles and limits of the task at its end become constraints where the equilibrium
 //! of least effort [crosses](clearance) them.
 //!
+//! Where tendons are on winches, [tensions](tensions) are searched first, and displacements follow from them: a slack tendon does not feel its
+//! winch.
+//!
 //! There are three verdicts: the target is held, with the wrench; it cannot be held, with the reason; or nothing was found, which proves
 //! nothing. The second is given only if all controls are independent in the goal's equations. The controls are then a function of the
 //! shape, a shape that is stable under constant controls is also stable with its node held in place, and all such shapes that were found
@@ -18,6 +21,7 @@ mod clearance;
 mod ends;
 mod program;
 mod statics;
+mod tensions;
 
 use std::ops::ControlFlow;
 
@@ -268,13 +272,16 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
             Err(error) => return not_found(NotFound::Equilibrium(error)),
         }
     }
-    let found = Search {
+    let search = Search {
         limits: HeldLimits::of(problem),
         statics: &statics,
         target,
         start,
-    }
-    .run();
+    };
+    let found = match tensions::held_by_tensions(&search) {
+        Some(held) => Holding::Held(Box::new(held)),
+        None => search.run(),
+    };
     problem.stop.check()?;
     Ok(found)
 }
