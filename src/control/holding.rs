@@ -34,6 +34,7 @@ use self::statics::{Statics, Target};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
 use super::problem::{GoalPart, OptimalControlProblem};
+use super::tensions::Winches;
 use crate::mechanics::equilibrium::{
     EquilibriumError, NodeSpring, ends_are_held, nearby_equilibrium_until, static_equilibrium_until,
 };
@@ -244,8 +245,10 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         return not_found(NotFound::TooLarge);
     }
     let time = problem.grid.duration();
+    // The springs of taut winches are no measure of the arm.
+    let without_springs = Winches::of(problem).map(|winches| winches.by_tensions().rod);
     let statics = Statics {
-        unit: own_squared_frequency(rod),
+        unit: own_squared_frequency(without_springs.as_ref().unwrap_or(rod)),
         ends: (components.iter())
             .map(|component| ends::ends(problem, component))
             .collect(),

@@ -37,6 +37,11 @@ pub(super) struct Winches<'a> {
 impl<'a> Winches<'a> {
     /// Returns the winches among the controls; `None` if there are none.
     pub fn of(problem: &'a OptimalControlProblem) -> Option<Self> {
+        Self::with_least_times(problem, 1.0)
+    }
+
+    /// Returns [`Self::of`] with least tensions that are `factor` times as large.
+    pub fn with_least_times(problem: &'a OptimalControlProblem, factor: f64) -> Option<Self> {
         let rod = &problem.rod;
         let start = &problem.initial.configuration;
         let coordinates = rod.actuator_coordinates(&start.positions, &start.rotations);
@@ -48,7 +53,7 @@ impl<'a> Winches<'a> {
             })
             .map(|(actuator, component)| {
                 let own = least.iter().find(|(index, _)| *index == actuator);
-                let least = own.map_or(0.0, |(_, least)| *least);
+                let least = own.map_or(0.0, |(_, least)| factor * least);
                 let law = rod
                     .actuators
                     .law(actuator, given[actuator], coordinates[actuator]);

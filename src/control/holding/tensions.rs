@@ -3,14 +3,24 @@
 
 use super::program::Aim;
 use super::statics::Statics;
-use super::{BRANCHES, Demand, Held, HeldLimits, Holding, HoldingPoint, Search, ends};
+use super::{BRANCHES, Demand, Held, HeldLimits, HoldingPoint, Search, ends};
 use crate::control::tensions::Winches;
+
+/// Multiples of the least tensions that tendons have where the arm is held, one after the other: an arm that comes to rest swings, and its
+/// tendons stay taut only if they have more tension than its inertia takes away. A target at the edge of what tensions hold leaves no choice.
+const LEAST_TIMES: [f64; 3] = [20.0, 4.0, 1.0];
 
 /// Returns a stable equilibrium that holds the target by winches within their bounds, found over the tensions of their tendons; `None` if
 /// there are no winches among the controls, or none was found.
 pub(super) fn held_by_tensions(search: &Search) -> Option<Held> {
+    LEAST_TIMES.iter().find_map(|factor| {
+        let winches = Winches::with_least_times(search.statics.problem, *factor)?;
+        held_by(&winches, search)
+    })
+}
+
+fn held_by(winches: &Winches, search: &Search) -> Option<Held> {
     let own = search.statics;
-    let winches = Winches::of(own.problem)?;
     let problem = winches.by_tensions();
     let components = own.components.clone();
     let statics = Statics {
@@ -64,11 +74,9 @@ pub(super) fn held_by_tensions(search: &Search) -> Option<Held> {
             return Some(held);
         }
     }
-    match twin.run() {
-        Holding::Held(held) => accepted(&HoldingPoint {
-            controls: statics.controls(&held.wrenches),
-            shape: held.shape.clone(),
-        }),
-        Holding::CannotBeHeld { .. } | Holding::NotFound { .. } => None,
-    }
+    let (held, _) = twin.nearest_of_starts()?;
+    accepted(&HoldingPoint {
+        controls: statics.controls(&held.wrenches),
+        shape: held.shape.clone(),
+    })
 }
