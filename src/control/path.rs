@@ -112,6 +112,9 @@ pub struct PathMultiplier {
     pub multiplier: f64,
 }
 
+/// Length by which a tendon is too long that counts as 1, divided by the length of the arm: between the length itself and the stretch of
+/// stiff tendons, a millionth of it, so that multipliers are not far from those of other rows. A choice.
+const TAUT_UNIT: f64 = 1e-2;
 /// Fraction of the length with which the penetration of a plane by a line without thickness is compared.
 const FLAT_REFERENCE: f64 = 0.05;
 
@@ -467,7 +470,8 @@ impl PathLimit {
     pub fn scale(&self, rod: &Rod) -> f64 {
         let scales = &rod.scales;
         match self {
-            Self::Clearance { .. } | Self::Taut { .. } => scales.length,
+            Self::Clearance { .. } => scales.length,
+            Self::Taut { .. } => TAUT_UNIT * scales.length,
             Self::Stretch { .. } | Self::Tilt { .. } | Self::Term(_) => 1.0,
             Self::Curvature { .. } | Self::Twist { .. } => 1.0 / scales.length,
             Self::Speed { .. } => scales.length / scales.time,
