@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 use super::hold::Hold;
 use super::holding::{CannotHold, Holding, holding};
 use super::problem::{Bound, OptimalControlProblem};
+use crate::mechanics::signal::EffortTable;
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::{MOST_ELEMENTS, Rod, Trajectory, Wrench};
 
@@ -41,6 +42,13 @@ pub enum Observation {
         block: f64,
         /// Period of the fastest wave, s.
         period: f64,
+    },
+    /// The tendon of a winch that is a control is slack for a part of the motion.
+    SlackTendon {
+        /// Name of the tendon.
+        name: String,
+        /// Part of the time nodes at which it has no tension.
+        fraction: f64,
     },
     /// Balancing the arm at the target takes a larger force than the bound.
     StaticNeed {
@@ -94,6 +102,13 @@ impl std::fmt::Display for Observation {
                  period of {period:.1e} s): control.hold = \"linear\" or \"cubic\", or damping.internal_s = {:.0e}",
                 ADVISED * period
             ),
+            Self::SlackTendon { name, fraction } => write!(
+                f,
+                "the tendon {name} is slack for {:.0} % of the motion, where its winch has no effect, so that a search has no slope to \
+                 follow: begin with it taut, by a rest_displacement_m farther in, and keep it taut by control.keep_taut = true, or \
+                 control tensions by tension_n, from which displacements follow",
+                100.0 * fraction
+            ),
             Self::StaticNeed { force, bound } => write!(
                 f,
                 "holding the tip at the target takes a force of about {force:.3e} N, more than the bound of {bound:.3e} N: the arm cannot \
@@ -128,6 +143,9 @@ const ADVISED: f64 = 0.1;
 /// A moment counts as cheap below this fraction of the cost of the forces, an order of magnitude. Nothing but the advice depends on it.
 const CHEAP: f64 = 0.1;
 
+/// Part of a motion up to which a slack tendon is not worth a word, a choice.
+const BRIEF: f64 = 0.05;
+
 /// Returns the observations about a motion and its controls, worst first; empty if all values are in the usual range.
 #[must_use]
 pub fn observe(
@@ -138,6 +156,7 @@ pub fn observe(
     let mut out = Vec::new();
     let peaks = Peaks::of(problem, trajectory);
     out.extend(static_need(problem));
+    out.extend(slack_tendon(problem, trajectory, coefficients));
     if let Some(peak) = &peaks.angle
         && peak.value > RESOLVED_ANGLE
     {
@@ -210,6 +229,41 @@ impl Peaks {
         }
         out
     }
+}
+
+/// Returns the tendon of a winch among the controls that is slack for the largest part of a motion, if one is for more than [`BRIEF`].
+fn slack_tendon(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    coefficients: &[Wrench],
+) -> Option<Observation> {
+    let rod = &problem.rod;
+    if !rod.actuators.has_winches() {
+        return None;
+    }
+    let control = problem.signal(&problem.control, coefficients);
+    let table = EffortTable::of(&rod.actuators, &problem.grid, Some(&control));
+    let efforts: Vec<Vec<f64>> = (table.nodes.chunks_exact(table.n_actuators).enumerate())
+        .take(trajectory.n_times())
+        .map(|(k, inputs)| {
+            let (x, r) = trajectory.poses_at(k);
+            rod.efforts_at(inputs.to_vec(), x, r)
+        })
+        .collect();
+    let driven = problem.efforts.iter().flat_map(|own| &own.actuators);
+    driven
+        .filter_map(|&actuator| {
+            let own = rod.actuators.iter().nth(actuator)?;
+            own.winch.as_ref()?;
+            let slack = efforts.iter().filter(|all| all[actuator] == 0.0).count();
+            Some((slack as f64 / efforts.len().max(1) as f64, &own.name))
+        })
+        .filter(|(fraction, _)| *fraction > BRIEF)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(fraction, name)| Observation::SlackTendon {
+            name: name.clone(),
+            fraction,
+        })
 }
 
 /// Returns the tip force that balances the arm at its last target if it exceeds its bound and the tip is to stop there.

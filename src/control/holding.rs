@@ -8,6 +8,9 @@
 //! equilibria with smaller moments follow. Likewise obstacles and limits of the task at its end become constraints where the equilibrium
 //! of least effort [crosses](clearance) them.
 //!
+//! Where tendons are on winches, [tensions](tensions) are searched first, and displacements follow from them: a slack tendon does not feel its
+//! winch.
+//!
 //! There are three verdicts: the target is held, with the wrench; it cannot be held, with the reason; or nothing was found, which proves
 //! nothing. The second is given only if all controls are independent in the goal's equations. The controls are then a function of the
 //! shape, a shape that is stable under constant controls is also stable with its node held in place, and all such shapes that were found
@@ -18,6 +21,7 @@ mod clearance;
 mod ends;
 mod program;
 mod statics;
+mod tensions;
 
 use std::ops::ControlFlow;
 
@@ -30,6 +34,7 @@ use self::statics::{Statics, Target};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
 use super::problem::{GoalPart, OptimalControlProblem};
+use super::tensions::Winches;
 use crate::mechanics::equilibrium::{
     EquilibriumError, NodeSpring, ends_are_held, nearby_equilibrium_until, static_equilibrium_until,
 };
@@ -240,8 +245,10 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         return not_found(NotFound::TooLarge);
     }
     let time = problem.grid.duration();
+    // The springs of taut winches are no measure of the arm.
+    let without_springs = Winches::of(problem).map(|winches| winches.by_tensions().rod);
     let statics = Statics {
-        unit: own_squared_frequency(rod),
+        unit: own_squared_frequency(without_springs.as_ref().unwrap_or(rod)),
         ends: (components.iter())
             .map(|component| ends::ends(problem, component))
             .collect(),
@@ -268,13 +275,16 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
             Err(error) => return not_found(NotFound::Equilibrium(error)),
         }
     }
-    let found = Search {
+    let search = Search {
         limits: HeldLimits::of(problem),
         statics: &statics,
         target,
         start,
-    }
-    .run();
+    };
+    let found = match tensions::held_by_tensions(&search) {
+        Some(held) => Holding::Held(Box::new(held)),
+        None => search.run(),
+    };
     problem.stop.check()?;
     Ok(found)
 }

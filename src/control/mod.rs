@@ -44,6 +44,7 @@ pub(crate) mod residual;
 #[doc(hidden)]
 pub mod search;
 mod stay;
+mod tensions;
 mod term;
 mod tracking;
 mod tracking_error;

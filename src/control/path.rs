@@ -10,6 +10,7 @@ use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
 use super::term::{SharedTerm, StateView};
 use crate::mechanics::curvature::OwnCurvature;
 use crate::mechanics::element::{IntervalStress, log_second_derivative};
+use crate::mechanics::forces::NodalForces;
 use crate::mechanics::solid::Shape;
 use crate::mechanics::{FormTerm, Place, Rod, StateForm, TimeGrid, Trajectory};
 use crate::sqp::Softness;
@@ -64,6 +65,12 @@ pub enum PathLimit {
         /// Largest, below π.
         largest: f64,
     },
+    /// Tendons of winches have at least a tension. A row is by how much a tendon is too long, m, at the given displacement of its winch;
+    /// [`PathLimit::along_input`] adds the part of a control.
+    Taut {
+        /// Index of the actuator of the rod, and its least tension, N.
+        tendons: Vec<(usize, f64)>,
+    },
     /// Values of a term of one's own, at most zero.
     Term(SharedTerm),
 }
@@ -105,6 +112,9 @@ pub struct PathMultiplier {
     pub multiplier: f64,
 }
 
+/// Length by which a tendon is too long that counts as 1, divided by the length of the arm: between the length itself and the stretch of
+/// stiff tendons, a millionth of it, so that multipliers are not far from those of other rows. A choice.
+const TAUT_UNIT: f64 = 1e-2;
 /// Fraction of the length with which the penetration of a plane by a line without thickness is compared.
 const FLAT_REFERENCE: f64 = 0.05;
 
@@ -360,13 +370,15 @@ impl PathLimit {
             | Self::Twist { largest }
             | Self::Speed { largest, .. }
             | Self::Tilt { largest, .. } => Some(*largest),
-            Self::Clearance { .. } | Self::Stretch { .. } | Self::Term(_) => None,
+            Self::Clearance { .. } | Self::Stretch { .. } | Self::Taut { .. } | Self::Term(_) => {
+                None
+            }
         }
     }
 
     /// Returns the size to which an excess over the limit is compared, in the unit of the limit: for an obstacle its least radius, the arm's
-    /// and the margin together, or for a flat one the arm's radius, at least 0.05 L; for stretches and terms of one's own 1; and otherwise
-    /// the limit itself. `radii` are those of the arm at its nodes, m.
+    /// and the margin together, or for a flat one the arm's radius, at least 0.05 L; for tendons the length of the arm; for stretches and
+    /// terms of one's own 1; and otherwise the limit itself. `radii` are those of the arm at its nodes, m.
     #[must_use]
     pub fn reference(&self, rod: &Rod, radii: &[f64]) -> f64 {
         match self {
@@ -379,6 +391,7 @@ impl PathLimit {
                     thickness.max(FLAT_REFERENCE * rod.scales.length)
                 }
             }
+            Self::Taut { .. } => rod.scales.length,
             other => other.size().unwrap_or(1.0),
         }
     }
@@ -402,6 +415,7 @@ impl PathLimit {
             Self::Stretch { .. } | Self::Twist { .. } => 2 * rod.n_elements(),
             Self::Curvature { .. } => rod.n_elements(),
             Self::Speed { .. } | Self::Tilt { .. } => 1,
+            Self::Taut { tendons } => tendons.len(),
             Self::Term(term) => term.n_values(rod),
         }
     }
@@ -433,6 +447,7 @@ impl PathLimit {
             Self::Stretch { .. } | Self::Twist { .. } => item / 2,
             Self::Curvature { .. } => item,
             Self::Speed { at, .. } | Self::Tilt { at, .. } => at.node(&rod.mesh),
+            Self::Taut { .. } => 0,
             Self::Term(term) => term.nodes(rod, item).first().copied().unwrap_or(0),
         }
     }
@@ -441,7 +456,7 @@ impl PathLimit {
     #[must_use]
     pub fn unit(&self) -> &'static str {
         match self {
-            Self::Clearance { .. } => "m",
+            Self::Clearance { .. } | Self::Taut { .. } => "m",
             Self::Stretch { .. } => "",
             Self::Curvature { .. } | Self::Twist { .. } => "1/m",
             Self::Speed { .. } => "m/s",
@@ -456,10 +471,23 @@ impl PathLimit {
         let scales = &rod.scales;
         match self {
             Self::Clearance { .. } => scales.length,
+            Self::Taut { .. } => TAUT_UNIT * scales.length,
             Self::Stretch { .. } | Self::Tilt { .. } | Self::Term(_) => 1.0,
             Self::Curvature { .. } | Self::Twist { .. } => 1.0 / scales.length,
             Self::Speed { .. } => scales.length / scales.time,
         }
+    }
+
+    /// Returns, for a limit on tendons, the actuator on whose input a row depends beside the states, and the derivative of the scaled row
+    /// along it, per m; the row is linear in it.
+    #[must_use]
+    pub fn along_input(&self, rod: &Rod, item: usize) -> Option<(usize, f64)> {
+        let Self::Taut { tendons } = self else {
+            return None;
+        };
+        let &(actuator, least) = tendons.get(item)?;
+        let at = |input: f64| rod.actuators.too_long(actuator, least, input, 0.0);
+        Some((actuator, (at(1.0)? - at(0.0)?) / self.scale(rod)))
     }
 
     /// A point of the center line: element, fraction of the chord, and the arm's radius there.
@@ -570,6 +598,15 @@ impl PathLimit {
                 direction,
                 largest,
             } => Inclination::of(rod_view, k, *at, [axis, direction]).angle() - largest,
+            Self::Taut { tendons } => {
+                let (actuator, least) = tendons[item];
+                let rod = rod_view.rod;
+                let (x, r) = rod_view.trajectory.poses_at(k);
+                let y = rod.actuator_coordinates(x, r)[actuator];
+                let given = (rod.actuators.iter().nth(actuator))
+                    .map_or(0.0, |own| own.effort(rod_view.grid.time(k)));
+                (rod.actuators.too_long(actuator, least, given, y)).unwrap_or(f64::NEG_INFINITY)
+            }
             Self::Term(term) => term.value(&rod_view.view(k), item),
         };
         excess / self.scale(rod_view.rod)
@@ -652,6 +689,22 @@ impl PathLimit {
                 let own = Inclination::of(rod_view, k, *at, [axis, direction]);
                 along(own.node, 3, &own.gradient()).for_each(|term| write(0, term));
             }
+            Self::Taut { tendons } => {
+                let rod = rod_view.rod;
+                let (x, r) = rod_view.trajectory.poses_at(k);
+                // The work of a unit tension is the change of the coordinate.
+                let mut pull = NodalForces::zeros(rod.n_nodes());
+                pull.add_active(rod, x, r, &unit_effort(rod, tendons[item].0));
+                for node in 0..rod.n_nodes() {
+                    let [force, moment] = [&pull.forces[node], &pull.moments[node]];
+                    let terms = (along(node, 0, &(force * inverse))).chain(along(
+                        node,
+                        3,
+                        &(moment * inverse),
+                    ));
+                    terms.for_each(|term| write(0, term));
+                }
+            }
             Self::Term(own) => {
                 let form = own.gradient(&rod_view.view(k), item);
                 form.terms.into_iter().for_each(|term| write(0, term));
@@ -733,9 +786,43 @@ impl PathLimit {
                     matrix: dynamic(&own.curvature()),
                 }
             }
+            Self::Taut { tendons } => {
+                let rod = rod_view.rod;
+                let (x, r) = rod_view.trajectory.poses_at(k);
+                let unit = unit_effort(rod, tendons[item].0);
+                // The energy of a unit tension is minus the coordinate.
+                let parts: Vec<RowCurvature> = (0..rod.n_elements())
+                    .filter_map(|q| {
+                        let stiffness =
+                            rod.active_stiffness(q, &Rod::element_pose(q, x, r), &unit)?;
+                        Some(element_curvature(k, q, &(stiffness * -inverse)))
+                    })
+                    .collect();
+                joined(parts)
+            }
             Self::Term(term) => term_curvature(term, rod_view, k, item, 1.0),
         }
     }
+}
+
+/// Returns the efforts of all actuators of a rod with 1 for one of them, and 0 for the others.
+fn unit_effort(rod: &Rod, actuator: usize) -> Vec<f64> {
+    let mut out = vec![0.0; rod.actuators.len()];
+    out[actuator] = 1.0;
+    out
+}
+
+/// Returns the sum of second derivatives.
+fn joined(parts: Vec<RowCurvature>) -> RowCurvature {
+    let n = parts.iter().map(|part| part.forms.len()).sum();
+    let mut matrix = DMatrix::zeros(n, n);
+    let mut forms = Vec::with_capacity(n);
+    for part in parts {
+        let (at, m) = (forms.len(), part.forms.len());
+        matrix.view_mut((at, at), (m, m)).copy_from(&part.matrix);
+        forms.extend(part.forms);
+    }
+    RowCurvature { forms, matrix }
 }
 
 /// The angle `θ` between an axis `a` of a node, body frame, and a direction `d` in space, with `b = Rᵀ d`: `cos θ = a·b`.

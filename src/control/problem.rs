@@ -740,6 +740,26 @@ impl OptimalControlProblem {
             .collect()
     }
 
+    /// Returns the least tensions of the tendons that should [stay taut](PathLimit::Taut), by the index of their actuator on the rod.
+    pub(crate) fn least_tensions(&self) -> impl Iterator<Item = (usize, f64)> {
+        (self.path.iter()).flat_map(|path| match &path.limit {
+            PathLimit::Taut { tendons } => tendons.clone(),
+            _ => Vec::new(),
+        })
+    }
+
+    /// Returns the same problem with the smooth law of tendons that [push where they are too long](crate::mechanics::RodActuators::pushing),
+    /// if some of them should stay taut.
+    pub(crate) fn smooth(&self) -> std::borrow::Cow<'_, Self> {
+        if self.least_tensions().next().is_none() {
+            return std::borrow::Cow::Borrowed(self);
+        }
+        let mut out = self.clone();
+        let rod = Arc::make_mut(&mut out.rod);
+        rod.actuators = rod.actuators.pushing();
+        std::borrow::Cow::Owned(out)
+    }
+
     /// Returns the same problem on a grid whose duration is multiplied by `time_scale`.
     #[must_use]
     pub fn with_time_scale(&self, time_scale: f64) -> Self {

@@ -1,5 +1,6 @@
 //! The search for a solution: several initial guesses, continuation from easier problems, and several starts.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 
@@ -11,11 +12,12 @@ use super::guess::{Guess, GuessError, first_point, simulated};
 use super::journal::{Journal, Listener, SearchEvent};
 use super::path::PathLimit;
 use super::problem::OptimalControlProblem;
+use super::tensions::Winches;
 use super::transcription::{LiftedPoint, Transcription};
 use super::turns::long_turns;
 use crate::mechanics::Wrench;
 use crate::mechanics::rotation::{exp, log};
-use crate::sqp::{IterationRecord, SqpOutcome, SqpSettings, SqpStatus, solve};
+use crate::sqp::{IterationRecord, LiftedProgram, SqpOutcome, SqpSettings, SqpStatus, solve};
 use crate::stop::Stop;
 
 /// Continuation: the part of the problem that is easier at first.
@@ -355,8 +357,14 @@ fn staged(
         First::Previous(previous) => Some(previous.to_vec()),
         First::Guess(_) | First::Detour(_) => None,
     };
+    let kinked = problem;
     let mut from = "previous";
     let mut settings = settings.clone();
+    // A slack tendon does not feel its winch, and a step that is too long for a taut one goes unnoticed: at first tendons push. Where all of
+    // them stay taut, the motion is the same.
+    let smooth = problem.smooth();
+    let is_smooth = matches!(smooth, Cow::Owned(_));
+    let problem = &*smooth;
     for stage in 1..=stages {
         let easier;
         let here = match search.continuation {
@@ -378,7 +386,16 @@ fn staged(
                     }
                     First::Previous(_) => (Guess::StaticPath, None),
                 };
-                let (point, used) = first_point(here, guess, detour.as_ref())?;
+                let by_tensions = match first {
+                    First::Guess(_) if search.continuation.is_none() => {
+                        by_tensions(kinked, here, &mut settings, n_threads, (journal, observer))?
+                    }
+                    _ => None,
+                };
+                let (point, used) = match by_tensions {
+                    Some(point) => (point, guess),
+                    None => first_point(here, guess, detour.as_ref())?,
+                };
                 if used == Guess::Rest && tried_rest {
                     return Ok(None);
                 }
@@ -416,6 +433,30 @@ fn staged(
             outcome.status = SqpStatus::Stopped(stop);
             stopped = true;
         }
+        let program = Transcription::new(kinked, n_threads);
+        // Where all tendons are taut, both laws are the same one.
+        let is_taut = || {
+            let there = program.evaluate(&outcome.point);
+            there.is_ok_and(|there| there.defect <= settings.tolerance)
+        };
+        let is_done = outcome.status == SqpStatus::Converged && is_taut();
+        if is_smooth && stage == stages && !stopped && !is_done {
+            journal.begin(format!("{from}, with tendons that do not push"));
+            let controls = kinked.wrenches(&outcome.point.variables);
+            let start = match outcome.status {
+                SqpStatus::Converged => outcome.point,
+                // A tendon that pushes somewhere has led to states that the arm does not have.
+                _ => match simulated(kinked, &controls) {
+                    Ok(mut point) => {
+                        point.variables = outcome.point.variables;
+                        point
+                    }
+                    Err(_) => outcome.point,
+                },
+            };
+            outcome = solve(&program, start, &settings, &mut |row| observer(row));
+            journal.end_as(&outcome.status);
+        }
         if stage == stages || stopped {
             return Ok(Some(Staged {
                 from,
@@ -429,6 +470,36 @@ fn staged(
             .then(|| here.wrenches(&outcome.point.variables));
     }
     unreachable!("the last stage returns")
+}
+
+/// Returns a first point of a problem with winches: the displacements that follow from a solution in which the
+/// [tensions](super::tensions) of their tendons are the controls, and the motion under them. `None` without winches, where that solve does
+/// not converge, or where the motion breaks down.
+///
+/// # Errors
+/// [`GuessError`] where that solve has no initial guess.
+fn by_tensions(
+    problem: &OptimalControlProblem,
+    smooth: &OptimalControlProblem,
+    settings: &mut SqpSettings,
+    n_threads: usize,
+    (journal, observer): (&Journal, &dyn Fn(&IterationRecord) -> ControlFlow<Stop>),
+) -> Result<Option<LiftedPoint>, GuessError> {
+    let Some(winches) = Winches::of(problem) else {
+        return Ok(None);
+    };
+    let twin = winches.by_tensions();
+    let (point, used) = first_point(&twin, Guess::StaticPath, None)?;
+    journal.begin(format!("{}, by tensions", used.name()));
+    let program = Transcription::new(&twin, n_threads);
+    let outcome = solve(&program, point, settings, &mut |row| observer(row));
+    journal.end_as(&outcome.status);
+    settings.max_iterations = (settings.max_iterations).saturating_sub(iterations(&outcome));
+    if outcome.status != SqpStatus::Converged {
+        return Ok(None);
+    }
+    let reeled = winches.reeled(&twin, &outcome.point);
+    Ok(simulated(smooth, &reeled).ok())
 }
 
 /// Searches over a free duration; several starts begin with several durations.

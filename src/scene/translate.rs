@@ -556,6 +556,7 @@ impl Scene {
             limits: self.limits(),
             actuators: control.of_task(&mesh),
             efforts,
+            keeps_taut: control.keep_taut,
             own_actuators: (control.distributed.iter())
                 .map(model::Distributed::of_task)
                 .collect(),

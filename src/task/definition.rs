@@ -277,6 +277,9 @@ pub struct Task {
     pub own_actuators: Vec<OwnActuator>,
     /// Actuators of the arm whose efforts the optimizer chooses.
     pub efforts: Vec<EffortControl>,
+    /// Tells whether tendons of winches that are controls, and taut at the start, stay taut. Every motion of the arm has winches that
+    /// reel slack in; a slack tendon does not feel its winch, where a search has no slope to follow.
+    pub keeps_taut: bool,
     /// The objective that is minimized.
     pub cost: Cost,
 }
@@ -305,6 +308,7 @@ impl Task {
             }],
             own_actuators: Vec::new(),
             efforts: Vec::new(),
+            keeps_taut: true,
             cost: Cost::default(),
         }
     }

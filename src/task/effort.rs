@@ -132,6 +132,13 @@ pub(super) fn efforts(
 /// Returns the effort of an actuator that bends and twists the arm at rest by a radian in all, as the sum over the elements of moment over
 /// stiffness, or the displacement of its winch from `least` on that makes this effort; `None` if it has no moment.
 fn bending_scale(rod: &Rod, actuator: usize, least: f64) -> Option<f64> {
+    let flexibility = rod.winch_flexibility(actuator, least).unwrap_or(1.0);
+    Some(flexibility * bending_tension(rod, actuator)?)
+}
+
+/// Returns the effort of an actuator that bends and twists the arm at rest by a radian in all, of a winch its tension; `None` if it has no
+/// moment.
+pub(super) fn bending_tension(rod: &Rod, actuator: usize) -> Option<f64> {
     let posed: f64 = (rod.actuators.functions().iter())
         .filter(|own| own.actuator == Some(actuator))
         .map(|own| posed_angle(rod, own))
@@ -146,9 +153,8 @@ fn bending_scale(rod: &Rod, actuator: usize, least: f64) -> Option<f64> {
         })
         .sum::<f64>()
         + posed;
-    let flexibility = rod.winch_flexibility(actuator, least).unwrap_or(1.0);
     // Below rounding of an offset there is no moment.
-    (angle > f64::MIN_POSITIVE).then(|| flexibility / angle)
+    (angle > f64::MIN_POSITIVE).then(|| 1.0 / angle)
 }
 
 /// Returns the angle by which a function of a node's pose bends and twists the arm at rest per effort: its

@@ -37,7 +37,8 @@ pub(crate) fn of_inputs(rod: &Rod, inputs: Vec<f64>, coordinates: &[f64]) -> Vec
         if let Some(winch) = &actuator.winch {
             let without_tension = winch.outside - at_rest + *effort;
             let strain = (at_rest - y - *effort) / without_tension;
-            *effort = f64::max(strain, 0.0) / winch.compliance;
+            let least = if rod.actuators.push() { strain } else { 0.0 };
+            *effort = f64::max(strain, least) / winch.compliance;
         }
     }
     out
@@ -53,7 +54,7 @@ pub(crate) fn slopes(rod: &Rod, inputs: &[f64], coordinates: &[f64]) -> Vec<[f64
             };
             let without_tension = winch.outside - at_rest + z;
             let ratio = (winch.outside - y) / without_tension;
-            if ratio > 1.0 {
+            if ratio > 1.0 || rod.actuators.push() {
                 [-1.0, -ratio].map(|slope| slope / (winch.compliance * without_tension))
             } else {
                 [0.0; 2]

@@ -5,6 +5,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::bodies::{away, distance, unit};
 use super::dual;
+use super::efforts;
+use super::interval::add_to_nodes;
 use crate::control::{OptimalControlProblem, PathLimit, StateTerm, StateView};
 use crate::mechanics::differences;
 use crate::mechanics::rotation::{exp, log};
@@ -17,6 +19,8 @@ pub(super) struct Pose {
     pub(super) r: Vec<Matrix3<f64>>,
     /// s
     pub(super) t: f64,
+    /// Inputs of the actuators of the rod; empty where nothing depends on them.
+    pub(super) inputs: Vec<f64>,
 }
 
 impl Pose {
@@ -25,6 +29,7 @@ impl Pose {
             t: grid.time(k),
             x: trajectory.positions_at(k).to_vec(),
             r: trajectory.rotations_at(k).to_vec(),
+            inputs: Vec::new(),
         }
     }
 }
@@ -140,8 +145,31 @@ impl Measure<'_> {
                     .atan2((turned + direction).norm())
                     - largest
             }
+            PathLimit::Taut { tendons } => {
+                let (actuator, least) = tendons[item];
+                let own = self.rod.actuators.iter().nth(actuator);
+                let (Some(winch), Some(z)) =
+                    (own.and_then(|own| own.winch), here.inputs.get(actuator))
+                else {
+                    return f64::NAN;
+                };
+                let in_arm = |coordinate: f64| winch.outside - coordinate;
+                let y = efforts::coordinates(self.rod, &here.x, &here.r)[actuator];
+                let without_tension = in_arm(self.rod.actuators.at_rest()[actuator]) + z;
+                without_tension * (1.0 + winch.compliance * least) - in_arm(y)
+            }
             PathLimit::Term(term) => term_value(&**term, self.rod, here, item),
         }
+    }
+
+    /// Returns the actuator of the rod on whose input a row depends, and the slope of its excess along it.
+    pub(super) fn along_input(&self, limit: &PathLimit, item: usize) -> Option<(usize, f64)> {
+        let PathLimit::Taut { tendons } = limit else {
+            return None;
+        };
+        let &(actuator, least) = tendons.get(item)?;
+        let winch = self.rod.actuators.iter().nth(actuator)?.winch?;
+        Some((actuator, 1.0 + winch.compliance * least))
     }
 
     /// Curvature and twist of an element, 1/m.
@@ -182,6 +210,20 @@ impl Measure<'_> {
         let mut nodes = self.support(limit, item);
         nodes.sort_unstable();
         nodes.dedup();
+        if let PathLimit::Taut { tendons } = limit {
+            if along_before {
+                return;
+            }
+            // The slope of the length of a tendon is minus that of its coordinate.
+            let mut unit = vec![0.0; self.rod.actuators.len()];
+            unit[tendons[item].0] = 1.0;
+            let Pose { x, r, .. } = poses[1];
+            for q in 0..self.rod.n_elements() {
+                let covector = efforts::gradient_of(self.rod, q, x, r, &unit);
+                add_to_nodes(q, -weight, &covector, cx, ceta);
+            }
+            return;
+        }
         if let PathLimit::Term(term) = limit {
             if along_before {
                 return;
@@ -264,6 +306,7 @@ impl Measure<'_> {
             PathLimit::Curvature { .. }
             | PathLimit::Twist { .. }
             | PathLimit::Tilt { .. }
+            | PathLimit::Taut { .. }
             | PathLimit::Term(_) => Vector3::zeros(),
         }
     }

@@ -261,7 +261,7 @@ impl Conditions<'_> {
     /// Returns the scaled value of a row of a path constraint.
     pub(super) fn row_value(&self, row: &PathMultiplier) -> f64 {
         let limit = &self.path[row.constraint].limit;
-        let here = Pose::at(self.trajectory, row.time_node, self.problem.grid);
+        let here = self.pose_under(limit, row.time_node);
         let before = (row.time_node > 0)
             .then(|| Pose::at(self.trajectory, row.time_node - 1, self.problem.grid));
         let measure = self.measure();

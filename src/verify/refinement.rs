@@ -380,7 +380,10 @@ impl<'a> Watch<'a> {
             let (Some(first), Some(last)) = (nodes.first(), nodes.last()) else {
                 continue;
             };
-            if constraint.enforcement != PathEnforcement::Hard {
+            // Between samples a tendon may be slack: its tension is part of the motion there.
+            if constraint.enforcement != PathEnforcement::Hard
+                || matches!(constraint.limit, PathLimit::Taut { .. })
+            {
                 continue;
             }
             let limit = constraint.limit.clone();
@@ -410,6 +413,7 @@ impl<'a> Watch<'a> {
                 t: 0.0,
                 x: Vec::new(),
                 r: Vec::new(),
+                inputs: Vec::new(),
             },
         }
     }
@@ -423,6 +427,7 @@ impl<'a> Watch<'a> {
             x: state.configuration.positions,
             r: state.configuration.rotations,
             t: stepper.time(),
+            inputs: Vec::new(),
         };
         let measure = Measure {
             rod: self.rod,

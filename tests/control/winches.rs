@@ -228,6 +228,91 @@ fn winches_reach_and_stay() {
     }
 }
 
+/// An arm that hangs, with tendons on all four sides that begin taut: a few to its tip, at first, and then as many to its middle.
+fn on_all_sides(compliance: f64, at_rest: f64, to: &[f64]) -> Arm {
+    let mut arm = hanging(None, 0.0);
+    let actuators = to.iter().enumerate().flat_map(|(row, to)| {
+        (0..4).map(move |side| {
+            let angle = (f64::from(side) + 0.5 * row as f64) * std::f64::consts::FRAC_PI_2;
+            let route = Route {
+                to: *to,
+                ..Route::straight([8e-3 * angle.cos(), 8e-3 * angle.sin()])
+            };
+            tendon(route, at_rest, Some(compliance))
+        })
+    });
+    arm.actuators = actuators.collect();
+    arm.internal_damping = 1e-2;
+    arm
+}
+
+/// Targets at the edge of slack: the tip of the static shape of an arm on four or eight winches where one or two of them are pulled in and the
+/// opposite ones are let out until they are slack. The solve is certified, for stiff and soft tendons, and no tendon goes slack, although
+/// the shape that the target is taken from has slack ones: every motion has winches that reel slack in.
+#[test]
+fn targets_at_the_edge_of_slack_are_reached() {
+    for (compliance, to, pulls) in [
+        (2e-4, &[1.0][..], &[(0, -10e-3), (2, 10e-3)][..]),
+        (2e-3, &[1.0][..], &[(0, -10e-3), (2, 10e-3)][..]),
+        (
+            2e-3,
+            &[1.0, 0.6][..],
+            &[(0, -12e-3), (2, 12e-3), (4, -4e-3)][..],
+        ),
+    ] {
+        let at_rest = -4e-3;
+        let arm = on_all_sides(compliance, at_rest, to);
+        let discretization = Discretization {
+            blocks: 10,
+            ..Discretization::with_elements(6)
+        };
+        let mut pulled = arm.clone();
+        for (actuator, by) in pulls {
+            pulled.actuators[*actuator].effort = vec![(0.0, at_rest + by)];
+        }
+        let rod = pulled.rod(&discretization).expect("a rod");
+        let shape =
+            static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default()).expect("a shape");
+        let mut task = Task::reach(shape.positions[rod.tip()], 1.0, 1.0);
+        task = task.staying(Staying::default());
+        task.start.shape = StartShape::Equilibrium;
+        task.actuators.clear();
+        task.efforts = (0..arm.actuators.len())
+            .map(|actuator| EffortControl {
+                actuator,
+                bounds: [-0.04, 0.02],
+                rate: Some([-0.1, 0.1]),
+                scale: None,
+                lag: None,
+            })
+            .collect();
+        for target in &mut task.targets {
+            target.tolerances.distance = Some(1e-3);
+        }
+        let solution = solve(&arm, &task, &discretization).expect("a solution");
+        let problem = &solution.problem.discrete;
+        eprintln!(
+            "{compliance} {}: {:?}, {} iterations",
+            to.len(),
+            solution.status(),
+            solution.attempt.iterations()
+        );
+        assert!(problem.stay.is_some(), "what holds the target is known");
+        let check = solution.certify().expect("a check");
+        assert!(check.is_certified(), "{compliance} {}", to.len());
+        let signal = problem.signal(&problem.control, &solution.coefficients);
+        let inputs = EffortTable::of(&problem.rod.actuators, &problem.grid, Some(&signal)).nodes;
+        let n = arm.actuators.len();
+        for k in 1..=problem.grid.n_steps {
+            let (x, r) = solution.trajectory().poses_at(k);
+            let own = inputs[k * n..(k + 1) * n].to_vec();
+            let least =
+                (problem.rod.efforts_at(own, x, r).into_iter()).fold(f64::INFINITY, f64::min);
+            assert!(least > 0.0, "step {k}: {least} N");
+        }
+    }
+}
+
 /// The tensions that the winches of a solution with implicit steps have at the mean strains, written as profiles of tensions, make the same
 /// motion to rounding, which the motion amplifies. A profile has the means of its values at the ends of an interval in that interval.
 fn assert_tensions_retrace(arm: &Arm, solution: &Solution) {

@@ -1,5 +1,5 @@
 //! The hard limits of a problem on a shape in which its arm is held: obstacles, and limits of strain and direction, at the end of the
-//! horizon. A speed is none at rest.
+//! horizon. A speed is none at rest, and tensions are controls of [a search of their own](super::tensions).
 
 use super::super::path::{PathConstraint, PathEnforcement, PathLimit, RodView};
 use super::super::problem::OptimalControlProblem;
@@ -23,7 +23,7 @@ impl<'a> HeldLimits<'a> {
         let constraints = problem.path.iter().filter(|own| {
             own.enforcement == PathEnforcement::Hard
                 && own.time_nodes.last() == Some(&last)
-                && !matches!(own.limit, PathLimit::Speed { .. })
+                && !matches!(own.limit, PathLimit::Speed { .. } | PathLimit::Taut { .. })
         });
         Self {
             constraints: constraints.collect(),

@@ -110,6 +110,16 @@ impl Statics<'_> {
         out
     }
 
+    /// Returns the controls of wrenches of all actuators.
+    pub fn controls(&self, wrenches: &[Wrench]) -> Vec<f64> {
+        (self.components.iter())
+            .map(|component| {
+                let value = wrenches[component.actuator].to_array()[component.axis];
+                value / self.problem.channel(component).scale
+            })
+            .collect()
+    }
+
     /// Returns the rod with all inputs of its actuators, those of the controls among them, where the effort of a winch depends on the whole
     /// of its input; otherwise the rod as it is, to which [`Self::efforts`] add.
     fn rod_under(&self, wrenches: &[Wrench]) -> Cow<'_, Rod> {

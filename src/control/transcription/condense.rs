@@ -91,6 +91,13 @@ impl Transcription<'_> {
                 }
             }
         }
+        for (row, z) in multipliers.inequalities.iter().enumerate() {
+            if *z != 0.0 {
+                for (column, slope) in self.path_columns(row) {
+                    gradient[column] += slope * z;
+                }
+            }
+        }
         let slacks = self.slack_variables.iter().zip(&self.slack_units);
         for ((variable, unit), y) in slacks.zip(&multipliers.constraints) {
             if let Some(variable) = *variable {
@@ -264,7 +271,7 @@ impl Transcription<'_> {
             .map(|(i, c)| c + responses[(i, 0)])
             .collect();
         let n_path = request.rows.len();
-        let inequality_jacobian = Mat::from_fn(n_path, n, |i, j| {
+        let mut inequality_jacobian = Mat::from_fn(n_path, n, |i, j| {
             if j < n_controls {
                 values[(n_goals + i, j)]
             } else if shortfall == Some(j) {
@@ -273,6 +280,11 @@ impl Transcription<'_> {
                 0.0
             }
         });
+        for (i, &row) in request.rows.iter().enumerate() {
+            for (column, slope) in self.path_columns(row) {
+                inequality_jacobian[(i, column)] += slope;
+            }
+        }
         let inequality_offset = (request.rows.iter().enumerate())
             .map(|(i, &row)| evaluation.inequalities[row] + responses[(n_goals + i, 0)])
             .collect();

@@ -436,6 +436,11 @@ impl<'a> Transcription<'a> {
                 values.extend(constraint.time_nodes.iter().map(value));
             }
         }
+        for (row, h) in values.iter_mut().enumerate() {
+            for (column, slope) in self.path_columns(row) {
+                *h += slope * point.variables[column];
+            }
+        }
         if let Some(relaxation) = &self.relaxation {
             let shortfall = self.shortfall(&point.variables);
             for (h, d) in values.iter_mut().zip(&relaxation.inequalities) {
@@ -478,6 +483,26 @@ impl<'a> Transcription<'a> {
     fn path_gradient(&self, rod_view: &RodView, row: usize) -> RowGradient {
         let (constraint, k, item) = self.located(row);
         constraint.limit.gradient(rod_view, k, item)
+    }
+
+    /// Returns the derivatives of a row along the variables at fixed states: those of the [inputs](PathLimit::along_input) on which it
+    /// depends.
+    pub(super) fn path_columns(&self, row: usize) -> impl Iterator<Item = (usize, f64)> {
+        let (constraint, k, item) = self.located(row);
+        let input = constraint.limit.along_input(&self.problem.rod, item);
+        let driven = input.and_then(|(actuator, slope)| {
+            let efforts = self.problem.efforts.as_ref()?;
+            let index = efforts.actuators.iter().position(|own| *own == actuator)?;
+            let of_it = |c: &Component| self.problem.effort(c) == Some(index);
+            let at = self.components.iter().position(of_it)?;
+            let unit = self.problem.channel(&self.components[at]).unit();
+            Some((at, slope * unit))
+        });
+        let n = self.components.len();
+        (driven.into_iter()).flat_map(move |(at, slope)| {
+            (self.problem.control.weights(k).into_iter())
+                .map(move |(coefficient, weight)| (coefficient * n + at, weight * slope))
+        })
     }
 
     fn path_curvature(&self, rod_view: &RodView, row: usize) -> RowCurvature {
@@ -651,7 +676,12 @@ impl LiftedProgram for Transcription<'_> {
         rows: &[usize],
     ) -> Result<Option<StateLinearization>, Failure> {
         let trajectory = &point.trajectory;
-        if !self.problem.acting.is_empty() || self.relaxation.is_some() {
+        let depends_on_inputs =
+            |path: &PathConstraint| matches!(path.limit, PathLimit::Taut { .. });
+        if !self.problem.acting.is_empty()
+            || self.relaxation.is_some()
+            || self.path.iter().any(depends_on_inputs)
+        {
             return Ok(None);
         }
         let motion = self.problem.motion();
@@ -728,7 +758,9 @@ impl LiftedProgram for Transcription<'_> {
                 return h;
             }
             let gradient = self.path_gradient(&rod_view, row);
-            h + gradient.iter().map(moved).sum::<f64>()
+            let own = self.path_columns(row);
+            let own: f64 = own.map(|(i, slope)| slope * direction.variables[i]).sum();
+            h + own + gradient.iter().map(moved).sum::<f64>()
         };
         Ok((evaluation.inequalities.iter().enumerate())
             .map(predict)

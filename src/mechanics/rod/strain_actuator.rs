@@ -129,12 +129,17 @@ impl Winch {
     /// Returns the tension at a displacement (m) and a coordinate `y = -ℓ` (m), with `-ℓ₀` in the stress-free arm: zero if it is slack.
     #[must_use]
     pub fn law(&self, displacement: f64, coordinate: f64, at_rest: f64) -> EffortLaw {
+        if !(at_rest - coordinate - displacement > 0.0) {
+            return EffortLaw::default();
+        }
+        self.law_of_a_spring(displacement, coordinate, at_rest)
+    }
+
+    /// Returns [`Self::law`] of a tendon that pushes where it is too long: the smooth continuation of that of a taut one.
+    fn law_of_a_spring(&self, displacement: f64, coordinate: f64, at_rest: f64) -> EffortLaw {
         let length = self.unstretched(displacement, at_rest);
         let stretched = self.outside - coordinate;
         let beyond = at_rest - coordinate - displacement;
-        if !(beyond > 0.0) {
-            return EffortLaw::default();
-        }
         let stiffness = 1.0 / (self.compliance * length);
         let ratio = stretched / length;
         EffortLaw {
@@ -144,6 +149,13 @@ impl Winch {
             mixed: stiffness / length,
             bend: 2.0 * ratio * stiffness / length,
         }
+    }
+
+    /// Returns by how much a tendon is too long for a tension `T` (N), m: `(ℓ₀ + b + z)(1 + C T) - (ℓ + b)`, not positive where its tension
+    /// is at least `T`.
+    fn too_long(&self, tension: f64, displacement: f64, coordinate: f64, at_rest: f64) -> f64 {
+        let stretch = self.compliance * tension * self.unstretched(displacement, at_rest);
+        coordinate + displacement - at_rest + stretch
     }
 
     /// Returns the displacement at which a tendon with a tension (N) and a coordinate is as long as it is, m: `(ℓ + b)/(1 + C T) - ℓ₀ - b`.
@@ -352,6 +364,8 @@ pub struct RodActuators {
     starts: Vec<usize>,
     /// Coordinates of the stress-free shape.
     at_rest: Vec<f64>,
+    /// Tells whether tendons on winches push where they are too long.
+    push: bool,
 }
 
 impl RodActuators {
@@ -497,6 +511,7 @@ impl RodActuators {
             points,
             starts,
             at_rest: Vec::new(),
+            push: false,
         })
     }
 
@@ -553,6 +568,9 @@ impl RodActuators {
     #[must_use]
     pub fn law(&self, actuator: usize, input: f64, coordinate: f64) -> EffortLaw {
         match &self.drives[actuator].winch {
+            Some(winch) if self.push => {
+                winch.law_of_a_spring(input, coordinate, self.at_rest[actuator])
+            }
             Some(winch) => winch.law(input, coordinate, self.at_rest[actuator]),
             None => EffortLaw {
                 effort: input,
@@ -560,6 +578,53 @@ impl RodActuators {
                 ..EffortLaw::default()
             },
         }
+    }
+
+    /// Returns the same actuators, where tendons on winches push if they are too long: their law is smooth, and where all of them are taut
+    /// it is theirs.
+    #[must_use]
+    pub(crate) fn pushing(&self) -> Self {
+        Self {
+            push: true,
+            ..self.clone()
+        }
+    }
+
+    /// Tells whether tendons on winches [push](Self::pushing).
+    pub(crate) fn push(&self) -> bool {
+        self.push
+    }
+
+    /// Returns the same actuators, some of them without their winches, under given tensions, N, to which the inputs of controls add.
+    #[must_use]
+    pub(crate) fn under_tensions(&self, tensions: &[(usize, f64)]) -> Self {
+        let mut out = self.clone();
+        for &(index, tension) in tensions {
+            out.drives[index].winch = None;
+            out.drives[index].effort = vec![(0.0, tension)];
+        }
+        out
+    }
+
+    /// Returns by how much the tendon of a winch at an input (m) and a coordinate is too long for a tension (N), m; its derivative along the
+    /// coordinate is 1. `None` without a winch.
+    #[must_use]
+    pub fn too_long(
+        &self,
+        actuator: usize,
+        tension: f64,
+        input: f64,
+        coordinate: f64,
+    ) -> Option<f64> {
+        let winch = self.drives[actuator].winch?;
+        Some(winch.too_long(tension, input, coordinate, self.at_rest[actuator]))
+    }
+
+    /// Returns the displacement (m) of a winch at which its tendon has a tension (N) at a coordinate; `None` without a winch.
+    #[must_use]
+    pub fn displacement(&self, actuator: usize, tension: f64, coordinate: f64) -> Option<f64> {
+        let winch = self.drives[actuator].winch?;
+        Some(winch.displacement(tension, coordinate, self.at_rest[actuator]))
     }
 
     /// Tells whether there are none.

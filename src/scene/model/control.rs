@@ -45,6 +45,10 @@ pub struct Control {
     /// Largest rate of change of every moment in N m/s, positive. Absent: unbounded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rate_max_n_m_s: Option<Bound>,
+    /// Whether tendons on winches that are controls stay taut in a solve, those that are taut at the start and where the arm is held at its
+    /// target. Where it is false they may go slack, and a solve may not converge, since a slack tendon does not feel its winch.
+    #[serde(default = "yes", skip_serializing_if = "is_yes")]
+    pub keep_taut: bool,
     /// Forces and moments on other nodes than the tip.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actuator: Vec<Actuator>,
@@ -155,6 +159,7 @@ impl Default for Control {
             moment_axes: None,
             force_rate_max_n_s: None,
             moment_rate_max_n_m_s: None,
+            keep_taut: true,
             actuator: Vec::new(),
             distributed: None,
             feedback: None,
@@ -164,6 +169,18 @@ impl Default for Control {
 
 fn twenty() -> usize {
     20
+}
+
+fn yes() -> bool {
+    true
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "the signature that serde asks for"
+)]
+fn is_yes(value: &bool) -> bool {
+    *value
 }
 
 impl Keys<'_> {
@@ -381,6 +398,7 @@ pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, 
             Ok(Control {
                 blocks: chosen.blocks,
                 hold: chosen.hold,
+                keep_taut: problem.task.keeps_taut,
                 ..Control::default()
             })
         };
@@ -415,6 +433,7 @@ pub(in crate::scene) fn described_control(problem: &Problem) -> Result<Control, 
         moment_axes: axes(&tip.moment),
         force_rate_max_n_s: rate(&tip.force),
         moment_rate_max_n_m_s: rate(&tip.moment),
+        keep_taut: problem.task.keeps_taut,
         actuator: (others.iter())
             .map(|other| Actuator {
                 node: other.at.node(mesh),

@@ -240,7 +240,7 @@ impl Limit {
             rate_hz: limit.rate.map(known),
         };
         match limit.kind {
-            PathLimit::Clearance { .. } | PathLimit::Term(_) => {}
+            PathLimit::Clearance { .. } | PathLimit::Taut { .. } | PathLimit::Term(_) => {}
             PathLimit::Stretch { least, largest } => out.stretch = Some([least, largest]),
             PathLimit::Curvature { largest } => out.curvature_max_1_m = Some(known(largest)),
             PathLimit::Twist { largest } => out.twist_max_1_m = Some(known(largest)),

@@ -170,6 +170,18 @@ impl Conditions<'_> {
             }
             (cx, ceta) = (earlier_x, earlier_eta);
         }
+        // Rows that depend on inputs themselves.
+        if let Some(driven) = &self.control.efforts {
+            for &(k, actuator, covector) in &functional.inputs {
+                let Some(index) = driven.actuators.iter().position(|own| *own == actuator) else {
+                    continue;
+                };
+                let place = driven.places[index];
+                let carrier = &mut out[k * width + driven.first + place / 6];
+                let vector = [&mut carrier.force, &mut carrier.moment];
+                vector[place % 6 / 3][place % 3] += covector;
+            }
+        }
         out
     }
 

@@ -4,9 +4,10 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::motion::Conditions;
 use super::rows::{Place, Worst, per};
-use crate::control::{GoalPart, PathConstraint, PathEnforcement, PathMultiplier};
+use crate::control::{GoalPart, PathConstraint, PathEnforcement, PathLimit, PathMultiplier};
 use crate::mechanics::rotation::{exp, log};
 use crate::verify::SolutionMultipliers;
+use crate::verify::efforts;
 use crate::verify::limits::{Pose, add_state_cost, slope_at_zero};
 use crate::verify::samples;
 
@@ -14,6 +15,8 @@ use crate::verify::samples;
 pub(in crate::verify) struct Functional {
     pub(in crate::verify) x: Vec<Vector3<f64>>,
     pub(in crate::verify) eta: Vec<Vector3<f64>>,
+    /// Covectors of inputs of the actuators of the rod: time node, actuator, covector.
+    pub(in crate::verify) inputs: Vec<(usize, usize, f64)>,
 }
 
 impl Conditions<'_> {
@@ -28,6 +31,7 @@ impl Conditions<'_> {
         let mut out = Functional {
             x: zeros.clone(),
             eta: zeros,
+            inputs: Vec::new(),
         };
         for (row, y) in (self.problem.goal_rows().iter()).zip(multipliers.goals) {
             let goal = &self.problem.goals[row.goal];
@@ -72,6 +76,9 @@ impl Conditions<'_> {
             let weight = multiplier / limit.scale(self.rod());
             let here = Pose::at(self.trajectory, *k, self.problem.grid);
             let before = Pose::at(self.trajectory, k.saturating_sub(1), self.problem.grid);
+            if let Some((actuator, slope)) = measure.along_input(limit, *item) {
+                out.inputs.push((*k, actuator, weight * slope));
+            }
             let mut add = |k: usize, along_before: bool| {
                 let range = k * n..(k + 1) * n;
                 measure.add_slope(
@@ -128,6 +135,16 @@ impl Conditions<'_> {
         cost
     }
 
+    /// Returns the pose at time node `k`, with the inputs there where a limit depends on them.
+    pub(in crate::verify) fn pose_under(&self, limit: &PathLimit, k: usize) -> Pose {
+        let mut out = Pose::at(self.trajectory, k, self.problem.grid);
+        if matches!(limit, PathLimit::Taut { .. }) {
+            let node = self.problem.grid.node(k);
+            out.inputs = efforts::inputs(self.rod(), &node, &self.control.at(k));
+        }
+        out
+    }
+
     /// Returns, for all rows of the path constraints, the largest scaled violation of a hard one, the cost of soft ones, and the errors of
     /// multipliers: signs, slack times multiplier, prices.
     pub(super) fn path_conditions(&self, multipliers: &[PathMultiplier]) -> PathConditions {
@@ -144,7 +161,7 @@ impl Conditions<'_> {
                 if self.problem.stop.is_raised() {
                     break;
                 }
-                let here = Pose::at(self.trajectory, k, self.problem.grid);
+                let here = self.pose_under(&constraint.limit, k);
                 let before = (k > 0).then(|| Pose::at(self.trajectory, k - 1, self.problem.grid));
                 for item in 0..constraint.limit.n_items(self.rod()) {
                     let excess = measure.excess(&constraint.limit, item, &here, before.as_ref());
