@@ -562,3 +562,16 @@ def test_a_stopped_solve_has_a_repr():
     """A solve that its deadline ends before the check has no tip error, and its repr says what there is."""
     result = sa.Scene.load("reach").replace({"rod.elements": 30, "solver.deadline_s": 0.3}).solve()
     assert result.status in repr(result)
+
+
+def test_messages_name_arguments(tmp_path):
+    """Errors of a verb name the arguments of Python, and not the options of the command line, nor its usage."""
+    scene = sa.Scene.load("swing")
+    with pytest.raises(ValueError, match="budget") as refused:
+        scene.tradeoff(budget="1x")
+    assert "--" not in str(refused.value) and "Usage" not in str(refused.value)
+    file = tmp_path / "file"
+    file.write_text("mine")
+    with pytest.raises(sa.ResultError, match="choose another out$"):
+        scene.simulate(out=file)
+    assert file.read_text() == "mine"
