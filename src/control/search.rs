@@ -388,7 +388,7 @@ fn staged(
                 };
                 let by_tensions = match first {
                     First::Guess(_) if search.continuation.is_none() => {
-                        by_tensions(kinked, here, &mut settings, n_threads, (journal, observer))?
+                        by_tensions(kinked, here, &mut settings, n_threads, journal, observer)?
                     }
                     _ => None,
                 };
@@ -483,7 +483,8 @@ fn by_tensions(
     smooth: &OptimalControlProblem,
     settings: &mut SqpSettings,
     n_threads: usize,
-    (journal, observer): (&Journal, &dyn Fn(&IterationRecord) -> ControlFlow<Stop>),
+    journal: &Journal,
+    observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
 ) -> Result<Option<LiftedPoint>, GuessError> {
     let Some(winches) = Winches::of(problem) else {
         return Ok(None);

@@ -150,6 +150,8 @@ impl Scene {
         let mut task = self.posed_task_until(source, duration + horizon)?;
         task.horizon = horizon;
         // Where the arm stays is for the controller alone to find out, and only where the task is due.
+        // The plan of a controller has no rows for tensions.
+        task.keeps_taut = false;
         let passing = task.clone().stopping();
         if due.is_none() {
             task = passing.clone();

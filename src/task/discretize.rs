@@ -8,7 +8,7 @@ use super::arm::Arm;
 use super::contradictions::check_contradictions;
 use super::definition::{Hardness, Rest, Staying, Target, Task};
 use super::discretization::Discretization;
-use super::effort;
+use super::effort::{self, EffortControl};
 use super::error::{DiscretizeError, Obstruction};
 use super::own;
 use super::prediction::{Work, automatic_scheme, prefers_segments};
@@ -162,6 +162,7 @@ impl Task {
             ),
         };
         let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
+        let discretization = &self.scheme_of_winches(arm, discretization);
         let (chosen, rod) = arm.choose(discretization, longest, work)?;
         let grid = self.grid(&rod, chosen.step, blocks)?;
         let n_steps = grid.n_steps as f64;
@@ -232,7 +233,8 @@ impl Task {
             efforts,
             rod: Arc::new(rod),
         };
-        let tendons = if self.keeps_taut {
+        // Explicit steps are too many for rows at all of them.
+        let tendons = if self.keeps_taut && discrete.rod.scheme == TimeScheme::Implicit {
             taut_tendons(&discrete)
         } else {
             Vec::new()
@@ -285,6 +287,23 @@ impl Task {
             },
             discrete,
         })
+    }
+
+    /// Returns a discretization with implicit steps where its scheme is open and tendons on winches should stay taut: a row for every tendon
+    /// and step counts more than the time of a step.
+    fn scheme_of_winches(&self, arm: &Arm, discretization: &Discretization) -> Discretization {
+        let mut out = *discretization;
+        let winds = |own: &EffortControl| {
+            (arm.actuators.get(own.actuator)).is_some_and(|actuator| actuator.winch.is_some())
+        };
+        if self.keeps_taut
+            && (out.scheme, out.step) == (None, None)
+            && arm.model == RodModel::Standard
+            && self.efforts.iter().any(winds)
+        {
+            out.scheme = Some(TimeScheme::Implicit);
+        }
+        out
     }
 
     /// Checks the ranges of all numbers, on which the rest of the discretization relies.

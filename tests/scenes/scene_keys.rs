@@ -81,6 +81,7 @@ const SCENES: [&[&str]; 18] = [
         "control.moment_axes=[true, true, false]",
         "control.force_rate_max_n_s=20.0",
         "control.moment_rate_max_n_m_s=3.0",
+        "control.keep_taut=false",
         "control.actuator.0.node=6",
         "control.actuator.0.force_max_n=1.0",
         "control.actuator.0.force_axes=[false, true, true]",
