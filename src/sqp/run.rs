@@ -22,7 +22,7 @@ use super::outcome::{Convergence, IterationRecord, SqpOutcome, SqpStatus};
 use super::program::Multipliers;
 use super::program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
-    LinearizationRequest, Softness, sum_of_largest,
+    LinearizationRequest, Softness, norm_without, sum_of_largest, unlimited,
 };
 use super::progress::Standstill;
 use super::quadratic_program::{LinearInequalities, QpError, QpSolution, QuadraticProgram};
@@ -80,6 +80,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     /// Elastic weight of the subproblem; the first linearization determines the first one.
     elastic_weight: Option<f64>,
     trust_region: TrustRegion,
+    /// [Variables](unlimited) that the trust region does not limit.
+    unlimited: Vec<usize>,
     filter: Filter,
     hessian: HessianPolicy,
     feasibility: Feasibility,
@@ -155,7 +157,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             program.sets(),
         );
         let point = Arc::new(point);
-        let trust_region = TrustRegion::around(program.variables(&point));
+        let unlimited = unlimited(program, program.variables(&point).len());
+        let trust_region = TrustRegion::around(program.variables(&point), &unlimited);
         Ok(Self {
             program,
             settings,
@@ -180,6 +183,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 program.total_objective(&evaluation),
             ),
             trust_region,
+            unlimited,
             iterate: Iterate {
                 point,
                 evaluation,
@@ -194,6 +198,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
 
     fn variables(&self) -> &[f64] {
         self.program.variables(&self.iterate.point)
+    }
+
+    /// Returns the norm of the variables, or of a step of them, that the trust region limits.
+    fn length(&self, v: &[f64]) -> f64 {
+        norm_without(v, &self.unlimited)
     }
 
     fn infeasibility(&self) -> f64 {
@@ -382,7 +391,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     return Ok(Step::Taken);
                 }
                 None => {
-                    self.trust_region.refuse(norm(&solution.change));
+                    self.trust_region.refuse(self.length(&solution.change));
                     refusals += 1;
                 }
             }
@@ -498,7 +507,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         model: &ModelHessian,
         solution: &QpSolution,
     ) {
-        let length = norm(&solution.change);
+        let length = self.length(&solution.change);
         self.trace.note_step(&accepted, length);
         let weight = self.merit_weight(solution);
         let promise = self.promise(linearization, model, solution, weight);
@@ -513,7 +522,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 && accepted.evaluation.defect > 0.0
                 && self.infeasibility() <= NEGLIGIBLE
                 && self.program.infeasibility(&accepted.evaluation) <= NEGLIGIBLE);
-        let size = norm(self.variables()).max(1.0);
+        let size = self.length(self.variables()).max(1.0);
         if is_blind {
             let contraction = (self.last()).and_then(|row| row.contraction);
             self.trust_region.contract(contraction, length, size);
@@ -550,6 +559,17 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         solution: &QpSolution,
         weight: f64,
     ) -> f64 {
+        weight * (self.infeasibility() - solution.slack)
+            - self.model_change(linearization, model, solution)
+    }
+
+    /// Returns the change of the objective that the subproblem predicts, with the penalties of soft rows and without that of its slack.
+    fn model_change(
+        &self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        solution: &QpSolution,
+    ) -> f64 {
         let change = &solution.change;
         let n = change.len();
         let mut bending = model.constant;
@@ -558,8 +578,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             let held = model.gradient[i] - linearization.model_gradient[i];
             bending += change[i] * (held + 0.5 * bent);
         }
-        let slope = self.departure(linearization, model, solution).slope(change);
-        weight * (self.infeasibility() - solution.slack) - bending - slope
+        bending + (self.departure(linearization, model, solution)).slope(change)
     }
 
     /// Returns the merit `J + weight · infeasibility`.
@@ -598,7 +617,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         };
         let hopeless = promises_nothing(solution.slack)
             && self.iterate.evaluation.defect < INFEASIBLE_PROGRESS * violation
-            && (!self.trust_region.is_used_by(norm(&solution.change)) || {
+            && (!self.trust_region.is_used_by(self.length(&solution.change)) || {
                 let weight = self.elastic_weight.unwrap_or(0.0);
                 let first = self.first_rows(linearization);
                 let free = QuadraticProgram {
@@ -653,7 +672,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         if self.feasibility.phase.is_some() {
             return None;
         }
-        Standstill::of(&self.trace.history, norm(self.variables()).max(1.0))
+        Standstill::of(&self.trace.history, self.length(self.variables()).max(1.0))
     }
 
     /// Returns the row of the last iteration.
@@ -717,6 +736,7 @@ fn distance_from_sets(sets: &[ConvexSet], variables: &[f64]) -> Result<f64, QpEr
         sets,
         elastic_weight: 1.0,
         trust_radius: f64::INFINITY,
+        unlimited: &[],
         row_tolerance: ROW_TOLERANCE,
         stop: None,
         states: None,
