@@ -22,7 +22,7 @@ use faer::Mat;
 pub(super) use self::polish::INSIDE;
 use self::polish::{as_expected, can_be_polished, polish};
 use super::kept_states::StateLinearization;
-use super::norms::norm;
+use super::norms::{difference, norm};
 use super::program::{ConvexSet, Linearization, Multipliers, Softness, affine, norm_without};
 use super::settings::ROW_TOLERANCE;
 use crate::stop::{Stop, StopSignal};
@@ -307,8 +307,9 @@ impl<'a> QuadraticProgram<'a> {
         rows
     }
 
-    /// Tells whether no step within the trust region can violate a row beyond [`ROW_TOLERANCE`], such as that of a touching obstacle at a
-    /// time before the control has an effect: nothing would bound its multiplier.
+    /// Tells whether no step as long as the variables (at least one), or as the trust radius, can violate a row beyond [`ROW_TOLERANCE`],
+    /// such as that of a touching obstacle at a time before the control has an effect: nothing would bound its multiplier. A trust region
+    /// below the size of the variables does not count: it may shrink to nothing about a solution, whose rows have multipliers still.
     fn is_out_of_reach(&self, at: usize) -> bool {
         let (jacobian, h) = (self.inequalities.jacobian, self.inequalities.offset[at]);
         let slope: Vec<f64> = (0..jacobian.ncols()).map(|j| jacobian[(at, j)]).collect();
@@ -317,7 +318,7 @@ impl<'a> QuadraticProgram<'a> {
         }
         let slope = norm(&slope);
         let most = if slope > 0.0 {
-            slope * self.trust_radius
+            slope * self.trust_radius.max(norm(self.variables)).max(1.0)
         } else {
             0.0
         };
@@ -356,6 +357,16 @@ impl<'a> QuadraticProgram<'a> {
                 && working.binary_search(&at).is_err()
         })
         .collect()
+    }
+}
+
+impl QpSolution {
+    /// Returns `δ` without the part that leads back into balls: the step of the subproblem itself.
+    pub(super) fn linear_part(&self) -> Vec<f64> {
+        match &self.returned[..] {
+            [] => self.change.clone(),
+            returned => difference(&self.change, returned),
+        }
     }
 }
 

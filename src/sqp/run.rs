@@ -14,7 +14,7 @@ use self::restoration::Restoration;
 pub use self::warm_start::WarmStart;
 use super::best_point::Best;
 use super::filter::Filter;
-use super::hessian::{ActiveSet, HessianKind, ModelHessian, Tangents};
+use super::hessian::{ActiveSet, Condition, HessianKind, ModelHessian, Pull, Tangents};
 use super::kept_states::{QpRoute, StateLinearization};
 use super::kkt::KktResidual;
 use super::norms::norm;
@@ -25,7 +25,7 @@ use super::program::{
     LinearizationRequest, Softness, norm_without, sum_of_largest, unlimited,
 };
 use super::progress::Standstill;
-use super::quadratic_program::{LinearInequalities, QpError, QpSolution, QuadraticProgram};
+use super::quadratic_program::{INSIDE, LinearInequalities, QpError, QpSolution, QuadraticProgram};
 use super::settings::{
     HessianChoice, MERIT_ROUNDING, NEGLIGIBLE, ROW_TOLERANCE, SCALED_UNIT, SqpSettings,
 };
@@ -377,6 +377,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             if self.is_stuck(&linearization, &model, &sets, &solution) {
                 return self.restore(linearization);
             }
+            let solution = self.without_terms(&linearization, &model, solution);
             let solution = if refusals == 0 {
                 self.past_saddle(&model, solution)
             } else {
@@ -443,16 +444,18 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 
     /// Tells whether a step leaves conditions that the model's Hessian treats as active, whose terms would falsify gradient and
-    /// multipliers; the caller then rebuilds the model without them.
+    /// multipliers; the caller then rebuilds the model without them. A step leaves a condition whose slack is then large beside its
+    /// multiplier, and one whose own term pulls harder than its multiplier pushes: then it is the term that keeps the step near its limit,
+    /// and not the program. Between neighbors that hardly differ, a slack of rounding is enough for that.
     fn lets_go(
         &mut self,
         linearization: &Linearization,
         model: &ModelHessian,
         solution: &QpSolution,
     ) -> bool {
-        if !model.holds {
+        let Some(held) = &model.held else {
             return false;
-        }
+        };
         let active = self.active_set(linearization);
         let tangents = Tangents {
             held: &model.tangents,
@@ -461,11 +464,81 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         };
         let (change, multipliers) = (&solution.change, &solution.multipliers);
         let left = active.left_by(linearization, change, multipliers, &tangents);
-        let any = !(left.rows.is_empty() && left.normals.is_empty());
-        let rows = left.rows.iter().map(|&at| linearization.rows[at]);
+        let mut rows: Vec<usize> = left.rows.iter().map(|&at| linearization.rows[at]).collect();
+        let mut sets: Vec<usize> = left.normals.iter().map(|held| held.set).collect();
+        if self.has_multipliers_of_its_own(solution) {
+            for pull in held.pulls(&solution.linear_part()) {
+                match pull.condition {
+                    Condition::Constraint(_) => {}
+                    Condition::Row(at) => {
+                        let row = linearization.rows[at];
+                        let z = multipliers.inequalities[row];
+                        if z + pull.own < -pull.noise {
+                            rows.push(row);
+                        }
+                    }
+                    Condition::Normal { set, .. } => {
+                        let z = norm(&multipliers.normals[set]);
+                        if z + pull.own < -pull.noise {
+                            sets.push(set);
+                        }
+                    }
+                }
+            }
+        }
+        let any = !(rows.is_empty() && sets.is_empty());
         self.hessian.left_rows.extend(rows);
-        (self.hessian.left_sets).extend(left.normals.iter().map(|held| held.set));
+        self.hessian.left_sets.extend(sets);
         any
+    }
+
+    /// Tells whether the multipliers of a subproblem belong to rows and sets alone. Those of a subproblem with slack are limited by its
+    /// elastic weight, and an active trust region has a multiplier too.
+    fn has_multipliers_of_its_own(&self, solution: &QpSolution) -> bool {
+        solution.slack <= NEGLIGIBLE
+            && self.length(&solution.change) <= INSIDE * self.trust_region.radius
+    }
+
+    /// Returns a solution with the multipliers that its step has without the model's terms for active conditions: those of the subproblem
+    /// and the [pulls](super::hessian::HeldTerms::pulls) of the terms. A step that meets a condition but for a small slack is pulled by `σ`
+    /// times the slack, and without the pull the gradient of the Lagrangian would keep this remainder, however short the steps become.
+    fn without_terms(
+        &self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        mut solution: QpSolution,
+    ) -> QpSolution {
+        let Some(held) = &model.held else {
+            return solution;
+        };
+        if !self.has_multipliers_of_its_own(&solution) {
+            return solution;
+        }
+        let pulls = held.pulls(&solution.linear_part());
+        let multipliers = &mut solution.multipliers;
+        for Pull {
+            condition,
+            multiplier,
+            ..
+        } in pulls
+        {
+            match condition {
+                Condition::Constraint(i) => multipliers.constraints[i] += multiplier,
+                Condition::Row(at) => {
+                    let z = &mut multipliers.inequalities[linearization.rows[at]];
+                    *z = (*z + multiplier).max(0.0);
+                }
+                Condition::Normal { set, outward } => {
+                    let normal = &mut multipliers.normals[set];
+                    // A multiplier does not change its sign.
+                    let most = norm(normal);
+                    for (z, out) in normal.iter_mut().zip(&outward) {
+                        *z += multiplier.max(-most) * out;
+                    }
+                }
+            }
+        }
+        solution
     }
 
     /// Shrinks the trust region after a subproblem that Clarabel could not solve; returns the error after [`RESCUES`] of them.

@@ -228,3 +228,39 @@ fn unsolved_problem_is_saved() {
     assert_eq!(problem["cones"].as_array().map(Vec::len), Some(2));
     assert_eq!(problem["b"].as_array().map(Vec::len), Some(3));
 }
+
+/// A row at its limit has its multiplier however small the trust region is: a step of `δ`, which wants to be 1, along `0.1 δ ≤ 0`. A row on
+/// which `δ` has no effect has none.
+#[test]
+fn small_regions_keep_the_multipliers_of_rows() {
+    let hessian = identity(1);
+    let jacobian = Mat::zeros(0, 1);
+    let rows = Mat::from_fn(2, 1, |i, _| [0.1, 0.0][i]);
+    let qp = QuadraticProgram {
+        hessian: &hessian,
+        gradient: &[-1.0],
+        jacobian: &jacobian,
+        offset: &[],
+        inequalities: LinearInequalities {
+            jacobian: &rows,
+            offset: &[0.0, 0.0],
+            softness: &[Softness::Hard; 2],
+            groups: &[0, 1],
+            first: &[],
+        },
+        variables: &[0.5],
+        sets: &[],
+        elastic_weight: 1e3,
+        trust_radius: 5e-9,
+        unlimited: &[],
+        row_tolerance: ROW_TOLERANCE,
+        stop: None,
+        states: None,
+        expected: None,
+    };
+    let solution = qp.solve().expect("solvable");
+    assert!(solution.change[0].abs() < 1e-11, "{:e}", solution.change[0]);
+    let multipliers = &solution.multipliers.inequalities;
+    assert!((multipliers[0] - 10.0).abs() < 1e-6, "{multipliers:?}");
+    assert_eq!(multipliers[1], 0.0);
+}
