@@ -3,7 +3,7 @@
 
 use super::balls::change_into_balls;
 use super::filter::{Filter, Slope};
-use super::norms::{difference, norm};
+use super::norms::difference;
 use super::program::LiftedProgram;
 use super::quadratic_program::INSIDE;
 use super::quadratic_program::{LinearInequalities, QuadraticProgram};
@@ -40,7 +40,8 @@ impl Filter {
         // The active set of the subproblem is usually active here too, which saves the interior point. That shortcut cannot represent an
         // active trust region.
         let active = from.multipliers.at_rows(&linearization.rows);
-        let expected = (norm(&change) < INSIDE * subproblem.trust_radius).then_some(&active);
+        let expected =
+            (subproblem.length(&change) < INSIDE * subproblem.trust_radius).then_some(&active);
         for count in 1..=CORRECTIONS {
             // The states of the trial obey their equations, so only the rows' own curvature is left.
             let offset: Vec<f64> = (linearization.constraints_along(&change).iter())

@@ -8,7 +8,7 @@ use super::program::{
     ConvexSet, Failure, LiftedProgram, Linearization, LinearizationRequest, Multipliers, Softness,
     along,
 };
-use super::settings::NEGLIGIBLE;
+use super::settings::{EXACT, NEGLIGIBLE};
 
 /// Hessian of a subproblem.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -48,8 +48,8 @@ pub struct ModelHessian {
     pub constant: f64,
     /// Direction of the most negative curvature, if it makes the point a saddle.
     pub descent: Option<NegativeCurvature>,
-    /// Tells whether `matrix` and `gradient` have terms for active conditions, which are correct only if the step keeps those active.
-    pub holds: bool,
+    /// The terms of `matrix` and `gradient` for active conditions, which are correct only if the step keeps those active.
+    pub held: Option<HeldTerms>,
 }
 
 /// A unit direction along which active conditions stay active to first order and the Lagrangian has negative curvature.
@@ -79,7 +79,7 @@ impl ModelHessian {
             tangents: Vec::new(),
             constant: 0.0,
             descent: None,
-            holds: false,
+            held: None,
         }
     }
 
@@ -92,7 +92,7 @@ impl ModelHessian {
             tangents: Vec::new(),
             constant: 0.0,
             descent: None,
-            holds: false,
+            held: None,
         }
     }
 
@@ -159,10 +159,8 @@ impl ModelHessian {
         active: &ActiveSet,
     ) -> Option<Self> {
         let n = full.nrows();
-        let Held {
-            basis: range,
-            target,
-        } = Held::of(linearization, active);
+        let mut held = HeldTerms::of(linearization, active);
+        let (range, target) = (&held.basis, &held.target);
         let m = target.len();
         let unit = largest_diagonal(&linearization.gauss_newton);
         let floor = CURVATURE_FLOOR * linearization.least_curvature();
@@ -176,7 +174,7 @@ impl ModelHessian {
         let mut descent = None;
         let reduced = null.transpose() * &full * null;
         if n > m && is_positive(&reduced, floor) {
-            let cross = null.transpose() * &full * &range;
+            let cross = null.transpose() * &full * range;
             let inverse = reduced.llt(Side::Lower).ok()?;
             cross_terms = cross.transpose() * inverse.solve(&cross);
         } else if n > m {
@@ -202,13 +200,13 @@ impl ModelHessian {
                         value,
                     });
             }
-            let cross = vectors.transpose() * &full * &range;
+            let cross = vectors.transpose() * &full * range;
             let weighted = Mat::from_fn(n - m, m, |i, j| cross[(i, j)] / turned[i]);
             cross_terms = cross.transpose() * &weighted;
         }
         if m > 0 {
             // The Schur complement of the directions of active conditions, which `σ` must exceed.
-            let schur = cross_terms - range.transpose() * &full * &range;
+            let schur = cross_terms - range.transpose() * &full * range;
             let worst = schur
                 .self_adjoint_eigen(Side::Lower)
                 .ok()
@@ -218,11 +216,12 @@ impl ModelHessian {
             if !sigma.is_finite() || !target.iter().all(|t| t.is_finite()) {
                 return None;
             }
-            matrix += (&range * range.transpose()) * faer::Scale(sigma);
+            matrix += (range * range.transpose()) * faer::Scale(sigma);
             constant = 0.5 * sigma * target.iter().map(|t| t * t).sum::<f64>();
             for (i, g) in gradient.iter_mut().enumerate() {
                 *g -= sigma * (0..m).map(|j| range[(i, j)] * target[j]).sum::<f64>();
             }
+            held.sigma = sigma;
         }
         Some(Self {
             matrix,
@@ -231,7 +230,7 @@ impl ModelHessian {
             tangents: Vec::new(),
             constant,
             descent,
-            holds: m > 0,
+            held: (m > 0).then_some(held),
         })
     }
 }
@@ -264,11 +263,47 @@ pub fn is_strict_minimum<P: LiftedProgram>(
     Ok(ModelHessian::exact(&linearization, sets, &active).kind == HessianKind::Exact)
 }
 
-/// An orthonormal basis of the directions fixed by active conditions, and the length of the step along each. A gradient that depends on
-/// those before it adds no direction.
-struct Held {
+/// A condition that the terms of a model's Hessian hold.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Condition {
+    /// A constraint, by its index.
+    Constraint(usize),
+    /// A linearized inequality, by its place in the linearization.
+    Row(usize),
+    /// The normal of a set.
+    Normal {
+        /// Index of the set.
+        set: usize,
+        /// Multiplier of the set whose pull on the variables is one unit along the held direction.
+        outward: Vec<f64>,
+    },
+}
+
+/// The part of a condition's multiplier that the terms for active conditions stand for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pull {
+    /// The condition.
+    pub condition: Condition,
+    /// What the terms add to its multiplier.
+    pub multiplier: f64,
+    /// The part of it that comes from the condition's own direction: it is negative if the step leaves slack.
+    pub own: f64,
+    /// Bound on what rounding contributes to `own`.
+    pub noise: f64,
+}
+
+/// The terms `½ σ |Yᵀδ - t|²` of active conditions: an orthonormal basis `Y` of the directions that these fix, and the length `t` of the
+/// step along each. A gradient that depends on those before it adds no direction.
+#[derive(Clone, Debug)]
+pub struct HeldTerms {
     basis: Mat<f64>,
     target: Vec<f64>,
+    /// `σ`; 0 until the terms are known to be needed.
+    sigma: f64,
+    /// The conditions of the directions.
+    conditions: Vec<Condition>,
+    /// `C`, upper triangular, with `Y = A C`, where the columns of `A` are the gradients of the conditions.
+    combination: Mat<f64>,
 }
 
 /// Fraction of a row's gradient that must be independent of the other rows. Neighboring inequalities have nearly parallel gradients; only
@@ -283,60 +318,117 @@ const NEAR_TARGET: f64 = 1e-3;
 /// is accurate to `ε` over this number, 2e-11.
 const LEAST_PART: f64 = 1e-5;
 
-impl Held {
+impl HeldTerms {
     fn of(linearization: &Linearization, active: &ActiveSet) -> Self {
         let n = linearization.gradient.len();
-        let mut held = (Vec::<Vec<f64>>::new(), Vec::new());
+        let mut held = Vec::new();
         for (i, offset) in linearization.offset.iter().enumerate() {
             let row = (0..n).map(|j| linearization.jacobian[(i, j)]).collect();
-            hold(&mut held, row, -offset, NEGLIGIBLE);
+            let condition = Condition::Constraint(i);
+            hold(&mut held, condition, row, -offset, NEGLIGIBLE);
         }
         for &at in &active.rows {
             let jacobian = &linearization.inequality_jacobian;
             let row = (0..n).map(|j| jacobian[(at, j)]).collect();
             let target = -linearization.inequality_offset[at];
-            hold(&mut held, row, target, INDEPENDENT_PART_OF_ROWS);
+            let condition = Condition::Row(at);
+            hold(&mut held, condition, row, target, INDEPENDENT_PART_OF_ROWS);
         }
         for normal in &active.normals {
             let mut row = vec![0.0; n];
             for &(index, component) in &normal.direction {
                 row[index] += component;
             }
-            hold(&mut held, row, normal.gap, NEGLIGIBLE);
+            let condition = Condition::Normal {
+                set: normal.set,
+                outward: normal.outward.clone(),
+            };
+            hold(&mut held, condition, row, normal.gap, NEGLIGIBLE);
         }
-        let (basis, target) = held;
+        let m = held.len();
         Self {
-            basis: Mat::from_fn(n, basis.len(), |i, j| basis[j][i]),
-            target,
+            basis: Mat::from_fn(n, m, |i, j| held[j].unit[i]),
+            combination: Mat::from_fn(m, m, |i, j| {
+                held[j].combination.get(i).copied().unwrap_or(0.0)
+            }),
+            target: held.iter().map(|direction| direction.target).collect(),
+            conditions: held.into_iter().map(|held| held.condition).collect(),
+            sigma: 0.0,
         }
     }
+
+    /// Returns the multipliers `C σ (Yᵀδ - t)` that the terms stand for at a step `δ` of the subproblem. Its optimality conditions have the
+    /// pull `σ Y (Yᵀδ - t) = A C σ (Yᵀδ - t)` of the terms. Added to the multipliers of the subproblem, these are the multipliers of the
+    /// same step without the terms, as for an augmented Lagrangian (Nocedal and Wright 2006, equation 17.39). They vanish where the step
+    /// meets all conditions with equality.
+    #[must_use]
+    pub fn pulls(&self, change: &[f64]) -> Vec<Pull> {
+        let m = self.target.len();
+        let size = norm(change);
+        let (mut forces, mut noises) = (vec![0.0; m], vec![0.0; m]);
+        for j in 0..m {
+            let along: f64 = (change.iter().enumerate())
+                .map(|(i, d)| self.basis[(i, j)] * d)
+                .sum();
+            forces[j] = self.sigma * (along - self.target[j]);
+            noises[j] = self.sigma * EXACT * (size + self.target[j].abs());
+        }
+        (self.conditions.iter().enumerate())
+            .map(|(i, condition)| Pull {
+                condition: condition.clone(),
+                multiplier: (0..m).map(|j| self.combination[(i, j)] * forces[j]).sum(),
+                own: self.combination[(i, i)] * forces[i],
+                noise: self.combination[(i, i)] * noises[i],
+            })
+            .collect()
+    }
+}
+
+/// A direction that a condition fixes, orthogonal to those before it.
+struct HeldDirection {
+    condition: Condition,
+    unit: Vec<f64>,
+    /// Length of the step along it.
+    target: f64,
+    /// Coefficients by which the gradients of the conditions up to this one add up to `unit`.
+    combination: Vec<f64>,
 }
 
 /// Adds `row · δ = target` by two passes of Gram and Schmidt.
 fn hold(
-    held: &mut (Vec<Vec<f64>>, Vec<f64>),
+    held: &mut Vec<HeldDirection>,
+    condition: Condition,
     mut row: Vec<f64>,
     mut target: f64,
     independent_part: f64,
 ) {
     let size = norm(&row);
-    if held.0.len() == row.len() {
+    if held.len() == row.len() {
         return;
     }
+    let mut combination = vec![0.0; held.len()];
+    combination.push(1.0);
     for _ in 0..2 {
-        for (direction, t) in held.0.iter().zip(&held.1) {
-            let along: f64 = direction.iter().zip(&row).map(|(d, r)| d * r).sum();
-            for (r, d) in row.iter_mut().zip(direction) {
+        for before in held.iter() {
+            let along: f64 = before.unit.iter().zip(&row).map(|(d, r)| d * r).sum();
+            for (r, d) in row.iter_mut().zip(&before.unit) {
                 *r -= along * d;
             }
-            target -= along * t;
+            for (own, of_before) in combination.iter_mut().zip(&before.combination) {
+                *own -= along * of_before;
+            }
+            target -= along * before.target;
         }
     }
     let left = norm(&row);
     let holds_its_own = left > LEAST_PART * size && target.abs() <= NEAR_TARGET * left;
     if left > independent_part * size || holds_its_own {
-        held.0.push(row.iter().map(|r| r / left).collect());
-        held.1.push(target / left);
+        held.push(HeldDirection {
+            condition,
+            unit: row.iter().map(|r| r / left).collect(),
+            target: target / left,
+            combination: combination.iter().map(|c| c / left).collect(),
+        });
     }
 }
 
@@ -450,7 +542,7 @@ pub struct ActiveNormal {
     pub curvature: f64,
     /// Index of the set.
     pub set: usize,
-    /// Unit vector in the space of the set's own rows: `M v / |M v|` of a ball; `direction` is `Mᵀ` times this.
+    /// Multiplier of the set whose pull on the variables is `direction`: `M v / |M v|` of a ball, the sign of the limit of an interval.
     pub outward: Vec<f64>,
 }
 
@@ -505,7 +597,7 @@ impl ActiveNormal {
                         gap,
                         curvature: 0.0,
                         set: at,
-                        outward: vec![1.0],
+                        outward: vec![sign],
                     })
                 }
                 ConvexSet::HalfSpace { direction, limit } => {

@@ -326,7 +326,8 @@ pub trait LiftedProgram {
     fn variables<'a>(&self, point: &'a Self::Point) -> &'a [f64];
 
     /// Returns the number of variables, from the first, whose terms are the scale of the Lagrangian's gradient. The remaining variables
-    /// stand for residuals: their terms are as large as the weights and would hide the rest along the first ones.
+    /// stand for residuals: their terms are as large as the weights and would hide the rest along the first ones. Those that are in no set
+    /// are not limited by the trust region either.
     fn n_controls(&self) -> usize {
         usize::MAX
     }
@@ -498,6 +499,41 @@ pub trait LiftedProgram {
             .map(|(row, &h)| self.softness(row).penalty(h));
         penalties.fold(evaluation.objective, |sum, price| sum + price)
     }
+}
+
+/// Returns the variables that the trust region does not limit, ascending: those that stand for residuals and are in no set. They follow from
+/// the others by linear constraints, and have a price: in the unit of this price they are as long as the root of a weight, which says
+/// nothing about the validity of a model. A set keeps a residual small.
+pub(super) fn unlimited<P: LiftedProgram>(program: &P, n: usize) -> Vec<usize> {
+    let first = program.n_controls().min(n);
+    let mut is_free = vec![true; n - first];
+    let mut note = |index: usize| {
+        if index >= first {
+            is_free[index - first] = false;
+        }
+    };
+    for set in program.sets() {
+        match set {
+            ConvexSet::Interval { index, .. } => note(*index),
+            ConvexSet::HalfSpace { direction, .. } => {
+                direction.iter().for_each(|(index, _)| note(*index));
+            }
+            ConvexSet::Ball { rows, .. } => {
+                rows.iter().flatten().for_each(|(index, _)| note(*index));
+            }
+        }
+    }
+    (first..n).filter(|index| is_free[index - first]).collect()
+}
+
+/// Returns the norm of all but the given entries of a vector.
+pub(super) fn norm_without(v: &[f64], unlimited: &[usize]) -> f64 {
+    if unlimited.is_empty() {
+        return norm(v);
+    }
+    let counts = |&(index, _): &(usize, &f64)| unlimited.binary_search(&index).is_err();
+    let squares = v.iter().enumerate().filter(counts).map(|(_, x)| x * x);
+    squares.sum::<f64>().sqrt()
 }
 
 /// Multipliers of the constraints, the inequalities and the convex sets.

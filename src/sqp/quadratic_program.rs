@@ -22,7 +22,8 @@ use faer::Mat;
 pub(super) use self::polish::INSIDE;
 use self::polish::{as_expected, can_be_polished, polish};
 use super::kept_states::StateLinearization;
-use super::program::{ConvexSet, Linearization, Multipliers, Softness, affine};
+use super::norms::{difference, norm};
+use super::program::{ConvexSet, Linearization, Multipliers, Softness, affine, norm_without};
 use super::settings::ROW_TOLERANCE;
 use crate::stop::{Stop, StopSignal};
 
@@ -45,8 +46,10 @@ pub struct QuadraticProgram<'a> {
     pub sets: &'a [ConvexSet],
     /// Elastic weight `γ`.
     pub elastic_weight: f64,
-    /// Trust radius: `|δ| ≤ radius`, a cone of its own; infinite for none.
+    /// Trust radius: `|δ| ≤ radius` of the limited variables, a cone of its own; infinite for none.
     pub trust_radius: f64,
+    /// Variables that the trust region does not limit, ascending.
+    pub unlimited: &'a [usize],
     /// Violation of a row outside the working set that is allowed, relative to the row's value or one.
     pub row_tolerance: f64,
     /// Signal that ends the solve early.
@@ -170,11 +173,17 @@ impl<'a> QuadraticProgram<'a> {
             sets,
             elastic_weight: FIRST_ELASTIC_WEIGHT * linearization.cost_scale(),
             trust_radius: f64::INFINITY,
+            unlimited: &[],
             row_tolerance: ROW_TOLERANCE,
             stop: None,
             states: None,
             expected: None,
         }
+    }
+
+    /// Returns the norm of the limited variables of a step.
+    pub(super) fn length(&self, change: &[f64]) -> f64 {
+        norm_without(change, self.unlimited)
     }
 
     /// Solves the subproblem.
@@ -298,16 +307,18 @@ impl<'a> QuadraticProgram<'a> {
         rows
     }
 
-    /// Tells whether no step within the trust region can violate a row beyond [`ROW_TOLERANCE`], such as that of a touching obstacle at a
-    /// time before the control has an effect: nothing would bound its multiplier.
+    /// Tells whether no step as long as the variables (at least one), or as the trust radius, can violate a row beyond [`ROW_TOLERANCE`],
+    /// such as that of a touching obstacle at a time before the control has an effect: nothing would bound its multiplier. A trust region
+    /// below the size of the variables does not count: it may shrink to nothing about a solution, whose rows have multipliers still.
     fn is_out_of_reach(&self, at: usize) -> bool {
         let (jacobian, h) = (self.inequalities.jacobian, self.inequalities.offset[at]);
-        let slope = (0..jacobian.ncols())
-            .map(|j| jacobian[(at, j)].powi(2))
-            .sum::<f64>()
-            .sqrt();
+        let slope: Vec<f64> = (0..jacobian.ncols()).map(|j| jacobian[(at, j)]).collect();
+        if self.unlimited.iter().any(|&j| slope[j] != 0.0) {
+            return false;
+        }
+        let slope = norm(&slope);
         let most = if slope > 0.0 {
-            slope * self.trust_radius
+            slope * self.trust_radius.max(norm(self.variables)).max(1.0)
         } else {
             0.0
         };
@@ -346,6 +357,16 @@ impl<'a> QuadraticProgram<'a> {
                 && working.binary_search(&at).is_err()
         })
         .collect()
+    }
+}
+
+impl QpSolution {
+    /// Returns `δ` without the part that leads back into balls: the step of the subproblem itself.
+    pub(super) fn linear_part(&self) -> Vec<f64> {
+        match &self.returned[..] {
+            [] => self.change.clone(),
+            returned => difference(&self.change, returned),
+        }
     }
 }
 

@@ -14,7 +14,7 @@ use self::restoration::Restoration;
 pub use self::warm_start::WarmStart;
 use super::best_point::Best;
 use super::filter::Filter;
-use super::hessian::{ActiveSet, HessianKind, ModelHessian, Tangents};
+use super::hessian::{ActiveSet, Condition, HessianKind, ModelHessian, Pull, Tangents};
 use super::kept_states::{QpRoute, StateLinearization};
 use super::kkt::KktResidual;
 use super::norms::norm;
@@ -22,10 +22,10 @@ use super::outcome::{Convergence, IterationRecord, SqpOutcome, SqpStatus};
 use super::program::Multipliers;
 use super::program::{
     ConvexSet, Evaluation, Failure, LagrangianTerms, LiftedProgram, Linearization,
-    LinearizationRequest, Softness, sum_of_largest,
+    LinearizationRequest, Softness, norm_without, sum_of_largest, unlimited,
 };
 use super::progress::Standstill;
-use super::quadratic_program::{LinearInequalities, QpError, QpSolution, QuadraticProgram};
+use super::quadratic_program::{INSIDE, LinearInequalities, QpError, QpSolution, QuadraticProgram};
 use super::settings::{
     HessianChoice, MERIT_ROUNDING, NEGLIGIBLE, ROW_TOLERANCE, SCALED_UNIT, SqpSettings,
 };
@@ -80,6 +80,8 @@ pub(super) struct Run<'a, P: LiftedProgram> {
     /// Elastic weight of the subproblem; the first linearization determines the first one.
     elastic_weight: Option<f64>,
     trust_region: TrustRegion,
+    /// [Variables](unlimited) that the trust region does not limit.
+    unlimited: Vec<usize>,
     filter: Filter,
     hessian: HessianPolicy,
     feasibility: Feasibility,
@@ -155,7 +157,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             program.sets(),
         );
         let point = Arc::new(point);
-        let trust_region = TrustRegion::around(program.variables(&point));
+        let unlimited = unlimited(program, program.variables(&point).len());
+        let trust_region = TrustRegion::around(program.variables(&point), &unlimited);
         Ok(Self {
             program,
             settings,
@@ -180,6 +183,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 program.total_objective(&evaluation),
             ),
             trust_region,
+            unlimited,
             iterate: Iterate {
                 point,
                 evaluation,
@@ -194,6 +198,11 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
 
     fn variables(&self) -> &[f64] {
         self.program.variables(&self.iterate.point)
+    }
+
+    /// Returns the norm of the variables, or of a step of them, that the trust region limits.
+    fn length(&self, v: &[f64]) -> f64 {
+        norm_without(v, &self.unlimited)
     }
 
     fn infeasibility(&self) -> f64 {
@@ -368,6 +377,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             if self.is_stuck(&linearization, &model, &sets, &solution) {
                 return self.restore(linearization);
             }
+            let solution = self.without_terms(&linearization, &model, solution);
             let solution = if refusals == 0 {
                 self.past_saddle(&model, solution)
             } else {
@@ -382,7 +392,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                     return Ok(Step::Taken);
                 }
                 None => {
-                    self.trust_region.refuse(norm(&solution.change));
+                    self.trust_region.refuse(self.length(&solution.change));
                     refusals += 1;
                 }
             }
@@ -434,16 +444,18 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     }
 
     /// Tells whether a step leaves conditions that the model's Hessian treats as active, whose terms would falsify gradient and
-    /// multipliers; the caller then rebuilds the model without them.
+    /// multipliers; the caller then rebuilds the model without them. A step leaves a condition whose slack is then large beside its
+    /// multiplier, and one whose own term pulls harder than its multiplier pushes: then it is the term that keeps the step near its limit,
+    /// and not the program. Between neighbors that hardly differ, a slack of rounding is enough for that.
     fn lets_go(
         &mut self,
         linearization: &Linearization,
         model: &ModelHessian,
         solution: &QpSolution,
     ) -> bool {
-        if !model.holds {
+        let Some(held) = &model.held else {
             return false;
-        }
+        };
         let active = self.active_set(linearization);
         let tangents = Tangents {
             held: &model.tangents,
@@ -452,11 +464,81 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         };
         let (change, multipliers) = (&solution.change, &solution.multipliers);
         let left = active.left_by(linearization, change, multipliers, &tangents);
-        let any = !(left.rows.is_empty() && left.normals.is_empty());
-        let rows = left.rows.iter().map(|&at| linearization.rows[at]);
+        let mut rows: Vec<usize> = left.rows.iter().map(|&at| linearization.rows[at]).collect();
+        let mut sets: Vec<usize> = left.normals.iter().map(|held| held.set).collect();
+        if self.has_multipliers_of_its_own(solution) {
+            for pull in held.pulls(&solution.linear_part()) {
+                match pull.condition {
+                    Condition::Constraint(_) => {}
+                    Condition::Row(at) => {
+                        let row = linearization.rows[at];
+                        let z = multipliers.inequalities[row];
+                        if z + pull.own < -pull.noise {
+                            rows.push(row);
+                        }
+                    }
+                    Condition::Normal { set, .. } => {
+                        let z = norm(&multipliers.normals[set]);
+                        if z + pull.own < -pull.noise {
+                            sets.push(set);
+                        }
+                    }
+                }
+            }
+        }
+        let any = !(rows.is_empty() && sets.is_empty());
         self.hessian.left_rows.extend(rows);
-        (self.hessian.left_sets).extend(left.normals.iter().map(|held| held.set));
+        self.hessian.left_sets.extend(sets);
         any
+    }
+
+    /// Tells whether the multipliers of a subproblem belong to rows and sets alone. Those of a subproblem with slack are limited by its
+    /// elastic weight, and an active trust region has a multiplier too.
+    fn has_multipliers_of_its_own(&self, solution: &QpSolution) -> bool {
+        solution.slack <= NEGLIGIBLE
+            && self.length(&solution.change) <= INSIDE * self.trust_region.radius
+    }
+
+    /// Returns a solution with the multipliers that its step has without the model's terms for active conditions: those of the subproblem
+    /// and the [pulls](super::hessian::HeldTerms::pulls) of the terms. A step that meets a condition but for a small slack is pulled by `σ`
+    /// times the slack, and without the pull the gradient of the Lagrangian would keep this remainder, however short the steps become.
+    fn without_terms(
+        &self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        mut solution: QpSolution,
+    ) -> QpSolution {
+        let Some(held) = &model.held else {
+            return solution;
+        };
+        if !self.has_multipliers_of_its_own(&solution) {
+            return solution;
+        }
+        let pulls = held.pulls(&solution.linear_part());
+        let multipliers = &mut solution.multipliers;
+        for Pull {
+            condition,
+            multiplier,
+            ..
+        } in pulls
+        {
+            match condition {
+                Condition::Constraint(i) => multipliers.constraints[i] += multiplier,
+                Condition::Row(at) => {
+                    let z = &mut multipliers.inequalities[linearization.rows[at]];
+                    *z = (*z + multiplier).max(0.0);
+                }
+                Condition::Normal { set, outward } => {
+                    let normal = &mut multipliers.normals[set];
+                    // A multiplier does not change its sign.
+                    let most = norm(normal);
+                    for (z, out) in normal.iter_mut().zip(&outward) {
+                        *z += multiplier.max(-most) * out;
+                    }
+                }
+            }
+        }
+        solution
     }
 
     /// Shrinks the trust region after a subproblem that Clarabel could not solve; returns the error after [`RESCUES`] of them.
@@ -498,7 +580,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         model: &ModelHessian,
         solution: &QpSolution,
     ) {
-        let length = norm(&solution.change);
+        let length = self.length(&solution.change);
         self.trace.note_step(&accepted, length);
         let weight = self.merit_weight(solution);
         let promise = self.promise(linearization, model, solution, weight);
@@ -513,7 +595,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
                 && accepted.evaluation.defect > 0.0
                 && self.infeasibility() <= NEGLIGIBLE
                 && self.program.infeasibility(&accepted.evaluation) <= NEGLIGIBLE);
-        let size = norm(self.variables()).max(1.0);
+        let size = self.length(self.variables()).max(1.0);
         if is_blind {
             let contraction = (self.last()).and_then(|row| row.contraction);
             self.trust_region.contract(contraction, length, size);
@@ -550,6 +632,17 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         solution: &QpSolution,
         weight: f64,
     ) -> f64 {
+        weight * (self.infeasibility() - solution.slack)
+            - self.model_change(linearization, model, solution)
+    }
+
+    /// Returns the change of the objective that the subproblem predicts, with the penalties of soft rows and without that of its slack.
+    fn model_change(
+        &self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        solution: &QpSolution,
+    ) -> f64 {
         let change = &solution.change;
         let n = change.len();
         let mut bending = model.constant;
@@ -558,8 +651,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             let held = model.gradient[i] - linearization.model_gradient[i];
             bending += change[i] * (held + 0.5 * bent);
         }
-        let slope = self.departure(linearization, model, solution).slope(change);
-        weight * (self.infeasibility() - solution.slack) - bending - slope
+        bending + (self.departure(linearization, model, solution)).slope(change)
     }
 
     /// Returns the merit `J + weight · infeasibility`.
@@ -598,7 +690,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         };
         let hopeless = promises_nothing(solution.slack)
             && self.iterate.evaluation.defect < INFEASIBLE_PROGRESS * violation
-            && (!self.trust_region.is_used_by(norm(&solution.change)) || {
+            && (!self.trust_region.is_used_by(self.length(&solution.change)) || {
                 let weight = self.elastic_weight.unwrap_or(0.0);
                 let first = self.first_rows(linearization);
                 let free = QuadraticProgram {
@@ -653,7 +745,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         if self.feasibility.phase.is_some() {
             return None;
         }
-        Standstill::of(&self.trace.history, norm(self.variables()).max(1.0))
+        Standstill::of(&self.trace.history, self.length(self.variables()).max(1.0))
     }
 
     /// Returns the row of the last iteration.
@@ -717,6 +809,7 @@ fn distance_from_sets(sets: &[ConvexSet], variables: &[f64]) -> Result<f64, QpEr
         sets,
         elastic_weight: 1.0,
         trust_radius: f64::INFINITY,
+        unlimited: &[],
         row_tolerance: ROW_TOLERANCE,
         stop: None,
         states: None,

@@ -2,9 +2,8 @@
 //! rejected, the trust region shrinks.
 
 use super::filter::{Filter, Measure, Slope};
-use super::norms::norm;
 use super::program::Multipliers;
-use super::program::{Evaluation, LiftedProgram, Linearization, Softness};
+use super::program::{Evaluation, LiftedProgram, Linearization, Softness, norm_without, unlimited};
 use super::quadratic_program::QuadraticProgram;
 use super::settings::SCALED_UNIT;
 
@@ -60,7 +59,9 @@ impl Filter {
         subproblem: &QuadraticProgram,
         change: &[f64],
     ) -> Option<Accepted<P>> {
-        let length = norm(change) / norm(program.variables(from.point)).max(1.0);
+        let unlimited = unlimited(program, change.len());
+        let size = |v: &[f64]| norm_without(v, &unlimited);
+        let length = size(change) / size(program.variables(from.point)).max(1.0);
         let slope = from.first_order(program, change);
         let is_short = from.is_second_order && length <= SHORT;
         if !is_short && let Some(accepted) = self.try_lifted(program, from, change, slope) {
@@ -119,7 +120,7 @@ impl Filter {
         change: &[f64],
         slope: Slope,
     ) -> Option<Accepted<P>> {
-        let length = norm(change);
+        let length = norm_without(change, &unlimited(program, change.len()));
         if length > SHORTER * self.refused_lift {
             return None;
         }

@@ -5,7 +5,7 @@
 //! the ratios 0.05 and 0.9, and the factors 1/16 (after a step that is refused), 1/4 and 2.5. Numbers that are neither are choices, and
 //! decision 68 has the results of others.
 
-use super::norms::norm;
+use super::program::norm_without;
 use super::settings::ROW_TOLERANCE;
 
 /// First radius, relative to the norm of the variables (at least to one): the least that lets a step reverse the variables, `v` to `-v`.
@@ -36,10 +36,10 @@ pub(super) struct TrustRegion {
 }
 
 impl TrustRegion {
-    /// Returns the first region around the given variables.
-    pub(super) fn around(variables: &[f64]) -> Self {
+    /// Returns the first region around the given variables, without those that it does not limit.
+    pub(super) fn around(variables: &[f64], unlimited: &[usize]) -> Self {
         Self {
-            radius: FIRST * norm(variables).max(1.0),
+            radius: FIRST * norm_without(variables, unlimited).max(1.0),
         }
     }
 

@@ -19,6 +19,7 @@ mod optimal_control;
 mod path_constraints;
 mod path_tracking;
 mod pose_actuators;
+mod soft_goals;
 mod staying;
 mod strain_actuators;
 mod terms;

@@ -1039,6 +1039,41 @@ fn neighbors_hold_what_is_their_own() {
     }
 }
 
+/// Two rows that hardly differ, `±ε x ≤ y` but for a slack of the second, beside a direction of negative curvature that a constraint holds: the
+/// first is active, and what an interior point leaves of a multiplier must not keep the second one in the Hessian. Its slack over the sine
+/// of the angle between the two, `2 ε`, is a step that the Hessian would want, with a gradient that no multiplier explains.
+#[test]
+fn nearly_active_neighbors_do_not_hold() {
+    for angle in [1e-2, 1e-3, 1e-4] {
+        for slack in [1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6] {
+            let program = Program {
+                n_variables: 3,
+                constraints: Box::new(|x| vec![x[2].clone() - 0.1]),
+                ..plain(
+                    |x| {
+                        x[0].square() * 0.5 + x[1].clone() + x[1].square() * 0.5
+                            - x[2].square() * 50.0
+                    },
+                    move |x| {
+                        let slope = |a: f64| p(x, &[(a, &[0]), (-1.0, &[1]), (0.1, &[1, 1])]);
+                        let shift = 2.0 * angle * angle;
+                        vec![slope(angle), slope(-angle) - shift - slack]
+                    },
+                    Vec::new(),
+                )
+            };
+            let outcome = go(&program, &[0.3, 0.5, 0.0], &settings(HessianChoice::Exact));
+            assert_eq!(outcome.status, SqpStatus::Converged, "{angle:e}, {slack:e}");
+            assert!(outcome.history.len() <= 8, "{}", outcome.history.len());
+            // A complementarity of 1e-8 leaves a part of the multiplier 1 to the second row, the less the larger its slack.
+            let second = outcome.multipliers.inequalities[1];
+            assert!(second * slack <= 1e-8, "{second:e}");
+            let off = 3.0 * angle * (second + angle * angle);
+            near(&outcome.point.v, &[-angle, -angle * angle, 0.1], off);
+        }
+    }
+}
+
 /// The smallest programs: one variable without any rows; sets that fix variables; a ball of radius zero.
 #[test]
 fn small_programs_are_solved() {

@@ -861,3 +861,44 @@ fn small_balls_are_no_harder_than_their_center() {
         assert!(apart < 1e-8, "{radius:e}: {apart:e}");
     }
 }
+
+/// Soft goals out of reach, `½ |v|² + ½ w r²` with `reach(v) - 2 = r`, where a variable stands for `r` in the unit of its cost (`s = √w r`), or
+/// in that of the goal. The multiplier of the constraint is `w r`, far above the first elastic weight, and no weight much below it makes a
+/// difference to the slack; in the unit of its cost `s` is longer than all else by `√w`, and a trust region over it stops everything.
+/// `reach` is `u - u²/2` along a direction, at most a half at `u = 1`.
+#[test]
+fn soft_goals_out_of_reach_end_at_their_minimum() {
+    for weight in [1e2, 1e4, 1e6_f64] {
+        // `u + w r (1 - u) = 0` by Newton's method from where the goal is nearest.
+        let missed = |u: f64| u - u * u / 2.0 - 2.0;
+        let mut u = 1.0_f64;
+        for _ in 0..50 {
+            let curvature = 1.0 + weight * ((1.0 - u).powi(2) - missed(u));
+            u -= (u + weight * missed(u) * (1.0 - u)) / curvature;
+        }
+        for unit in [1.0, weight.sqrt()] {
+            let program = Program {
+                n_variables: 3,
+                n_controls: 2,
+                residuals: Box::new(move |x| {
+                    let price = weight.sqrt() / unit;
+                    vec![x[0].clone(), x[1].clone(), x[2].clone() * price]
+                }),
+                constraints: Box::new(move |x| {
+                    let u = x[0].clone() * 0.8 + x[1].clone() * 0.6;
+                    vec![u.clone() - u.square() * 0.5 - 2.0 - x[2].clone() * (1.0 / unit)]
+                }),
+                ..Program::default()
+            };
+            for hessian in [HessianChoice::Auto, HessianChoice::Exact] {
+                let outcome = go(&program, &[0.0, 0.0, 0.0], &settings(hessian));
+                assert_eq!(outcome.status, SqpStatus::Converged, "{weight:e}, {unit:e}");
+                assert!(outcome.history.len() <= 25, "{}", outcome.history.len());
+                let [x, y, s] = outcome.point.v[..] else {
+                    unreachable!()
+                };
+                near(&[x, y, s / unit], &[0.8 * u, 0.6 * u, missed(u)], 1e-6);
+            }
+        }
+    }
+}

@@ -157,6 +157,8 @@ pub struct Program {
     pub sets: Vec<ConvexSet>,
     /// Outside this radius of the variables evaluation fails.
     pub radius: f64,
+    /// Number of variables, from the first, that are no residuals.
+    pub n_controls: usize,
     /// How often the curvature of the Lagrangian was computed.
     pub curvatures: Cell<usize>,
     pub stop: StopSignal,
@@ -181,6 +183,7 @@ impl Default for Program {
             dynamics: nothing(),
             sets: Vec::new(),
             radius: f64::INFINITY,
+            n_controls: usize::MAX,
             curvatures: Cell::new(0),
             stop: StopSignal::default(),
         }
@@ -289,6 +292,10 @@ impl LiftedProgram for Program {
 
     fn variables<'a>(&self, point: &'a Point) -> &'a [f64] {
         &point.v
+    }
+
+    fn n_controls(&self) -> usize {
+        self.n_controls
     }
 
     fn evaluate(&self, point: &Point) -> Result<Evaluation<Vec<f64>>, Failure> {

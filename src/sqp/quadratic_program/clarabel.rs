@@ -448,11 +448,11 @@ impl Assembly {
         }
         if qp.trust_radius.is_finite() {
             rows.end(qp.trust_radius);
-            for index in 0..n {
+            for index in (0..n).filter(|index| qp.unlimited.binary_search(index).is_err()) {
                 rows.put(index, -1.0);
                 rows.end(0.0);
             }
-            cones.push(SecondOrderConeT(n + 1));
+            cones.push(SecondOrderConeT(n - qp.unlimited.len() + 1));
         }
         let (matrix, right) = rows.finish();
         Self {

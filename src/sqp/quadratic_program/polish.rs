@@ -78,7 +78,7 @@ struct Conditions<'a> {
 
 /// Tells whether a solution is well inside the trust region, so that only rows and sets are active.
 pub(super) fn can_be_polished(qp: &QuadraticProgram, solution: &QpSolution) -> bool {
-    norm(&solution.change) <= INSIDE * qp.trust_radius
+    qp.length(&solution.change) <= INSIDE * qp.trust_radius
 }
 
 /// Returns the polished form of a solution that [can be polished](can_be_polished), by the condensed conditions. Returns `None` if the
@@ -101,7 +101,7 @@ pub(super) fn polish(qp: &QuadraticProgram, solution: &QpSolution) -> Option<QpS
     let moved =
         (change.iter().zip(&solution.change)).fold(0.0, |m: f64, (a, b)| m.max((a - b).abs()));
     // Clarabel may stop short of a trust region that a step with hardly any effect on the objective reaches.
-    let far = norm(&change[..qp.gradient.len()]) > qp.trust_radius
+    let far = qp.length(&change) > qp.trust_radius
         || moved > FAR * infinity_norm(&solution.change).max(1.0);
     if far || !(infinity_norm(&residual) <= before) || !conditions.allows(&change, &multipliers) {
         return None;
@@ -608,6 +608,7 @@ mod tests {
                 sets: &sets,
                 elastic_weight,
                 trust_radius: f64::INFINITY,
+                unlimited: &[],
                 row_tolerance: 1e-9,
                 stop: None,
                 states: None,

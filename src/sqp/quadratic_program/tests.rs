@@ -32,6 +32,7 @@ fn ball_projects() {
         sets: &[ConvexSet::ball([0, 1], 1.0)],
         elastic_weight: 1.0,
         trust_radius: f64::INFINITY,
+        unlimited: &[],
         row_tolerance: ROW_TOLERANCE,
         stop: None,
         states: None,
@@ -65,6 +66,7 @@ fn intervals_hold_on_both_sides() {
         sets: &[set(0), set(1)],
         elastic_weight: 1.0,
         trust_radius: f64::INFINITY,
+        unlimited: &[],
         row_tolerance: ROW_TOLERANCE,
         stop: None,
         states: None,
@@ -95,6 +97,7 @@ fn elastic_weight_bounds_the_multiplier() {
         }],
         elastic_weight: 100.0,
         trust_radius: f64::INFINITY,
+        unlimited: &[],
         row_tolerance: ROW_TOLERANCE,
         stop: None,
         states: None,
@@ -121,6 +124,7 @@ fn nan_is_refused() {
         sets: &[],
         elastic_weight: 1.0,
         trust_radius: f64::INFINITY,
+        unlimited: &[],
         row_tolerance: ROW_TOLERANCE,
         stop: None,
         states: None,
@@ -167,6 +171,7 @@ fn exchange_finds_the_full_solution() {
             sets: &[],
             elastic_weight: 100.0,
             trust_radius: f64::INFINITY,
+            unlimited: &[],
             row_tolerance: ROW_TOLERANCE,
             stop: None,
             states: None,
@@ -206,6 +211,7 @@ fn unsolved_problem_is_saved() {
         ],
         elastic_weight: 1.0,
         trust_radius: f64::INFINITY,
+        unlimited: &[],
         row_tolerance: ROW_TOLERANCE,
         stop: None,
         states: None,
@@ -221,4 +227,40 @@ fn unsolved_problem_is_saved() {
     let problem: serde_json::Value = serde_json::from_str(&problem).expect("JSON");
     assert_eq!(problem["cones"].as_array().map(Vec::len), Some(2));
     assert_eq!(problem["b"].as_array().map(Vec::len), Some(3));
+}
+
+/// A row at its limit has its multiplier however small the trust region is: a step of `δ`, which wants to be 1, along `0.1 δ ≤ 0`. A row on
+/// which `δ` has no effect has none.
+#[test]
+fn small_regions_keep_the_multipliers_of_rows() {
+    let hessian = identity(1);
+    let jacobian = Mat::zeros(0, 1);
+    let rows = Mat::from_fn(2, 1, |i, _| [0.1, 0.0][i]);
+    let qp = QuadraticProgram {
+        hessian: &hessian,
+        gradient: &[-1.0],
+        jacobian: &jacobian,
+        offset: &[],
+        inequalities: LinearInequalities {
+            jacobian: &rows,
+            offset: &[0.0, 0.0],
+            softness: &[Softness::Hard; 2],
+            groups: &[0, 1],
+            first: &[],
+        },
+        variables: &[0.5],
+        sets: &[],
+        elastic_weight: 1e3,
+        trust_radius: 5e-9,
+        unlimited: &[],
+        row_tolerance: ROW_TOLERANCE,
+        stop: None,
+        states: None,
+        expected: None,
+    };
+    let solution = qp.solve().expect("solvable");
+    assert!(solution.change[0].abs() < 1e-11, "{:e}", solution.change[0]);
+    let multipliers = &solution.multipliers.inequalities;
+    assert!((multipliers[0] - 10.0).abs() < 1e-6, "{multipliers:?}");
+    assert_eq!(multipliers[1], 0.0);
 }

@@ -8,7 +8,6 @@ use faer::Mat;
 use super::super::best_point::Best;
 use super::super::filter::{Filter, Measure};
 use super::super::hessian::{HessianKind, ModelHessian};
-use super::super::norms::norm;
 use super::super::program::Multipliers;
 use super::super::program::{ConvexSet, LiftedProgram, Linearization, Softness};
 use super::super::quadratic_program::QpSolution;
@@ -39,7 +38,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         ));
         self.feasibility.phase = Some(Restoration {
             began_with: self.infeasibility(),
-            region: TrustRegion::around(self.variables()),
+            region: TrustRegion::around(self.variables(), &self.unlimited),
         });
         self.restoration_step(linearization)
     }
@@ -99,7 +98,7 @@ impl<P: LiftedProgram> Run<'_, P> {
             };
             self.note_subproblem(HessianKind::Proximal, &linearization, &solution);
             let promise = before - solution.slack;
-            let length = norm(&solution.change);
+            let length = self.length(&solution.change);
             if promise < INFEASIBLE_PROGRESS * before {
                 let is_free = !phase.region.is_used_by(length) || {
                     let far = f64::INFINITY;

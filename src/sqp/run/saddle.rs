@@ -2,7 +2,6 @@
 
 use super::super::balls::change_into_balls;
 use super::super::hessian::{ModelHessian, NegativeCurvature};
-use super::super::norms::norm;
 use super::super::program::LiftedProgram;
 use super::super::quadratic_program::QpSolution;
 use super::{Run, is_within};
@@ -27,7 +26,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         let reach = self
             .trust_region
             .radius
-            .min(norm(self.variables()).max(1.0));
+            .min(self.length(self.variables()).max(1.0));
         if worthwhile > reach {
             return solution;
         }

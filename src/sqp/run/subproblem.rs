@@ -22,6 +22,9 @@ const LARGEST_ELASTIC_WEIGHT: f64 = 1e8;
 /// Factor by which the elastic weight is raised, as in SNOPT (Gill, Murray and Saunders 2005). It is also the ratio to the largest
 /// multiplier at which the weight is kept, so that it can come down again.
 const ELASTIC_FACTOR: f64 = 10.0;
+/// The fraction of what the largest weight achieves that a weight must achieve: `ε₁` and `ε₂` of Byrd, Nocedal and Waltz (2008), "Steering
+/// exact penalty methods for nonlinear programming", Optimization Methods and Software 23. It is a choice; any fraction below one serves.
+const STEERING: f64 = 0.1;
 /// The trust radius is at least this multiple of the distance to the sets: any factor above one lets the subproblem reach them, and two
 /// leave a step as long as the way there to choose among their points.
 const SET_ROOM: f64 = 2.0;
@@ -97,7 +100,8 @@ impl<P: LiftedProgram> Run<'_, P> {
         }
     }
 
-    /// Solves the subproblem, with a larger elastic weight as long as that reduces the slack.
+    /// Solves the subproblem, with a larger elastic weight as long as that reduces the slack, and then as long as the step falls behind the
+    /// one of the [largest weight](Self::steer).
     pub(super) fn solve_elastic(
         &mut self,
         linearization: &Linearization,
@@ -116,6 +120,9 @@ impl<P: LiftedProgram> Run<'_, P> {
             weight *= ELASTIC_FACTOR;
             solution = heavier;
         }
+        if solution.slack > NEGLIGIBLE {
+            (weight, solution) = self.steer(linearization, model, sets, weight, solution)?;
+        }
         if solution.slack <= NEGLIGIBLE {
             weight = (ELASTIC_FACTOR * self.largest_multiplier(&solution))
                 .clamp(FIRST_ELASTIC_WEIGHT * unit, LARGEST_ELASTIC_WEIGHT * unit);
@@ -123,6 +130,60 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.return_to_balls(model, &mut solution);
         self.elastic_weight = Some(weight);
         Ok(solution)
+    }
+
+    /// Raises the elastic weight until the step does its share for feasibility (Byrd, Nocedal and Waltz 2008): with `m` the slack that a step
+    /// leaves, `m∞` that of the largest weight, and `q` the objective of the subproblem, until
+    ///
+    /// ```text
+    /// m = 0 if m∞ = 0, else m(0) - m ≥ ε (m(0) - m∞),     and     q(0) - q ≥ ε weight (m(0) - m∞)
+    /// ```
+    ///
+    /// Where the next larger weight changes nothing, a still larger one may: all slack stays as it is until the weight comes near the
+    /// multipliers, as those of soft goals out of reach, which are as large as their weights.
+    fn steer(
+        &mut self,
+        linearization: &Linearization,
+        model: &ModelHessian,
+        sets: &[ConvexSet],
+        mut weight: f64,
+        mut solution: QpSolution,
+    ) -> Result<(f64, QpSolution), QpError> {
+        let largest = LARGEST_ELASTIC_WEIGHT * linearization.cost_scale();
+        if weight >= largest {
+            return Ok((weight, solution));
+        }
+        let least = match self.solve_once(linearization, model, sets, largest) {
+            Ok(most) => most.slack,
+            Err(QpError::Stopped(stop)) => return Err(stop.into()),
+            // The weight is too large for Clarabel and tells nothing.
+            Err(_) => return Ok((weight, solution)),
+        };
+        let violation = self.linear_violation(linearization);
+        let possible = violation - least;
+        let falls_behind = |solution: &QpSolution, weight: f64, change: f64| {
+            let removed = violation - solution.slack;
+            let is_left = if least <= NEGLIGIBLE {
+                solution.slack > NEGLIGIBLE
+            } else {
+                removed < STEERING * possible
+            };
+            is_left || weight * removed - change < STEERING * weight * possible
+        };
+        while weight < largest {
+            let change = self.model_change(linearization, model, &solution);
+            if !falls_behind(&solution, weight, change) {
+                break;
+            }
+            let heavier = (weight * ELASTIC_FACTOR).min(largest);
+            solution = match self.solve_once(linearization, model, sets, heavier) {
+                Ok(found) => found,
+                Err(QpError::Stopped(stop)) => return Err(stop.into()),
+                Err(_) => break,
+            };
+            weight = heavier;
+        }
+        Ok((weight, solution))
     }
 
     /// Returns the largest multiplier, or sum of multipliers on one slack, of constraints and hard inequalities, which the elastic weight
@@ -282,6 +343,7 @@ impl<P: LiftedProgram> Run<'_, P> {
                 .trust_region
                 .radius
                 .max(SET_ROOM * self.iterate.outside),
+            unlimited: &self.unlimited,
             stop: self.program.stop(),
             states: self.states.linearization.as_ref().map(|kept| KeptStates {
                 linearization: kept,

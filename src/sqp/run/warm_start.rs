@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use super::super::norms::norm;
 use super::super::program::LiftedProgram;
 use super::super::program::Multipliers;
 use super::Run;
@@ -48,7 +47,7 @@ impl<P: LiftedProgram> Run<'_, P> {
         self.working_set.last.clone_from(&start.working_rows);
         self.elastic_weight = start.elastic_weight;
         // The radius of the last steps is no measure for a changed program.
-        self.trust_region.radius = norm(self.variables()).max(1.0);
+        self.trust_region.radius = self.length(self.variables()).max(1.0);
         self.iterate.has_multipliers = true;
         Ok(())
     }
