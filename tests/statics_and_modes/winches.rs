@@ -177,7 +177,7 @@ fn winches_are_found_at_any_stiffness() {
                     }),
                     largest: 0.0,
                 }],
-                ..RodParameters::straight(length, 9, SectionProfile::Uniform(section.clone()))
+                ..RodParameters::straight(length, 9, SectionProfile::Uniform(section))
             };
             Rod::new(&parameters).expect("a rod")
         };
