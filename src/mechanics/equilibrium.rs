@@ -143,8 +143,9 @@ const LEAST_STRETCH: f64 = 0.1;
 const OUTER_LIMIT: usize = 400;
 const MOST_SADDLES: usize = 20;
 /// First shift of the stiffness, in units of the [weights](Statics::weights), its factor after a refused step, and its largest value. The
-/// lowest mode of a cantilever has an eigenvalue of about 12.
-const FIRST_SHIFT: f64 = 1.0;
+/// lowest mode of a cantilever has an eigenvalue of about 12, and that of a stiff arm which its weight alone turns about the line through its
+/// ends one of its weight over `EI/L²`, along which larger shifts would leave no way to go.
+const FIRST_SHIFT: f64 = 1e-5;
 const SHIFT_GROWTH: f64 = 4.0;
 const LARGEST_SHIFT: f64 = 1e15;
 /// Shift below which an indefinite stiffness counts as neutral: rounding of a loose motion, or of a critical load.

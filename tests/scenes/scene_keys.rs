@@ -185,6 +185,7 @@ const SCENES: [&[&str]; 18] = [
         "mpc.fallback.plan_samples=5",
         "mpc.fallback.damping_samples=20",
         "mpc.fallback.ramp_s=0.4",
+        "mpc.fallback.hold=true",
         "mpc.fallback.damping=0.7",
         "plant.elements=24",
         "plant.stiffness_factor=0.8",

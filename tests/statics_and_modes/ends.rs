@@ -424,3 +424,38 @@ fn arms_between_ends_rest_where_energy_is_least() {
         }
     }
 }
+
+/// A stiff arm between two ball joints, bowed by tendons, begins on its side and above the line through its ends: its weight, a ten thousandth of
+/// `EI/L²`, turns it about that line until it hangs.
+#[test]
+fn stiff_bows_turn_until_they_hang() {
+    let span = 0.9;
+    let parameters = |weight: f64| RodParameters {
+        base: ball(),
+        tip: ball(),
+        base_rotation: exp(&(Vector3::y() * std::f64::consts::FRAC_PI_2)),
+        tip_position: Some(Vector3::new(span, 0.0, 0.0)),
+        gravity: Vector3::new(0.0, 0.0, -weight),
+        ..RodParameters::straight(1.0, 12, section(1e4, [1.0, 1.0, 1.0]))
+    };
+    let none = NodeSpring::default();
+    let hanging = |rod: &Rod, from: &Configuration| {
+        static_equilibrium(rod, from, 0.0, &none).expect("a shape")
+    };
+    let rod = Rod::new(&parameters(1e-4)).expect("a rod");
+    let bow = hanging(&rod, &rod.rest);
+    for angle in [0.0, 1.0, 2.5, 3.1] {
+        let turn = exp(&(Vector3::x() * angle));
+        let turned = Configuration {
+            positions: bow.positions.iter().map(|x| turn * x).collect(),
+            rotations: bow.rotations.iter().map(|r| turn * r).collect(),
+        };
+        let found = hanging(&rod, &turned);
+        let middle = found.positions[6];
+        // Hanging is the least energy; its curvature there is the weight's, 1e-4, and the residual ends at 1e-9.
+        assert!(
+            middle.z < -0.1 && middle.y.abs() < 1e-4,
+            "{angle}: {middle}"
+        );
+    }
+}
