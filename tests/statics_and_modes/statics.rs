@@ -730,3 +730,69 @@ fn leaning_arms_snap_through() {
     let after = path.at(&before, 1.001 * factor);
     assert!(after.is_err() || after.is_ok_and(|after| after.jumped));
 }
+
+/// Forty random arms: free, pinned or clamped tips, stiffnesses over five decades, up to four tendons with tensions or on winches, floors. Every
+/// one has an equilibrium, about which nothing grows.
+#[test]
+fn random_arms_have_an_equilibrium() {
+    for seed in 0..40 {
+        let mut dice = fastrand::Rng::with_seed(seed);
+        let mut between = |low: f64, high: f64| low + (high - low) * dice.f64();
+        let length = between(0.1, 1.0);
+        let radius = length * between(0.005, 0.04);
+        let modulus = 10f64.powf(between(5.0, 10.0));
+        let elements = [6, 10, 16, 24][between(0.0, 4.0) as usize];
+        let direction = Vector3::from_fn(|_, _| between(-1.0, 1.0)).normalize();
+        let tip = ["free", "free", "pinned", "clamped"][between(0.0, 4.0) as usize];
+        let of = |v: &Vector3<f64>| format!("[{}, {}, {}]", v.x, v.y, v.z);
+        let mut text = format!(
+            "[rod]\nlength_m = {length}\nelements = {elements}\n[rod.material]\nyoungs_modulus_pa = {modulus}\npoisson_ratio = 0.4\n\
+             density_kg_m3 = {}\n[rod.section]\nradius_m = {radius}\n[base]\ndirection = {}\n[gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n\
+             [time]\nend_s = 1.0\n",
+            between(900.0, 2000.0),
+            of(&direction)
+        );
+        if tip != "free" {
+            let aside = Vector3::from_fn(|_, _| between(-0.4, 0.4));
+            let place = (direction + aside).normalize() * between(0.4, 0.95) * length;
+            text += &format!("[tip]\nkind = \"{tip}\"\nposition_m = {}\n", of(&place));
+        }
+        let bending = modulus * PI * radius.powi(4) / 4.0;
+        let offset = 0.8 * radius;
+        for _ in 0..[0, 1, 2, 4][between(0.0, 4.0) as usize] {
+            let (sin, cos) = between(0.0, 2.0 * PI).sin_cos();
+            text += &format!(
+                "[[tendon]]\noffset_m = [{}, {}]\n",
+                offset * cos,
+                offset * sin
+            );
+            if tip != "free" || between(0.0, 1.0) < 0.5 {
+                let most = 0.2 * modulus * PI * radius * radius;
+                let tension = (bending / (offset * length) * between(0.0, 2.0)).min(most);
+                text += &format!("profile = [[0.0, {tension}]]\n");
+            } else {
+                text += &format!(
+                    "displacement_profile = [[0.0, {}]]\ncompliance_1_n = {}\nfree_length_m = {}\n",
+                    -offset * between(0.0, 1.5),
+                    10f64.powf(between(-5.0, -3.0)),
+                    between(0.05, 1.0)
+                );
+            }
+        }
+        if between(0.0, 1.0) < 0.35 {
+            text += &format!(
+                "[[contact]]\nname = \"floor\"\nhalf_space = {{ point_m = [0.0, 0.0, {}], normal = [0.0, 0.0, 1.0] }}\npenetration_m = {}\n",
+                -between(0.05, 0.5) * length - radius,
+                length * 10f64.powf(between(-3.5, -2.0))
+            );
+        }
+        let (scene, source) = Scene::from_toml("random", &text, &[])
+            .unwrap_or_else(|error| panic!("{seed}: {error}\n{text}"));
+        let arm = scene.arm(&source).unwrap();
+        let rod = arm.rod(&scene.discretization()).unwrap();
+        let shape = static_equilibrium(&rod, &rod.rest, 0.0, &NodeSpring::default())
+            .unwrap_or_else(|error| panic!("{seed}: {error}\n{text}"));
+        let stability = Stability::of(&rod, &shape, 0.0).expect("finite");
+        assert_eq!(stability.growth_rate, None, "{seed}:\n{text}");
+    }
+}
