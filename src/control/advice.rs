@@ -231,38 +231,59 @@ impl Peaks {
     }
 }
 
+/// Returns the actuators of the rod on a winch, and the part of the time nodes of a motion at which each has no tension.
+#[must_use]
+pub(crate) fn slack_of_motion(
+    problem: &OptimalControlProblem,
+    trajectory: &Trajectory,
+    coefficients: &[Wrench],
+) -> Vec<(usize, f64)> {
+    let rod = &problem.rod;
+    if !rod.actuators.has_winches() {
+        return Vec::new();
+    }
+    let control = problem.signal(&problem.control, coefficients);
+    let table = EffortTable::of(&rod.actuators, &problem.grid, Some(&control));
+    let efforts: Vec<f64> = (table.nodes.chunks_exact(table.n_actuators).enumerate())
+        .take(trajectory.n_times())
+        .flat_map(|(k, inputs)| {
+            let (x, r) = trajectory.poses_at(k);
+            rod.efforts_at(inputs.to_vec(), x, r)
+        })
+        .collect();
+    slack_of(rod, &efforts)
+}
+
+/// Returns what [`slack_of_motion`] does, from the efforts of all actuators at one time after the other.
+#[must_use]
+pub(crate) fn slack_of(rod: &Rod, efforts: &[f64]) -> Vec<(usize, f64)> {
+    let n = rod.actuators.len();
+    (rod.actuators.iter().enumerate())
+        .filter(|(_, actuator)| actuator.winch.is_some())
+        .map(|(i, _)| {
+            let own: Vec<f64> = efforts.iter().skip(i).step_by(n).copied().collect();
+            let slack = own.iter().filter(|effort| **effort == 0.0).count();
+            (i, slack as f64 / own.len().max(1) as f64)
+        })
+        .collect()
+}
+
 /// Returns the tendon of a winch among the controls that is slack for the largest part of a motion, if one is for more than [`BRIEF`].
 fn slack_tendon(
     problem: &OptimalControlProblem,
     trajectory: &Trajectory,
     coefficients: &[Wrench],
 ) -> Option<Observation> {
-    let rod = &problem.rod;
-    if !rod.actuators.has_winches() {
-        return None;
-    }
-    let control = problem.signal(&problem.control, coefficients);
-    let table = EffortTable::of(&rod.actuators, &problem.grid, Some(&control));
-    let efforts: Vec<Vec<f64>> = (table.nodes.chunks_exact(table.n_actuators).enumerate())
-        .take(trajectory.n_times())
-        .map(|(k, inputs)| {
-            let (x, r) = trajectory.poses_at(k);
-            rod.efforts_at(inputs.to_vec(), x, r)
-        })
-        .collect();
-    let driven = problem.efforts.iter().flat_map(|own| &own.actuators);
-    driven
-        .filter_map(|&actuator| {
-            let own = rod.actuators.iter().nth(actuator)?;
-            own.winch.as_ref()?;
-            let slack = efforts.iter().filter(|all| all[actuator] == 0.0).count();
-            Some((slack as f64 / efforts.len().max(1) as f64, &own.name))
-        })
-        .filter(|(fraction, _)| *fraction > BRIEF)
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(fraction, name)| Observation::SlackTendon {
-            name: name.clone(),
-            fraction,
+    let driven = |actuator| {
+        let efforts = problem.efforts.as_ref();
+        efforts.is_some_and(|own| own.actuators.contains(&actuator))
+    };
+    (slack_of_motion(problem, trajectory, coefficients).into_iter())
+        .filter(|(actuator, fraction)| driven(*actuator) && *fraction > BRIEF)
+        .max_by(|a, b| a.1.total_cmp(&b.1))
+        .and_then(|(actuator, fraction)| {
+            let name = problem.rod.actuators.iter().nth(actuator)?.name.clone();
+            Some(Observation::SlackTendon { name, fraction })
         })
 }
 

@@ -54,6 +54,9 @@ mod turns;
 
 pub use crate::mechanics::solid::{Shape, SignedDistance};
 pub use crate::mechanics::{Actuator, SharedActuator};
+#[cfg(feature = "cli")]
+pub(crate) use advice::slack_of;
+pub(crate) use advice::slack_of_motion;
 pub use advice::{Observation, observe};
 #[doc(hidden)]
 pub use attempt::SolveLog;

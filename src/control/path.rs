@@ -478,6 +478,12 @@ impl PathLimit {
         }
     }
 
+    /// Tells whether rows depend on inputs of actuators beside the states, see [`Self::along_input`].
+    #[must_use]
+    pub fn depends_on_inputs(&self) -> bool {
+        matches!(self, Self::Taut { .. })
+    }
+
     /// Returns, for a limit on tendons, the actuator on whose input a row depends beside the states, and the derivative of the scaled row
     /// along it, per m; the row is linear in it.
     #[must_use]

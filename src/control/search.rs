@@ -433,29 +433,29 @@ fn staged(
             outcome.status = SqpStatus::Stopped(stop);
             stopped = true;
         }
-        let program = Transcription::new(kinked, n_threads);
-        // Where all tendons are taut, both laws are the same one.
-        let is_taut = || {
-            let there = program.evaluate(&outcome.point);
-            there.is_ok_and(|there| there.defect <= settings.tolerance)
-        };
-        let is_done = outcome.status == SqpStatus::Converged && is_taut();
-        if is_smooth && stage == stages && !stopped && !is_done {
-            journal.begin(format!("{from}, with tendons that do not push"));
-            let controls = kinked.wrenches(&outcome.point.variables);
-            let start = match outcome.status {
-                SqpStatus::Converged => outcome.point,
-                // A tendon that pushes somewhere has led to states that the arm does not have.
-                _ => match simulated(kinked, &controls) {
-                    Ok(mut point) => {
-                        point.variables = outcome.point.variables;
-                        point
-                    }
-                    Err(_) => outcome.point,
-                },
-            };
-            outcome = solve(&program, start, &settings, &mut |row| observer(row));
-            journal.end_as(&outcome.status);
+        if is_smooth && stage == stages && !stopped {
+            let program = Transcription::new(kinked, n_threads);
+            // Where all tendons are taut, both laws are the same one.
+            let is_done = outcome.status == SqpStatus::Converged
+                && (program.evaluate(&outcome.point))
+                    .is_ok_and(|there| there.defect <= settings.tolerance);
+            if !is_done {
+                journal.begin(format!("{from}, with tendons that do not push"));
+                let controls = kinked.wrenches(&outcome.point.variables);
+                let start = match outcome.status {
+                    SqpStatus::Converged => outcome.point,
+                    // A tendon that pushes somewhere has led to states that the arm does not have.
+                    _ => match simulated(kinked, &controls) {
+                        Ok(mut point) => {
+                            point.variables = outcome.point.variables;
+                            point
+                        }
+                        Err(_) => outcome.point,
+                    },
+                };
+                outcome = solve(&program, start, &settings, &mut |row| observer(row));
+                journal.end_as(&outcome.status);
+            }
         }
         if stage == stages || stopped {
             return Ok(Some(Staged {

@@ -68,7 +68,8 @@ impl<'a> Winches<'a> {
         (!all.is_empty()).then_some(Self { problem, all })
     }
 
-    /// Returns the problem with tensions as controls, no less than the least ones; those of displacements are their bounds above. The unit of a tension is what the winch makes by the unit of its displacement where it is taut.
+    /// Returns the problem with tensions as controls, no less than the least ones; those of displacements are their bounds above. The unit of
+    /// a tension is what the winch makes by the unit of its displacement where it is taut.
     pub fn by_tensions(&self) -> OptimalControlProblem {
         let mut out = self.problem.clone();
         let rod = Arc::make_mut(&mut out.rod);
@@ -96,7 +97,7 @@ impl<'a> Winches<'a> {
             .map(|own| (own.actuator, own.first))
             .collect();
         rod.actuators = rod.actuators.under_tensions(&tensions);
-        (out.path).retain(|path| path.limit.along_input(&self.problem.rod, 0).is_none());
+        (out.path).retain(|path| !path.limit.depends_on_inputs());
         if let Some(stay) = &self.problem.stay {
             let mut stay = (**stay).clone();
             stay.wrenches = self.tensions(&stay.wrenches, &stay.shape);

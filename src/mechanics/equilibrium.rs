@@ -719,7 +719,8 @@ impl<'a> Statics<'a> {
         match self.newton(&at, residual) {
             Some((nearer, left))
                 if self.scaled(&left) <= tolerance
-                    && largest_way(&at, &nearer) <= LARGEST_REFINEMENT * self.rod.scales.length =>
+                    && at.farthest_node(&nearer.positions).1
+                        <= LARGEST_REFINEMENT * self.rod.scales.length =>
             {
                 nearer
             }
@@ -1196,13 +1197,6 @@ impl<'a> Statics<'a> {
         }
         None
     }
-}
-
-/// Returns the largest way of a node from one shape to another, m.
-fn largest_way(from: &Configuration, to: &Configuration) -> f64 {
-    (from.positions.iter().zip(&to.positions))
-        .map(|(from, to)| (to - from).norm())
-        .fold(0.0, f64::max)
 }
 
 /// Returns the shift that is tried after another one.

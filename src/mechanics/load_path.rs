@@ -327,8 +327,7 @@ impl<'a> LoadPath<'a> {
             &mut |factor, shape, is_least| {
                 let next = self.looked_at(factor, shape.clone(), from.jumped, motions);
                 let turns = self.sign(&last) * self.sign(&next) < 0;
-                let nodes = last.shape.positions.iter().zip(&next.shape.positions);
-                let way = nodes.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+                let (_, way) = last.shape.farthest_node(&next.shape.positions);
                 if (turns && !is_least) || way > NEAR * self.rod.scales.length {
                     return Passage::Refused;
                 }

@@ -26,7 +26,7 @@ use super::estimator::{Disturbance, ModelParameters, Motions};
 use super::knots::Knots;
 use super::rows::{Evaluated, Rows};
 use super::soft_rows::SoftRows;
-use crate::control::path::{PathConstraint, PathLimit, RodView};
+use crate::control::path::{PathLimit, RodView};
 use crate::control::{Component, Enforcement, Goal, OptimalControlProblem, Shape, residual};
 use crate::mechanics::forms::NODE_COMPONENTS;
 use crate::mechanics::linearization::{Motion, StateTangent};
@@ -164,9 +164,7 @@ impl Horizon {
             ));
         }
         // The rows of a plan depend on states alone.
-        let depends_on_states =
-            |path: &PathConstraint| !matches!(path.limit, PathLimit::Taut { .. });
-        problem.path.retain(depends_on_states);
+        (problem.path).retain(|path| !path.limit.depends_on_inputs());
         let model = Arc::clone(&problem.rod);
         // The rod that disturbances change is the horizon's own from the beginning: a sample allocates nothing.
         Arc::make_mut(&mut problem.rod);

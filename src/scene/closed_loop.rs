@@ -149,9 +149,9 @@ impl Scene {
         let due = mpc.due_s.or(self.task.as_ref().and_then(|task| task.at_s));
         let mut task = self.posed_task_until(source, duration + horizon)?;
         task.horizon = horizon;
-        // Where the arm stays is for the controller alone to find out, and only where the task is due.
         // The plan of a controller has no rows for tensions.
         task.keeps_taut = false;
+        // Where the arm stays is for the controller alone to find out, and only where the task is due.
         let passing = task.clone().stopping();
         if due.is_none() {
             task = passing.clone();

@@ -2,8 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::control::OptimalControlProblem;
-use crate::mechanics::signal::EffortTable;
+use crate::control::{self, OptimalControlProblem};
 use crate::mechanics::{Configuration, Density, Rod, Trajectory, Wrench};
 use crate::output::summary::SlackSummary;
 use crate::output::{EffortRow, MotionRecord};
@@ -103,7 +102,7 @@ fn displacement(rod: &Rod, actuator: usize, input: f64, coordinate: f64) -> Opti
 #[cfg(feature = "cli")]
 pub(crate) fn slack(rod: &Rod, rows: &[EffortRow]) -> Vec<SlackSummary> {
     let efforts: Vec<f64> = rows.iter().map(|row| row.effort).collect();
-    slack_of(rod, &efforts)
+    named(rod, control::slack_of(rod, &efforts))
 }
 
 /// Returns the fraction of the time nodes of a motion at which the tendon of each winch has no tension.
@@ -112,34 +111,16 @@ pub(crate) fn slack_of_motion(
     coefficients: &[Wrench],
     motion: &Trajectory,
 ) -> Vec<SlackSummary> {
-    let rod = &problem.rod;
-    if !rod.actuators.has_winches() {
-        return Vec::new();
-    }
-    let control = problem.signal(&problem.control, coefficients);
-    let table = EffortTable::of(&rod.actuators, &problem.grid, Some(&control));
-    let inputs = table.nodes.chunks_exact(table.n_actuators).enumerate();
-    let efforts: Vec<f64> = inputs
-        .flat_map(|(k, inputs)| {
-            let (x, r) = (motion.positions_at(k), motion.rotations_at(k));
-            rod.efforts_at(inputs.to_vec(), x, r)
-        })
-        .collect();
-    slack_of(rod, &efforts)
+    let found = control::slack_of_motion(problem, motion, coefficients);
+    named(&problem.rod, found)
 }
 
-/// Returns the slack of every winch from the efforts of all actuators at one time after the other.
-fn slack_of(rod: &Rod, efforts: &[f64]) -> Vec<SlackSummary> {
-    let n = rod.actuators.len();
-    (rod.actuators.iter().enumerate())
-        .filter(|(_, actuator)| actuator.winch.is_some())
-        .map(|(i, actuator)| {
-            let own: Vec<f64> = efforts.iter().skip(i).step_by(n).copied().collect();
-            let slack = own.iter().filter(|effort| **effort == 0.0).count();
-            SlackSummary {
-                name: actuator.name.clone(),
-                fraction: slack as f64 / own.len().max(1) as f64,
-            }
+fn named(rod: &Rod, slack: Vec<(usize, f64)>) -> Vec<SlackSummary> {
+    let actuators: Vec<_> = rod.actuators.iter().collect();
+    (slack.into_iter())
+        .map(|(actuator, fraction)| SlackSummary {
+            name: actuators[actuator].name.clone(),
+            fraction,
         })
         .collect()
 }

@@ -284,7 +284,7 @@ pub enum Condition {
 pub struct Pull {
     /// The condition.
     pub condition: Condition,
-    /// What the terms add to its multiplier.
+    /// Multiplier that the terms add to its own.
     pub multiplier: f64,
     /// The part of it that comes from the condition's own direction: it is negative if the step leaves slack.
     pub own: f64,

@@ -382,7 +382,7 @@ impl<'a> Watch<'a> {
             };
             // Between samples a tendon may be slack: its tension is part of the motion there.
             if constraint.enforcement != PathEnforcement::Hard
-                || matches!(constraint.limit, PathLimit::Taut { .. })
+                || constraint.limit.depends_on_inputs()
             {
                 continue;
             }

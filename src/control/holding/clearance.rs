@@ -23,7 +23,8 @@ impl<'a> HeldLimits<'a> {
         let constraints = problem.path.iter().filter(|own| {
             own.enforcement == PathEnforcement::Hard
                 && own.time_nodes.last() == Some(&last)
-                && !matches!(own.limit, PathLimit::Speed { .. } | PathLimit::Taut { .. })
+                && !matches!(own.limit, PathLimit::Speed { .. })
+                && !own.limit.depends_on_inputs()
         });
         Self {
             constraints: constraints.collect(),

@@ -13,8 +13,13 @@ const LEAST_TIMES: [f64; 3] = [20.0, 4.0, 1.0];
 /// Returns a stable equilibrium that holds the target by winches within their bounds, found over the tensions of their tendons; `None` if
 /// there are no winches among the controls, or none was found.
 pub(super) fn held_by_tensions(search: &Search) -> Option<Held> {
-    LEAST_TIMES.iter().find_map(|factor| {
-        let winches = Winches::with_least_times(search.statics.problem, *factor)?;
+    let problem = search.statics.problem;
+    let times = match problem.least_tensions().next() {
+        Some(_) => &LEAST_TIMES[..],
+        None => &[1.0],
+    };
+    times.iter().find_map(|factor| {
+        let winches = Winches::with_least_times(problem, *factor)?;
         held_by(&winches, search)
     })
 }

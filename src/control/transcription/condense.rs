@@ -91,10 +91,12 @@ impl Transcription<'_> {
                 }
             }
         }
-        for (row, z) in multipliers.inequalities.iter().enumerate() {
-            if *z != 0.0 {
-                for (column, slope) in self.path_columns(row) {
-                    gradient[column] += slope * z;
+        if self.depends_on_inputs() {
+            for (row, z) in multipliers.inequalities.iter().enumerate() {
+                if *z != 0.0 {
+                    for (column, slope) in self.path_columns(row) {
+                        gradient[column] += slope * z;
+                    }
                 }
             }
         }

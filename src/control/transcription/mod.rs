@@ -436,9 +436,11 @@ impl<'a> Transcription<'a> {
                 values.extend(constraint.time_nodes.iter().map(value));
             }
         }
-        for (row, h) in values.iter_mut().enumerate() {
-            for (column, slope) in self.path_columns(row) {
-                *h += slope * point.variables[column];
+        if self.depends_on_inputs() {
+            for (row, h) in values.iter_mut().enumerate() {
+                for (column, slope) in self.path_columns(row) {
+                    *h += slope * point.variables[column];
+                }
             }
         }
         if let Some(relaxation) = &self.relaxation {
@@ -483,6 +485,11 @@ impl<'a> Transcription<'a> {
     fn path_gradient(&self, rod_view: &RodView, row: usize) -> RowGradient {
         let (constraint, k, item) = self.located(row);
         constraint.limit.gradient(rod_view, k, item)
+    }
+
+    /// Tells whether any row depends on variables at fixed states.
+    pub(super) fn depends_on_inputs(&self) -> bool {
+        (self.path.iter()).any(|path| path.limit.depends_on_inputs())
     }
 
     /// Returns the derivatives of a row along the variables at fixed states: those of the [inputs](PathLimit::along_input) on which it
@@ -676,11 +683,7 @@ impl LiftedProgram for Transcription<'_> {
         rows: &[usize],
     ) -> Result<Option<StateLinearization>, Failure> {
         let trajectory = &point.trajectory;
-        let depends_on_inputs =
-            |path: &PathConstraint| matches!(path.limit, PathLimit::Taut { .. });
-        if !self.problem.acting.is_empty()
-            || self.relaxation.is_some()
-            || self.path.iter().any(depends_on_inputs)
+        if !self.problem.acting.is_empty() || self.relaxation.is_some() || self.depends_on_inputs()
         {
             return Ok(None);
         }

@@ -45,8 +45,8 @@ pub struct Control {
     /// Largest rate of change of every moment in N m/s, positive. Absent: unbounded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rate_max_n_m_s: Option<Bound>,
-    /// Whether tendons on winches that are controls stay taut in a solve, those that are taut at the start and where the arm is held at its
-    /// target. Where it is false they may go slack, and a solve may not converge, since a slack tendon does not feel its winch.
+    /// Keeps tendons on winches that are controls taut in a solve, those that are taut at the start and where the arm is held at its
+    /// target; default true. Where it is false they may go slack, and a solve may not converge, since a slack tendon does not feel its winch.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub keep_taut: bool,
     /// Forces and moments on other nodes than the tip.

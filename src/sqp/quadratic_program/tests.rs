@@ -17,19 +17,20 @@ fn none() -> LinearInequalities<'static> {
     }
 }
 
-/// Projection of a point outside onto a ball, without constraints: known solution, outward normal, right sign.
-#[test]
-fn ball_projects() {
-    let hessian = identity(2);
-    let jacobian = Mat::zeros(0, 2);
-    let qp = QuadraticProgram {
-        hessian: &hessian,
-        gradient: &[-3.0, -4.0],
-        jacobian: &jacobian,
+/// A subproblem without rows, sets and trust region, at an elastic weight of 1.
+fn bare<'a>(
+    hessian: &'a Mat<f64>,
+    gradient: &'a [f64],
+    jacobian: &'a Mat<f64>,
+) -> QuadraticProgram<'a> {
+    QuadraticProgram {
+        hessian,
+        gradient,
+        jacobian,
         offset: &[],
         inequalities: none(),
-        variables: &[0.0, 0.0],
-        sets: &[ConvexSet::ball([0, 1], 1.0)],
+        variables: &[],
+        sets: &[],
         elastic_weight: 1.0,
         trust_radius: f64::INFINITY,
         unlimited: &[],
@@ -37,6 +38,18 @@ fn ball_projects() {
         stop: None,
         states: None,
         expected: None,
+    }
+}
+
+/// Projection of a point outside onto a ball, without constraints: known solution, outward normal, right sign.
+#[test]
+fn ball_projects() {
+    let hessian = identity(2);
+    let jacobian = Mat::zeros(0, 2);
+    let qp = QuadraticProgram {
+        variables: &[0.0, 0.0],
+        sets: &[ConvexSet::ball([0, 1], 1.0)],
+        ..bare(&hessian, &[-3.0, -4.0], &jacobian)
     };
     let solution = qp.solve().expect("solvable");
     assert!((solution.change[0] - 0.6).abs() < 1e-8 && (solution.change[1] - 0.8).abs() < 1e-8);
@@ -57,20 +70,9 @@ fn intervals_hold_on_both_sides() {
         upper: 1.0,
     };
     let qp = QuadraticProgram {
-        hessian: &hessian,
-        gradient: &[-9.0, 9.0],
-        jacobian: &jacobian,
-        offset: &[],
-        inequalities: none(),
         variables: &variables,
         sets: &[set(0), set(1)],
-        elastic_weight: 1.0,
-        trust_radius: f64::INFINITY,
-        unlimited: &[],
-        row_tolerance: ROW_TOLERANCE,
-        stop: None,
-        states: None,
-        expected: None,
+        ..bare(&hessian, &[-9.0, 9.0], &jacobian)
     };
     let solution = qp.solve().expect("solvable");
     assert!((solution.change[0] - 0.5).abs() < 1e-8 && (solution.change[1] + 1.5).abs() < 1e-8);
@@ -84,11 +86,7 @@ fn elastic_weight_bounds_the_multiplier() {
     let hessian = identity(1);
     let jacobian = Mat::from_fn(1, 1, |_, _| 1.0);
     let qp = QuadraticProgram {
-        hessian: &hessian,
-        gradient: &[0.0],
-        jacobian: &jacobian,
         offset: &[-5.0],
-        inequalities: none(),
         variables: &[0.0],
         sets: &[ConvexSet::Interval {
             index: 0,
@@ -96,12 +94,7 @@ fn elastic_weight_bounds_the_multiplier() {
             upper: 1.0,
         }],
         elastic_weight: 100.0,
-        trust_radius: f64::INFINITY,
-        unlimited: &[],
-        row_tolerance: ROW_TOLERANCE,
-        stop: None,
-        states: None,
-        expected: None,
+        ..bare(&hessian, &[0.0], &jacobian)
     };
     let solution = qp.solve().expect("always feasible");
     assert!((solution.change[0] - 1.0).abs() < 1e-7);
@@ -115,20 +108,8 @@ fn nan_is_refused() {
     let hessian = identity(1);
     let jacobian = Mat::zeros(0, 1);
     let qp = QuadraticProgram {
-        hessian: &hessian,
-        gradient: &[f64::NAN],
-        jacobian: &jacobian,
-        offset: &[],
-        inequalities: none(),
         variables: &[0.0],
-        sets: &[],
-        elastic_weight: 1.0,
-        trust_radius: f64::INFINITY,
-        unlimited: &[],
-        row_tolerance: ROW_TOLERANCE,
-        stop: None,
-        states: None,
-        expected: None,
+        ..bare(&hessian, &[f64::NAN], &jacobian)
     };
     assert_eq!(qp.solve(), Err(QpError::NotFinite("gradient")));
 }
@@ -156,10 +137,6 @@ fn exchange_finds_the_full_solution() {
     let groups: Vec<usize> = (0..ROWS).collect();
     for softness in [&hard, &soft, &mixed] {
         let qp = QuadraticProgram {
-            hessian: &hessian,
-            gradient: &[-1.0, 0.7, -0.4, 0.9, -0.3, 0.2, -0.8, 0.1],
-            jacobian: &jacobian,
-            offset: &[],
             inequalities: LinearInequalities {
                 jacobian: &rows,
                 offset: &offset,
@@ -168,14 +145,12 @@ fn exchange_finds_the_full_solution() {
                 first: &[],
             },
             variables: &[0.0; 8],
-            sets: &[],
             elastic_weight: 100.0,
-            trust_radius: f64::INFINITY,
-            unlimited: &[],
-            row_tolerance: ROW_TOLERANCE,
-            stop: None,
-            states: None,
-            expected: None,
+            ..bare(
+                &hessian,
+                &[-1.0, 0.7, -0.4, 0.9, -0.3, 0.2, -0.8, 0.1],
+                &jacobian,
+            )
         };
         let all: Vec<usize> = (0..ROWS)
             .filter(|&at| softness[at] != Softness::FREE)
@@ -196,11 +171,6 @@ fn exchange_finds_the_full_solution() {
 fn unsolved_problem_is_saved() {
     let (hessian, jacobian) = (identity(1), Mat::zeros(0, 1));
     let qp = QuadraticProgram {
-        hessian: &hessian,
-        gradient: &[0.0],
-        jacobian: &jacobian,
-        offset: &[],
-        inequalities: none(),
         variables: &[0.0],
         sets: &[
             ConvexSet::ball([0], 1.0),
@@ -209,13 +179,7 @@ fn unsolved_problem_is_saved() {
                 limit: -2.0,
             },
         ],
-        elastic_weight: 1.0,
-        trust_radius: f64::INFINITY,
-        unlimited: &[],
-        row_tolerance: ROW_TOLERANCE,
-        stop: None,
-        states: None,
-        expected: None,
+        ..bare(&hessian, &[0.0], &jacobian)
     };
     let Err(QpError::Status {
         problem: Some(problem),
@@ -237,10 +201,6 @@ fn small_regions_keep_the_multipliers_of_rows() {
     let jacobian = Mat::zeros(0, 1);
     let rows = Mat::from_fn(2, 1, |i, _| [0.1, 0.0][i]);
     let qp = QuadraticProgram {
-        hessian: &hessian,
-        gradient: &[-1.0],
-        jacobian: &jacobian,
-        offset: &[],
         inequalities: LinearInequalities {
             jacobian: &rows,
             offset: &[0.0, 0.0],
@@ -249,14 +209,9 @@ fn small_regions_keep_the_multipliers_of_rows() {
             first: &[],
         },
         variables: &[0.5],
-        sets: &[],
         elastic_weight: 1e3,
         trust_radius: 5e-9,
-        unlimited: &[],
-        row_tolerance: ROW_TOLERANCE,
-        stop: None,
-        states: None,
-        expected: None,
+        ..bare(&hessian, &[-1.0], &jacobian)
     };
     let solution = qp.solve().expect("solvable");
     assert!(solution.change[0].abs() < 1e-11, "{:e}", solution.change[0]);

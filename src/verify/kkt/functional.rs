@@ -138,7 +138,7 @@ impl Conditions<'_> {
     /// Returns the pose at time node `k`, with the inputs there where a limit depends on them.
     pub(in crate::verify) fn pose_under(&self, limit: &PathLimit, k: usize) -> Pose {
         let mut out = Pose::at(self.trajectory, k, self.problem.grid);
-        if matches!(limit, PathLimit::Taut { .. }) {
+        if limit.depends_on_inputs() {
             let node = self.problem.grid.node(k);
             out.inputs = efforts::inputs(self.rod(), &node, &self.control.at(k));
         }
