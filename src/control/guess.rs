@@ -3,6 +3,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::holding::held_at;
 use super::problem::{ActuatedNode, Goal, OptimalControlProblem};
 use super::tracking::Tracking;
 use super::transcription::{LiftedPoint, simulate};
@@ -268,6 +269,21 @@ impl StaticPath {
                     rotation: rotation.map(|to| (to, stiffness * scales.moment)),
                 };
                 shape = nearby_equilibrium_until(rod, &shape, t, &spring, &problem.stop)?;
+            }
+            // Where no wrench acts on the tip, the other actuators hold it at a goal, in another shape. A detour need not be reached.
+            let pushes = problem.actuated_components().iter().any(|component| {
+                let actuator = problem.wrench_actuators().get(component.actuator);
+                actuator.is_some_and(|actuator| actuator.node == tip)
+            });
+            let to = (leg.position, leg.rotation);
+            if !pushes
+                && leg.springs == SPRINGS.len()
+                && let Some((held, hold)) = held_at(problem, tip, to, t, &shape)
+            {
+                shape = held.clone();
+                path.waypoints.push(Waypoint { shape: held, hold });
+                path.ends.push(leg.end);
+                continue;
             }
             let pull = spring.wrench(&shape.positions[tip], &shape.rotations[tip]);
             let hold = (problem.actuators.iter().zip(&nothing).enumerate()).map(

@@ -27,7 +27,7 @@ use std::ops::ControlFlow;
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
-pub(crate) use self::along::ControlsAlong;
+pub(crate) use self::along::{ControlsAlong, held_at};
 use self::clearance::HeldLimits;
 use self::program::{Aim, Demand, HoldingPoint, HoldingProgram, NEARER};
 use self::statics::{Statics, Target};
@@ -776,7 +776,12 @@ impl Search<'_> {
         let program = HoldingProgram::new(self.statics, self.target, *demand);
         let settings = SqpSettings {
             max_iterations: ITERATIONS,
-            hessian: HessianChoice::GaussNewton,
+            // A shape that determines its controls leaves nothing to the curvature.
+            hessian: if demand.is_bounded {
+                HessianChoice::Auto
+            } else {
+                HessianChoice::GaussNewton
+            },
             ..SqpSettings::default()
         };
         let outcome = solve(&program, from.clone(), &settings, &mut |_| {

@@ -223,6 +223,18 @@ impl Tangent {
         }
     }
 
+    /// Returns the transposed matrix.
+    pub fn transposed(&self) -> Self {
+        let blocks = self.blocks.iter();
+        Self {
+            blocks: blocks
+                .map(|(&(row, column), block)| ((column, row), block.transpose()))
+                .collect(),
+            n_blocks: self.n_blocks,
+            products: self.products.clone(),
+        }
+    }
+
     /// Returns `K + σ M`, `σ` in 1/s².
     pub fn with_inertia(mut self, rod: &Rod, at: &Configuration, sigma: f64) -> Self {
         for (i, root) in inertia_roots(rod, at).iter().enumerate() {

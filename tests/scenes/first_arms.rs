@@ -238,6 +238,22 @@ fn soft_scenes_keep_explicit_steps() {
     }
 }
 
+/// Couples along an arm hold its tip 0.22 lengths from its rest and turned by an eighth of a turn about the arm: far from rest, the
+/// curvature of the equilibria decides about the controls of least effort.
+#[test]
+fn couples_along_an_arm_hold_a_far_pose() {
+    let text = "[rod]\nlength_m = 1\nelements = 6\n[rod.material]\nyoungs_modulus_pa = 1e7\npoisson_ratio = 0.5\ndensity_kg_m3 = 1000\n\
+                [rod.section]\nradius_m = 0.05\n[base]\ndirection = [0, 1, 0]\n[damping]\nviscous_1_s = 5\n[time]\nend_s = 1\n[task]\n\
+                position_m = [0.2, 0.9, 0]\norientation_wxyz = [0.65328148, -0.65328148, 0.27059805, 0.27059805]\nat_rest = true\n\
+                [control]\n[control.distributed]\npoints = 6\nmoment_max_n_m_per_m = [1500, 1500, 1500]\n";
+    let (scene, source) = loaded(text, &[]);
+    let problem = scene.optimal_control(&source).expect("a problem").problem;
+    let held = held(&problem);
+    assert!(held.is_stable && held.is_within_bounds());
+    let tip = held.shape.positions[problem.rod.tip()];
+    assert!((tip - Vector3::new(0.2, 0.9, 0.0)).norm() < 1e-6);
+}
+
 /// An arm of silicone, its tip where a known force holds it: the force is found, and compared with its bounds. With a moment as well less
 /// effort holds it.
 #[test]

@@ -9,6 +9,7 @@ use super::statics::{Statics, Target};
 use crate::control::problem::{Component, OptimalControlProblem};
 use crate::mechanics::equilibrium::NodeSpring;
 use crate::mechanics::tangent::own_squared_frequency;
+use crate::mechanics::{Configuration, Wrench};
 
 /// An equilibrium that is led along a reference.
 #[derive(Clone, Debug)]
@@ -25,6 +26,50 @@ pub(crate) struct HoldingControls {
     pub bearing: Vec<[f64; 6]>,
     /// Tells whether small deviations stay small under constant controls.
     pub is_stable: bool,
+}
+
+/// Returns the equilibrium of least effort with a node at a pose, position (m) and rotation (body to space), under the loads of time `t`
+/// (s), and the wrenches of all actuators that hold it, from a shape with the node about there; `None` if none is found. It may be unstable.
+pub(crate) fn held_at(
+    problem: &OptimalControlProblem,
+    node: usize,
+    (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
+    t: f64,
+    shape: &Configuration,
+) -> Option<(Configuration, Vec<Wrench>)> {
+    let statics = statics_at(problem, t);
+    let first = HoldingPoint {
+        controls: vec![0.0; statics.components.len()],
+        shape: shape.clone(),
+    };
+    let search = Search {
+        limits: HeldLimits::of(problem),
+        statics: &statics,
+        target: Target {
+            node,
+            position,
+            rotation,
+        },
+        start: shape.clone(),
+    };
+    let point = search.solve(&Demand::of(Aim::Hold), &first)?;
+    let wrenches = statics.wrenches(&point.controls);
+    Some((point.shape, wrenches))
+}
+
+/// Returns the statics under the loads of time `t`, s, with the bounds of efforts and commands as they are.
+fn statics_at(problem: &OptimalControlProblem, t: f64) -> Statics<'_> {
+    let components = problem.actuated_components();
+    let within = |component: &Component| {
+        (problem.channel(component).bound).and_then(|bound| bound.interval(component.axis % 3))
+    };
+    Statics {
+        unit: own_squared_frequency(&problem.rod),
+        ends: components.iter().map(within).collect(),
+        components,
+        time: t,
+        problem,
+    }
 }
 
 impl ControlsAlong {
@@ -47,17 +92,7 @@ impl ControlsAlong {
         (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
         t: f64,
     ) -> Option<HoldingControls> {
-        let components = problem.actuated_components();
-        let within = |component: &Component| {
-            (problem.channel(component).bound).and_then(|bound| bound.interval(component.axis % 3))
-        };
-        let statics = Statics {
-            unit: own_squared_frequency(&problem.rod),
-            ends: components.iter().map(within).collect(),
-            components,
-            time: t,
-            problem,
-        };
+        let statics = statics_at(problem, t);
         let target = Target {
             node,
             position,

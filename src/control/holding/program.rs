@@ -8,6 +8,9 @@
 //! both over equilibria, with controls within their bounds and, if requested, `ω² ≥ σ` for the lowest modes under constant controls, and
 //! within the limits of the task at its end. In the first program, springs pull the tip to the target, and the controls must replace their pull `D c`. The program is therefore regular
 //! wherever the arm is stable with its tip held in place, even if it is unstable under the controls alone.
+//!
+//! Where there are more controls than equations, the curvature of the equilibria is part of the Hessian: without it, steps converge
+//! linearly, and hardly at all for arms that bend far. Rows of stability and of limits enter without their second derivatives.
 
 use faer::Mat;
 use nalgebra::Vector6;
@@ -165,6 +168,73 @@ impl<'a> HoldingProgram<'a> {
         let mut columns = self.factor(point)?.solve(&right);
         let own = columns.pop().unwrap_or_default();
         Ok(Answers { own, columns })
+    }
+
+    /// Returns the second derivative along the controls of `μᵀ c + λᵀ r`, with the residuals `c` of the target and `r` of the
+    /// equilibrium, where the costates `λ` balance the pull `μ` on the target: `Kᵀ λ = (dc/dz)ᵀ μ`. It is the difference of the gradient
+    /// `(dr/du)ᵀ λ + (K⁻¹ B)ᵀ ((dc/dz)ᵀ μ - Kᵀ λ)` along the response to each control, with `μ`, `λ` and the responses kept.
+    fn curvature(
+        &self,
+        point: &HoldingPoint,
+        columns: &[Vec<Vector6<f64>>],
+        pulls: &[f64],
+    ) -> Result<Mat<f64>, Failure> {
+        let statics = self.statics;
+        let springs = self.springs();
+        let tangent = statics.tangent(&point.shape, &point.controls, &springs);
+        let costates = tangent
+            .transposed()
+            .factor()
+            .ok_or_else(|| Failure("the arm's stiffness is singular".into()))?
+            .solve(&[self.pull(point, pulls)])
+            .swap_remove(0);
+        let gradient = |at: &HoldingPoint| -> Vec<f64> {
+            let by_controls = statics.columns(&at.shape, &at.controls);
+            let held = (statics.tangent(&at.shape, &at.controls, &springs))
+                .transposed()
+                .times(&costates);
+            let left: Vec<Vector6<f64>> = (self.pull(at, pulls).iter().zip(&held))
+                .map(|(pull, held)| pull - held)
+                .collect();
+            (by_controls.iter().zip(columns))
+                .map(|(own, response)| dot(own, &costates) + dot(&left, response))
+                .collect()
+        };
+        let n = columns.len();
+        let mut found = Mat::zeros(n, n);
+        for j in 0..n {
+            // Forces that stretch and shear a slender arm grow fast with the square of a step, so that differences on one side are useless.
+            let length = DIFFERENCE / largest_turn(&columns[j]).max(1.0);
+            let mut change = vec![0.0; n];
+            change[j] = 1.0;
+            let direction = HoldingDirection {
+                change,
+                step: columns[j].clone(),
+            };
+            let [ahead, behind] =
+                [length, -length].map(|length| gradient(&self.retract(point, &direction, length)));
+            for i in 0..n {
+                let half = 0.25 * (ahead[i] - behind[i]) / length;
+                found[(i, j)] += half;
+                found[(j, i)] += half;
+            }
+        }
+        Ok(found)
+    }
+
+    /// Returns `(dc/dz)ᵀ μ` of all free nodes.
+    fn pull(&self, point: &HoldingPoint, pulls: &[f64]) -> Vec<Vector6<f64>> {
+        let rod = &self.statics.problem.rod;
+        let first = rod.first_free_node();
+        let mut out = vec![Vector6::zeros(); rod.n_nodes() - first];
+        if let Some(node) = self.target.node.checked_sub(first) {
+            let gradients = self.target.gradients(rod, &point.shape);
+            for (gradient, pull) in gradients.iter().zip(pulls) {
+                out[node] += gradient * *pull;
+            }
+            rod.project_joints(&mut out);
+        }
+        out
     }
 
     fn modes(&self, point: &HoldingPoint) -> Result<Vec<Mode>, Failure> {
@@ -403,12 +473,24 @@ impl LiftedProgram for HoldingProgram<'_> {
             let answer = self.slope(point, row, &answers.own, &vec![0.0; n])?;
             inequality_offset.push(evaluation.inequalities[request.rows[at]] + answer);
         }
+        let curvature = match request.multipliers {
+            None => None,
+            Some(multipliers) => {
+                let pulls: Vec<f64> = match self.demand.aim {
+                    Aim::Hold => (multipliers.constraints.iter())
+                        .map(|y| SPRING * y)
+                        .collect(),
+                    Aim::Approach { weight } => missing.iter().map(|c| weight * c).collect(),
+                };
+                Some(self.curvature(point, &answers.columns, &pulls)?)
+            }
+        };
         Ok(Linearization {
             gradient,
             model_gradient,
             defect_slope,
             gauss_newton,
-            curvature: None,
+            curvature,
             jacobian,
             offset,
             rows: request.rows.to_vec(),
@@ -520,4 +602,90 @@ fn bounds(statics: &Statics) -> Vec<ConvexSet> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::mechanics::Material;
+    use crate::mechanics::tangent::own_squared_frequency;
+    use crate::task::{Arm, ChannelLimits, Discretization, Task};
+
+    /// The curvature of an equilibrium is the second difference of `μᵀ c` over equilibria that Newton's method finds: a bent arm under a
+    /// force, which is constant in space, and a moment, which has no potential.
+    #[test]
+    fn curvature_is_the_second_difference_over_equilibria() {
+        let arm = Arm::cylinder(&Material::isotropic(1e6, 0.4, 1000.0), 0.4, 0.01);
+        let mut task = Task::reach(Vector3::new(0.1, 0.0, 0.35), 1.0, 1.0);
+        task.actuators[0].moment = ChannelLimits::at_most(1.0);
+        let posed = task
+            .discretize(&arm, &Discretization::with_elements(5))
+            .expect("a problem");
+        let problem = &posed.discrete;
+        let components = problem.actuated_components();
+        let statics = Statics {
+            unit: own_squared_frequency(&problem.rod),
+            ends: vec![None; components.len()],
+            components,
+            time: 1.0,
+            problem,
+        };
+        let target = Target {
+            node: problem.rod.tip(),
+            position: Some(Vector3::new(0.1, 0.0, 0.35)),
+            rotation: Some(nalgebra::Matrix3::identity()),
+        };
+        let program =
+            HoldingProgram::new(&statics, target, Demand::of(Aim::Approach { weight: 1.0 }));
+        let at = |controls: &[f64], from: &Configuration| HoldingPoint {
+            controls: controls.to_vec(),
+            shape: (statics.settled(from, controls, &NodeSpring::default()))
+                .expect("an equilibrium"),
+        };
+        let controls = [0.9, -0.4, 0.3, 0.2, 0.5, -0.3];
+        assert_eq!(controls.len(), statics.components.len());
+        let mut point = at(&[0.0; 6], &problem.initial.configuration);
+        for part in 1..=8 {
+            let share = f64::from(part) / 8.0;
+            point = at(&controls.map(|u| share * u), &point.shape);
+        }
+        let pulls = [0.7, -1.1, 0.4, 0.9, -0.2, 0.6];
+        let pulled = |change: [f64; 6]| -> f64 {
+            let moved: Vec<f64> = (0..6).map(|i| controls[i] + change[i]).collect();
+            let missing = program.missing(&at(&moved, &point.shape));
+            missing.iter().zip(&pulls).map(|(c, pull)| c * pull).sum()
+        };
+        let none = vec![Vector6::zeros(); problem.rod.n_elements()];
+        let columns = program
+            .answers(&point, &none)
+            .expect("a regular stiffness")
+            .columns;
+        let found = program
+            .curvature(&point, &columns, &pulls)
+            .expect("numbers");
+        let step = 1e-3;
+        let mut largest: f64 = 0.0;
+        let mut off: f64 = 0.0;
+        for i in 0..6 {
+            for j in 0..6 {
+                let corner = |a: f64, b: f64| {
+                    let mut change = [0.0; 6];
+                    change[i] += a * step;
+                    change[j] += b * step;
+                    pulled(change)
+                };
+                let second = (corner(1.0, 1.0) - corner(1.0, -1.0) - corner(-1.0, 1.0)
+                    + corner(-1.0, -1.0))
+                    / (4.0 * step * step);
+                largest = largest.max(second.abs());
+                off = off.max((second - found[(i, j)]).abs());
+            }
+        }
+        assert!(
+            largest > 1e-3 && off < 1e-3 * largest,
+            "{off:.1e} of {largest:.1e}"
+        );
+    }
 }
