@@ -8,7 +8,7 @@ use crate::sqp::Leave;
 pub(crate) const MEANINGS: [(&str, &str); 9] = [
     ("g", "Gauss-Newton Hessian"),
     ("x", "exact Hessian"),
-    ("c", "exact Hessian, its negative curvature reversed"),
+    ("c", "exact Hessian, its negative curvature made positive"),
     ("p", "restoration of feasibility, without the objective"),
     ("l", "states moved linearly"),
     ("r", "states simulated from the controls"),

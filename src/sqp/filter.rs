@@ -28,7 +28,7 @@ pub struct Measure {
     pub(super) infeasibility: f64,
     objective: f64,
     /// Lagrangian with the multipliers of the step under test.
-    lagrangian: f64,
+    pub(super) lagrangian: f64,
 }
 
 impl Measure {

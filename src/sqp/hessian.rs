@@ -19,7 +19,7 @@ pub enum HessianKind {
     GaussNewton,
     /// Exact Hessian, which is positive definite on the directions that constraints and active sets leave free.
     Exact,
-    /// Exact Hessian with its negative eigenvalues on those directions replaced by their absolute values.
+    /// Exact Hessian with its negative eigenvalues on those directions replaced by small positive ones.
     Convexified,
     /// No second derivatives but a proximal term: restoration of feasibility.
     Proximal,
@@ -67,6 +67,9 @@ const CURVATURE_FLOOR: f64 = 1e-4;
 /// A stationary point is a saddle if it has negative curvature beyond this fraction of that entry: the factor 100 keeps it apart from
 /// curvature that is [as good as none](CURVATURE_FLOOR) (decision 68).
 const SADDLE_CURVATURE: f64 = 1e-2;
+/// Fraction of its size with which a negative eigenvalue is left as a positive one. All of it would make a step as short as the gradient is
+/// small beside the curvature, however good the model is; much less makes `σ`, which grows with the inverse, hide the rest (decision 26).
+const KEPT_CURVATURE: f64 = 0.03;
 
 impl ModelHessian {
     /// Returns the Gauss-Newton model of a linearization.
@@ -97,8 +100,8 @@ impl ModelHessian {
     }
 
     /// Returns the exact Hessian `H = GN + curvature`, convexified. Directions are split by the gradients of constraints and active
-    /// inequalities and the normals of the active sets. On the directions that these leave free, negative eigenvalues are replaced by their
-    /// absolute values. On the others `½ σ |Yᵀδ - t|²` is added, where `t` is the value that `Yᵀδ` has if all conditions hold with
+    /// inequalities and the normals of the active sets. On the directions that these leave free, negative eigenvalues are replaced by a small
+    /// part of their absolute values, so that the trust region alone limits steps along them. On the others `½ σ |Yᵀδ - t|²` is added, where `t` is the value that `Yᵀδ` has if all conditions hold with
     /// equality; it vanishes there and so changes neither the step nor the multipliers, but for the curvature of the sets themselves.
     ///
     /// An active ball adds to the Lagrangian's curvature across its normal, by its multiplier divided by its radius. Where only this term
@@ -183,7 +186,9 @@ impl ModelHessian {
             if !values.iter().all(|v| v.is_finite()) {
                 return None;
             }
-            let turned: Vec<f64> = values.iter().map(|v| v.abs().max(floor)).collect();
+            let turned: Vec<f64> = (values.iter())
+                .map(|&v| f64::max(if v < 0.0 { -KEPT_CURVATURE * v } else { v }, floor))
+                .collect();
             let vectors = null * eigen.U();
             if !values.iter().all(|&v| v >= floor) {
                 kind = HessianKind::Convexified;

@@ -582,10 +582,8 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
     ) {
         let length = self.length(&solution.change);
         self.trace.note_step(&accepted, length);
-        let weight = self.merit_weight(solution);
-        let promise = self.promise(linearization, model, solution, weight);
-        let before = self.merit(&self.iterate.evaluation, weight);
-        let delivered = before - self.merit(&accepted.evaluation, weight);
+        let [promise, before, after] = self.judged(&accepted, linearization, model, solution);
+        let delivered = before - after;
         let noise = MERIT_ROUNDING * before.abs() + solution.multipliers.row_noise();
         // Near feasibility, the difference between promised and delivered merit of lifted states is their own second-order error. Steps of
         // the exact Hessian contract until rounding, or lead away from a saddle.
@@ -624,16 +622,45 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
         2.0 * self.largest_multiplier(solution)
     }
 
-    /// Returns the decrease of the merit `J + weight · infeasibility` that the subproblem predicts.
-    fn promise(
+    /// Returns the decrease of a merit over an accepted step that the subproblem predicts, the merit before it and the merit after it.
+    ///
+    /// The merit is `J + w θ` with the infeasibility `θ`. Where the Hessian is that of the Lagrangian and the step meets the linearized rows,
+    /// it is the augmented Lagrangian `J + yᵀ c + zᵀ h + w θ²` (Nocedal and Wright 2006, section 17.3) with the multipliers of the step:
+    /// curved rows are violated by the square of a step, and their multipliers turn this into a change of `J` that the Hessian has already.
+    /// `w θ` would charge it a second time, and hold the trust region to steps along which curvature is negligible.
+    fn judged(
         &self,
+        accepted: &Accepted<P>,
         linearization: &Linearization,
         model: &ModelHessian,
         solution: &QpSolution,
-        weight: f64,
-    ) -> f64 {
-        weight * (self.infeasibility() - solution.slack)
-            - self.model_change(linearization, model, solution)
+    ) -> [f64; 3] {
+        let weight = self.merit_weight(solution);
+        let lowered = -self.model_change(linearization, model, solution);
+        let is_curved = model.kind.is_second_order() && solution.slack <= NEGLIGIBLE;
+        if !is_curved {
+            let merit = |values: &Evaluation<P::Defects>| {
+                self.program.total_objective(values) + weight * self.program.infeasibility(values)
+            };
+            let met = self.infeasibility() - solution.slack;
+            return [
+                weight * met + lowered,
+                merit(&self.iterate.evaluation),
+                merit(&accepted.evaluation),
+            ];
+        }
+        let departure = self.departure(linearization, model, solution);
+        let merit = |values: &Evaluation<P::Defects>| {
+            let measure = departure.measure(self.program, values);
+            measure.lagrangian + weight * measure.infeasibility.powi(2)
+        };
+        let first = departure.first_order(self.program, &solution.change);
+        let by_rows = first.objective - first.lagrangian;
+        [
+            weight * self.infeasibility().powi(2) + lowered + by_rows,
+            merit(&self.iterate.evaluation),
+            merit(&accepted.evaluation),
+        ]
     }
 
     /// Returns the change of the objective that the subproblem predicts, with the penalties of soft rows and without that of its slack.
@@ -652,11 +679,6 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             bending += change[i] * (held + 0.5 * bent);
         }
         bending + (self.departure(linearization, model, solution)).slope(change)
-    }
-
-    /// Returns the merit `J + weight · infeasibility`.
-    fn merit(&self, values: &Evaluation<P::Defects>, weight: f64) -> f64 {
-        self.program.total_objective(values) + weight * self.program.infeasibility(values)
     }
 
     fn departure<'b>(

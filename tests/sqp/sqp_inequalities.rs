@@ -841,6 +841,63 @@ fn maratos_effect_does_not_stall() {
     }
 }
 
+/// A long slope of negative curvature, `½ x² + x y²/10 - yᵐ` with `y ≤ 3`: a step of the gradient divided by the size of the curvature is
+/// `y/(m - 1)` long, 15 to 30 iterations from 0.1, although the model is good much farther. The trust region alone limits steps.
+#[test]
+fn slopes_of_negative_curvature_are_no_crawl() {
+    for power in [4, 8, 12] {
+        for start in [0.1, 0.5] {
+            let all = vec![1; power];
+            let objective = move |x: &[Jet]| {
+                p(
+                    x,
+                    &[(0.5, &[0, 0][..]), (-1.0, &all[..]), (0.1, &[0, 1, 1])],
+                )
+            };
+            let program = Program {
+                n_variables: 2,
+                ..plain(objective, |_| Vec::new(), bounds(&[FREE, (-1.0, 3.0)]))
+            };
+            let outcome = go(&program, &[0.1, start], &settings(HessianChoice::Exact));
+            assert_eq!(outcome.status, SqpStatus::Converged);
+            near(&outcome.point.v, &[-0.9, 3.0], 1e-6);
+            assert!(
+                outcome.history.len() <= 8,
+                "{power} {start}: {}",
+                outcome.history.len()
+            );
+        }
+    }
+}
+
+/// Such a slope on a parabola, `min m (y - x²) - x⁴` with `ε (y - x²) = 0` and `0 ≤ x ≤ 3`, whose multiplier is `-m/ε`: a step violates the
+/// row by its square, which changes the objective by `m` times that and says nothing of the model. A merit `J + 2 |λ| θ` holds the steps to
+/// a third of `4 x³/m`.
+#[test]
+fn curved_rows_do_not_shorten_steps() {
+    for m in [1.0, 10.0, 100.0] {
+        for scale in [1.0, 1e-3, 1e-5] {
+            let objective =
+                move |x: &[Jet]| p(x, &[(m, &[1][..]), (-m, &[0, 0]), (-1.0, &[0, 0, 0, 0])]);
+            let row = move |x: &[Jet]| vec![p(x, &[(scale, &[1]), (-scale, &[0, 0])])];
+            let program = Program {
+                n_variables: 2,
+                constraints: Box::new(row),
+                ..plain(objective, |_| Vec::new(), bounds(&[(0.0, 3.0), FREE]))
+            };
+            let outcome = go(&program, &[0.3, 0.09], &settings(HessianChoice::Exact));
+            assert_eq!(outcome.status, SqpStatus::Converged);
+            near(&outcome.point.v, &[3.0, 9.0], 1e-6);
+            println!("{m} {scale} {}", outcome.history.len());
+            assert!(
+                outcome.history.len() <= 12,
+                "{m} {scale}: {}",
+                outcome.history.len()
+            );
+        }
+    }
+}
+
 /// Wächter and Biegler's example (2000): `x₁² - x₂ = 1`, `x₁ - x₃ = ½`, `x₂, x₃ ≥ 0`, on which line searches jam at points
 /// that mean nothing. The optimum is (1, 0, ½); at (-1, 0, 0) the sum of the violations has a strict local minimum (towards
 /// larger `x₁` the second falls by 1 and the first grows by 2). A solve ends at one of the two and says which.

@@ -794,7 +794,7 @@ fn corrections_lead_back_into_held_balls() {
 
 /// A linkage of six joints with the least turns whose end is within a distance of a point, as residual = s with s in a ball. Every ball
 /// contains its center, so that reaching into it is no harder than reaching that: whatever its radius, it takes about as many iterations.
-/// The same distance as one inequality, whose direction turns within a radius, takes more, within a hundredth more than four times as many.
+/// The same distance as one inequality, whose direction turns within a radius, takes more, within a hundredth more than three times as many.
 #[test]
 fn small_balls_are_no_harder_than_their_center() {
     const JOINTS: usize = 6;
@@ -856,7 +856,7 @@ fn small_balls_are_no_harder_than_their_center() {
         let (status, as_row, same) = solved(&as_row(radius));
         assert_eq!(status, SqpStatus::Converged, "row, {radius:e}");
         assert!(as_row > iterations, "{radius:e}: {as_row}");
-        assert!(radius > 0.05 || as_row > 4 * center, "{radius:e}: {as_row}");
+        assert!(radius > 0.05 || as_row > 3 * center, "{radius:e}: {as_row}");
         let apart = (same - objective).abs();
         assert!(apart < 1e-8, "{radius:e}: {apart:e}");
     }
