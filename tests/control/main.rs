@@ -15,6 +15,7 @@ mod distributed;
 mod ends;
 mod free_duration;
 mod holding;
+mod lasting;
 mod optimal_control;
 mod path_constraints;
 mod path_tracking;

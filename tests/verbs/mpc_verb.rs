@@ -784,6 +784,50 @@ kind = "kalman"
     assert!(!has("mpc.actuator_delay_s ="), "{advice:#?}");
 }
 
+/// A reference that wanders 5 m away: the loop goes on within its bounds, and the first line of its advice is that no controller gets there.
+#[test]
+fn references_out_of_reach_are_named() {
+    let desk = Desk::new();
+    let scene = r#"
+[rod]
+length_m = 0.3
+elements = 4
+material = { preset = "ecoflex-00-30" }
+section = { radius_m = 0.0125 }
+[base]
+direction = [0.0, 0.0, -1.0]
+[damping]
+viscous_1_s = 2.0
+[time]
+end_s = 0.3
+[control]
+force_max_n = 0.2
+[[objective.track]]
+weight = 1e3
+path_m = [[0.0, 0.0, 0.0, -0.3], [0.2, 5.0, 0.0, 0.0]]
+[mpc]
+period_s = 0.02
+horizon_s = 0.1
+counted_from_s = 0.1
+"#;
+    fs::write(desk.path("far.toml"), scene).unwrap();
+    desk.run(&["mpc", "far.toml", "--quiet", "--out", "run"]);
+    let summary = desk.summary("run");
+    let first = summary["advice"][0].as_str().unwrap();
+    assert!(
+        first.contains("the reference is 5.000 m from the base"),
+        "{first}"
+    );
+    let controls = fs::read_to_string(desk.path("run/controls.csv")).unwrap();
+    let forces = controls.lines().skip(1).flat_map(|row| {
+        let cells = row
+            .split(',')
+            .map(|cell| cell.parse::<f64>().unwrap_or(0.0));
+        cells.skip(2).take(3).collect::<Vec<_>>()
+    });
+    assert!(forces.into_iter().all(|force| force.abs() <= 0.2 + 1e-9));
+}
+
 /// A ball that crosses the middle of a hanging arm, whose tip is to stay where it is.
 const CROSSED: &str = r#"
 [rod]

@@ -1,11 +1,13 @@
 //! Sentences that help where a loop is far from its reference, or its estimate is in doubt.
 
+use nalgebra::Vector3;
+
 use crate::mpc::{
     Cause, Contender, EstimatorChoice, FallbackSettings, Innovations, Outcome, Sensing, TipError,
     Unknowns,
 };
 use crate::output::closed_loop::LimitPeak;
-use crate::scene::ClosedLoopSetup;
+use crate::scene::{ClosedLoopSetup, LARGEST_STRETCH};
 use crate::stop::StopSignal;
 
 /// Part of the length that the tip may be off at the end of a loop without a word about it, as the root mean square over the last quarter.
@@ -22,8 +24,31 @@ pub(super) fn advice(
     let mut out = limit_advice(setup, run, limits);
     out.extend(estimate_advice(setup, run));
     out.extend(causes(setup, run, others));
-    out.extend(changes(setup, run));
+    match beyond_reach(setup, run) {
+        Some(beyond) => out.insert(0, beyond),
+        None => out.extend(changes(setup, run)),
+    }
     out
+}
+
+/// Returns a sentence on a reference that is farther from a base that stays than the arm is long, stretched as far as rods are modeled.
+fn beyond_reach(setup: &ClosedLoopSetup, run: &Outcome) -> Option<String> {
+    let rod = &setup.model;
+    if !rod.is_held() || rod.driven_base(0.0).is_some() {
+        return None;
+    }
+    let (base, length) = (rod.rest.positions[0], setup.experiment.arm.length);
+    let places = run.samples.iter().filter_map(|sample| {
+        let place = Vector3::from(sample.reference?);
+        Some((sample.t, (place - base).norm()))
+    });
+    let (t, farthest) = places.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    (farthest > LARGEST_STRETCH * length).then(|| {
+        format!(
+            "at t = {t:.3} s the reference is {farthest:.3} m from the base, and the arm is {length:.3} m long: no controller brings the tip there; give \
+             a reference within its reach"
+        )
+    })
 }
 
 /// Returns a sentence on every obstacle and limit that was not kept.
