@@ -54,7 +54,6 @@ pub use error::{DescribeError, SceneError};
 #[cfg(feature = "cli")]
 pub(crate) use file::LARGEST_SCENE;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
-pub(crate) use model::LARGEST_STRETCH;
 pub use model::*;
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};

@@ -36,7 +36,6 @@ pub use self::rod::*;
 pub use self::section::*;
 pub use self::sensor::*;
 pub use self::solver::*;
-pub(crate) use self::task::LARGEST_STRETCH;
 pub use self::task::*;
 pub use self::time::*;
 

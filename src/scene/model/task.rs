@@ -593,7 +593,7 @@ pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Ve
 }
 
 /// Largest stretch of a clamped rod on its way to a target; rods do not model larger strains.
-pub(crate) const LARGEST_STRETCH: f64 = 1.3;
+pub const LARGEST_STRETCH: f64 = 1.3;
 
 impl FreeDuration {
     /// The free final time of a task.
