@@ -2,10 +2,10 @@
 
 use nalgebra::{DMatrix, Matrix3, Vector3, Vector6};
 
-use super::Search;
 use super::clearance::HeldLimits;
 use super::program::{Aim, Demand, HoldingPoint, LITTLE};
 use super::statics::{Statics, Target};
+use super::{MOST_CONTROLS, MOST_ELEMENTS, Search};
 use crate::control::problem::{Component, OptimalControlProblem};
 use crate::mechanics::equilibrium::NodeSpring;
 use crate::mechanics::tangent::own_squared_frequency;
@@ -29,7 +29,8 @@ pub(crate) struct HoldingControls {
 }
 
 /// Returns the equilibrium of least effort with a node at a pose, position (m) and rotation (body to space), under the loads of time `t`
-/// (s), and the wrenches of all actuators that hold it, from a shape with the node about there; `None` if none is found. It may be unstable.
+/// (s), and the wrenches of all actuators that hold it, from a shape with the node about there; `None` if none is found, for a free arm, and
+/// where the search would take too long. It may be unstable.
 pub(crate) fn held_at(
     problem: &OptimalControlProblem,
     node: usize,
@@ -38,6 +39,11 @@ pub(crate) fn held_at(
     shape: &Configuration,
 ) -> Option<(Configuration, Vec<Wrench>)> {
     let statics = statics_at(problem, t);
+    let rod = &problem.rod;
+    let is_small = rod.n_elements() <= MOST_ELEMENTS && statics.components.len() <= MOST_CONTROLS;
+    if !rod.is_held() || !is_small {
+        return None;
+    }
     let first = HoldingPoint {
         controls: vec![0.0; statics.components.len()],
         shape: shape.clone(),
