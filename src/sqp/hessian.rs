@@ -102,8 +102,9 @@ impl ModelHessian {
 
     /// Returns the exact Hessian `H = GN + curvature`, convexified. Directions are split by the gradients of constraints and active
     /// inequalities and the normals of the active sets. On the directions that these leave free, negative eigenvalues are replaced by a small
-    /// part of their absolute values, so that the trust region alone limits steps along them. On the others `½ σ |Yᵀδ - t|²` is added, where `t` is the value that `Yᵀδ` has if all conditions hold with
-    /// equality; it vanishes there and so changes neither the step nor the multipliers, but for the curvature of the sets themselves.
+    /// part of their absolute values, so that the trust region alone limits steps along them. On the others `½ σ |Yᵀδ - t|²` is added, where
+    /// `t` is the value that `Yᵀδ` has if all conditions hold with equality; it vanishes there and so changes neither the step nor the
+    /// multipliers, but for the curvature of the sets themselves.
     ///
     /// An active ball adds to the Lagrangian's curvature across its normal, by its multiplier divided by its radius. Where only this term
     /// makes the Hessian positive, it goes into the matrix, and the subproblem replaces the ball by its tangent: otherwise the

@@ -52,15 +52,15 @@ fn solved(problem: &Problem) -> Solution {
 }
 
 /// An arm that was simulated to the end of its task.
-struct Arrived {
-    rod: Rod,
-    state: State,
-    control: ControlSignal,
-    grid: TimeGrid,
+pub(super) struct Arrived {
+    pub(super) rod: Rod,
+    pub(super) state: State,
+    pub(super) control: ControlSignal,
+    pub(super) grid: TimeGrid,
 }
 
 /// The controls of a solution on `times` as many elements.
-fn arrived(solution: &Solution, times: usize) -> Arrived {
+pub(super) fn arrived(solution: &Solution, times: usize) -> Arrived {
     let problem = &solution.problem;
     let (rod, start) = problem.finer(times).unwrap();
     let discrete = &problem.discrete;

@@ -888,7 +888,6 @@ fn curved_rows_do_not_shorten_steps() {
             let outcome = go(&program, &[0.3, 0.09], &settings(HessianChoice::Exact));
             assert_eq!(outcome.status, SqpStatus::Converged);
             near(&outcome.point.v, &[3.0, 9.0], 1e-6);
-            println!("{m} {scale} {}", outcome.history.len());
             assert!(
                 outcome.history.len() <= 12,
                 "{m} {scale}: {}",

@@ -38,14 +38,14 @@ pub(crate) fn held_at(
     t: f64,
     shape: &Configuration,
 ) -> Option<(Configuration, Vec<Wrench>)> {
-    let statics = statics_at(problem, t);
     let rod = &problem.rod;
-    let is_small = rod.n_elements() <= MOST_ELEMENTS && statics.components.len() <= MOST_CONTROLS;
-    if !rod.is_held() || !is_small {
+    let n_controls = problem.actuated_components().len();
+    if !rod.is_held() || rod.n_elements() > MOST_ELEMENTS || n_controls > MOST_CONTROLS {
         return None;
     }
+    let statics = statics_at(problem, t);
     let first = HoldingPoint {
-        controls: vec![0.0; statics.components.len()],
+        controls: vec![0.0; n_controls],
         shape: shape.clone(),
     };
     let search = Search {

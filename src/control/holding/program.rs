@@ -20,7 +20,7 @@ use super::statics::{LARGEST_TURN, Statics, Target, largest_turn};
 use crate::control::guess::SPRINGS;
 use crate::control::problem::Bound;
 use crate::mechanics::equilibrium::NodeSpring;
-use crate::mechanics::tangent::{Mode, SLOWEST_GROWTH, TangentLu, dot};
+use crate::mechanics::tangent::{Mode, SLOWEST_GROWTH, Tangent, TangentLu, dot};
 use crate::mechanics::{Configuration, FormTerm};
 use crate::sqp::{
     ConvexSet, Evaluation, Failure, LiftedProgram, Linearization, LinearizationRequest,
@@ -155,11 +155,12 @@ impl<'a> HoldingProgram<'a> {
             .residual(&self.statics.problem.rod, &point.shape)
     }
 
+    fn tangent(&self, point: &HoldingPoint) -> Tangent {
+        (self.statics).tangent(&point.shape, &point.controls, &self.springs())
+    }
+
     fn factor(&self, point: &HoldingPoint) -> Result<TangentLu, Failure> {
-        self.statics
-            .tangent(&point.shape, &point.controls, &self.springs())
-            .factor()
-            .ok_or_else(|| Failure("the arm's stiffness is singular".into()))
+        factored(&self.tangent(point))
     }
 
     fn answers(&self, point: &HoldingPoint, defects: &[Vector6<f64>]) -> Result<Answers, Failure> {
@@ -180,19 +181,12 @@ impl<'a> HoldingProgram<'a> {
         pulls: &[f64],
     ) -> Result<Mat<f64>, Failure> {
         let statics = self.statics;
-        let springs = self.springs();
-        let tangent = statics.tangent(&point.shape, &point.controls, &springs);
-        let costates = tangent
-            .transposed()
-            .factor()
-            .ok_or_else(|| Failure("the arm's stiffness is singular".into()))?
+        let costates = factored(&self.tangent(point).transposed())?
             .solve(&[self.pull(point, pulls)])
             .swap_remove(0);
         let gradient = |at: &HoldingPoint| -> Vec<f64> {
             let by_controls = statics.columns(&at.shape, &at.controls);
-            let held = (statics.tangent(&at.shape, &at.controls, &springs))
-                .transposed()
-                .times(&costates);
+            let held = self.tangent(at).transposed().times(&costates);
             let left: Vec<Vector6<f64>> = (self.pull(at, pulls).iter().zip(&held))
                 .map(|(pull, held)| pull - held)
                 .collect();
@@ -564,6 +558,10 @@ impl LiftedProgram for HoldingProgram<'_> {
             .ok_or_else(|| Failure("no equilibrium under these controls".into()))?;
         Ok(HoldingPoint { controls, shape })
     }
+}
+
+fn factored(tangent: &Tangent) -> Result<TangentLu, Failure> {
+    (tangent.factor()).ok_or_else(|| Failure("the arm's stiffness is singular".into()))
 }
 
 /// Returns the bounds of the controls.
