@@ -52,6 +52,7 @@
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
+mod clock;
 pub mod control;
 #[doc(hidden)]
 pub mod derivatives;

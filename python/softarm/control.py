@@ -104,7 +104,7 @@ class Command:
 
     @property
     def advice(self) -> list[str]:
-        """Sentences on what is wrong over the last second: an estimate in doubt, and limits that no command keeps; empty if nothing is."""
+        """Sentences on what is wrong over the last hundred samples: an estimate in doubt, and limits that no command keeps; empty if nothing is."""
         return self.answer.get("advice", [])
 
     def __repr__(self) -> str:
@@ -186,14 +186,16 @@ class Controller:
         reference: npt.ArrayLike | None = None,
         reference_wxyz: npt.ArrayLike | None = None,
         obstacles: Sequence[Mapping[str, Any]] | None = None,
+        disturbance: Mapping[str, Any] | None = None,
     ) -> Command:
         """Answers a measurement at `time` (s; the next sample's if it is left out), and prepares the next sample.
 
         A measurement is a `state` on the nodes of the model (positions, rotations and, else unknown, velocities and angular velocities), poses of
         them, or `readings` of sensors. `reference` has rows (t, x, y, z) of another path for the tip, and `reference_wxyz` rows (t, w, x, y, z) of
-        other orientations; fields of readings and obstacles are those of `docs/serving.md`. A faulty measurement raises nothing, and numbers that are not finite are one: what cannot be used is left
-        out or, if nothing is left, answered by a fallback, and `command.refused` says what was wrong. An array of another shape is a
-        `ValueError`.
+        other orientations; fields of readings, obstacles and disturbance are those of `docs/serving.md`. A `disturbance` is what the caller has
+        estimated of it, for a scene without an estimator; it holds until another one is given. A faulty measurement raises nothing, and numbers
+        that are not finite are one: what cannot be used is left out or, if nothing is left, answered by a fallback, and `command.refused` says
+        what was wrong. An array of another shape is a `ValueError`.
         """
         if state is not None:
             positions, rotations, velocities, angular_velocities = [*state, None, None][:4]
@@ -203,7 +205,7 @@ class Controller:
         faults: list[dict[str, Any]] = []
         more = None
         references = [("reference", "reference_m", reference, "(t, x, y, z)"), ("reference_wxyz", "reference_wxyz", reference_wxyz, "(t, w, x, y, z)")]
-        if any(given is not None for given in (readings, reference, reference_wxyz, obstacles)):
+        if any(given is not None for given in (readings, reference, reference_wxyz, obstacles, disturbance)):
             fields: dict[str, Any] = {"type": "measurement"}
             if readings is not None:
                 kept = [_finite(own, f"readings[{i}]", faults) for i, own in enumerate(readings)]
@@ -218,6 +220,8 @@ class Controller:
                 fields[field] = rows
             if obstacles is not None:
                 fields["obstacles"] = [dict(own) for own in obstacles]
+            if disturbance is not None:
+                fields["disturbance"] = _finite(disturbance, "disturbance", faults)
             more = json.dumps(fields, default=lambda own: own.tolist())
         lines = self._native.step(time, positions, rotations, velocities, angular_velocities, more)
         *refused, answer = map(json.loads, lines.splitlines())

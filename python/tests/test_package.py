@@ -322,6 +322,24 @@ def test_measurements_that_cannot_be_are_left_out():
     assert "away from the clamp" in seen.step(readings=markers).refused[0]["message"]
 
 
+def test_a_disturbance_may_come_from_outside():
+    """A plant with a payload that the caller knows: the model with it predicts the tip better than without; what cannot be is left out."""
+    scene = sa.Scene.load("mpc-payload").replace({"estimator.kind": "none", "estimator.disturbances": [], "mpc.computing": "none"})
+    off = []
+    for given in (None, {"payload_kg": 0.05}):
+        controller, plant = scene.controller(), scene.plant()
+        for k in range(20):
+            command = controller.step(plant.state_on(controller), disturbance=given)
+            assert not command.refused
+            plant.apply(command)
+        off.append(np.linalg.norm(plant.state.x[-1] - command.answer["predicted_tip_m"]))
+    assert off[1] < 0.5 * off[0], off
+    refused = controller.step(plant.state_on(controller), disturbance={"payload_kg": np.nan}).refused
+    assert refused[0]["where"] == "disturbance.payload_kg"
+    refused = controller.step(plant.state_on(controller), disturbance={"stiffness_factor": 9.0}).refused
+    assert refused[0]["where"] == "disturbance.stiffness_factor"
+
+
 def test_keys_are_taken_away():
     scene = sa.Scene.load("mpc-tendons")
     with pytest.raises(KeyError, match="no key of this scene"):

@@ -10,8 +10,8 @@ use super::console::Console;
 use super::error::CliError;
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::memory::of_simulation;
-use crate::output::summary::{Range, SimulateSummary};
-use crate::solve::scene_check::{output_size, size_warning, warnings};
+use crate::output::summary::SimulateSummary;
+use crate::solve::scene_check::{begins_inside, output_size, size_warning, warnings};
 use crate::solve::{End, Simulated, SimulationEvent, SimulationRun, causes, stands_by_symmetry};
 use crate::stop::Stop;
 
@@ -42,6 +42,7 @@ pub(super) fn run(
     let mut concerns = warnings(&scene, &setup.rod, setup.grid.step);
     concerns.extend(size_warning(&output_size(setup)));
     concerns.extend(setup.row_warning());
+    concerns.extend(begins_inside(&setup.rod, &setup.initial.configuration));
     let duration = setup.grid.duration();
     concerns.extend(stands_by_symmetry(&setup.rod, &setup.initial, duration));
     for warning in &concerns {
@@ -123,9 +124,6 @@ fn conclude(summary: &SimulateSummary, first_step: usize, console: &Console) {
         summary.step_s,
         summary.wall_s
     ));
-    if let Some(warning) = stretch_warning(&summary.dilatation) {
-        console.warn(&warning);
-    }
     for clearance in &summary.clearance {
         console.say(&clearance.in_words());
         if clearance.least_m < 0.0 {
@@ -146,19 +144,4 @@ fn conclude(summary: &SimulateSummary, first_step: usize, console: &Console) {
         "tip at ({:.6}, {:.6}, {:.6}) m; energy {:.6e} J at the start, {:.6e} J at the end",
         tip[0], tip[1], tip[2], summary.energy.initial, summary.energy.r#final
     ));
-}
-
-/// Elements that leave this range of dilatations are outside what any [model](crate::mechanics::RodModel) describes: a
-/// section of constant volume or size, and a linear material.
-const CREDIBLE_DILATATION: [f64; 2] = [0.5, 2.0];
-
-fn stretch_warning(dilatation: &Range) -> Option<String> {
-    let [least, largest] = CREDIBLE_DILATATION;
-    (dilatation.min < least || dilatation.max > largest).then(|| {
-        format!(
-            "elements went from {:.3e} to {:.3e} of their length; rod models hold within about 0.7 to 1.3, and the standard \
-             one lets an element turn inside out; soften the loads, or stiffen the rod",
-            dilatation.min, dilatation.max
-        )
-    })
 }

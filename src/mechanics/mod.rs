@@ -138,7 +138,7 @@ pub use pose_actuator::{
     Cable, Magnet, OfPose, PlacedFunction, Pose, PoseActuator, PoseFunction, Posed,
     SharedPoseFunction, Span,
 };
-pub use rod::contact::{Contact, Deepest, Pressed, Touch};
+pub use rod::contact::{Contact, Deepest, HOLDS, Pressed, Touch};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile, SectionSegment,

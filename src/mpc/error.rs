@@ -40,6 +40,16 @@ pub enum MpcError {
         /// Requirement on it.
         expected: &'static str,
     },
+    /// A disturbance that was estimated elsewhere is not finite or beyond its range, or its kind is not known here.
+    #[error("{name}: {found}; give {expected}")]
+    Disturbance {
+        /// Name of the number in the lines of a served loop.
+        name: &'static str,
+        /// Content of the number.
+        found: String,
+        /// Requirement on it.
+        expected: String,
+    },
     /// A measured state is not finite, or of another size than the model's.
     #[error("the measured state has {found}; give {expected}")]
     Measurement {

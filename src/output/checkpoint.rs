@@ -36,6 +36,8 @@ pub struct Checkpoint {
     pub step: usize,
     /// Time step, s.
     pub step_s: f64,
+    /// Divisor by which this step is shorter than that of the scene.
+    pub divided: usize,
     /// Rows of the trajectory up to this step.
     pub trajectory: RowPrefix,
     /// Rows of the diagnostics, if there are any.
@@ -63,7 +65,7 @@ impl Checkpoint {
     /// Creates a checkpoint after `step` steps of `step_s` seconds in `scene`, with the written rows and the extremes so far.
     pub fn new(
         step: usize,
-        step_s: f64,
+        (step_s, divided): (f64, usize),
         state: &State,
         scene: &str,
         trajectory: RowPrefix,
@@ -77,6 +79,7 @@ impl Checkpoint {
             checksum: 0,
             step,
             step_s,
+            divided,
             trajectory,
             diagnostics,
             extremes,
@@ -307,7 +310,7 @@ mod tests {
         extremes.include_lengths([(0.7, 0.1), (1.0 / 3.0, 0.1)].into_iter());
         Checkpoint::new(
             12345,
-            0.1 + 0.2,
+            (0.1 + 0.2, 3),
             &state(n),
             "[rod]\n",
             rows,

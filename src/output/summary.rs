@@ -2,6 +2,7 @@
 
 use super::closed_loop::LoopSummary;
 use crate::control::{Abandoned, ModelMismatch, TrackingError};
+use crate::mechanics::HOLDS;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -308,6 +309,9 @@ pub struct SimulateSummary {
     /// Largest depths in the bodies that the arm touches; absent where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub contact: Vec<DepthSummary>,
+    /// Energy, J, that the steps gave the arm from nowhere in contacts, and the energy that these took up; absent where the first is small.
+    #[serde(rename = "contact_gives_J", skip_serializing_if = "Option::is_none")]
+    pub contact_gives: Option<[f64; 2]>,
     /// Kinetic energy, J, that changes its sign from step to step at the end, if that is most of it; absent otherwise.
     #[serde(rename = "ringing_J", skip_serializing_if = "Option::is_none")]
     pub ringing: Option<f64>,
@@ -451,8 +455,25 @@ pub struct DepthSummary {
     pub place: f64,
 }
 
+/// Elements that leave this range of dilatations are outside what any [model](crate::mechanics::RodModel) describes: a
+/// section of constant volume or size, and a linear material.
+const CREDIBLE_DILATATION: [f64; 2] = [0.5, 2.0];
+
 impl SimulateSummary {
-    /// Returns what to know about the depths in bodies and about waves after the run.
+    /// Says that elements left the range of dilatations in which any [model](crate::mechanics::RodModel) describes them.
+    fn stretched(&self) -> Option<String> {
+        let [least, largest] = CREDIBLE_DILATATION;
+        let found = &self.dilatation;
+        (found.min < least || found.max > largest).then(|| {
+            format!(
+                "elements went from {:.3e} to {:.3e} of their length; rod models hold within about 0.7 to 1.3, and the standard \
+                 one lets an element turn inside out; soften the loads, or stiffen the rod",
+                found.min, found.max
+            )
+        })
+    }
+
+    /// Returns what to know about lengths of elements, depths in bodies and waves after the run.
     #[must_use]
     pub fn concerns(&self) -> Vec<String> {
         let mut out = Vec::new();
@@ -464,11 +485,25 @@ impl SimulateSummary {
                 self.step_s
             ));
         }
+        if let Some([gained, taken_up]) = self.contact_gives {
+            out.push(format!(
+                "contact: the steps gave the arm {gained:.3e} J from nowhere, {:.1} % of the {taken_up:.3e} J that contacts took up; give a shorter \
+                 time.step_s, or a larger penetration_m",
+                100.0 * gained / taken_up
+            ));
+        }
+        if let Some(stretched) = self.stretched() {
+            out.push(stretched);
+        }
         for contact in &self.contact {
-            if !(contact.through < 1.0) {
+            if !(contact.through <= HOLDS) {
                 out.push(format!(
-                    "{}: the arm passes through it, at t = {:.4} s and {:.2} of its length; give it a smaller penetration_m, or a larger force_n",
-                    contact.contact, contact.at_s, contact.place
+                    "{}: the arm comes {:.0} % of the way to its middle, at t = {:.4} s and {:.2} of its length, and is pushed out on the other side beyond it; \
+                     give it a smaller penetration_m, or a larger force_n",
+                    contact.contact,
+                    100.0 * contact.through,
+                    contact.at_s,
+                    contact.place
                 ));
             }
             if self.step_s > contact.allows_step_s {

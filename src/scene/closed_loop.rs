@@ -199,7 +199,7 @@ impl Scene {
             .map_or_else(ActuatorDynamics::default, model::PlantActuator::dynamics);
         let mut loop_settings = mpc.loop_settings(actuators.delay);
         if self.estimator.is_some() {
-            loop_settings.fallback = loop_settings.fallback.following(&sensors);
+            loop_settings.fallback = (loop_settings.fallback).following(&sensors, period);
         }
         let begins = task.cost.tracks.iter().map(|track| track.from);
         let counted_from =
@@ -314,7 +314,8 @@ impl Scene {
                 };
                 Some(source.error_at(key, message, None))
             }
-            MpcError::Measurement { .. }
+            MpcError::Disturbance { .. }
+            | MpcError::Measurement { .. }
             | MpcError::Path { .. }
             | MpcError::Rollout(_)
             | MpcError::Stopped(_)

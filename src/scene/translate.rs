@@ -33,6 +33,8 @@ pub struct Simulation {
     pub grid: TimeGrid,
     /// Steps between two rows of the result.
     pub steps_per_row: usize,
+    /// Divisor by which the steps are shorter than the scene's, because of the depth in a body that the arm touches.
+    pub divided: usize,
     /// Tells whether diagnostics are written.
     pub diagnostics: bool,
     /// State at time 0.
@@ -56,8 +58,12 @@ impl Simulation {
         self.grid.step /= by as f64;
         self.grid.n_steps *= by;
         self.steps_per_row *= by;
+        self.divided *= by;
         self.discretization.step = Some(self.grid.step);
         self.resolved.time.step_s = TimeStep::Seconds(self.grid.step);
+        let between_rows = self.steps_per_row as f64 * self.grid.step;
+        let output = self.resolved.output.get_or_insert_default();
+        output.rate_hz.get_or_insert(known(1.0 / between_rows));
         self
     }
 
@@ -202,6 +208,7 @@ impl Scene {
             steps_per_row: rate_hz.map_or(1, |rate| {
                 ((1.0 / (rate * grid.step)).round() as usize).max(1)
             }),
+            divided: 1,
             diagnostics: output.diagnostics,
             initial,
             resolved,

@@ -17,10 +17,10 @@ mod solves;
 mod statics;
 mod sweep;
 
+pub use crate::clock::Seconds;
 pub use crate::output::summary::Level;
 pub use crate::task::prediction::first_elements;
 pub use choice::{Choice, ChoiceError, choose, choose_telling};
-pub use clock::Seconds;
 pub use course::{Course, Errors};
 pub use grid::{End, Estimate, Grid, Measured, Order, Rule, search};
 pub use motion::{Motion, Run, RunError};

@@ -1,8 +1,8 @@
 //! The simulation of one motion with several discretizations.
 
-use super::clock::{Clock, Seconds};
 use super::course::{Course, TIMES, advance};
 use super::grid::Grid;
+use crate::clock::{Clock, Seconds};
 use crate::mechanics::{Rod, State, StepError, TimeGrid};
 use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::StopSignal;

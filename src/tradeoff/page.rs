@@ -194,7 +194,7 @@ fn names_of_axes(subject: Subject) -> [&'static str; 2] {
         ],
         Subject::ClosedLoop => [
             "distance of the tip from its reference (rms) / length",
-            "time of a sample, ms",
+            "processor time of a sample, ms",
         ],
     }
 }

@@ -23,7 +23,7 @@ pub(super) const SHOWN: f64 = 1.0 - std::f64::consts::FRAC_1_SQRT_2;
 pub struct ContactCheck {
     /// Name of the contact with the largest depth.
     pub contact: String,
-    /// Largest depth of a chord in it at any time node, m; negative: the distance that is left.
+    /// Largest depth of a chord in it at any time, m; negative: the distance that is left.
     pub penetration_m: f64,
     /// The same, divided by the penetration of the scene.
     pub over_penetration: f64,
@@ -52,20 +52,55 @@ impl ContactCheck {
 
 /// Largest depth in every body so far.
 #[derive(Clone, Debug)]
-pub(super) struct Depths(Vec<Option<ContactCheck>>);
+pub(super) struct Depths {
+    worst: Vec<Option<ContactCheck>>,
+    /// Time, s, and positions of the last look.
+    before: Option<(f64, Vec<Vector3<f64>>)>,
+    /// Distance between the middles of an arm and a body that touch: the least one, m.
+    thin: f64,
+}
+
+/// Part of the way to the middle of a body, [`ContactCheck::through`], up to which it is said to hold an arm.
+pub(super) const HELD: f64 = 0.5;
+/// Part of the same way that nodes may move between two looks; between two time nodes they are said to move straight.
+const APART: f64 = 0.25;
+/// Cap on the looks at one step.
+const MOST_LOOKS: f64 = 1e3;
 
 impl Depths {
     /// Nothing yet, of a rod with contacts.
     pub(super) fn of(rod: &Rod) -> Self {
-        Self(vec![None; rod.contacts.len()])
+        let thin = |touch: &Touch| {
+            let radius = touch.radii[0].min(touch.radii[1]);
+            rod.contacts[touch.contact].holds_up_to(radius)
+        };
+        Self {
+            worst: vec![None; rod.contacts.len()],
+            before: None,
+            thin: rod.touches().iter().map(thin).fold(f64::INFINITY, f64::min),
+        }
     }
 
-    /// Looks at the chords of a rod at time `t`.
+    /// Looks at the chords of a rod at time `t`, and on their way from where they were at the time before, so often that no body is passed through unseen.
     pub(super) fn include(&mut self, rod: &Rod, t: f64, x: &[Vector3<f64>]) {
+        let (from, before) = (self.before.take()).unwrap_or_else(|| (t, x.to_vec()));
+        let way = (before.iter().zip(x)).fold(0.0, |most: f64, (a, b)| most.max((b - a).norm()));
+        let looks = (way / (APART * self.thin)).ceil().clamp(1.0, MOST_LOOKS);
+        for look in 1..looks as usize {
+            let part = look as f64 / looks;
+            let ways = before.iter().zip(x);
+            let between: Vec<_> = ways.map(|(a, b)| a * (1.0 - part) + b * part).collect();
+            self.look(rod, from * (1.0 - part) + t * part, &between);
+        }
+        self.look(rod, t, x);
+        self.before = Some((t, x.to_vec()));
+    }
+
+    fn look(&mut self, rod: &Rod, t: f64, x: &[Vector3<f64>]) {
         for touch in rod.touches() {
             let contact = &rod.contacts[touch.contact];
             let (q, start) = (touch.element, touch.first as f64 / touch.intervals as f64);
-            let worst = &mut self.0[touch.contact];
+            let worst = &mut self.worst[touch.contact];
             let known = (worst.as_ref()).map_or(f64::NEG_INFINITY, |worst| worst.penetration_m);
             let Some([depth, at]) = deepest(touch, start, [&x[q], &x[q + 1]], known) else {
                 continue;
@@ -90,7 +125,7 @@ impl Depths {
     /// Returns the largest depth, compared by its ratio to the penetration of its contact, with the largest [part](ContactCheck::through) of the way
     /// through any body.
     pub(super) fn worst(self) -> Option<ContactCheck> {
-        let all: Vec<ContactCheck> = self.0.into_iter().flatten().collect();
+        let all: Vec<ContactCheck> = self.worst.into_iter().flatten().collect();
         let through = (all.iter().map(|own| own.through)).reduce(worse)?;
         (all.into_iter())
             .reduce(|a, b| {

@@ -177,7 +177,7 @@ impl CheckItem {
                 );
             }
             "contact_through" => {
-                "the arm passes through a body: give its [[contact]] a smaller penetration_m, or a larger force_n"
+                "the arm passes through a body, or may: give its [[contact]] a smaller penetration_m, or a larger force_n"
             }
             "momentum" => "the motion is not one of this rod: the files do not belong together",
             "second_order" => "solve again from elsewhere: --starts N, or another solver.guess",
@@ -770,9 +770,9 @@ fn items(
         items.push(item(
             "contact_through",
             contact.through,
-            1.0,
+            contact::HELD,
             "",
-            "largest depth in a body, anywhere along the arm, divided by the one from which on the arm is pushed out on the other side",
+            "largest depth in a body, anywhere along the arm and at any time, divided by the one from which on the arm is pushed out on the other side",
         ));
     }
     let allowed = |enforcement: &Enforcement, angle: bool| match enforcement {

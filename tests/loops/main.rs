@@ -21,5 +21,6 @@ mod mpc_poses;
 mod mpc_sensors;
 mod mpc_serving;
 mod mpc_serving_talk;
+mod mpc_units;
 mod mpc_winches;
 mod retracing;

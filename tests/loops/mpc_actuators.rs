@@ -381,7 +381,7 @@ fn estimators_know_the_efforts() {
                 TimeScheme::Explicit => softarm::mechanics::stable_step(&model),
                 TimeScheme::Implicit => 0.005,
             },
-            ..Unknowns::NONE.settings(&model)
+            ..Unknowns::NONE.settings(&model, 0.01)
         };
         let step = settings.longest_step;
         let mut predictor = Predictor::new(&model, step);

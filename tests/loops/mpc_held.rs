@@ -256,7 +256,8 @@ fn filters_move_between_ends() {
             stiffness: true,
             ..Unknowns::NONE
         };
-        let filter = KalmanFilter::new(&model, 0.0, &start, &unknowns.settings(&model)).unwrap();
+        let filter =
+            KalmanFilter::new(&model, 0.0, &start, &unknowns.settings(&model, 0.01)).unwrap();
         let covariance = filter.covariance();
         let held = 12 * (model.tip() - model.first_free_node());
         for row in 0..covariance.nrows() {
@@ -274,7 +275,7 @@ fn unknowns_at_held_tips_are_refused() {
     let own = experiment(&scene(CLAMPED, false).0);
     let model = own.arm.rod(&own.discretization).unwrap();
     let start = softarm::mechanics::State::at_rest(model.rest.clone());
-    let settings = Unknowns::ALL.settings(&model);
+    let settings = Unknowns::ALL.settings(&model, 0.01);
     let refused = KalmanFilter::new(&model, 0.0, &start, &settings).err();
     assert!(matches!(refused, Some(MpcError::Unsupported(why)) if why.contains("tip_force")));
     let refused = BoundaryObserver::new(&model, 0.0, &start, &ObserverSettings::of(&model)).err();

@@ -803,7 +803,7 @@ fn delays_and_internal_damping_are_found() {
         delay: true,
         ..Unknowns::NONE
     };
-    let settings = usual.settings(&model);
+    let settings = usual.settings(&model, PERIOD);
     for (delay, internal) in [(0.0, 0.0), (0.012, 0.0), (0.0, 0.015), (0.012, 0.015)] {
         let disturbance = Disturbance {
             internal,
@@ -836,7 +836,7 @@ fn parameters_are_not_surer_than_the_filter_says() {
     const N: usize = 5;
     let mut model = rod(&upright(), 6);
     model.scheme = TimeScheme::Implicit;
-    let settings = Unknowns::ALL.settings(&model);
+    let settings = Unknowns::ALL.settings(&model, PERIOD);
     let mass = model.mass();
     let wrong = |stiffness: f64, payload: f64, viscous: f64, internal: f64| Disturbance {
         stiffness,
@@ -906,8 +906,8 @@ fn impossible_signals_are_refused() {
     let settings = KalmanSettings {
         refuses: true,
         // The arm is the model: unknown forces need not explain another one.
-        change: Unknowns::ALL.settings(&model).change,
-        ..Unknowns::NONE.settings(&model)
+        change: Unknowns::ALL.settings(&model, PERIOD).change,
+        ..Unknowns::NONE.settings(&model, PERIOD)
     };
     let truth = at_rest(&model);
     let mut sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), &model).unwrap();

@@ -267,7 +267,7 @@ fn tampered<'a>(
     let controller = scene.controller()?;
     let model = controller.rod().clone();
     let start = controller.initial().clone();
-    let estimator = KalmanFilter::new(&model, 0.0, &start, &Unknowns::ALL.settings(&model))?;
+    let estimator = KalmanFilter::new(&model, 0.0, &start, &Unknowns::ALL.settings(&model, 0.01))?;
     let sensor = Sensor::new(&SensorPreset::Mocap.settings(&model), rod)?;
     let own = softarm::mechanics::State::at_rest(rod.rest.clone());
     let nodes = controller.command().nodes.clone();

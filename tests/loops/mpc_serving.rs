@@ -455,3 +455,63 @@ fn paths_that_end_say_so() {
     scene.task.cost.tracks[0].path.truncate(30);
     assert!(Desk::new(&scene).hello["path_ends_s"].is_null());
 }
+
+/// A plant of nine tenths of the model's stiffness that knows it: with the stiffness in its first line, the model predicts it a period ahead as well as a
+/// plant that is its model, whose steps are of other lengths, and without it several times worse. What is beyond the range, not finite or found by an
+/// estimator is refused, and the commands go on.
+#[test]
+fn disturbances_may_come_with_measurements() {
+    let mut scene = scene();
+    scene.plant_discretization = scene.discretization;
+    let followed = |scene: &Experiment, given: Option<Value>| {
+        let plant = Plant::new(scene);
+        let mut arm = plant.arm(scene);
+        let mut desk = Desk::new(scene);
+        let mut farthest: f64 = 0.0;
+        for k in 0..50 {
+            let t = 0.01 * f64::from(k);
+            let mut line = state_line(t, &arm.state_on_model());
+            if let Some(given) = given.as_ref().filter(|_| k == 0) {
+                line["disturbance"] = given.clone();
+            }
+            let answer = desk.command(&line);
+            arm.send(&command_of(&answer));
+            arm.advance(t + 0.01).unwrap();
+            farthest = farthest.max((arm.tip() - vector(&answer["predicted_tip_m"])).norm());
+        }
+        let error = desk.server.finish(ServingEnd::Bye).unwrap().tip_error_m.rms;
+        (farthest, error)
+    };
+    let blind = followed(&scene, None);
+    let told = followed(&scene, Some(json!({ "stiffness_factor": 0.9 })));
+    let mut right = scene.clone();
+    right.plant = right.arm.clone();
+    let right = followed(&right, None);
+    println!("{blind:?} {told:?} {right:?}");
+    assert!(told.0 < 1.2 * right.0 && told.0 < 0.5 * blind.0);
+    assert!(told.1 < blind.1);
+
+    let mut desk = Desk::new(&scene);
+    for (k, (given, place)) in [
+        (
+            json!({ "stiffness_factor": 3.0 }),
+            "disturbance.stiffness_factor",
+        ),
+        (json!({ "payload_kg": -1.0 }), "disturbance.payload_kg"),
+        (json!({ "delay_s": -5.0 }), "disturbance.delay_s"),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let mut line = desk.initial(0.01 * k as f64);
+        line["disturbance"] = given;
+        let [error, command] = desk.error(&line.to_string());
+        assert_eq!(error["where"], place);
+        assert!(command["fallback"].is_null());
+    }
+    let mut desk = Desk::new(&watched());
+    let mut line = desk.initial(0.0);
+    line["disturbance"] = json!({ "payload_kg": 0.01 });
+    let [error, _] = desk.error(&line.to_string());
+    assert!(error["help"].as_str().unwrap().contains("[estimator]"));
+}

@@ -78,7 +78,7 @@ pub fn filter_moves_as_its_model(model: &Rod, command: &Command, components: &[(
             TimeScheme::Explicit => softarm::mechanics::stable_step(model),
             TimeScheme::Implicit => 0.005,
         },
-        ..Unknowns::NONE.settings(model)
+        ..Unknowns::NONE.settings(model, 0.01)
     };
     let step = settings.longest_step;
     let mut predictor = Predictor::new(model, step);

@@ -179,6 +179,185 @@ end_s = 1.2
     assert!((depths[0] / depths[1] - 1.0).abs() < 0.1, "{depths:?}");
 }
 
+/// A soft wire of 2 mm that falls onto something that is thinner than it, at rest or so fast that it passes between two steps, with a bar instead of
+/// a floor below it.
+fn falling(body: &str, height: f64, speed: f64, end: f64) -> String {
+    format!(
+        r#"
+[rod]
+length_m = 0.3
+elements = 8
+[rod.material]
+preset = "dragon-skin-30"
+[rod.section]
+radius_m = 0.001
+[base]
+kind = "free"
+position_m = [0.05, 0.0, {height}]
+direction = [1.0, 0.0, 0.0]
+[initial]
+velocity_m_s = [0.0, 0.0, {speed}]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[[contact]]
+{body}
+[time]
+end_s = {end}
+"#
+    )
+}
+
+/// What a thin body does not hold is told, and the depth is looked for on the way between two steps as well: a wire falls slowly onto a soft plate,
+/// whose middle it comes through, and one of 100 m/s passes a thin bar within a step of 5 ms. A plate that is hard enough holds it without a word.
+#[test]
+fn passing_through_thin_bodies_is_told() {
+    let plate = |penetration: &str| {
+        format!(
+            "box = {{ center_m = [0.2, 0.0, 0.0], size_m = [0.4, 0.2, 0.001] }}\npenetration_m = {penetration}"
+        )
+    };
+    let bar = "capsule = { from_m = [0.18, -0.2, 0.0], to_m = [0.18, 0.2, 0.0], radius_m = 5e-4 }\npenetration_m = 1e-4";
+    for (body, speed, end, step, is_told) in [
+        (plate("1e-3"), 0.0, 0.2, "\"auto\"", true),
+        (bar.into(), -100.0, 0.01, "\"auto\"", true),
+        (bar.into(), -100.0, 0.005, "5e-3", true),
+        (plate("1e-5"), 0.0, 0.2, "\"auto\"", false),
+    ] {
+        let desk = Desk::with(&falling(&body, 0.1, speed, end));
+        let scheme = if step == "5e-3" { "implicit" } else { "auto" };
+        let (code, summary, words) = desk.run(&[
+            "simulate",
+            "scene.toml",
+            "--out",
+            "run",
+            "--json",
+            "--set",
+            &format!("time.step_s={step}"),
+            "--set",
+            &format!("time.integrator={scheme:?}"),
+        ]);
+        assert_eq!(code, DONE, "{words}");
+        let told = summary["warnings"]
+            .to_string()
+            .contains("of the way to its middle");
+        assert_eq!(told, is_told, "{body} {speed} {step}: {summary}");
+        assert_eq!(number(&summary["contact"][0]["through"]) > 0.5, is_told);
+    }
+}
+
+/// An arm that is led through a bar that cannot hold it is no certified reach.
+#[test]
+fn reaching_through_a_bar_is_refused() {
+    let through = r#"
+[rod]
+length_m = 0.3
+elements = 6
+[rod.material]
+youngs_modulus_pa = 5e6
+poisson_ratio = 0.4
+density_kg_m3 = 1100.0
+[rod.section]
+radius_m = 0.003
+[base]
+direction = [1.0, 0.0, 0.0]
+[damping]
+viscous_1_s = 6.0
+[[contact]]
+capsule = { from_m = [0.2, -0.2, -0.012], to_m = [0.2, 0.2, -0.012], radius_m = 0.001 }
+force_n = 0.02
+penetration_m = 2e-3
+[time]
+end_s = 1.0
+[task]
+position_m = [0.27, 0.0, -0.1]
+tolerance_m = 4e-3
+at_rest = false
+[control]
+blocks = 6
+force_max_n = 0.05
+[solver]
+guess = "static"
+"#;
+    let (code, summary, words) =
+        Desk::with(through).run(&["solve", "scene.toml", "--out", "run", "--json"]);
+    assert_eq!(code, tool::REJECTED, "{words}");
+    let criteria = summary["check"]["criteria"].as_array().unwrap();
+    let own = criteria.iter().find(|own| own["name"] == "contact_through");
+    assert!(number(&own.unwrap()["value"]) > 0.9, "{criteria:?}");
+}
+
+/// A free arm that begins pressed into a floor has energy there, which it gets back: it is flung out, which is said, and the run is right.
+#[test]
+fn arms_that_begin_inside_are_flung_out() {
+    let inside = r#"
+[rod]
+length_m = 0.3
+elements = 8
+[rod.material]
+preset = "dragon-skin-30"
+[rod.section]
+radius_m = 0.01
+[base]
+kind = "free"
+position_m = [0.0, 0.0, 0.009]
+direction = [1.0, 0.0, 0.0]
+[[contact]]
+half_space = { point_m = [0.0, 0.0, 0.0], normal = [0.0, 0.0, 1.0] }
+penetration_m = 1e-4
+[time]
+end_s = 0.05
+"#;
+    let (code, summary, words) =
+        Desk::with(inside).run(&["simulate", "scene.toml", "--out", "run", "--json"]);
+    assert_eq!(code, DONE, "{words}");
+    assert!(
+        summary["warnings"]
+            .to_string()
+            .contains("is flung out of it")
+    );
+    // The stored energy, EI/L² per length at the depth of the penetration, becomes kinetic: all nodes rise alike.
+    let energy = &summary["energy_J"];
+    let [from, to] = ["initial", "final"].map(|name| number(&energy[name]));
+    assert!((to / from - 1.0).abs() < 0.05, "{energy}");
+}
+
+/// A run whose steps an impact made shorter goes on from its end, with the rows of one that was not cut in two; one that ends before the impact begins
+/// anew when it is continued; and the resolved scene has the same rows.
+#[test]
+fn shorter_steps_go_on() {
+    let desk = Desk::with(
+        &FALL
+            .replace("penetration_m = 1e-3", "penetration_m = 1e-6")
+            .replace("viscous_1_s = 10.0", "viscous_1_s = 1.0"),
+    );
+    let run = |scene: &str, out: &str, end: &str, more: &[&str]| {
+        let end = format!("time.end_s={end}");
+        let arguments = ["simulate", scene, "--out", out, "--json", "--set", &end];
+        let (code, summary, words) = desk.run(&[&arguments, more].concat());
+        assert_eq!(code, DONE, "{words}");
+        summary
+    };
+    let whole = run("scene.toml", "whole", "0.4", &[]);
+    let part = run("scene.toml", "parts", "0.2", &[]);
+    let short = number(&part["step_s"]);
+    assert!((short / number(&whole["step_s"]) - 1.0).abs() < 1e-12);
+    let early = run("scene.toml", "early", "0.05", &[]);
+    assert!(number(&early["step_s"]) > 4.0 * short);
+    let rows = |name: &str| {
+        let file = desk.path(name).join("trajectory.npz");
+        fs::metadata(file).unwrap().len()
+    };
+    for (out, digits) in [("parts", 1e-12), ("early", 1e-2)] {
+        let on = run("scene.toml", out, "0.4", &["--resume"]);
+        let [here, there] = [&on, &whole].map(|own| number(&own["energy_J"]["final"]));
+        assert!((here / there - 1.0).abs() < digits, "{out}: {here} {there}");
+        assert!(number(&on["step_s"]) < 0.5 * number(&early["step_s"]));
+    }
+    assert_eq!(rows("parts"), rows("whole"));
+    run("whole/scene.toml", "again", "0.4", &[]);
+    assert_eq!(rows("again"), rows("whole"));
+}
+
 /// The check prints what contacts do to the step; one that shortens it has a remedy, which works; an arm that begins inside is named.
 #[test]
 fn the_check_knows_the_step() {

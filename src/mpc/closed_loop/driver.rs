@@ -12,6 +12,7 @@ pub use self::responded::Responded;
 use super::fallback::Fallback;
 use super::law::TipLaw;
 use super::{Action, Cause, Computing, Law, LoopSettings, Sample};
+use crate::clock::Clock;
 use crate::control::rounding_of;
 use crate::mechanics::State;
 use crate::mpc::command::Command;
@@ -60,7 +61,7 @@ pub struct Driver {
     /// Number of failures of the estimator since the last measurement that it used.
     failures: usize,
     index: usize,
-    begin: Instant,
+    begin: Clock,
     /// Time that the computation of the last command took, s.
     computing: f64,
     /// Tells whether the controller needs a restart.
@@ -137,7 +138,7 @@ impl Driver {
             corrected_at: 0.0,
             failures: 0,
             index: 0,
-            begin: Instant::now(),
+            begin: Clock::start(),
             computing: 0.0,
             is_lost: false,
             controller,
@@ -224,6 +225,22 @@ impl Driver {
         self.controller.move_obstacle(name, t, by, velocity)
     }
 
+    /// Replaces the disturbance that predictions and the controller's model include from the next sample on, in a loop whose state is known
+    /// without an estimator.
+    ///
+    /// # Errors
+    /// Returns [`MpcError::Disturbance`] for numbers that are not finite or out of [range](Disturbance::check), and
+    /// [`MpcError::Unsupported`] with an estimator, which finds its own.
+    pub fn assume(&mut self, disturbance: &Disturbance) -> Result<(), MpcError> {
+        if self.estimates() {
+            let why = "the estimator of the scene finds the disturbance itself";
+            return Err(MpcError::Unsupported(why));
+        }
+        disturbance.check(self.controller.rod())?;
+        self.disturbance = *disturbance;
+        Ok(())
+    }
+
     /// Stores a measurement that has become known, for the estimator.
     pub fn put(&mut self, measurement: &Measurement) {
         self.inbox.put(measurement);
@@ -236,7 +253,7 @@ impl Driver {
     /// [`known_at`](Self::known_at); the reference is
     /// `None` if nothing is known. [`Sample::prepare_s`] is set by [`Responded::prepare`].
     pub fn respond(&mut self, t: f64, known: Known) -> Responded<'_> {
-        self.begin = Instant::now();
+        self.begin = Clock::start();
         let period = self.controller.settings().period;
         let index = (t / period).round() as usize;
         if index > self.index {
@@ -265,7 +282,7 @@ impl Driver {
                 (self.controller.reference(self.known_at), turn)
             }
         };
-        sample.estimate_s = self.begin.elapsed().as_secs_f64();
+        sample.estimate_s = self.begin.wall();
 
         let acts_from = beginning + self.lead();
         let clock = Instant::now();
@@ -302,7 +319,7 @@ impl Driver {
             self.fallback.succeed();
         }
         sample.feedback_s = clock.elapsed().as_secs_f64();
-        self.computing = self.begin.elapsed().as_secs_f64();
+        self.computing = self.begin.wall();
         sample.acts_from = if self.settings.computing == Computing::Measured {
             // A command that is computed later does not act before the one before it.
             let own = beginning + self.computing + self.settings.actuator_delay;
@@ -341,7 +358,8 @@ impl Driver {
         let clock = Instant::now();
         self.prepare_controller();
         sample.prepare_s = clock.elapsed().as_secs_f64();
-        sample.sample_s = self.begin.elapsed().as_secs_f64();
+        let took = self.begin.seconds();
+        (sample.sample_s, sample.processor_s) = (took.wall, took.processor);
         sample.is_overrun = sample.sample_s > self.controller.settings().period;
         self.index = self.index.saturating_add(1);
     }
@@ -396,7 +414,11 @@ impl Driver {
         self.disturbance = estimate.disturbance;
         self.deviation = estimate.deviation;
         // The last good estimate is predicted further within the patience of the fallbacks.
-        let is_old = sample.age > self.settings.fallback.patience();
+        let is_old = sample.age
+            > self
+                .settings
+                .fallback
+                .patience(self.controller.settings().period);
         match cause {
             Some(cause) if n_used == 0 && is_old => Some(cause),
             None if n_used == 0 && is_old => Some(Cause::NoMeasurement),

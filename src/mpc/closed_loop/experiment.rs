@@ -97,12 +97,14 @@ pub enum EstimatorChoice {
 }
 
 impl EstimatorChoice {
-    /// Creates an estimator of this kind, at time 0 in a state of a model, whose steps are no longer than `step` (s), if that is given.
+    /// Creates an estimator of this kind for a loop with this period (s), at time 0 in a state of a model, whose steps are no longer than
+    /// `step` (s), if that is given.
     fn start(
         self,
         model: &Rod,
         start: &State,
         step: Option<f64>,
+        period: f64,
     ) -> Result<Box<dyn Estimator>, MpcError> {
         let longest_step = longest_step(model, step).map_err(MpcError::EstimatorStep)?;
         Ok(match self {
@@ -118,7 +120,7 @@ impl EstimatorChoice {
             Self::Kalman(unknowns) => {
                 let settings = KalmanSettings {
                     longest_step,
-                    ..unknowns.settings(model)
+                    ..unknowns.settings(model, period)
                 };
                 Box::new(KalmanFilter::new(model, 0.0, start, &settings)?)
             }
@@ -145,9 +147,10 @@ pub struct Unknowns {
     pub internal: bool,
     /// Delay of the commands beyond their known delay.
     pub delay: bool,
-    /// Rate of change of unknown wrenches: the standard deviation of the deflection that they cause within one second, divided by the
-    /// length. With a larger value, pushes are followed faster, and so is the noise of sensors.
-    pub wrench_change: f64,
+    /// Rate of change of unknown wrenches, 1/s: the standard deviation of the deflection that they cause within a hundred periods of the
+    /// loop, divided by the length and by that time; they are random walks, and within another time it grows with the root. With a larger
+    /// value, pushes are followed faster, and so is the noise of sensors. `None`: 0.007 divided by that time.
+    pub wrench_change: Option<f64>,
 }
 
 impl Default for Unknowns {
@@ -167,7 +170,7 @@ impl Unknowns {
         viscous: false,
         internal: false,
         delay: false,
-        wrench_change: WRENCH_CHANGE,
+        wrench_change: None,
     };
     /// All unknowns.
     pub const ALL: Self = Self {
@@ -183,7 +186,11 @@ impl Unknowns {
     };
 }
 
-/// Default of [`Unknowns::wrench_change`] and of the key `estimator.wrench_change_1_s`; measured (decision 64).
+/// Number of periods of the loop in which unknowns change by the parts that follow. A filter forgets by its number of measurements, as the
+/// forgetting factor of recursive least squares does (Åström and Wittenmark 1995), and not by seconds: a loop is the same in
+/// any unit of time.
+const MEMORY: f64 = 100.0;
+/// Default of [`Unknowns::wrench_change`] and of the key `estimator.wrench_change_1_s`, times [`MEMORY`] periods; measured (decision 64).
 const WRENCH_CHANGE: f64 = 0.007;
 /// Distance between the seeds of two runs, more than a scene has sensors.
 const MOST_SENSORS: u64 = 1000;
@@ -208,12 +215,12 @@ const EXPECTED_INTERNAL: f64 = 0.01;
 /// Prior standard deviation of the delay, divided by the time scale of the arm. With three times as much, the filter of a light arm that
 /// starts with a step of the force mistakes a payload for a delay and diverges (decision 79).
 const EXPECTED_DELAY: f64 = 0.003;
-/// Standard deviation of the change of a parameter within one second, divided by its prior standard deviation; measured (decision 75). A
-/// parameter that may change faster absorbs other errors of the model; for one that may change more slowly, the filter's standard deviation
+/// Standard deviation of the change of a parameter within [`MEMORY`] periods, divided by its prior standard deviation; measured (decision
+/// 75). A parameter that may change faster absorbs other errors of the model; for one that may change more slowly, the filter's standard deviation
 /// is too small.
 const PARAMETER_WALK: f64 = 0.05;
-/// Standard deviation of the deflection that unknown forces on all nodes cause within one second, divided by the length; measured (decision
-/// 64). With more, the filter attributes its corrections to motions of the arm, from which it learns wrong parameters (Ljung 1979, on the
+/// Standard deviation of the deflection that unknown forces on all nodes cause within [`MEMORY`] periods, divided by the length; measured
+/// (decision 64). With more, the filter attributes its corrections to motions of the arm, from which it learns wrong parameters (Ljung 1979, on the
 /// bias of extended Kalman filters with a wrong noise); with less, the innovations of arms that differ in other ways stay unexplained.
 const UNKNOWN_FORCES: f64 = 0.005;
 /// Time in which the injection of an observer becomes a disturbance, divided by the time scale of the arm: about half of a cantilever's
@@ -239,7 +246,7 @@ impl Unknowns {
             .collect()
     }
 
-    /// Returns the standard deviation of the deflection by unknown forces within one second, divided by the length. If no other unknown is
+    /// Returns the standard deviation of the deflection by unknown forces within [`MEMORY`] periods, divided by the length. If no other unknown is
     /// estimated, these forces must also explain a wrong model.
     fn unknown_forces(self) -> f64 {
         let estimates_state_alone = self.missing().len() == Self::NONE.missing().len();
@@ -250,26 +257,32 @@ impl Unknowns {
         }
     }
 
-    /// Returns the settings of a filter for a model.
+    /// Returns the settings of a filter for a model, in a loop with this period (s).
     #[must_use]
-    pub fn settings(self, model: &Rod) -> KalmanSettings {
+    pub fn settings(self, model: &Rod, period: f64) -> KalmanSettings {
         let length = model.scales.length;
         let bending = weakest_bending(model);
         let beam = Beam::of(model);
+        let memory = MEMORY * period;
+        let wrench_change = self
+            .wrench_change
+            .map_or(WRENCH_CHANGE, |rate| rate * memory);
+        // Of a random walk within one second that is as large as given within the memory.
+        let within_a_second = memory.sqrt().recip();
         let walk = |is_unknown: bool, size: f64| {
             is_unknown.then_some(RandomWalk {
                 initial: EXPECTED_DEFLECTION * size,
-                change: self.wrench_change * size,
+                change: wrench_change * within_a_second * size,
             })
         };
         let parameter = |is_unknown: bool, size: f64| {
             is_unknown.then_some(RandomWalk {
                 initial: size,
-                change: PARAMETER_WALK * size,
+                change: PARAMETER_WALK * within_a_second * size,
             })
         };
         KalmanSettings {
-            change: self.unknown_forces() * length,
+            change: self.unknown_forces() * within_a_second * length,
             tip_force: walk(
                 self.tip_force,
                 beam.by_force[0] * bending / (length * length),
@@ -511,7 +524,7 @@ impl Experiment {
         let sensors = self.sensors(controller.rod());
         let lag = (sensors.iter()).fold(0.0, |lag: f64, sensor| lag.max(sensor.age_s));
         let settings = LoopSettings {
-            fallback: self.settings.fallback.following(&sensors),
+            fallback: (self.settings.fallback).following(&sensors, controller.settings().period),
             ..self.settings
         };
         Driver::new(controller, estimator, lag, settings)
@@ -544,8 +557,9 @@ impl Experiment {
             return Ok(None);
         };
         let (model, start) = (controller.rod(), controller.initial());
+        let period = controller.settings().period;
         let Some(elements) = elements.filter(|own| *own != model.n_elements()) else {
-            return estimator.start(model, start, *step).map(Some);
+            return estimator.start(model, start, *step, period).map(Some);
         };
         let own = Discretization {
             elements,
@@ -555,7 +569,7 @@ impl Experiment {
         };
         let own = self.arm.rod(&own).map_err(DiscretizeError::from)?;
         let start = Transfer::new(model, &own).state(start);
-        let estimator = estimator.start(&own, &start, *step)?;
+        let estimator = estimator.start(&own, &start, *step, period)?;
         Ok(Some(Box::new(Regridded::new(model, &own, estimator))))
     }
 

@@ -87,7 +87,7 @@ impl std::fmt::Display for Action {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FallbackSettings {
     /// Largest age of an estimate from which the state is predicted, s. `None`: the age that the sensors require, at least
-    /// [`PATIENCE`](Self::PATIENCE).
+    /// [`PATIENCE`](Self::PATIENCE) periods.
     pub patience: Option<f64>,
     /// Number of consecutive samples that follow the plan as it is, whose value for an arm without measurements decreases with time.
     pub plan_samples: usize,
@@ -115,32 +115,36 @@ impl Default for FallbackSettings {
 }
 
 impl FallbackSettings {
-    /// Least default of the largest age of an estimate from which the state is predicted, s (`mpc.fallback.patience_s`): ten default
-    /// periods, as many as the plan lasts alone.
-    pub const PATIENCE: f64 = 0.1;
+    /// Least default of the largest age of an estimate from which the state is predicted (`mpc.fallback.patience_s`), in periods of the
+    /// loop: as many as the plan lasts alone.
+    pub const PATIENCE: f64 = 10.0;
 
-    /// Returns the settings with the patience that sensors require. Between two readings, an estimate becomes as old as the age of a
-    /// reading plus the time between two of them; one reading may be lost.
+    /// Returns the settings with the patience that sensors require of a loop with this period (s). Between two readings, an estimate becomes
+    /// as old as the age of a reading plus the time between two of them; one reading may be lost.
     #[must_use]
-    pub fn following<'a>(self, sensors: impl IntoIterator<Item = &'a SensorSettings>) -> Self {
+    pub fn following<'a>(
+        self,
+        sensors: impl IntoIterator<Item = &'a SensorSettings>,
+        period: f64,
+    ) -> Self {
         let needed = (sensors.into_iter())
             .map(|sensor| sensor.age_s + 2.0 / sensor.rate_hz)
-            .fold(Self::PATIENCE, f64::max);
+            .fold(Self::PATIENCE * period, f64::max);
         Self {
             patience: self.patience.or(Some(needed)),
             ..self
         }
     }
 
-    /// Returns the largest age of an estimate from which the state is predicted, s.
+    /// Returns the largest age of an estimate from which the state is predicted in a loop with this period (s), s.
     #[must_use]
-    pub fn patience(&self) -> f64 {
-        self.patience.unwrap_or(Self::PATIENCE)
+    pub fn patience(&self, period: f64) -> f64 {
+        self.patience.unwrap_or(Self::PATIENCE * period)
     }
 
     pub(super) fn check(&self) -> Result<(), MpcError> {
         for (name, value) in [
-            ("fallback.patience", self.patience()),
+            ("fallback.patience", self.patience.unwrap_or(1.0)),
             ("fallback.ramp", self.ramp),
             ("fallback.damping", self.damping),
         ] {

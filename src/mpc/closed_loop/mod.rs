@@ -153,7 +153,10 @@ impl<'a> ClosedLoop<'a> {
         };
         let lag = (sensors.iter()).fold(0.0, |lag: f64, sensor| lag.max(sensor.settings().age_s));
         let settings = LoopSettings {
-            fallback: (settings.fallback).following(sensors.iter().map(Sensor::settings)),
+            fallback: (settings.fallback).following(
+                sensors.iter().map(Sensor::settings),
+                controller.settings().period,
+            ),
             ..settings
         };
         Ok(Self {

@@ -47,6 +47,8 @@ pub struct Sample {
     pub prepare_s: f64,
     /// Seconds of the whole sample.
     pub sample_s: f64,
+    /// Processor seconds of the whole sample, of all threads of the process.
+    pub processor_s: f64,
     /// Tells whether the whole sample took longer than the period.
     pub is_overrun: bool,
     /// Cause and replacement of a missing command.
@@ -85,6 +87,7 @@ impl Sample {
             feedback_s: 0.0,
             prepare_s: 0.0,
             sample_s: 0.0,
+            processor_s: 0.0,
             is_overrun: false,
             fallback: None,
             disturbance: Disturbance::NONE,
@@ -211,6 +214,8 @@ pub struct Tally {
     pub overruns: usize,
     /// Seconds of whole samples.
     pub sample_s: Percentiles,
+    /// Processor seconds of whole samples, which other programs do not change.
+    pub processor_s: Percentiles,
     /// Seconds of estimation and prediction.
     pub estimate_s: Percentiles,
     /// Seconds of the feedback.
@@ -321,6 +326,7 @@ impl Tally {
             samples: samples.len(),
             overruns: samples.iter().filter(|sample| sample.is_overrun).count(),
             sample_s: of(|sample| sample.sample_s),
+            processor_s: of(|sample| sample.processor_s),
             estimate_s: of(|sample| sample.estimate_s + sample.predict_s),
             feedback_s: of(|sample| sample.feedback_s),
             prepare_s: of(|sample| sample.prepare_s),

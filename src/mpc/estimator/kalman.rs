@@ -85,7 +85,7 @@ impl KalmanSettings {
     pub fn of(model: &Rod) -> Self {
         Self {
             initial: INITIAL * model.scales.length,
-            change: CHANGE * model.scales.length,
+            change: CHANGE * model.scales.length / model.scales.time.sqrt(),
             tip_force: None,
             tip_moment: None,
             distributed: None,
@@ -162,8 +162,8 @@ impl KalmanSettings {
     }
 }
 
-/// Default standard deviations of the tip's distance at the start and of the deflection that unknown forces cause within a second, divided
-/// by the length, which [`KalmanSettings::initial`] and [`KalmanSettings::change`] expose.
+/// Default standard deviations of the tip's distance at the start and of the deflection that unknown forces cause within the time scale of
+/// the arm, divided by the length, which [`KalmanSettings::initial`] and [`KalmanSettings::change`] expose.
 const INITIAL: f64 = 0.05;
 const CHANGE: f64 = 0.003;
 /// Change of a parameter, in its unit, in central differences of two motions. Their relative error is the square of it, 1e-8, and rounding

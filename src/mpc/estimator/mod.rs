@@ -82,6 +82,49 @@ impl Disturbance {
         delay: 0.0,
     };
 
+    /// Checks a disturbance of a model: that wrenches are finite, and parameters in the range of an estimator's, within which explicit steps
+    /// stay stable, the mass at the tip positive, and damping not negative.
+    ///
+    /// # Errors
+    /// Returns [`MpcError::Disturbance`] for the first number that does not hold.
+    pub fn check(&self, model: &Rod) -> Result<(), MpcError> {
+        let wrenches = [
+            ("tip_force_n", self.tip.force),
+            ("tip_moment_n_m", self.tip.moment),
+            ("distributed_n_m", self.distributed),
+        ];
+        for (name, value) in wrenches {
+            if !value.iter().all(|x| x.is_finite()) {
+                return Err(MpcError::Disturbance {
+                    name,
+                    found: format!("{:?}", value.as_slice()),
+                    expected: "three finite numbers".into(),
+                });
+            }
+        }
+        for parameter in Parameter::ALL {
+            let value = parameter.of(self);
+            let [least, most] = if parameter.applies(model) {
+                parameter.range(model)
+            } else {
+                [parameter.of(&Self::NONE); 2]
+            };
+            if !(least <= value && value <= most) {
+                let expected = if least < most {
+                    format!("a number from {least:.4e} to {most:.4e}")
+                } else {
+                    format!("{least}, because the model takes explicit steps")
+                };
+                return Err(MpcError::Disturbance {
+                    name: parameter.name(),
+                    found: value.to_string(),
+                    expected,
+                });
+            }
+        }
+        Ok(())
+    }
+
     /// Adds the wrenches of the disturbance to `wrenches`, one for each node of the rod: the wrench at the tip, and the distributed force
     /// on a node's halves of the elements beside it.
     pub fn add_to(&self, rod: &Rod, wrenches: &mut [Wrench]) {

@@ -62,6 +62,17 @@ impl Parameter {
         }
     }
 
+    /// Returns the name in the lines of a served loop.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Stiffness => "stiffness_factor",
+            Self::Payload => "payload_kg",
+            Self::Viscous => "viscous_1_s",
+            Self::Internal => "internal_s",
+            Self::Delay => "delay_s",
+        }
+    }
+
     /// Tells whether a parameter can be estimated for a model. Internal damping needs implicit steps: explicit steps without it solve no
     /// equations, and with it they would have to be shorter.
     pub fn applies(self, model: &Rod) -> bool {

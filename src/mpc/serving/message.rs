@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::SERVING_VERSION;
 use crate::control::{ActuatedNode, Bound, Channel};
-use crate::mechanics::Drive;
+use crate::mechanics::{Drive, Wrench};
 use crate::mpc::closed_loop::{Percentiles, TipError};
 use crate::mpc::estimator::Disturbance;
 use crate::mpc::sensor::SensorSettings;
@@ -49,6 +49,7 @@ pub(crate) struct Line {
     /// Rows of a time, s, and a quaternion.
     pub reference_wxyz: Option<Vec<[f64; 5]>>,
     pub obstacles: Option<Vec<ObstacleLine>>,
+    pub disturbance: Option<DisturbanceLine>,
 }
 
 /// The displacement of an obstacle at the time of the sample from its place in the scene.
@@ -315,8 +316,10 @@ pub(super) struct TipLine {
     pub reference_m: Option<Vector>,
 }
 
-#[derive(Debug, Serialize)]
-pub(super) struct DisturbanceLine {
+/// A disturbance that is estimated, here or by the plant. A number that the plant leaves out is that of the model.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(crate) struct DisturbanceLine {
     pub tip_force_n: Vector,
     pub tip_moment_n_m: Vector,
     pub distributed_n_m: Vector,
@@ -340,6 +343,27 @@ impl DisturbanceLine {
             internal_s: disturbance.internal,
             delay_s: disturbance.delay,
         }
+    }
+
+    pub fn disturbance(&self) -> Disturbance {
+        Disturbance {
+            tip: Wrench {
+                force: self.tip_force_n.into(),
+                moment: self.tip_moment_n_m.into(),
+            },
+            distributed: self.distributed_n_m.into(),
+            stiffness: self.stiffness_factor,
+            payload: self.payload_kg,
+            viscous: self.viscous_1_s,
+            internal: self.internal_s,
+            delay: self.delay_s,
+        }
+    }
+}
+
+impl Default for DisturbanceLine {
+    fn default() -> Self {
+        Self::of(&Disturbance::NONE)
     }
 }
 

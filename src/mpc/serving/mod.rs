@@ -139,32 +139,28 @@ pub struct Server<W> {
     recent: Recent,
 }
 
-/// Samples of the last second, on which advice rests: a transient is over by then, and a lag or a wrong model is not.
+/// The last samples, on which advice rests: a transient is over by then, and a lag or a wrong model is not.
 #[derive(Debug)]
 struct Recent {
     samples: VecDeque<Sample>,
-    most: usize,
     /// Unknowns that the filter does not look for.
     missing: Vec<&'static str>,
 }
 
-/// Time over which samples are looked at, s, and the least number of them.
-const RECENT: f64 = 1.0;
-const FEWEST_RECENT: usize = 20;
+/// Number of samples that are looked at.
+const RECENT: usize = 100;
 
 impl Recent {
     fn new(experiment: &Experiment) -> Self {
-        let most = (RECENT / experiment.mpc.period).round() as usize;
         Self {
             samples: VecDeque::new(),
-            most: most.max(FEWEST_RECENT),
             missing: experiment.missing_unknowns(),
         }
     }
 
     /// Takes a sample, and returns sentences on what is wrong: limits that cannot be kept, and an estimate in doubt.
     fn advice(&mut self, sample: &Sample, controller: &Controller) -> Vec<String> {
-        if self.samples.len() == self.most {
+        if self.samples.len() == RECENT {
             self.samples.pop_front();
         }
         self.samples.push_back(sample.clone());
@@ -176,7 +172,7 @@ impl Recent {
                 )
             }));
         }
-        if self.samples.len() == self.most {
+        if self.samples.len() == RECENT {
             let found = Innovations::of(self.samples.make_contiguous());
             let n_elements = controller.rod().n_elements();
             out.extend(found.and_then(|found| found.doubt(&self.missing, n_elements)));
@@ -462,12 +458,13 @@ impl<W: Write> Server<W> {
         Ok(t)
     }
 
-    /// Applies the references and obstacles of a line at time `t`, if there are any; returns refusals of those that cannot be used.
+    /// Applies the references, obstacles and the disturbance of a line at time `t`, if there are any; returns refusals of those that cannot be used.
     fn follow(&mut self, t: f64, line: &Line) -> Vec<Refusal> {
         let mut refusals = Vec::new();
         let refusal = |field: &str, error: &MpcError, help: &str| {
             let place = match error {
                 MpcError::Path { point, .. } => format!("{field}[{point}]"),
+                MpcError::Disturbance { name, .. } => format!("{field}.{name}"),
                 _ => field.into(),
             };
             Refusal::new(place, error.to_string(), help)
@@ -508,6 +505,16 @@ impl<W: Write> Server<W> {
                     format!("the obstacles of the scene are {names:?}; this one is as it was");
                 refusals.push(refusal(&format!("obstacles[{i}]"), &error, &help));
             }
+        }
+        if let Some(own) = &line.disturbance
+            && let Err(error) = self.driver.assume(&own.disturbance())
+        {
+            let help = if self.driver.estimates() {
+                "leave it out, or give kind = \"none\" in [estimator] of the scene and the state of all nodes"
+            } else {
+                "the disturbance is as it was"
+            };
+            refusals.push(refusal("disturbance", &error, help));
         }
         refusals
     }

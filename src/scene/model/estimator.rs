@@ -35,8 +35,9 @@ pub struct Estimator {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub disturbances: Option<Vec<Unknown>>,
     /// Rate of change of the unknown wrenches of a Kalman filter: the deflection over the length that they typically
-    /// cause within a second; not negative. With a larger rate, the estimate follows pushes faster, and the noise of
-    /// the sensors too. Absent: 0.007.
+    /// cause within a hundred periods of the loop, divided by that time; not negative. They are random walks: within another time the
+    /// deflection grows with the root. With a larger rate, the estimate follows pushes faster, and the noise of the sensors too. Absent:
+    /// 0.007 divided by a hundred periods, so 0.007 with the default period.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wrench_change_1_s: Option<NonNegative<values::Rate>>,
 }
@@ -137,8 +138,7 @@ impl Estimator {
                 viscous: has(Unknown::Viscous),
                 internal: has(Unknown::Internal),
                 delay: has(Unknown::Delay),
-                wrench_change: (self.wrench_change_1_s)
-                    .map_or(Unknowns::NONE.wrench_change, Number::get),
+                wrench_change: self.wrench_change_1_s.map(Number::get),
             }),
         };
         Sensing::Estimated {

@@ -152,7 +152,7 @@ pub enum Computing {
 #[serde(deny_unknown_fields, default)]
 pub struct Fallback {
     /// Largest age in s of an estimate from which the state is still predicted, positive. Absent: the largest `age_s`
-    /// plus two periods of the slowest sensor, so that one reading may be lost, and at least 0.1.
+    /// plus two periods of the slowest sensor, so that one reading may be lost, and at least ten `period_s`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub patience_s: Option<Positive<values::Duration>>,
     /// Samples in a row that follow the plan, default 10.

@@ -85,10 +85,11 @@ fn causes(setup: &ClosedLoopSetup, run: &Outcome, others: &[Outcome]) -> Vec<Str
              in the way"
         ));
     }
-    let patience = own.settings.fallback.patience();
+    let period = own.mpc.period;
+    let patience = own.settings.fallback.patience(period);
     let needed = FallbackSettings::default()
-        .following(setup.sensors())
-        .patience();
+        .following(setup.sensors(), period)
+        .patience(period);
     let blind = (run.tally.fallbacks).get(&Cause::NoMeasurement.to_string());
     if let Some(blind) = blind.filter(|_| patience < needed) {
         out.push(format!(

@@ -227,7 +227,7 @@ fn thin_bodies(rod: &Rod, step: f64) -> Vec<String> {
 }
 
 /// An arm that begins deeper in a body than its weight presses it.
-pub(super) fn begins_inside(rod: &Rod, at: &Configuration) -> Option<String> {
+pub(crate) fn begins_inside(rod: &Rod, at: &Configuration) -> Option<String> {
     let deepest = (rod.depths(&at.positions).into_iter())
         .find(|own| own.depth > FLUNG * rod.contacts[own.contact].penetration)?;
     let contact = &rod.contacts[deepest.contact];

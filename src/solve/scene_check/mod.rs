@@ -12,8 +12,8 @@ use std::time::Duration;
 
 use nalgebra::Vector3;
 
-use self::concerns::{begins_inside, contact_facts, loose, topples};
-pub(crate) use self::concerns::{size_warning, warnings, what_weighs};
+pub(crate) use self::concerns::{begins_inside, size_warning, warnings, what_weighs};
+use self::concerns::{contact_facts, loose, topples};
 use self::forecast::{cost, problem_size, shorter};
 pub(crate) use self::forecast::{expectation, output_size, time_in_words};
 pub(crate) use self::holding::{ABOVE, CANNOT, UNSTABLE, WITHIN};

@@ -133,11 +133,10 @@ impl SimulationRun {
             mut setup,
             directory,
             target,
-            found,
+            mut found,
             warnings,
         } = self;
-        let is_open = found.is_none() && scene.time.step_s == TimeStep::Auto;
-        let mut divided = 1;
+        let is_open = scene.time.step_s == TimeStep::Auto;
         let started = Instant::now();
         let folder = directory.path().to_path_buf();
         let kept = |source: OutputError| OutputError::Kept {
@@ -160,16 +159,18 @@ impl SimulationRun {
             };
             let first_step = run.integrator.step();
             tell(SimulationEvent::Begins {
-                step: first_step / divided,
+                step: first_step / setup.divided,
                 time: run.integrator.time(),
             });
+            let divided = setup.divided;
             let most = is_open.then_some(MOST_DIVISIONS / divided);
             let mut tell_step = |step| tell(SimulationEvent::Step(step / divided));
             let end = match run.integrate(most, stop, &mut tell_step) {
                 Ok(Stepped::To(end)) => end,
                 Ok(Stepped::TooLong(by)) => {
                     drop(run);
-                    divided *= by;
+                    // A run that went on from an earlier one begins anew as well: its first part had the long steps.
+                    found = None;
                     setup = setup.with_steps_divided(by);
                     continue;
                 }

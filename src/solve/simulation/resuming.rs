@@ -65,19 +65,33 @@ pub(super) fn continued(
     if scene.accuracy().is_some() {
         scene = scene.with_grid(&earlier.discretization());
     }
-    if scene.time.step_s == TimeStep::Auto {
+    let is_divided = checkpoint.divided > 1 && scene.time.step_s == TimeStep::Auto;
+    if is_divided {
+        scene.time.step_s = TimeStep::Seconds(checkpoint.step_s * checkpoint.divided as f64);
+    } else if scene.time.step_s == TimeStep::Auto {
         scene.time.step_s = earlier.time.step_s;
     }
     let mut setup = scene.simulation_until(source, stop)?;
+    if is_divided {
+        setup = setup.with_steps_divided(checkpoint.divided);
+    }
     let refuse = |reason: String| {
         Err(SimulationError::Directory(format!(
             "cannot resume: {reason}; restore it, or run without --resume"
         )))
     };
-    let timeless = Scene {
+    let mut timeless = Scene {
         time: earlier.time.clone(),
         ..setup.resolved.clone()
     };
+    let asks_for_rows = (scene.output.as_ref()).is_some_and(|output| output.rate_hz.is_some());
+    if is_divided
+        && !asks_for_rows
+        && let (Some(now), Some(then)) = (&mut timeless.output, &earlier.output)
+    {
+        // The distance of rows is that of the steps before they were divided, whose last digits may differ.
+        now.rate_hz = then.rate_hz;
+    }
     if timeless != earlier {
         let (now, then) = (timeless.to_toml(), earlier.to_toml());
         let mut lines = now.lines().zip(then.lines());

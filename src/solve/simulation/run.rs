@@ -236,9 +236,12 @@ impl<'a> Run<'a> {
         };
         let rod = &self.setup.rod;
         let integrator = &self.integrator;
-        let touched = touching.advance(rod, |node| integrator.position(node));
-        if let Some((positions, allowed)) = touched {
-            (self.tally.clearance).include_depths(rod, integrator.time(), positions, allowed);
+        let looks = touching.advance(rod, |node| integrator.position(node));
+        for look in 1..=looks {
+            let part = look as f64 / looks as f64;
+            let t = integrator.time() - (1.0 - part) * self.setup.grid.step;
+            let (positions, allowed) = touching.on_the_way(part);
+            (self.tally.clearance).include_depths(rod, t, positions, allowed);
         }
     }
 
@@ -256,8 +259,11 @@ impl<'a> Run<'a> {
                 Err(touching.too_stiff(rod, step, time))
             };
         }
-        touching.check(rod, step, time)?;
-        Ok(None)
+        match touching.check(rod, step, time) {
+            Ok(()) => Ok(None),
+            Err(_) if most.is_some_and(|most| most >= 2) => Ok(Some(2)),
+            Err(error) => Err(error),
+        }
     }
 
     /// Writes a row; `before` is the state one step ago.
@@ -339,7 +345,7 @@ impl<'a> Run<'a> {
         let (trajectory, diagnostics, extremes) = self.resumable;
         Checkpoint::new(
             *step,
-            self.setup.grid.step,
+            (self.setup.grid.step, self.setup.divided),
             state,
             &scene,
             trajectory,
@@ -495,6 +501,7 @@ impl<'a> Run<'a> {
             length_m: extremes.length,
             clearance: self.tally.clearance.summary(),
             contact: self.tally.clearance.depths(),
+            contact_gives: (self.touching.as_ref()).and_then(Touching::gave),
             ringing: match end {
                 End::Completed => self.ringing(&extremes),
                 End::Interrupted | End::Failed(_) => None,

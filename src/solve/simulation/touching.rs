@@ -14,6 +14,8 @@ const LONGEST: f64 = 0.6;
 const SHORTENED: f64 = 0.4;
 /// Largest energy that contacts may give, as a fraction of what they have taken up.
 const GIVEN: f64 = 0.25;
+/// The same, from which on it is told: most of what a step that contacts allow gives at a steep impact.
+const TOLD: f64 = 0.05;
 /// Energy below which nothing is said, as a fraction of that of the arm's usual contact force over its length.
 const NEGLIGIBLE: f64 = 1e-3;
 /// Largest divisor of the step that the scene's arm has by itself.
@@ -29,11 +31,13 @@ pub(super) struct Touching {
     energy: f64,
     /// Energy from nowhere, J.
     gained: f64,
-    /// Energy that the contacts have taken up, J.
+    /// Energy that the contacts have taken up, that of an arm that begins in them included, J.
     taken_up: f64,
     /// Energy of the arm's usual contact force over its length, J.
     scale: f64,
     is_touching: bool,
+    /// Positions on the way of the last step.
+    between: Vec<Vector3<f64>>,
     /// Step that the contacts allow at the present positions, s.
     allowed: f64,
     /// The shortest one so far, s.
@@ -58,6 +62,7 @@ impl Touching {
             taken_up: 0.0,
             scale: rod.usual_contact_force() * rod.scales.length,
             is_touching: false,
+            between: Vec::new(),
             allowed: f64::INFINITY,
             least_allowed: f64::INFINITY,
         };
@@ -65,6 +70,7 @@ impl Touching {
         out.positions.clone_from(&out.next);
         std::mem::swap(&mut out.forces, &mut out.next_forces);
         out.energy = rod.contact_energy(positions);
+        out.taken_up = out.energy;
         Some(out)
     }
 
@@ -93,12 +99,8 @@ impl Touching {
         self.least_allowed = self.least_allowed.min(self.allowed);
     }
 
-    /// Goes to the positions after a step; returns them if the arm touches something there, with the step that the contacts allow, s.
-    pub(super) fn advance(
-        &mut self,
-        rod: &Rod,
-        position: impl Fn(usize) -> Vector3<f64>,
-    ) -> Option<(&[Vector3<f64>], f64)> {
+    /// Goes to the positions after a step; returns the number of looks at its [way](Self::on_the_way) after which no depth is unseen.
+    pub(super) fn advance(&mut self, rod: &Rod, position: impl Fn(usize) -> Vector3<f64>) -> usize {
         let touched = self.is_touching;
         for (node, next) in self.next.iter_mut().enumerate() {
             *next = position(node);
@@ -117,7 +119,26 @@ impl Touching {
         }
         std::mem::swap(&mut self.positions, &mut self.next);
         std::mem::swap(&mut self.forces, &mut self.next_forces);
-        (self.is_touching).then_some((&self.positions, self.allowed))
+        let looks = rod.looks_at_contacts(&self.next, &self.positions);
+        if self.is_touching || looks > 1 {
+            looks
+        } else {
+            0
+        }
+    }
+
+    /// Returns the positions at a part of the way of the last step, above 0 and at most 1, and the step that the contacts allow after it, s.
+    pub(super) fn on_the_way(&mut self, part: f64) -> (&[Vector3<f64>], f64) {
+        self.between.clear();
+        let ways = self.next.iter().zip(&self.positions);
+        (self.between).extend(ways.map(|(before, after)| after - (after - before) * (1.0 - part)));
+        (&self.between, self.allowed)
+    }
+
+    /// Returns the energy that the contacts gave from nowhere and the energy that they took up, J, if that is worth a sentence.
+    pub(super) fn gave(&self) -> Option<[f64; 2]> {
+        let told = self.gained > TOLD * self.taken_up && self.gained > NEGLIGIBLE * self.scale;
+        told.then_some([self.gained, self.taken_up])
     }
 
     /// Returns the divisor of the step, above 1, that the contacts need at the present positions; `None` if it is short enough.

@@ -142,6 +142,7 @@ impl Work<'_, '_> {
         let point = Point {
             step_s: step,
             wall_s: run.tally.sample_s.p50,
+            cpu_s: Some(run.tally.processor_s.p50),
             sample_p99_s: Some(run.tally.sample_s.p99),
             ..Point::new(setting)
         };

@@ -21,9 +21,10 @@ use serde::{Deserialize, Serialize};
 pub use self::features::FeatureCost;
 pub use self::fit::{CostModel, ErrorModel};
 pub use self::front::mark_front;
-use super::clock::{Clock, Seconds, least};
+use super::clock::least;
 use super::course::{Errors, number};
 use super::motion::RunError;
+use crate::clock::{Clock, Seconds};
 use crate::control::{GuessError, Hold};
 use crate::mechanics::{RodModel, StrainRule};
 use crate::mpc::MpcError;
@@ -234,11 +235,11 @@ pub struct Point {
     /// Iterations of the solver.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub solver_iterations: Option<usize>,
-    /// Least wall time of several runs, s; for a closed loop the median time of a sample.
+    /// Least wall time of several runs, s; for a closed loop that of the median sample.
     #[serde(deserialize_with = "number")]
     pub wall_s: f64,
-    /// Least processor time of these runs, s, by which settings are ranked, because other programs do not change it; absent for a closed
-    /// loop.
+    /// Least processor time of these runs, s, by which settings are ranked, because other programs do not change it; for a closed loop that
+    /// of the median sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cpu_s: Option<f64>,
     /// Number of runs of which the times are the least.
