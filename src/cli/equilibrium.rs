@@ -302,13 +302,18 @@ fn tell(
     if buckling.from_factor > 0.0 {
         say(
             "",
-            "without loads, which choose one, the arm has several shapes between its ends",
+            "between its ends the arm may have several stable shapes; of those that it found this one has the least energy",
         );
     }
     if let Some(jump) = found.sweep.iter().find(|point| point.jumped) {
         console.warn(&format!(
-            "at load factor {} the sweep continues on another equilibrium, because the previous one ends at a smaller factor",
-            digits(jump.factor)
+            "at load factor {} the sweep continues on another equilibrium, because the {} factor",
+            digits(jump.factor),
+            if jump.factor < buckling.from_factor {
+                "next one ends at a larger"
+            } else {
+                "previous one ends at a smaller"
+            }
         ));
     }
     if let Some(cut) = &summary.sweep_cut {

@@ -167,6 +167,9 @@ const CLOSING_STEPS: usize = 8;
 const SAME_ENERGY: f64 = 1e-6;
 /// Angles about the line through two held ends from which other shapes are sought, in quarter turns.
 const QUARTERS: [f64; 3] = [1.0, 2.0, 3.0];
+/// Whole turns of twist, between two ends that hold the roll of their sections, of further starts: the way round on which a tip is turned decides
+/// about the shape.
+const TWISTS: [f64; 2] = [-1.0, 1.0];
 /// Cap on Newton's steps without a smaller residual before the minimization takes over. A full step that turns a node stretches its
 /// elements by the square of the turn, and the residual falls only with the next step; without a potential the minimization would not help.
 const NEWTON_PATIENCE: usize = 8;
@@ -286,8 +289,13 @@ fn found(
         Err(error) => return Err(error),
     };
     if is_led && leaves && !rod.has_free_tip() && rod.base != EndCondition::Free {
-        for quarters in QUARTERS {
-            let Some(turned) = statics.turned_about_ends(&best.shape, quarters) else {
+        let turns = QUARTERS.into_iter().map(|quarters| (quarters, 0.0));
+        for (quarters, twists) in turns.chain(TWISTS.map(|twists| (0.0, twists))) {
+            let turned = match twists {
+                0.0 => statics.turned_about_ends(&best.shape, quarters),
+                _ => statics.twisted(&best.shape, twists),
+            };
+            let Some(turned) = turned else {
                 continue;
             };
             let from = Settled {
@@ -907,6 +915,25 @@ impl<'a> Statics<'a> {
                 false => out.rotations[tip],
             },
         );
+        crushed(self.rod, &out).is_none().then_some(out)
+    }
+
+    /// Returns the shape whose sections are turned about the arm by a number of whole turns from the base to the tip, where both ends hold them.
+    fn twisted(&self, at: &Configuration, turns: f64) -> Option<Configuration> {
+        let is_held = |end: &EndCondition| {
+            !matches!(
+                end,
+                EndCondition::Pinned { axis: None } | EndCondition::Free
+            )
+        };
+        if !(is_held(&self.rod.base) && is_held(&self.rod.tip_end)) {
+            return None;
+        }
+        let mut out = at.clone();
+        for (q, s) in self.rod.places().into_iter().enumerate() {
+            out.rotations[q] *= exp(&(Vector3::z() * (s * turns * std::f64::consts::TAU)));
+        }
+        (out.rotations[self.rod.tip()]).clone_from(&at.rotations[self.rod.tip()]);
         crushed(self.rod, &out).is_none().then_some(out)
     }
 

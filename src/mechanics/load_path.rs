@@ -217,16 +217,15 @@ impl<'a> LoadPath<'a> {
     }
 
     /// Returns the equilibrium at factor 0, which is reached from the stress-free shape while the loads that the factor does not multiply
-    /// grow from zero. On a path that [begins loaded](Self::begins_loaded) it is the one in which the arm settles without these loads from
-    /// its equilibrium at factor 1.
+    /// grow from zero. On a path that [begins loaded](Self::begins_loaded) it is the one to which the [equilibrium](Self::loaded) at factor 1
+    /// leads while its loads fall.
     ///
     /// # Errors
     /// Returns [`EquilibriumError`] if there is none.
     pub fn start(&self) -> Result<LoadedShape, EquilibriumError> {
         let rest = self.rod.carried(self.rod.rest.clone(), self.time);
         if self.begins_loaded() {
-            let loaded = self.settled(1.0, &rest, false)?;
-            return self.settled(0.0, &loaded.shape, false);
+            return self.at(&self.loaded()?, 0.0);
         }
         let constant = self.rod_at(0.0);
         let growing = LoadPath {
@@ -244,6 +243,16 @@ impl<'a> LoadPath<'a> {
             saddles: found.saddles,
             ..self.looked_at(0.0, found.shape, found.jumped, Motions::Slowest)
         })
+    }
+
+    /// Returns the equilibrium at factor 1 in which the arm settles from the stress-free shape, where a path that [begins
+    /// loaded](Self::begins_loaded) begins.
+    ///
+    /// # Errors
+    /// Returns [`EquilibriumError`] if there is none.
+    pub fn loaded(&self) -> Result<LoadedShape, EquilibriumError> {
+        let rest = self.rod.carried(self.rod.rest.clone(), self.time);
+        self.settled(1.0, &rest, false)
     }
 
     /// Returns the equilibrium at a factor in which the arm settles from a shape.
@@ -304,7 +313,7 @@ impl<'a> LoadPath<'a> {
         }
     }
 
-    /// Follows the path from an equilibrium to a factor, and calls `each` with every equilibrium on the way, which may end it; returns the
+    /// Follows the path from an equilibrium to a factor, above or below its own, and calls `each` with every equilibrium on the way, which may end it; returns the
     /// last equilibrium that was reached. The stability of every equilibrium is that of the given motions.
     fn follow(
         &self,
@@ -313,19 +322,30 @@ impl<'a> LoadPath<'a> {
         motions: Motions,
         each: &mut dyn FnMut(&LoadedShape) -> ControlFlow<()>,
     ) -> Result<LoadedShape, EquilibriumError> {
-        let under = |factor: f64| self.rod_at(factor);
+        // What falls is followed by what it has fallen by.
+        let falls = to < from.factor;
+        let factor_at = |along: f64| match falls {
+            true if along == from.factor - to => to,
+            true => from.factor - along,
+            false => along,
+        };
+        let under = |along: f64| self.rod_at(factor_at(along));
+        let (begin, end) = match falls {
+            true => (0.0, from.factor - to),
+            false => (from.factor, to),
+        };
         let strides = [FIRST_STRIDE, LEAST_STRIDE];
         let mut last = from.clone();
         followed(
             &under,
-            (from.factor, from.shape.clone()),
-            to,
+            (begin, from.shape.clone()),
+            end,
             strides,
             self.time,
             &NodeSpring::default(),
             self.stop,
-            &mut |factor, shape, is_least| {
-                let next = self.looked_at(factor, shape.clone(), from.jumped, motions);
+            &mut |along, shape, is_least| {
+                let next = self.looked_at(factor_at(along), shape.clone(), from.jumped, motions);
                 let turns = self.sign(&last) * self.sign(&next) < 0;
                 let (_, way) = last.shape.farthest_node(&next.shape.positions);
                 if (turns && !is_least) || way > NEAR * self.rod.scales.length {
@@ -385,7 +405,7 @@ impl<'a> LoadPath<'a> {
             return kept(0.0, Kept::Unloaded);
         }
         let loaded = (begins_loaded && start.factor < 1.0)
-            .then(|| self.at(start, 1.0))
+            .then(|| self.loaded())
             .transpose()?;
         let start = loaded.as_ref().unwrap_or(start);
         if !is_stable(start) {

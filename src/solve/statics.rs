@@ -1,8 +1,10 @@
 //! Statics of an arm: its equilibrium, its stability, the critical load factor, and a sweep over the load factor.
 
+use std::iter;
+
 use nalgebra::{Matrix3, Vector3};
 
-use crate::mechanics::equilibrium::EquilibriumError;
+use crate::mechanics::equilibrium::{EquilibriumError, NodeSpring, nearby_equilibrium_until};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{
     Configuration, Critical, Load, LoadFrame, LoadPath, LoadedShape, Rod, RodError, Varied,
@@ -68,7 +70,8 @@ pub struct Statics {
     pub from_factor: f64,
     /// Load factor at which stability is lost.
     pub critical: Critical,
-    /// Equilibria of the sweep, from load factor 0 on.
+    /// Equilibria of the sweep by ascending load factor, from 0 on; where the path of the loads begins at factor 1, it is followed from there
+    /// to both sides.
     pub sweep: Vec<LoadedShape>,
     /// Reason why the sweep ends early.
     pub cut: Option<EquilibriumError>,
@@ -112,33 +115,34 @@ pub fn statics(
         part => Some(push(&rod, part, options, stop)?),
     };
     let path = LoadPath::new(&rod, options.varied, options.time, aside.clone(), stop)?;
-    let start = path.start()?;
-    let own = path.examined(path.at(&start, 1.0)?);
+    let begins_loaded = path.begins_loaded();
+    let (start, own) = if begins_loaded {
+        let own = path.loaded()?;
+        (own.clone(), path.examined(own))
+    } else {
+        let start = path.start()?;
+        let own = path.at(&start, 1.0)?;
+        (start, path.examined(own))
+    };
     let critical = path.critical(&start)?;
     let is_stable = own.stability.is_some_and(|found| found.is_stable);
     let goes_to = match is_stable {
         true => None,
         false => pushed(&rod, &own, options, stop)?,
     };
-    let mut sweep = vec![start];
-    let mut cut = None;
-    for factor in options.factors() {
-        let last = &sweep[sweep.len() - 1];
-        let next = if factor == 1.0 {
-            Ok(own.clone())
-        } else {
-            path.at(last, factor)
-        };
-        match next {
-            Ok(next) => sweep.push(next),
-            Err(EquilibriumError::Stopped(stop)) => {
-                return Err(EquilibriumError::Stopped(stop).into());
-            }
-            Err(error) => {
-                cut = Some(error);
-                break;
-            }
-        }
+    let factors = options.factors();
+    let (mut sweep, mut cut) = (vec![start], None);
+    if begins_loaded {
+        // From factor 1 down to 0, and then up from there.
+        let below = factors.iter().copied().filter(|factor| *factor < 1.0);
+        let mut below: Vec<f64> = iter::once(0.0).chain(below).collect();
+        below.reverse();
+        extended(&path, &below, &own, &mut sweep, &mut cut)?;
+        sweep.reverse();
+        let above: Vec<f64> = factors.into_iter().filter(|factor| *factor > 1.0).collect();
+        extended(&path, &above, &own, &mut sweep, &mut cut)?;
+    } else {
+        extended(&path, &factors, &own, &mut sweep, &mut cut)?;
     }
     let finer = arm.rod(&discretization.refined(2))?;
     let refined_space = shape_on(&finer, &own, options, aside.as_ref(), stop)?.map(|fine| {
@@ -154,13 +158,41 @@ pub fn statics(
         },
         own,
         goes_to,
-        from_factor: if path.begins_loaded() { 1.0 } else { 0.0 },
+        from_factor: if begins_loaded { 1.0 } else { 0.0 },
         critical,
         sweep,
         cut,
         refined_space,
         rod,
     })
+}
+
+/// Adds to a sweep the equilibria at further factors, each from the one before, until one has none, which goes to `cut`; that of factor 1 is
+/// known.
+fn extended(
+    path: &LoadPath<'_>,
+    factors: &[f64],
+    own: &LoadedShape,
+    sweep: &mut Vec<LoadedShape>,
+    cut: &mut Option<EquilibriumError>,
+) -> Result<(), EquilibriumError> {
+    for &factor in factors {
+        let last = &sweep[sweep.len() - 1];
+        let next = if factor == 1.0 {
+            Ok(own.clone())
+        } else {
+            path.at(last, factor)
+        };
+        match next {
+            Ok(next) => sweep.push(next),
+            Err(error @ EquilibriumError::Stopped(_)) => return Err(error),
+            Err(error) => {
+                *cut = Some(error);
+                break;
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Returns the equilibrium of a rod with twice the elements next to that of the own one, or `None` where there is none. An arm may have
@@ -181,8 +213,17 @@ fn shape_on(
         shape: doubled(&own.shape),
         ..own.clone()
     };
-    match path.released(&start) {
-        Ok(found) => Ok(Some(found.shape)),
+    // A shape that is not stable would be left for another one.
+    let found = match own.stability {
+        Some(found) if !found.is_stable => {
+            let rod = path.rod_at(own.factor);
+            let none = NodeSpring::default();
+            nearby_equilibrium_until(&rod, &start.shape, options.time, &none, stop)
+        }
+        _ => path.released(&start).map(|found| found.shape),
+    };
+    match found {
+        Ok(shape) => Ok(Some(shape)),
         Err(EquilibriumError::Stopped(stop)) => Err(EquilibriumError::Stopped(stop).into()),
         Err(_) => Ok(None),
     }
@@ -248,9 +289,11 @@ fn pushed(
     let aside = push(rod, PUSH, options, stop)?;
     let path = LoadPath::new(rod, options.varied, options.time, Some(aside), stop)?;
     let free = LoadPath::new(rod, options.varied, options.time, None, stop)?;
-    let found = (path.start())
-        .and_then(|start| path.at(&start, 1.0))
-        .and_then(|leaning| free.released(&leaning));
+    let found = match path.begins_loaded() {
+        true => path.loaded(),
+        false => path.start().and_then(|start| path.at(&start, 1.0)),
+    };
+    let found = found.and_then(|leaning| free.released(&leaning));
     match found {
         Ok(found) => {
             let found = free.examined(found);

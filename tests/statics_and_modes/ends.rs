@@ -7,6 +7,8 @@ use softarm::mechanics::{
     Loss, NodeSpring, Rod, RodParameters, Section, SectionProfile, SmallMotions, Stability, State,
     StrainRule, Varied, static_equilibrium,
 };
+use softarm::scene::Scene;
+use softarm::solve::{StaticsOptions, statics};
 use softarm::stop::StopSignal;
 
 const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
@@ -313,6 +315,78 @@ fn a_cable_hangs_along_its_load_path() {
             ..
         }
     ));
+}
+
+/// Arms of one meter between two ends, under their weight alone, that have several equilibria: base, tip, `EI` about both axes and `GJ` (N m²), mass per
+/// length (kg/m), and the least energy (J) of those that shooting finds (Runge-Kutta along the arm, corrected by Levenberg-Marquardt, from 60 and more
+/// starts), which a program of its own has done. The first two have stable shapes of up to 1.5 times the energy, which differ in twist; the last two have a
+/// saddle in the plane of their ends, to which the load leads from the shape without it.
+const SEVERAL: [(&str, &str, [f64; 4], f64); 4] = [
+    (
+        "kind = 'pinned'\ndirection = [-0.661, -0.219, 0.717]\naxis = [0.294, 0.804, 0.516]",
+        "kind = 'clamped'\nposition_m = [0.148, -0.225, 0.023]\ndirection = [-0.782, -0.518, 0.346]\nroll_rad = 0.93",
+        [0.1, 0.1, 0.07, 0.05],
+        0.9393,
+    ),
+    (
+        "kind = 'pinned'\ndirection = [-0.828, -0.502, -0.249]\nroll_rad = -1.46\naxis = [-0.539, 0.835, 0.109]",
+        "kind = 'clamped'\nposition_m = [-0.303, 0.107, 0.399]\ndirection = [-0.577, 0.806, -0.131]\nroll_rad = 1.28",
+        [0.05, 0.5, 0.06, 0.2],
+        0.8843,
+    ),
+    (
+        "kind = 'clamped'\ndirection = [0.929, 0.0, 0.37]",
+        "kind = 'pinned'\nposition_m = [0.547, 0.0, 0.044]",
+        [0.1, 0.1, 0.07, 0.8],
+        0.0350,
+    ),
+    (
+        "kind = 'clamped'\ndirection = [0.0, 0.0, 1.0]",
+        "kind = 'pinned'\nposition_m = [0.4, 0.0, 0.0]",
+        [0.01, 0.01, 0.007, 0.1],
+        0.1137,
+    ),
+];
+
+/// The statics of such arms end in the shape of least energy, which is stable: the energy of 20 and 40 elements, extrapolated to vanishing ones, is that of
+/// shooting to its four digits.
+#[test]
+fn the_shape_between_two_ends_is_that_of_least_energy() {
+    for (base, tip, [first, second, twist, mass], least) in SEVERAL {
+        let [shear, stretch] = if first > 0.02 {
+            [1300.0, 4000.0]
+        } else {
+            [330.0, 1000.0]
+        };
+        let energy = |elements: usize| {
+            let text = format!(
+                "[rod]\nlength_m = 1.0\nelements = {elements}\n[rod.stiffness]\nea_n = {stretch}\nga_n = {shear}\nei_n_m2 = [{first}, {second}]\n\
+                 gj_n_m2 = {twist}\n[rod.inertia]\nmass_kg_m = {mass}\nrotary_kg_m = [2.5e-6, 2.5e-6, 5e-6]\n[base]\n{base}\n[tip]\n{tip}\n\
+                 [gravity]\nacceleration_m_s2 = [0.0, 0.0, -9.81]\n[time]\nend_s = 1.0\n"
+            );
+            let (scene, source) = Scene::from_toml("two ends", &text, &[]).unwrap();
+            let options = StaticsOptions {
+                points: 2,
+                ..StaticsOptions::default()
+            };
+            let arm = scene.arm(&source).unwrap();
+            let found = statics(
+                &arm,
+                &scene.discretization(),
+                &options,
+                &StopSignal::default(),
+            )
+            .unwrap();
+            assert!(found.own.stability.unwrap().is_stable, "{base} {elements}");
+            let shape = &found.own.shape;
+            found.rod.elastic_energy(&shape.positions, &shape.rotations)
+                + found.rod.gravity_energy(&shape.positions)
+        };
+        let [coarse, fine] = [20, 40].map(energy);
+        let limit = fine + (fine - coarse) / 3.0;
+        println!("{coarse} {fine} {limit} {least}");
+        assert!((limit - least).abs() < 1e-4, "{base}: {limit} {least}");
+    }
 }
 
 /// A rod between clamps that come together by 0.4 of its length buckles: an elastica of four equal quarters with modulus `k`, of
