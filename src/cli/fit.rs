@@ -8,7 +8,7 @@ use super::console::Console;
 use super::error::CliError;
 use super::tradeoff::Applied;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
-use crate::fit::{FitError, FitOptions, FitSummary, fit};
+use crate::fit::{Assumption, Explanation, FitError, FitOptions, FitSummary, fit};
 use crate::output::quantity::{digits, quantity};
 use crate::output::replace::Writer;
 use crate::output::{ResultKind, RunDirectory, json_value, render_report, write_residuals};
@@ -130,11 +130,57 @@ fn unexplained(summary: &FitSummary) -> Option<String> {
             digits(worst.off_sigmas)
         )
     });
+    let better = suspect(own).map_or_else(String::new, |words| {
+        format!("; they are explained better with {words}")
+    });
     Some(format!(
-        "the model does not explain these data: p = {:.1e} by size and {:.1e} by correlation of the residuals{worst}; the estimates may be \
-         off by far more than their standard errors",
-        own.p_size, own.p_correlation
+        "the model does not explain these data: p = {:.1e} by size and {:.1e} by correlation of the residuals{better}{worst}; the estimates may \
+         be off by far more than their standard errors",
+        own.p_size,
+        own.p_correlation.min(own.p_alike)
     ))
+}
+
+/// Returns the value of the assumed number that the data speak against most, if they do.
+fn suspect(own: &Explanation) -> Option<String> {
+    let p_value = |own: &&Assumption| own.p_value.unwrap_or(1.0);
+    let found = (own.assumed.iter()).min_by(|a, b| p_value(a).total_cmp(&p_value(b)))?;
+    let (better, error) = (found.better_by?, found.standard_error?);
+    (p_value(&found) < 1e-3).then(|| match found.name {
+        "clock" => format!(
+            "the times of recordings late by {} +- {}",
+            quantity(better, "s"),
+            quantity(error, "s")
+        ),
+        _ => format!(
+            "{} {} +- {} times as given",
+            in_words(found),
+            digits(1.0 + better),
+            digits(error)
+        ),
+    })
+}
+
+fn in_words(own: &Assumption) -> &'static str {
+    match own.name {
+        "loads" => "loads and inputs of actuators",
+        "mass" => "the mass of the arm",
+        "payload" => "the mass of the payload",
+        _ => "the times of recordings",
+    }
+}
+
+/// Returns how the estimates follow a number that is taken as exact.
+fn dependence(own: &Assumption, summary: &FitSummary) -> String {
+    let (change, part) = match own.name {
+        "clock" => ("late by 1 ms", 1e-3),
+        _ => ("1 % larger", 1e-2),
+    };
+    let moves: Vec<String> = (summary.parameters.iter().zip(&own.moves))
+        .map(|(parameter, moves)| format!("{} {:+.2} %", parameter.key, 100.0 * part * moves))
+        .collect();
+    let words = in_words(own);
+    format!("  with {words} {change}: {}", moves.join(", "))
 }
 
 fn conclude(summary: &FitSummary, console: &Console) {
@@ -156,6 +202,12 @@ fn conclude(summary: &FitSummary, console: &Console) {
             digits(own.value),
             digits(own.start)
         ));
+    }
+    if !summary.explanation.assumed.is_empty() {
+        console.say("  these errors take loads, masses and times as exact:");
+        for own in &summary.explanation.assumed {
+            console.say(&dependence(own, summary));
+        }
     }
     for own in &summary.undetermined {
         let parts: Vec<String> = (own.exponents.iter())

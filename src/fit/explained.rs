@@ -1,9 +1,12 @@
 //! Tests of a model by the size and the correlation of its residuals, and the effect of correlated ones on standard errors.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 use super::Model;
+use super::assumed::Assumption;
 use super::least_squares::Minimum;
 
 /// The data are not explained where residuals like theirs have less than this probability under the model.
@@ -16,7 +19,7 @@ const MOST_CORRELATION: f64 = 0.99;
 pub struct Explanation {
     /// Tells whether residuals of this size and correlation are to be expected, `p_value` at least 1e-3.
     pub explained: bool,
-    /// Twice the smaller one of the following two, at most one (Bonferroni's bound).
+    /// The smallest one of the following probabilities and those of `assumed`, times their number, at most one (Bonferroni's bound).
     pub p_value: f64,
     /// Probability of a sum of squares as large as this or larger under noise of the given standard deviations: chi-square with as many
     /// degrees of freedom as residuals less numbers.
@@ -25,8 +28,15 @@ pub struct Explanation {
     pub p_correlation: f64,
     /// Correlation of a coordinate with itself at the next time of a recording, or at the next marker of a shape.
     pub correlation: f64,
-    /// Factor of the standard errors for correlated residuals: 1 unless `p_correlation` is below 1e-3.
+    /// Probability of residuals of one marker that are as much alike as these in several shapes, or of neighbors along the arm at one time of a recording,
+    /// under independent noise.
+    pub p_alike: f64,
+    /// Correlation of a coordinate of a marker with itself in another shape, or with that of the next marker at the same time.
+    pub alike: f64,
+    /// Factor of the standard errors for correlated residuals: 1 unless `p_correlation` or `p_alike` is below 1e-3.
     pub widened_by: f64,
+    /// Numbers that the fit takes as exact.
+    pub assumed: Vec<Assumption>,
     /// The sight that is furthest off, among those of the marker that is furthest off in the worst case.
     pub worst: Option<Worst>,
 }
@@ -60,11 +70,13 @@ struct Place {
 /// least one: what is alike in residuals far below the noise does not count. Independent
 /// residuals after a fit have the mean `-Σ h_ij / N`, with the hat matrix `h = J (JᵀJ)⁻¹ Jᵀ`, and a variance of about `1/N` (Ljung and Box
 /// 1978, of lag one). Correlated ones, as those of an autoregressive process of first order, count as `(1 - ρ)/(1 + ρ)` of their number
-/// (Bayley and Hammersley 1946), which widens standard errors by the root of the inverse.
+/// (Bayley and Hammersley 1946), which widens standard errors by the root of the inverse. The same statistic over the pairs that a common
+/// cause makes alike, `n` together, widens them by the root of `1 + (n - 1) ρ` (the design effect of Kish 1965).
 pub(super) fn explanation(
     model: &Model,
     found: &Minimum,
     inverse: Option<&DMatrix<f64>>,
+    assumed: Vec<Assumption>,
 ) -> Explanation {
     let residuals = DVector::from_iterator(
         found.residuals.len(),
@@ -73,45 +85,96 @@ pub(super) fn explanation(
     let freedom = (residuals.len().saturating_sub(model.parameters.len())).max(1) as f64;
     let chi = residuals.norm_squared();
     let places = places(model);
-    let (mut products, mut pairs, mut expected) = (0.0, 0.0, 0.0);
-    for [a, b] in neighbors(model, &places) {
-        for axis in 0..3 {
-            let (a, b) = (a.row + axis, b.row + axis);
-            products += residuals[a] * residuals[b];
-            pairs += 1.0;
-            if let Some(inverse) = inverse {
-                let weight = (found.weights[a] * found.weights[b]).sqrt();
-                let other = inverse * found.jacobian.row(b).transpose();
-                expected -= weight * (found.jacobian.row(a) * other)[0];
+    let square = (chi / freedom).max(1.0);
+    // Correlation of pairs, and its probability.
+    let tested = |all: &[[&Place; 2]]| {
+        let (mut products, mut pairs, mut expected) = (0.0, 0.0, 0.0);
+        for [a, b] in all {
+            for axis in 0..3 {
+                let (a, b) = (a.row + axis, b.row + axis);
+                products += residuals[a] * residuals[b];
+                pairs += 1.0;
+                if let Some(inverse) = inverse {
+                    let weight = (found.weights[a] * found.weights[b]).sqrt();
+                    let other = inverse * found.jacobian.row(b).transpose();
+                    expected -= weight * (found.jacobian.row(a) * other)[0];
+                }
             }
         }
-    }
-    let square = (chi / freedom).max(1.0);
-    let (correlation, p_correlation) = if pairs > 0.0 {
-        let excess = products / square - expected;
-        (
-            (excess / pairs).clamp(-1.0, 1.0),
-            upper_tail(excess / f64::sqrt(pairs)),
-        )
-    } else {
-        (0.0, 1.0)
+        if pairs > 0.0 {
+            let excess = products / square - expected;
+            let correlation = f64::clamp(excess / pairs, -1.0, 1.0);
+            (correlation, upper_tail(excess / f64::sqrt(pairs)))
+        } else {
+            (0.0, 1.0)
+        }
     };
+    let (correlation, p_correlation) = tested(&neighbors(model, &places));
+    let (others, together) = companions(model, &places);
+    let (alike, p_alike) = tested(&others);
     let p_size = upper_tail(normal_of_chi(chi, freedom));
-    let p_value = (2.0 * p_size.min(p_correlation)).min(1.0);
-    let rho = correlation.clamp(0.0, MOST_CORRELATION);
+    let of_assumed = assumed.iter().filter_map(|own| own.p_value);
+    let tests: Vec<f64> = [p_size, p_correlation, p_alike]
+        .into_iter()
+        .chain(of_assumed)
+        .collect();
+    let least = tests.iter().copied().fold(1.0, f64::min);
+    let p_value = (tests.len() as f64 * least).min(1.0);
+    let part = |own: f64| own.clamp(0.0, MOST_CORRELATION);
+    let mut widened_by: f64 = 1.0;
+    if p_correlation < UNLIKELY {
+        widened_by = ((1.0 + part(correlation)) / (1.0 - part(correlation))).sqrt();
+    }
+    if p_alike < UNLIKELY {
+        widened_by = widened_by.max((1.0 + (together - 1.0) * part(alike)).sqrt());
+    }
     Explanation {
         explained: p_value >= UNLIKELY,
         p_value,
         p_size,
         p_correlation,
         correlation,
-        widened_by: if p_correlation < UNLIKELY {
-            ((1.0 + rho) / (1.0 - rho)).sqrt()
-        } else {
-            1.0
-        },
+        p_alike,
+        alike,
+        widened_by,
+        assumed,
         worst: worst(model, &residuals, &places),
     }
+}
+
+/// Returns the pairs of residuals that a common cause makes alike, and their number together on average: a marker in two shapes at rest, which an
+/// offset of it shifts in all of them; and neighbors along the arm at one time of a recording, which an offset of that time shifts.
+fn companions<'a>(model: &Model, places: &'a [Place]) -> (Vec<[&'a Place; 2]>, f64) {
+    let mut groups: BTreeMap<(bool, bool, usize, u64), Vec<&Place>> = BTreeMap::new();
+    for own in places {
+        let is_static = model.cases[own.case].is_static;
+        let key = match is_static {
+            true => (true, own.is_angle, own.marker, 0),
+            false => (false, own.is_angle, own.case, own.time.to_bits()),
+        };
+        groups.entry(key).or_default().push(own);
+    }
+    let mut out = Vec::new();
+    let (mut sum, mut n) = (0.0, 0.0);
+    for ((is_static, ..), mut group) in groups {
+        if group.len() < 2 {
+            continue;
+        }
+        sum += group.len() as f64;
+        n += 1.0;
+        if is_static {
+            for (i, a) in group.iter().enumerate() {
+                out.extend(group[..i].iter().map(|b| [*b, *a]));
+            }
+        } else {
+            group.sort_by(|a, b| {
+                let at = |own: &Place| model.markers[own.marker].at;
+                at(a).total_cmp(&at(b))
+            });
+            out.extend(group.windows(2).map(|pair| [pair[0], pair[1]]));
+        }
+    }
+    (out, if n > 0.0 { sum / n } else { 1.0 })
 }
 
 /// Returns positions and orientations of fitted cases in the order of their residuals.
@@ -213,7 +276,7 @@ fn normal_of_chi(chi: f64, freedom: f64) -> f64 {
 }
 
 /// Returns the probability that a normal number is larger than `z`, to 1e-7 (Abramowitz and Stegun 1964, 7.1.26).
-fn upper_tail(z: f64) -> f64 {
+pub(super) fn upper_tail(z: f64) -> f64 {
     let x = z.abs() / std::f64::consts::SQRT_2;
     let t = 1.0 / (1.0 + 0.327_591_1 * x);
     let series = [

@@ -1,6 +1,7 @@
 //! Fits numbers of a scene to measured places of markers on its arm: least squares over shapes at rest and recorded motions, with standard
 //! errors, correlations, and the combinations that the data cannot tell.
 
+mod assumed;
 mod data;
 mod explained;
 mod least_squares;
@@ -11,16 +12,20 @@ use std::path::Path;
 
 use nalgebra::{DVector, Matrix3, Vector3};
 
+pub use self::assumed::Assumption;
+use self::assumed::{Assumed, Kind};
 use self::data::{Case, Data, Marker, Sight};
+pub use self::explained::Explanation;
 use self::least_squares::{Minimum, Problem};
 pub use self::report::FitSummary;
+use crate::mechanics::equilibrium::static_equilibrium_until;
 use crate::mechanics::place::{locate, pose};
 use crate::mechanics::rotation::{exp, log};
-use crate::mechanics::{Configuration, NodeWrenches, Rod, Stepper, TimeScheme};
+use crate::mechanics::{Configuration, NodeSpring, NodeWrenches, Rod, Stepper, TimeScheme};
 use crate::output::{MotionRecord, ResidualRow};
 use crate::scene::{Scene, SceneError, SceneSource};
 use crate::stop::{Stop, StopSignal};
-use crate::task::Arm;
+use crate::task::{Arm, StartShape};
 
 /// The reason why nothing is fitted.
 #[derive(Debug, thiserror::Error)]
@@ -129,8 +134,8 @@ pub fn fit(
         .map_err(|error| scene.discretize_error(&fitted, error.into()))?;
     let predicted = model.predicted(&found.at, &steps)?;
     let shapes = model.shapes(&found.at, &rod)?;
-    let (summary, rows) =
-        report::summary(&model, &found, &predicted, begun.elapsed().as_secs_f64());
+    let (mut summary, rows) = report::summary(&model, &found, &predicted, &steps)?;
+    summary.wall_s = begun.elapsed().as_secs_f64();
     Ok(Fit {
         scene,
         arm,
@@ -450,7 +455,7 @@ impl Model<'_> {
             .enumerate()
             .filter(|(_, case)| !case.is_static)
         {
-            let (scene, source) = self.scene(at, index, None)?;
+            let (scene, source) = self.scene(at, index, None, &[])?;
             let setup = scene.simulation_until(&source, self.stop)?;
             let (part, scheme) = match setup.rod.scheme {
                 TimeScheme::Explicit => (EXPLICIT_STEP, "explicit"),
@@ -466,9 +471,11 @@ impl Model<'_> {
         at: &[f64],
         index: usize,
         step: Option<&(f64, &'static str)>,
+        more: &[String],
     ) -> Result<(Scene, SceneSource), FitError> {
         let case = &self.cases[index];
         let mut overrides = self.overrides(at, &case.set, &self.tables[index]);
+        overrides.extend_from_slice(more);
         if case.is_static {
             overrides.push("initial.shape=\"equilibrium\"".into());
         } else {
@@ -486,12 +493,45 @@ impl Model<'_> {
         )?)
     }
 
-    /// Returns the predictions of all sights of a case.
-    fn case(&self, at: &[f64], index: usize, steps: &Steps) -> Result<Vec<Pose>, FitError> {
+    /// Returns the predictions of all sights of a case, with another value of an assumed number if one is given, which differs by this from its own.
+    fn case(
+        &self,
+        at: &[f64],
+        index: usize,
+        steps: &Steps,
+        changed: Option<(&Assumed, f64)>,
+    ) -> Result<Vec<Pose>, FitError> {
         let case = &self.cases[index];
         self.stop.check().map_err(FitError::Stopped)?;
-        let (scene, source) = self.scene(at, index, steps.get(&index))?;
-        let setup = scene.simulation_until(&source, self.stop)?;
+        let more = changed.map_or_else(Vec::new, |(assumed, by)| {
+            assumed.overrides(by, &self.tables[index])
+        });
+        let (scene, source) = self.scene(at, index, steps.get(&index), &more)?;
+        let mut setup = scene.simulation_until(&source, self.stop)?;
+        let late = match changed {
+            Some((
+                Assumed {
+                    kind: Kind::Clock, ..
+                },
+                by,
+            )) => by,
+            _ => 0.0,
+        };
+        if let Some((
+            Assumed {
+                kind: Kind::Loads, ..
+            },
+            by,
+        )) = changed
+        {
+            setup.rod.multiply_loads(1.0 + by);
+            if scene.start().shape == StartShape::Equilibrium {
+                let shape = &mut setup.initial.configuration;
+                let none = NodeSpring::default();
+                *shape = static_equilibrium_until(&setup.rod, shape, 0.0, &none, self.stop)
+                    .map_err(|error| FitError::Data(error.to_string()))?;
+            }
+        }
         let nodes = setup.rod.places();
         let pose = |shape: &Configuration, marker: usize| self.pose(&nodes, shape, marker);
         if case.is_static {
@@ -508,7 +548,8 @@ impl Model<'_> {
         let mut out = Vec::with_capacity(case.sights.len());
         let h = setup.grid.step;
         for sight in &case.sights {
-            let needed = (sight.time / h - 1e-9).ceil().max(0.0) as usize;
+            let time = (sight.time - late).max(0.0);
+            let needed = (time / h - 1e-9).ceil().max(0.0) as usize;
             while stepper.step() < needed.min(setup.grid.n_steps) {
                 stepper
                     .advance([NodeWrenches::NONE; 2])
@@ -521,7 +562,7 @@ impl Model<'_> {
                 self.stop.check().map_err(FitError::Stopped)?;
             }
             // Linear between the two time nodes beside the sight, and along the shortest turn.
-            let part = 1.0 - (stepper.step() as f64 - sight.time / h).clamp(0.0, 1.0);
+            let part = 1.0 - (stepper.step() as f64 - time / h).clamp(0.0, 1.0);
             let [from, to] = [&before, &now].map(|shape| pose(shape, sight.marker));
             let turn = log(&from.section.tr_mul(&to.section));
             out.push(Pose {
@@ -544,7 +585,7 @@ impl Model<'_> {
     /// Returns the predictions of all cases.
     fn predicted(&self, at: &[f64], steps: &Steps) -> Result<Vec<Vec<Pose>>, FitError> {
         (0..self.cases.len())
-            .map(|index| self.case(at, index, steps))
+            .map(|index| self.case(at, index, steps, None))
             .collect()
     }
 
@@ -553,7 +594,7 @@ impl Model<'_> {
         let mut out = MotionRecord::empty(like.n_nodes());
         let resting = (0..self.cases.len()).filter(|&index| self.cases[index].is_static);
         for (index, case) in resting.enumerate() {
-            let (scene, source) = self.scene(at, case, None)?;
+            let (scene, source) = self.scene(at, case, None, &[])?;
             let setup = scene.simulation_until(&source, self.stop)?;
             if setup.rod.n_nodes() == like.n_nodes() {
                 let shape = &setup.initial.configuration;
@@ -565,6 +606,26 @@ impl Model<'_> {
 
     /// Returns the residuals at several points, in standard deviations: those of fitted cases, then those of priors.
     fn residuals(&self, points: &[Vec<f64>], steps: &Steps) -> Vec<Result<DVector<f64>, FitError>> {
+        self.residuals_with(points, steps, None)
+    }
+
+    /// Returns the residuals at a point with another value of an assumed number.
+    fn changed_residuals(
+        &self,
+        at: &[f64],
+        steps: &Steps,
+        changed: (&Assumed, f64),
+    ) -> Result<DVector<f64>, FitError> {
+        let mut found = self.residuals_with(&[at.to_vec()], steps, Some(changed));
+        found.remove(0)
+    }
+
+    fn residuals_with(
+        &self,
+        points: &[Vec<f64>],
+        steps: &Steps,
+        changed: Option<(&Assumed, f64)>,
+    ) -> Vec<Result<DVector<f64>, FitError>> {
         let work: Vec<(usize, usize)> = (0..points.len())
             .flat_map(|point| (0..self.cases.len()).map(move |case| (point, case)))
             .filter(|(_, case)| !self.cases[*case].held_out)
@@ -576,7 +637,7 @@ impl Model<'_> {
                 .map(|work| {
                     scope.spawn(move || {
                         let one = |&(point, case): &(usize, usize)| {
-                            self.case(&points[point], case, steps)
+                            self.case(&points[point], case, steps, changed)
                         };
                         work.iter().map(one).collect::<Vec<_>>()
                     })

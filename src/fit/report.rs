@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::data::Case;
 use super::explained::{Explanation, explanation};
 use super::least_squares::{Minimum, weigh};
-use super::{Model, Pose};
+use super::{FitError, Model, Pose, Steps};
 use crate::TOOL;
 use crate::output::ResidualRow;
 use crate::output::summary::SCHEMA_VERSION;
@@ -179,12 +179,15 @@ impl Squares {
 }
 
 /// Describes a minimum, and every place that was seen.
+///
+/// # Errors
+/// Returns [`FitError::Stopped`].
 pub(super) fn summary(
     model: &Model,
     found: &Minimum,
     predicted: &[Vec<Pose>],
-    wall: f64,
-) -> (FitSummary, Vec<ResidualRow>) {
+    steps: &Steps,
+) -> Result<(FitSummary, Vec<ResidualRow>), FitError> {
     let free = model.parameters;
     let n = free.len();
     let weighted = weigh(&found.jacobian, &found.weights);
@@ -199,7 +202,8 @@ pub(super) fn summary(
         .all(|own| own.standard_error.is_some())
         .then(|| normal.clone().try_inverse())
         .flatten();
-    let explanation = explanation(model, found, inverse.as_ref());
+    let assumed = model.assumptions(found, inverse.as_ref(), steps)?;
+    let explanation = explanation(model, found, inverse.as_ref(), assumed);
     let error = |i: usize| {
         (inverse.as_ref()).map(|inverse| inverse[(i, i)].max(0.0).sqrt() * free[i].scale)
     };
@@ -312,7 +316,7 @@ pub(super) fn summary(
             "iteration-limit"
         },
         iterations: found.iterations,
-        wall_s: wall,
+        wall_s: 0.0,
         rms_m,
         held_out_rms_m,
         sigma_m: model.sigma.place,
@@ -331,7 +335,7 @@ pub(super) fn summary(
         cases,
         directory: String::new(),
     };
-    (summary, seen)
+    Ok((summary, seen))
 }
 
 /// Returns the root of the mean square of the distances of a case, m, under the estimates without its rows, to first order.

@@ -843,6 +843,113 @@ fn what_the_model_does_not_explain_is_said() {
     }
 }
 
+/// Numbers that a fit takes as exact are tested one by one: a clock that is 5 ms late is found with its lateness where neither the size nor the correlation
+/// of the residuals says enough, and the first line names it. How the estimates follow such a number is what another fit with 1 % of it more finds.
+#[test]
+fn assumed_numbers_are_tested() {
+    let keys = "rod.material.youngs_modulus_pa,damping.viscous_1_s";
+    let density = "rod.material.density_kg_m3";
+    let desk = noisy_desk(7, 5, &[]);
+    let (code, late, talk) = desk.run(&[&FIT[..], &[keys]].concat());
+    assert_eq!(code, DONE, "{talk}");
+    let assumed = late["assumed"].as_array().unwrap();
+    let of = |own: &Value, name: &str| own[name].as_f64().unwrap();
+    let first = (assumed.iter()).min_by(|a, b| of(a, "p_value").total_cmp(&of(b, "p_value")));
+    let clock = first.unwrap();
+    assert_eq!(clock["name"], "clock", "{assumed:#?}");
+    let (better, error) = (of(clock, "better_by"), of(clock, "standard_error"));
+    assert!(
+        (better - 5e-3).abs() < 4.0 * error && error < 1e-3,
+        "{clock}"
+    );
+    assert!(
+        talk.lines()
+            .next()
+            .unwrap()
+            .contains("the times of recordings late by"),
+        "{talk}"
+    );
+
+    let desk = noisy_desk(7, 0, &[]);
+    let fitted = |more: &[&str]| {
+        let (code, summary, talk) = desk.run(&[&FIT[..], &[keys], more].concat());
+        assert_eq!(code, DONE, "{talk}");
+        summary
+    };
+    let (own, heavier) = (
+        fitted(&[]),
+        fitted(&["--set", &format!("{density}={}", 1050.0 * 1.01)]),
+    );
+    let assumed = own["assumed"].as_array().unwrap();
+    assert!(
+        assumed.iter().all(|own| of(own, "p_value") > 1e-3),
+        "{assumed:#?}"
+    );
+    let mass = assumed.iter().find(|own| own["name"] == "mass").unwrap();
+    for i in 0..2 {
+        let [before, after] = [&own, &heavier].map(|own| value(own, i, "value"));
+        let moved = (after / before - 1.0) / 0.01;
+        let told = mass["moves"][i].as_f64().unwrap();
+        // The fits are right to a change of 1e-7 of the numbers, and their second order is 1 % of the first.
+        assert!(
+            (moved - told).abs() < 0.03 * moved.abs().max(0.1),
+            "{moved} {told}"
+        );
+    }
+}
+
+/// A marker that is glued half a standard deviation beside its place is off in all shapes alike. With twelve shapes the standard error counts for that: it is
+/// wider by the root of `1 + 11 rho`, and `explained` is false. Independent noise of the same size is explained.
+#[test]
+fn markers_that_are_off_in_all_shapes_are_noticed() {
+    let key = "rod.material.youngs_modulus_pa";
+    let fit = |glued: f64| {
+        let desk = Desk::new();
+        let mut dice = fastrand::Rng::with_seed(4);
+        let beside: Vec<f64> = (0..6).map(|_| glued * 1e-3 * normal(&mut dice)).collect();
+        let mut data = String::from(
+            "sigma_m = 1.2e-3\n[[marker]]\nname = \"middle\"\nat = 0.5\n[[marker]]\nname = \"tip\"\nat = 1.0\n",
+        );
+        for turn in 0..12 {
+            let angle = std::f64::consts::TAU * f64::from(turn) / 12.0;
+            let set = format!(
+                "gravity.acceleration_m_s2=[{}, {}, -5.0]",
+                8.0 * angle.cos(),
+                8.0 * angle.sin()
+            );
+            let made = ["equilibrium", "arm.toml", "--out", "shape", "--set", &set];
+            let (code, _, talk) = desk.run(&made);
+            assert_eq!(code, DONE, "{talk}");
+            let shape = fs::read_to_string(desk.0.path().join("shape/shape.csv")).unwrap();
+            let place = |node: usize, marker: usize, dice: &mut fastrand::Rng| -> Vec<f64> {
+                let cells: Vec<f64> = (shape.lines().nth(node + 1).unwrap().split(','))
+                    .map(|cell| cell.parse().unwrap())
+                    .collect();
+                (0..3)
+                    .map(|k| cells[2 + k] + beside[3 * marker + k] + 1e-3 * normal(dice))
+                    .collect()
+            };
+            let (middle, tip) = (place(3, 0, &mut dice), place(6, 1, &mut dice));
+            let _ = write!(
+                data,
+                "[[shape]]\nset = [\"{set}\"]\npositions_m = {{ middle = {middle:?}, tip = {tip:?} }}\n"
+            );
+        }
+        desk.write("data.toml", &data);
+        let (code, summary, talk) = desk.run(&[&FIT[..], &[key]].concat());
+        assert_eq!(code, DONE, "{talk}");
+        summary
+    };
+    let (noise, glued) = (fit(0.0), fit(0.8));
+    println!("{noise:#} {glued:#}");
+    assert!(noise["explained"].as_bool().unwrap() && noise["widened_by"] == 1.0);
+    assert!(!glued["explained"].as_bool().unwrap());
+    let of = |name: &str| glued[name].as_f64().unwrap();
+    assert!(of("p_alike") < 1e-3 && of("p_size") > 1e-3);
+    let expected = (1.0 + 11.0 * of("alike")).sqrt();
+    assert!((of("widened_by") / expected - 1.0).abs() < 1e-9 && expected > 1.5);
+}
+
 /// A modulus that is 10 and 30 times larger or smaller than the start is found: the time step, which is chosen for the start, is chosen
 /// anew in the search. The deviation is that of the finer time step of the fit and of the noise, three standard errors at most.
 #[test]
