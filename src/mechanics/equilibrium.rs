@@ -326,6 +326,14 @@ pub(crate) fn ends_are_held(rod: &Rod, at: &Configuration, t: f64) -> bool {
     (distance / rod.scales.length).max(angle) <= CLOSED
 }
 
+/// Tells whether an end holds the roll of its section.
+fn holds_roll(end: &EndCondition) -> bool {
+    !matches!(
+        end,
+        EndCondition::Pinned { axis: None } | EndCondition::Free
+    )
+}
+
 /// Returns the equilibrium that is reached from the one with the tip where `start` has it when the tip moves to where it is held: its
 /// position straight, its rotation about one axis; or a shape that ends there, if that path cannot be followed.
 fn led(
@@ -894,13 +902,7 @@ impl<'a> Statics<'a> {
             true => (way / 0.25).min(1.0),
             false => 1.0,
         };
-        let is_clamped = |end: &EndCondition| {
-            !matches!(
-                end,
-                EndCondition::Pinned { axis: None } | EndCondition::Free
-            )
-        };
-        let held = [&self.rod.base, &self.rod.tip_end].map(is_clamped);
+        let held = [&self.rod.base, &self.rod.tip_end].map(holds_roll);
         let mut out = at.clone();
         for (q, s) in self.rod.places().into_iter().enumerate() {
             let part = eased(held[0], s) * eased(held[1], 1.0 - s);
@@ -920,13 +922,7 @@ impl<'a> Statics<'a> {
 
     /// Returns the shape whose sections are turned about the arm by a number of whole turns from the base to the tip, where both ends hold them.
     fn twisted(&self, at: &Configuration, turns: f64) -> Option<Configuration> {
-        let is_held = |end: &EndCondition| {
-            !matches!(
-                end,
-                EndCondition::Pinned { axis: None } | EndCondition::Free
-            )
-        };
-        if !(is_held(&self.rod.base) && is_held(&self.rod.tip_end)) {
+        if !(holds_roll(&self.rod.base) && holds_roll(&self.rod.tip_end)) {
             return None;
         }
         let mut out = at.clone();

@@ -131,7 +131,8 @@ pub fn statics(
         false => pushed(&rod, &own, options, stop)?,
     };
     let factors = options.factors();
-    let (mut sweep, mut cut) = (vec![start], None);
+    let first = if begins_loaded { own.clone() } else { start };
+    let (mut sweep, mut cut) = (vec![first], None);
     if begins_loaded {
         // From factor 1 down to 0, and then up from there.
         let below = factors.iter().copied().filter(|factor| *factor < 1.0);

@@ -176,11 +176,11 @@ fn stiff_contact(rod: &Rod) -> Option<String> {
 }
 
 /// Bodies that an arm goes through: thinner than the depth at which they carry its weight, than the points of an element resolve, or than a node that has
-/// fallen by the length of the arm moves in a step.
-fn thin_bodies(rod: &Rod, step: f64) -> Vec<String> {
+/// fallen by the length of the arm, and began with the speed `thrown` (m/s), moves in a step.
+fn thin_bodies(rod: &Rod, step: f64, thrown: f64) -> Vec<String> {
     let mut out = Vec::new();
     let (length, weight) = (rod.scales.length, rod.usual_contact_force());
-    let speed = (2.0 * rod.gravity.norm() * length).sqrt();
+    let speed = (2.0 * rod.gravity.norm() * length + thrown * thrown).sqrt();
     for (index, contact) in rod.contacts.iter().enumerate() {
         let own = || (rod.touches().iter()).filter(|touch| touch.contact == index);
         let radius = (own().flat_map(|touch| touch.radii)).fold(f64::INFINITY, f64::min);
@@ -216,7 +216,7 @@ fn thin_bodies(rod: &Rod, step: f64) -> Vec<String> {
         }
         if speed * step > holds {
             out.push(format!(
-                "time.step_s: an arm that falls by its length moves {:.3e} m in a step, and {name} with the arm is {holds:.3e} m thick from middle to middle: it \
+                "time.step_s: an arm that falls by its length, from its speed at t = 0, moves {:.3e} m in a step, and {name} with the arm is {holds:.3e} m thick from middle to middle: it \
                  may pass through; give a time.step_s below {:.3e} s",
                 speed * step,
                 0.5 * holds / speed
@@ -310,7 +310,8 @@ pub(crate) fn warnings(scene: &Scene, rod: &Rod, step: f64) -> Vec<String> {
         ));
     }
     out.extend(stiff_contact(rod));
-    out.extend(thin_bodies(rod, step));
+    let thrown = scene.start().velocity.norm();
+    out.extend(thin_bodies(rod, step, thrown));
     let damping = rod.viscous_damping * step;
     if damping >= 2.0 {
         out.push(format!(
