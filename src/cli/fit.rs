@@ -143,10 +143,9 @@ fn unexplained(summary: &FitSummary) -> Option<String> {
 
 /// Returns the value of the assumed number that the data speak against most, if they do.
 fn suspect(own: &Explanation) -> Option<String> {
-    let p_value = |own: &&Assumption| own.p_value.unwrap_or(1.0);
-    let found = (own.assumed.iter()).min_by(|a, b| p_value(a).total_cmp(&p_value(b)))?;
+    let found = own.suspect()?;
     let (better, error) = (found.better_by?, found.standard_error?);
-    (p_value(&found) < 1e-3).then(|| match found.name {
+    Some(match found.name {
         "clock" => format!(
             "the times of recordings late by {} +- {}",
             quantity(better, "s"),

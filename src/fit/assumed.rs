@@ -21,7 +21,7 @@ pub(super) struct Assumed {
     pub kind: Kind,
 }
 
-/// What changes with an assumed number.
+/// The part of a model that an assumed number changes.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Kind {
     /// All loads but gravity, and inputs of actuators, by a factor.

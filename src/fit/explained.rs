@@ -41,6 +41,16 @@ pub struct Explanation {
     pub worst: Option<Worst>,
 }
 
+impl Explanation {
+    /// Returns the assumed number that the data speak against most, if its value is unlikely.
+    #[must_use]
+    pub fn suspect(&self) -> Option<&Assumption> {
+        let p_value = |own: &Assumption| own.p_value.unwrap_or(1.0);
+        let least = (self.assumed.iter()).min_by(|a, b| p_value(a).total_cmp(&p_value(b)));
+        least.filter(|own| p_value(own) < UNLIKELY)
+    }
+}
+
 /// Where the model fails most.
 #[derive(Clone, Debug, Serialize)]
 pub struct Worst {

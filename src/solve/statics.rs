@@ -116,14 +116,8 @@ pub fn statics(
     };
     let path = LoadPath::new(&rod, options.varied, options.time, aside.clone(), stop)?;
     let begins_loaded = path.begins_loaded();
-    let (start, own) = if begins_loaded {
-        let own = path.loaded()?;
-        (own.clone(), path.examined(own))
-    } else {
-        let start = path.start()?;
-        let own = path.at(&start, 1.0)?;
-        (start, path.examined(own))
-    };
+    let [start, own] = begun(&path)?;
+    let own = path.examined(own);
     let critical = path.critical(&start)?;
     let is_stable = own.stability.is_some_and(|found| found.is_stable);
     let goes_to = match is_stable {
@@ -166,6 +160,17 @@ pub fn statics(
         refined_space,
         rod,
     })
+}
+
+/// Returns the equilibrium where a path begins, and that at factor 1, which are one on a path that [begins there](LoadPath::begins_loaded).
+fn begun(path: &LoadPath<'_>) -> Result<[LoadedShape; 2], EquilibriumError> {
+    if path.begins_loaded() {
+        let own = path.loaded()?;
+        return Ok([own.clone(), own]);
+    }
+    let start = path.start()?;
+    let own = path.at(&start, 1.0)?;
+    Ok([start, own])
 }
 
 /// Adds to a sweep the equilibria at further factors, each from the one before, until one has none, which goes to `cut`; that of factor 1 is
@@ -290,11 +295,7 @@ fn pushed(
     let aside = push(rod, PUSH, options, stop)?;
     let path = LoadPath::new(rod, options.varied, options.time, Some(aside), stop)?;
     let free = LoadPath::new(rod, options.varied, options.time, None, stop)?;
-    let found = match path.begins_loaded() {
-        true => path.loaded(),
-        false => path.start().and_then(|start| path.at(&start, 1.0)),
-    };
-    let found = found.and_then(|leaning| free.released(&leaning));
+    let found = begun(&path).and_then(|[_, leaning]| free.released(&leaning));
     match found {
         Ok(found) => {
             let found = free.examined(found);

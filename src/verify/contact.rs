@@ -70,19 +70,18 @@ const MOST_LOOKS: f64 = 1e3;
 impl Depths {
     /// Nothing yet, of a rod with contacts.
     pub(super) fn of(rod: &Rod) -> Self {
-        let thin = |touch: &Touch| {
-            let radius = touch.radii[0].min(touch.radii[1]);
-            rod.contacts[touch.contact].holds_up_to(radius)
-        };
         Self {
             worst: vec![None; rod.contacts.len()],
             before: None,
-            thin: rod.touches().iter().map(thin).fold(f64::INFINITY, f64::min),
+            thin: rod.thinnest_contact(),
         }
     }
 
     /// Looks at the chords of a rod at time `t`, and on their way from where they were at the time before, so often that no body is passed through unseen.
     pub(super) fn include(&mut self, rod: &Rod, t: f64, x: &[Vector3<f64>]) {
+        if self.worst.is_empty() {
+            return;
+        }
         let (from, before) = (self.before.take()).unwrap_or_else(|| (t, x.to_vec()));
         let way = (before.iter().zip(x)).fold(0.0, |most: f64, (a, b)| most.max((b - a).norm()));
         let looks = (way / (APART * self.thin)).ceil().clamp(1.0, MOST_LOOKS);

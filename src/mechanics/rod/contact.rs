@@ -340,10 +340,6 @@ impl Touch {
 
 /// Part of the way to its middle up to which a body is said to hold a rod: half of it is the reserve for what the motion does between two looks.
 pub const HOLDS: f64 = 0.5;
-/// Part of the same way that nodes may move between two looks at the depth of a motion.
-const A_LOOK: f64 = 0.25;
-/// Cap on the looks at one step; a node that moves farther is unstable.
-const MOST_LOOKS: f64 = 1e3;
 
 impl Contact {
     fn on_element(
@@ -392,19 +388,15 @@ pub struct Deepest {
 }
 
 impl Rod {
-    /// Returns the number of looks at the straight ways of the nodes over a step, in equal parts and with one at its end, between which no body is passed
-    /// through unseen; at least 1.
+    /// Returns the least distance, m, between the middle of the rod and that of a body that it touches at which the body [holds](Contact::holds_up_to) it.
     #[must_use]
-    pub fn looks_at_contacts(&self, before: &[Vector3<f64>], after: &[Vector3<f64>]) -> usize {
-        let thin = (self.touches().iter())
+    pub fn thinnest_contact(&self) -> f64 {
+        (self.touches().iter())
             .map(|touch| {
                 let radius = touch.radii[0].min(touch.radii[1]);
                 self.contacts[touch.contact].holds_up_to(radius)
             })
-            .fold(f64::INFINITY, f64::min);
-        let moved =
-            (before.iter().zip(after)).fold(0.0, |most: f64, (a, b)| most.max((b - a).norm()));
-        (moved / (A_LOOK * thin)).ceil().clamp(1.0, MOST_LOOKS) as usize
+            .fold(f64::INFINITY, f64::min)
     }
 
     /// Returns for every contact the largest depth of a chord that can touch.

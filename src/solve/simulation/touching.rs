@@ -14,8 +14,12 @@ const LONGEST: f64 = 0.6;
 const SHORTENED: f64 = 0.4;
 /// Largest energy that contacts may give, as a fraction of what they have taken up.
 const GIVEN: f64 = 0.25;
-/// The same, from which on it is told: most of what a step that contacts allow gives at a steep impact.
+/// The same, from which on it is told: most of what a step that contacts allow gives at a steep impact. It decides about a sentence alone.
 const TOLD: f64 = 0.05;
+/// Part of the way to the middle of the thinnest body that nodes may move between two looks at their depth, so that none is passed through unseen.
+const A_LOOK: f64 = 0.25;
+/// Cap on the looks at one step; a node that moves farther is unstable.
+const MOST_LOOKS: f64 = 1e3;
 /// Energy below which nothing is said, as a fraction of that of the arm's usual contact force over its length.
 const NEGLIGIBLE: f64 = 1e-3;
 /// Largest divisor of the step that the scene's arm has by itself.
@@ -36,6 +40,8 @@ pub(super) struct Touching {
     /// Energy of the arm's usual contact force over its length, J.
     scale: f64,
     is_touching: bool,
+    /// Least distance between the middles of the arm and of a body that it touches, m.
+    thin: f64,
     /// Positions on the way of the last step.
     between: Vec<Vector3<f64>>,
     /// Step that the contacts allow at the present positions, s.
@@ -62,6 +68,7 @@ impl Touching {
             taken_up: 0.0,
             scale: rod.usual_contact_force() * rod.scales.length,
             is_touching: false,
+            thin: rod.thinnest_contact(),
             between: Vec::new(),
             allowed: f64::INFINITY,
             least_allowed: f64::INFINITY,
@@ -119,7 +126,9 @@ impl Touching {
         }
         std::mem::swap(&mut self.positions, &mut self.next);
         std::mem::swap(&mut self.forces, &mut self.next_forces);
-        let looks = rod.looks_at_contacts(&self.next, &self.positions);
+        let ways = self.next.iter().zip(&self.positions);
+        let moved = ways.fold(0.0, |most: f64, (a, b)| most.max((b - a).norm()));
+        let looks = (moved / (A_LOOK * self.thin)).ceil().clamp(1.0, MOST_LOOKS) as usize;
         if self.is_touching || looks > 1 {
             looks
         } else {
@@ -129,6 +138,9 @@ impl Touching {
 
     /// Returns the positions at a part of the way of the last step, above 0 and at most 1, and the step that the contacts allow after it, s.
     pub(super) fn on_the_way(&mut self, part: f64) -> (&[Vector3<f64>], f64) {
+        if part == 1.0 {
+            return (&self.positions, self.allowed);
+        }
         self.between.clear();
         let ways = self.next.iter().zip(&self.positions);
         (self.between).extend(ways.map(|(before, after)| after - (after - before) * (1.0 - part)));
