@@ -52,26 +52,22 @@
 #[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod cli;
-mod clock;
-pub mod control;
 #[doc(hidden)]
 pub mod derivatives;
 #[cfg(feature = "cli")]
 pub(crate) mod fit;
-pub mod mechanics;
 #[doc(hidden)]
 pub mod memory;
-pub mod mpc;
 pub mod output;
-#[cfg(feature = "python")]
-mod python;
 pub mod scene;
 pub mod solve;
-pub mod sqp;
-pub mod stop;
-pub mod task;
 pub mod tradeoff;
-pub mod verify;
+
+#[doc(inline)]
+pub use {control, mechanics, mpc, sqp, stop, task, verify};
+
+pub(crate) use mpc::TOOL;
+pub(crate) use stop::clock;
 
 pub use solve::solve;
 
@@ -80,9 +76,6 @@ pub use faer;
 
 /// The linear algebra crate whose vectors and small matrices this library uses in its interface, in the version with which it is built.
 pub use nalgebra;
-
-/// Name of the program, by which its results and its lines of JSON say who wrote them.
-pub(crate) const TOOL: &str = "softarm";
 
 /// The README's example, compiled and run by the tests.
 #[cfg(doctest)]

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use super::console::Console;
 use super::error::CliError;
@@ -37,7 +38,7 @@ pub(super) struct EquilibriumArguments {
     #[arg(long, value_name = "N", default_value_t = 21, value_parser = clap::value_parser!(u32).range(2..=10_000))]
     points: u32,
     /// Loads that the load factor multiplies
-    #[arg(long, value_enum, default_value = "all")]
+    #[arg(long, default_value = "all", value_parser = varied())]
     vary: Varied,
     /// Time at which loads with a profile and a driven base are evaluated, s
     #[arg(
@@ -56,6 +57,12 @@ pub(super) struct EquilibriumArguments {
         allow_negative_numbers = true
     )]
     imperfection: f64,
+}
+
+/// Reads a choice of [`Varied`] by its name.
+fn varied() -> impl TypedValueParser<Value = Varied> {
+    let choices = Varied::EACH.map(|one| PossibleValue::new(one.name()).help(one.words()));
+    PossibleValuesParser::new(choices).map(|name| Varied::named(&name).unwrap_or_default())
 }
 
 impl EquilibriumArguments {

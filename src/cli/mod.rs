@@ -314,7 +314,7 @@ fn unless_at_fault(verb: impl FnOnce() -> Outcome) -> Outcome {
 }
 
 /// Returns the words of a panic.
-pub(crate) fn panic_words(panic: &(dyn Any + Send)) -> &str {
+pub fn panic_words(panic: &(dyn Any + Send)) -> &str {
     (panic.downcast_ref::<String>().map(String::as_str))
         .or_else(|| panic.downcast_ref::<&str>().copied())
         .unwrap_or("a panic without words")

@@ -4,8 +4,6 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use npyz::npz::file_name_from_array_name;
-use npyz::{NpyFile, Order, WriteOptions, WriterBuilder};
 use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipArchive, ZipWriter};
@@ -143,19 +141,51 @@ pub(super) fn write_array(
     shape: &[usize],
     values: impl IntoIterator<Item = io::Result<f64>>,
 ) -> io::Result<()> {
-    let shape: Vec<u64> = shape.iter().map(|&size| size as u64).collect();
-    let size = 8 * shape.iter().product::<u64>() + HEADER_ALLOWANCE;
-    archive.start_file(file_name_from_array_name(name), entry_options(size))?;
-    let mut array = WriteOptions::<f64>::new()
-        .default_dtype()
-        .shape(&shape)
-        .writer(BufWriter::with_capacity(CHUNK, archive))
-        .begin_nd()?;
+    let count: usize = shape.iter().product();
+    let size = 8 * count as u64 + HEADER_ALLOWANCE;
+    archive.start_file(entry_name(name), entry_options(size))?;
+    let mut entry = BufWriter::with_capacity(CHUNK, archive);
+    entry.write_all(&header("<f8", shape))?;
+    let mut n_written = 0;
     for value in values {
-        array.push(&value?)?;
+        entry.write_all(&value?.to_le_bytes())?;
+        n_written += 1;
     }
-    array.finish()
+    if n_written != count {
+        let error = format!("{n_written} numbers for an array of {count}");
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, error));
+    }
+    entry.flush()
 }
+
+/// Name of the entry of an array.
+fn entry_name(array: &str) -> String {
+    format!("{array}.npy")
+}
+
+/// The header of an array of numpy's `.npy` format, version 1.0, whose end aligns the data to 64 bytes.
+fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
+    let sizes: String = shape.iter().map(|size| format!("{size}, ")).collect();
+    let sizes = match shape {
+        [only] => format!("{only},"),
+        _ => sizes.trim_end_matches(", ").to_string(),
+    };
+    let mut text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({sizes}), }}");
+    while !(PREFIX + text.len() + 1).is_multiple_of(64) {
+        text.push(' ');
+    }
+    text.push('\n');
+    let mut bytes = MAGIC.to_vec();
+    bytes.extend([1, 0]);
+    bytes.extend((text.len() as u16).to_le_bytes());
+    bytes.extend(text.as_bytes());
+    bytes
+}
+
+/// The first bytes of a `.npy` file.
+const MAGIC: &[u8] = b"\x93NUMPY";
+/// Bytes before the text of a header of version 1: the magic ones, the version, and the length of the text.
+const PREFIX: usize = 10;
 
 fn entry_options(size: u64) -> SimpleFileOptions {
     SimpleFileOptions::default()
@@ -175,18 +205,7 @@ pub(super) fn write_words(
     words: &[String],
 ) -> io::Result<()> {
     let width = (words.iter().map(|word| word.chars().count())).fold(1, usize::max);
-    let mut header = format!(
-        "{{'descr': '<U{width}', 'fortran_order': False, 'shape': ({},), }}",
-        words.len()
-    );
-    // Ten bytes precede the header, which ends a line and aligns the data.
-    while (10 + header.len() + 1) % 64 != 0 {
-        header.push(' ');
-    }
-    header.push('\n');
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
+    let mut bytes = header(&format!("<U{width}"), &[words.len()]);
     for word in words {
         let filled = (word.chars().map(u32::from))
             .chain(std::iter::repeat(0))
@@ -194,7 +213,7 @@ pub(super) fn write_words(
         bytes.extend(filled.flat_map(u32::to_le_bytes));
     }
     let options = entry_options(bytes.len() as u64);
-    archive.start_file(file_name_from_array_name(name), options)?;
+    archive.start_file(entry_name(name), options)?;
     archive.write_all(&bytes)
 }
 
@@ -206,17 +225,10 @@ pub(super) fn read_words(
     longest: usize,
 ) -> Result<Vec<String>, String> {
     let mut entry = entry_of(archive, name)?;
-    let header = header_of(&mut entry)?;
-    let header: String = (header.iter().skip(10))
-        .map(|byte| char::from(*byte))
-        .filter(|character| !character.is_whitespace())
-        .collect();
-    let after = |key: &str| header.split_once(key).map(|(_, rest)| rest);
-    let width =
-        after("'descr':'<U").and_then(|rest| rest.split('\'').next()?.parse::<usize>().ok());
+    let header = Header::read(&mut entry)?;
+    let width = (header.descr.strip_prefix("<U")).and_then(|width| width.parse::<usize>().ok());
     let width = width.ok_or("not text")?;
-    let length = after("'shape':(").and_then(|rest| rest.split(',').next()?.parse::<usize>().ok());
-    if length != Some(n) {
+    if header.shape != [n] {
         return Err(format!("not a list of {n} words"));
     }
     if width > longest.max(1) {
@@ -249,7 +261,7 @@ fn entry_of<'a>(
     archive: &'a mut Archive,
     name: &str,
 ) -> Result<zip::read::ZipFile<'a, BufReader<File>>, String> {
-    (archive.by_name(&file_name_from_array_name(name))).map_err(|error| match error {
+    (archive.by_name(&entry_name(name))).map_err(|error| match error {
         ZipError::FileNotFound => "missing".into(),
         other => other.to_string(),
     })
@@ -277,11 +289,12 @@ pub(super) fn visit_array(
     expected: &[Option<usize>],
     mut visit: impl FnMut(f64) -> io::Result<()>,
 ) -> Result<Vec<usize>, String> {
-    let mut entry = entry_of(archive, name)?;
-    let header = header_of(&mut entry)?;
-    let mut bytes = header.as_slice().chain(entry);
-    let array = NpyFile::new(&mut bytes).map_err(|error| error.to_string())?;
-    let shape: Vec<usize> = array.shape().iter().map(|&size| size as usize).collect();
+    let mut bytes = BufReader::with_capacity(CHUNK, entry_of(archive, name)?);
+    let Header {
+        descr,
+        in_fortran_order,
+        shape,
+    } = Header::read(&mut bytes)?;
     let matches = shape.len() == expected.len()
         && shape
             .iter()
@@ -294,14 +307,23 @@ pub(super) fn visit_array(
             .collect();
         return Err(format!("shape {shape:?}, not [{}]", expected.join(", ")));
     }
-    if array.order() != Order::C && shape.len() > 1 {
+    if in_fortran_order && shape.len() > 1 {
         return Err("in Fortran order; save it in C order".into());
     }
-    let numbers = array.data::<f64>().map_err(|error| error.to_string())?;
-    for value in numbers {
-        value
-            .and_then(&mut visit)
-            .map_err(|error| error.to_string())?;
+    let number: fn([u8; 8]) -> f64 = match descr.as_str() {
+        "<f8" => f64::from_le_bytes,
+        ">f8" => f64::from_be_bytes,
+        _ => return Err(format!("of type '{descr}', not of 64-bit numbers ('<f8')")),
+    };
+    let count = (shape.iter()).try_fold(1usize, |count, &size| count.checked_mul(size));
+    for _ in 0..count.ok_or("larger than the memory of any computer")? {
+        let mut eight = [0; 8];
+        (bytes.read_exact(&mut eight))
+            .and_then(|()| visit(number(eight)))
+            .map_err(|error| match error.kind() {
+                io::ErrorKind::UnexpectedEof => "shorter than its shape".to_string(),
+                _ => error.to_string(),
+            })?;
     }
     // The archive compares its checksum only at the end of the array.
     match bytes.read(&mut [0]) {
@@ -311,39 +333,80 @@ pub(super) fn visit_array(
     }
 }
 
-/// Reads the header of an array and checks, before it is parsed, that it is short and not nested, as for plain numbers.
-fn header_of(entry: &mut impl Read) -> Result<Vec<u8>, String> {
-    let broken = |error: io::Error| match error.kind() {
-        io::ErrorKind::UnexpectedEof => "breaks off within its header".to_string(),
-        _ => error.to_string(),
-    };
-    let mut header = vec![0; 10];
-    entry.read_exact(&mut header).map_err(broken)?;
-    if !header.starts_with(b"\x93NUMPY") {
-        return Err("not a numpy array".into());
+/// The header of an array of plain numbers or text.
+#[derive(Debug, Default)]
+struct Header {
+    /// Numpy's name of the type of an entry.
+    descr: String,
+    in_fortran_order: bool,
+    shape: Vec<usize>,
+}
+
+impl Header {
+    /// Reads a header of any version of the format, which is a literal of Python: a dictionary with a string, a truth value, and a tuple of
+    /// integers.
+    fn read(entry: &mut impl Read) -> Result<Self, String> {
+        let broken = |error: io::Error| match error.kind() {
+            io::ErrorKind::UnexpectedEof => "breaks off within its header".to_string(),
+            _ => error.to_string(),
+        };
+        let mut prefix = [0; PREFIX];
+        entry.read_exact(&mut prefix).map_err(broken)?;
+        if !prefix.starts_with(MAGIC) {
+            return Err("not a numpy array".into());
+        }
+        // The length has two bytes in version 1, four in later ones.
+        let mut length = [prefix[8], prefix[9], 0, 0];
+        if prefix[6] > 1 {
+            entry.read_exact(&mut length[2..]).map_err(broken)?;
+        }
+        let length = u32::from_le_bytes(length);
+        if u64::from(length) > HEADER_ALLOWANCE {
+            return Err(format!(
+                "a header of {length} bytes; expected at most {HEADER_ALLOWANCE}"
+            ));
+        }
+        let mut text = vec![0; length as usize];
+        entry.read_exact(&mut text).map_err(broken)?;
+        (std::str::from_utf8(&text).ok())
+            .and_then(|text| Self::parse(text.trim()))
+            .ok_or_else(|| "not an array of plain numbers".into())
     }
-    // The length has two bytes in version 1, four in later ones.
-    let mut length = u64::from(header[8]) | u64::from(header[9]) << 8;
-    if header[6] > 1 {
-        let mut more = [0; 2];
-        entry.read_exact(&mut more).map_err(broken)?;
-        length |= u64::from(more[0]) << 16 | u64::from(more[1]) << 24;
-        header.extend(more);
+
+    fn parse(text: &str) -> Option<Self> {
+        let mut header = Self::default();
+        let mut rest = text.strip_prefix('{')?.strip_suffix('}')?.trim();
+        while !rest.is_empty() {
+            let (key, value) = quoted(rest)?;
+            let value = value.trim_start().strip_prefix(':')?.trim_start();
+            rest = match key {
+                "descr" => {
+                    let (descr, rest) = quoted(value)?;
+                    header.descr = descr.to_string();
+                    rest
+                }
+                "fortran_order" => {
+                    header.in_fortran_order = value.starts_with("True");
+                    (value.strip_prefix("True")).or_else(|| value.strip_prefix("False"))?
+                }
+                "shape" => {
+                    let (sizes, rest) = value.strip_prefix('(')?.split_once(')')?;
+                    let sizes = sizes.split(',').map(str::trim);
+                    let sizes = sizes.filter(|size| !size.is_empty());
+                    header.shape = sizes.map(|size| size.parse().ok()).collect::<Option<_>>()?;
+                    rest
+                }
+                _ => return None,
+            };
+            rest = rest.trim_start();
+            rest = rest.strip_prefix(',').unwrap_or(rest).trim_start();
+        }
+        Some(header)
     }
-    if length > HEADER_ALLOWANCE {
-        return Err(format!(
-            "a header of {length} bytes; expected at most {HEADER_ALLOWANCE}"
-        ));
-    }
-    let before = header.len();
-    header.resize(before + length as usize, 0);
-    entry.read_exact(&mut header[before..]).map_err(broken)?;
-    // One dictionary and one tuple are expected; the parser's time doubles with every further level of nesting.
-    let opened = (header[before..].iter())
-        .filter(|byte| b"([{".contains(byte))
-        .count();
-    if opened > 2 {
-        return Err("not an array of plain numbers".into());
-    }
-    Ok(header)
+}
+
+/// Splits off a string in quotation marks of Python.
+fn quoted(text: &str) -> Option<(&str, &str)> {
+    let mark = text.chars().next().filter(|mark| "'\"".contains(*mark))?;
+    text[1..].split_once(mark)
 }

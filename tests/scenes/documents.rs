@@ -115,18 +115,28 @@ fn links_lead_somewhere() {
     }
 }
 
-/// Where a path in a document may begin: at the root, in `src`, or in the folder that a document speaks of.
-fn places(word: &str) -> [PathBuf; 2] {
-    [root().join(word), root().join("src").join(word)]
+/// Where a path in a document may begin: at the root, in `src`, or with the name of a package in `crates`, whose `src` is left out.
+fn places(word: &str) -> [PathBuf; 3] {
+    let (package, rest) = word.split_once('/').unwrap_or((word, ""));
+    let in_package = root().join("crates").join(package).join("src").join(rest);
+    [root().join(word), root().join("src").join(word), in_package]
 }
 
 /// Every path to a source file, and every folder of the repository, that a document names between backticks exists.
-/// A bare file name without a folder is looked for everywhere under `src`.
+/// A name without a package is looked for everywhere in `src` and `crates`.
 #[test]
 fn paths_exist() {
-    let mut names = BTreeSet::new();
-    collect(&root().join("src"), &mut names);
-    let folders = ["src/", "tests/", "examples/", "benches/", "docs/"];
+    let mut sources = Vec::new();
+    collect(&root().join("src"), &mut sources);
+    collect(&root().join("crates"), &mut sources);
+    let folders = [
+        "src/",
+        "crates/",
+        "tests/",
+        "examples/",
+        "benches/",
+        "docs/",
+    ];
     for document in documents() {
         let (prose, _) = split(&read(&document));
         for word in code(&prose) {
@@ -139,9 +149,8 @@ fn paths_exist() {
             if !is_plain || !(is_source || is_folder || is_inside) {
                 continue;
             }
-            let is_bare = word.trim_end_matches('/').split('/').count() == 1;
             let exists = places(word).iter().any(|path| path.exists())
-                || is_bare && names.contains(word.trim_end_matches('/'));
+                || !is_inside && sources.iter().any(|path| path.ends_with(word));
             assert!(exists, "{document}: `{word}` does not exist");
         }
     }
@@ -206,7 +215,7 @@ fn items_are_where_they_are_said_to_be() {
 /// A long name in lower case, such as that of a test, stands somewhere in the code.
 #[test]
 fn long_names_exist() {
-    let text = sources(&["src", "tests", "benches", "examples"]);
+    let text = sources(&["src", "crates", "tests", "benches", "examples"]);
     let known = words(&text);
     for document in documents() {
         let (prose, _) = split(&read(&document));
@@ -218,14 +227,14 @@ fn long_names_exist() {
     }
 }
 
-/// Names of all files and folders under `folder`.
-fn collect(folder: &Path, names: &mut BTreeSet<String>) {
+/// All files and folders under `folder`.
+fn collect(folder: &Path, paths: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
-        let entry = entry.unwrap();
-        names.insert(entry.file_name().into_string().unwrap());
-        if entry.path().is_dir() {
-            collect(&entry.path(), names);
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            collect(&path, paths);
         }
+        paths.push(path);
     }
 }
 

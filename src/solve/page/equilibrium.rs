@@ -23,11 +23,9 @@ pub(crate) fn equilibrium_page(
     summary: &Value,
 ) -> Result<ReportData, OutputError> {
     let last = record.t.last().copied().unwrap_or(1.0);
-    let varied = match summary["varied"].as_str().unwrap_or_default() {
-        "loads" => Varied::Loads,
-        "gravity" => Varied::Gravity,
-        _ => Varied::All,
-    };
+    let varied = (summary["varied"].as_str())
+        .and_then(Varied::named)
+        .unwrap_or_default();
     let loaded = over_factors(rod, varied, number(&summary["time_s"]), last);
     let mut forces = arrows::given(&loaded, record, |_| arrows::LOAD);
     if varied != Varied::Loads {

@@ -1,0 +1,175 @@
+//! The controls that hold a node along a reference, from one pose to the next.
+
+use nalgebra::{DMatrix, Matrix3, Vector3, Vector6};
+
+use super::clearance::HeldLimits;
+use super::program::{Aim, Demand, HoldingPoint, LITTLE};
+use super::statics::{Statics, Target};
+use super::{MOST_CONTROLS, MOST_ELEMENTS, Search};
+use crate::problem::{Component, OptimalControlProblem};
+use mechanics::equilibrium::NodeSpring;
+use mechanics::tangent::own_squared_frequency;
+use mechanics::{Configuration, Wrench};
+
+/// An equilibrium that is led along a reference.
+#[derive(Clone, Debug)]
+pub struct ControlsAlong {
+    point: HoldingPoint,
+}
+
+/// Scaled controls that put a node as near to a pose as their bounds allow, of least size: see [`Aim::Approach`].
+#[derive(Clone, Debug)]
+pub struct HoldingControls {
+    pub controls: Vec<f64>,
+    /// Change of every control, within its bounds, that keeps the node where it is under a wrench on the tip: per unit of force (spatial
+    /// frame, N) and moment (body frame, N m).
+    pub bearing: Vec<[f64; 6]>,
+    /// Tells whether small deviations stay small under constant controls.
+    pub is_stable: bool,
+}
+
+/// Returns the equilibrium of least effort with a node at a pose, position (m) and rotation (body to space), under the loads of time `t`
+/// (s), and the wrenches of all actuators that hold it, from a shape with the node about there; `None` if none is found, for a free arm, and
+/// where the search would take too long. It may be unstable.
+pub fn held_at(
+    problem: &OptimalControlProblem,
+    node: usize,
+    (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
+    t: f64,
+    shape: &Configuration,
+) -> Option<(Configuration, Vec<Wrench>)> {
+    let rod = &problem.rod;
+    let n_controls = problem.actuated_components().len();
+    if !rod.is_held() || rod.n_elements() > MOST_ELEMENTS || n_controls > MOST_CONTROLS {
+        return None;
+    }
+    let statics = statics_at(problem, t);
+    let first = HoldingPoint {
+        controls: vec![0.0; n_controls],
+        shape: shape.clone(),
+    };
+    let search = Search {
+        limits: HeldLimits::of(problem),
+        statics: &statics,
+        target: Target {
+            node,
+            position,
+            rotation,
+        },
+        start: shape.clone(),
+    };
+    let point = search.solve(&Demand::of(Aim::Hold), &first)?;
+    let wrenches = statics.wrenches(&point.controls);
+    Some((point.shape, wrenches))
+}
+
+/// Returns the statics under the loads of time `t`, s, with the bounds of efforts and commands as they are.
+fn statics_at(problem: &OptimalControlProblem, t: f64) -> Statics<'_> {
+    let components = problem.actuated_components();
+    let within = |component: &Component| {
+        (problem.channel(component).bound).and_then(|bound| bound.interval(component.axis % 3))
+    };
+    Statics {
+        unit: own_squared_frequency(&problem.rod),
+        ends: components.iter().map(within).collect(),
+        components,
+        time: t,
+        problem,
+    }
+}
+
+impl ControlsAlong {
+    /// Begins at the start of a problem, without controls.
+    pub fn new(problem: &OptimalControlProblem) -> Self {
+        Self {
+            point: HoldingPoint {
+                controls: vec![0.0; problem.actuated_components().len()],
+                shape: problem.initial.configuration.clone(),
+            },
+        }
+    }
+
+    /// Moves the equilibrium to a pose of `node`, position (m) and rotation (body to space), under the loads of time `t` (s). Returns
+    /// `None`, and stays where it is, if no equilibrium is found.
+    pub fn hold(
+        &mut self,
+        problem: &OptimalControlProblem,
+        node: usize,
+        (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
+        t: f64,
+    ) -> Option<HoldingControls> {
+        let statics = statics_at(problem, t);
+        let target = Target {
+            node,
+            position,
+            rotation,
+        };
+        let search = Search {
+            limits: HeldLimits::of(problem),
+            statics: &statics,
+            target,
+            start: self.point.shape.clone(),
+        };
+        let point = search.solve(&Demand::of(Aim::Approach { weight: 1.0 }), &self.point)?;
+        let held = search.held(&point)?;
+        let bearing = bearing(&statics, &target, &point)?;
+        self.point = HoldingPoint {
+            shape: held.shape,
+            ..point
+        };
+        Some(HoldingControls {
+            controls: self.point.controls.clone(),
+            bearing,
+            is_stable: held.is_stable,
+        })
+    }
+}
+
+/// Returns the changes of the controls that are not at their bounds by which the node of the target stays where it is under each component
+/// of a wrench on the tip: the least of `½|J δu + C w|² + ½ε|δu|²`, as in the program, with the displacements `J` of the node along the
+/// controls and `C` along the wrench.
+fn bearing(statics: &Statics, target: &Target, point: &HoldingPoint) -> Option<Vec<[f64; 6]>> {
+    let HoldingPoint { controls, shape } = point;
+    let n_free = shape.positions.len() - statics.problem.rod.first_free_node();
+    let mut right = statics.columns(shape, controls);
+    right.extend((0..6).map(|component| {
+        let mut column = vec![Vector6::zeros(); n_free];
+        column[n_free - 1][component] = 1.0;
+        statics.problem.rod.project_joints(&mut column);
+        column
+    }));
+    let factor = statics
+        .tangent(shape, controls, &NodeSpring::default())
+        .factor()?;
+    let steps = factor.solve(&right);
+    let rows = target.n_equations();
+    let moved = |index: usize| statics.along(target, shape, &steps[index]);
+    let n = controls.len();
+    let is_free = |c: usize| {
+        let component = &statics.components[c];
+        let channel = statics.problem.channel(component);
+        let interval = (channel.bound).and_then(|bound| bound.interval(component.axis % 3));
+        interval.is_none_or(|[least, most]| {
+            let value = controls[c] * channel.scale;
+            let room = AT_A_BOUND * channel.scale;
+            value > least + room && value < most - room
+        })
+    };
+    let free: Vec<bool> = (0..n).map(is_free).collect();
+    let along: Vec<Vec<f64>> = (0..n + 6).map(moved).collect();
+    let jacobian = DMatrix::from_fn(rows, n, |i, c| if free[c] { along[c][i] } else { 0.0 });
+    let compliance = DMatrix::from_fn(rows, 6, |i, j| along[n + j][i]);
+    let square = jacobian.tr_mul(&jacobian) + DMatrix::identity(n, n) * LITTLE;
+    let change = square
+        .cholesky()?
+        .solve(&(jacobian.tr_mul(&compliance) * -1.0));
+    Some(
+        (0..n)
+            .map(|c| std::array::from_fn(|j| change[(c, j)]))
+            .collect(),
+    )
+}
+
+/// Distance from a bound, in units of a control's scale, below which the control counts as being at it: an interior-point method leaves as
+/// much.
+const AT_A_BOUND: f64 = 1e-4;

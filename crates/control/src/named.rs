@@ -1,0 +1,185 @@
+//! The controls of a problem by name and unit.
+
+use super::problem::{Component, OptimalControlProblem};
+use mechanics::{Mesh, Wrench};
+
+/// A control as files, certificates, arrays and pages show it: a number with a name and a unit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedControl {
+    /// `tip force x`, `place 0.5 moment z`, or the name of an actuator; no two controls of a problem have the same.
+    pub name: String,
+    /// Unit of its values; `1` for a pure number.
+    pub unit: &'static str,
+    /// The object that it moves.
+    pub kind: ControlKind,
+    /// Place of its coefficients among those of the problem.
+    pub component: Component,
+    /// Value where the coefficient is zero, in `unit`: the given effort of an actuator, such as the pretension of a tendon; 0 for others.
+    pub rest: f64,
+}
+
+/// The object that a control moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ControlKind {
+    /// A component of the wrench on a node: force in the spatial frame, N, moment in the body frame, N m.
+    Wrench {
+        /// Index of the node.
+        node: usize,
+    },
+    /// A control of a user-defined actuator.
+    Own,
+    /// The effort of an actuator of the rod; of a winch its displacement.
+    Effort {
+        /// Index among the rod's actuators.
+        actuator: usize,
+    },
+}
+
+impl NamedControl {
+    /// Returns component `axis` (0..3 force, 3..6 moment) of the wrench number `actuator`, on a node.
+    #[must_use]
+    pub fn on_node(mesh: &Mesh, node: usize, actuator: usize, axis: usize) -> Self {
+        let (part, unit) = match axis {
+            0..3 => ("force", "N"),
+            _ => ("moment", "N m"),
+        };
+        let letter = ["x", "y", "z"][axis % 3];
+        Self {
+            name: format!("{} {part} {letter}", place(mesh, node)),
+            unit,
+            kind: ControlKind::Wrench { node },
+            component: Component { actuator, axis },
+            rest: 0.0,
+        }
+    }
+
+    /// Returns the head of its column in a table: name and unit, as in `left (N)`.
+    #[must_use]
+    pub fn heading(&self) -> String {
+        format!("{} ({})", self.name, self.unit)
+    }
+
+    /// Returns the node of a component of a wrench.
+    #[must_use]
+    pub fn node(&self) -> Option<usize> {
+        match self.kind {
+            ControlKind::Wrench { node } => Some(node),
+            ControlKind::Own | ControlKind::Effort { .. } => None,
+        }
+    }
+
+    /// Returns the value for one coefficient of the problem's controls.
+    #[must_use]
+    pub fn value(&self, coefficient: &[Wrench]) -> f64 {
+        let Component { actuator, axis } = self.component;
+        let own = &coefficient[actuator];
+        self.rest
+            + match axis.checked_sub(3) {
+                None => own.force[axis],
+                Some(axis) => own.moment[axis],
+            }
+    }
+
+    /// Writes the value to one coefficient of the problem's controls, as the inverse of [`Self::value`].
+    pub fn write(&self, value: f64, coefficient: &mut [Wrench]) {
+        let Component { actuator, axis } = self.component;
+        let own = &mut coefficient[actuator];
+        match axis.checked_sub(3) {
+            None => own.force[axis] = value - self.rest,
+            Some(axis) => own.moment[axis] = value - self.rest,
+        }
+    }
+}
+
+/// Returns the name of a node: `tip`, `base`, or its place along the arm as a fraction of the length.
+fn place(mesh: &Mesh, node: usize) -> String {
+    const DIGITS: f64 = 1e6;
+    if node == mesh.n_elements() {
+        "tip".into()
+    } else if node == 0 {
+        "base".into()
+    } else {
+        format!("place {}", (mesh.fraction(node) * DIGITS).round() / DIGITS)
+    }
+}
+
+/// Gives a control that has the name of one before it a number.
+pub fn distinguish(controls: &mut [NamedControl]) {
+    let mut taken = std::collections::BTreeSet::new();
+    for control in controls {
+        let mut number = 2;
+        let first = control.name.clone();
+        while !taken.insert(control.name.clone()) {
+            control.name = format!("{first} {number}");
+            number += 1;
+        }
+    }
+}
+
+/// Returns the words with which the names of the controls of one vector begin: `tip force`, or the whole name of a single one.
+pub fn name_of_vector(controls: &[NamedControl], actuator: usize, part: usize) -> String {
+    let mut names = (controls.iter())
+        .filter(|own| own.component.actuator == actuator && own.component.axis / 3 == part)
+        .map(|own| own.name.as_str());
+    let Some(first) = names.next() else {
+        return "control".into();
+    };
+    let mut common: Vec<&str> = first.split(' ').collect();
+    for name in names {
+        let same = (common.iter().zip(name.split(' ')))
+            .take_while(|(a, b)| *a == b)
+            .count();
+        common.truncate(same);
+    }
+    match common.is_empty() {
+        true => "control".into(),
+        false => common.join(" "),
+    }
+}
+
+impl OptimalControlProblem {
+    /// Returns the controls that the optimizer chooses, in the order of the [actuated components](Self::actuated_components): those of
+    /// wrenches on nodes, then those of user-defined actuators, then efforts of the rod's actuators. Files, certificates, arrays and pages
+    /// name the controls by this list alone.
+    #[must_use]
+    pub fn named_controls(&self) -> Vec<NamedControl> {
+        let driven: Vec<_> = self.driven_components().collect();
+        let named = |component: Component| {
+            let own = |name: String, unit: &'static str, kind, rest| NamedControl {
+                name,
+                unit: if unit.is_empty() { "1" } else { unit },
+                kind,
+                component,
+                rest,
+            };
+            if let Some((index, control)) = self.own_control(&component) {
+                let actuator = &self.acting[index].actuator;
+                let unit = actuator.named_controls().1;
+                return own(actuator.control_name(control), unit, ControlKind::Own, 0.0);
+            }
+            let effort = (driven.iter()).find(|(_, place)| *place == component);
+            let drive = effort.and_then(|(index, _)| {
+                let drive = self.rod.actuators.iter().nth(*index)?;
+                Some((*index, drive))
+            });
+            match drive {
+                Some((actuator, drive)) => own(
+                    drive.name.clone(),
+                    drive.input_unit(),
+                    ControlKind::Effort { actuator },
+                    drive.effort(0.0),
+                ),
+                None => {
+                    let node = self.actuators[component.actuator].node;
+                    let Component { actuator, axis } = component;
+                    NamedControl::on_node(&self.rod.mesh, node, actuator, axis)
+                }
+            }
+        };
+        let mut out: Vec<_> = (self.actuated_components().into_iter())
+            .map(named)
+            .collect();
+        distinguish(&mut out);
+        out
+    }
+}

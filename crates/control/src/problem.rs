@@ -1,0 +1,906 @@
+//! The discrete optimal-control problem: a rod, a time grid, actuators with bounds, goals, limits and an objective.
+
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::hold::ControlGrid;
+use super::path::{PathConstraint, PathEnforcement, PathLimit};
+use super::stay::Stay;
+use super::term::StateCost;
+use super::tracking::Tracking;
+use mechanics::actuator::Acting;
+use mechanics::linearization::Motion;
+use mechanics::sparse_motion::SparseMotion;
+use mechanics::{ControlSignal, Drive, Efforts, Rod, State, TimeGrid, Wrench};
+use stop::StopSignal;
+
+/// Limit of one of the two vectors of a wrench.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Bound {
+    /// `|u| ≤ limit`: a second-order cone.
+    Norm(f64),
+    /// `|u_i| ≤ limit_i` per axis; an axis with limit 0 is not actuated.
+    PerAxis(Vector3<f64>),
+    /// `lower_i ≤ u_i ≤ upper_i` per axis, with zero between; an axis where both are 0 is not actuated.
+    Between {
+        /// `lower`, at most 0.
+        lower: Vector3<f64>,
+        /// `upper`, at least 0.
+        upper: Vector3<f64>,
+    },
+}
+
+impl Bound {
+    /// Tells whether component `axis` can act at all.
+    #[must_use]
+    pub fn actuates(&self, axis: usize) -> bool {
+        match self {
+            Self::Norm(limit) => *limit > 0.0,
+            Self::PerAxis(limits) => limits[axis] > 0.0,
+            Self::Between { lower, upper } => upper[axis] > lower[axis],
+        }
+    }
+
+    /// Returns the least and the largest value of component `axis`, if components are bounded each by itself.
+    #[must_use]
+    pub fn interval(&self, axis: usize) -> Option<[f64; 2]> {
+        match self {
+            Self::Norm(_) => None,
+            Self::PerAxis(limits) => Some([-limits[axis], limits[axis]]),
+            Self::Between { lower, upper } => Some([lower[axis], upper[axis]]),
+        }
+    }
+
+    /// Returns the largest size that any component, or the whole vector, may have.
+    #[must_use]
+    pub fn largest(&self) -> f64 {
+        match self {
+            Self::Norm(limit) => *limit,
+            Self::PerAxis(limits) => limits.max(),
+            Self::Between { lower, upper } => upper.max().max(-lower.min()),
+        }
+    }
+
+    /// Returns by how much `u` exceeds the limit; 0 inside.
+    #[must_use]
+    pub fn violation(&self, u: &Vector3<f64>) -> f64 {
+        match self {
+            Self::Norm(limit) => (u.norm() - limit).max(0.0),
+            Self::PerAxis(limits) => (0..3)
+                .map(|i| (u[i].abs() - limits[i]).max(0.0))
+                .fold(0.0, f64::max),
+            Self::Between { lower, upper } => (0..3)
+                .map(|i| (u[i] - upper[i]).max(lower[i] - u[i]).max(0.0))
+                .fold(0.0, f64::max),
+        }
+    }
+}
+
+/// Names the components that act, as the end of a phrase about a bound; empty if all act.
+pub fn named_axes(axes: [bool; 3]) -> String {
+    if axes == [true; 3] {
+        return String::new();
+    }
+    let named = ["x", "y", "z"].into_iter().zip(axes);
+    let named: Vec<&str> = named
+        .filter(|(_, acts)| *acts)
+        .map(|(name, _)| name)
+        .collect();
+    format!(", along {} alone", named.join(" and "))
+}
+
+/// One of the two vectors of a wrench.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Channel {
+    /// Magnitude that counts as 1 in the cost, N or N m; also in the solver, unless a [smaller bound](Self::unit) replaces it.
+    pub scale: f64,
+    /// Limit; `None` means unbounded.
+    pub bound: Option<Bound>,
+    /// Limit of the rate of change, N/s or N m/s; `None` means unbounded.
+    pub rate_bound: Option<Bound>,
+    /// Components that may act, whatever their bound is.
+    pub axes: [bool; 3],
+    /// Tells whether the first coefficient is zero.
+    pub from_rest: bool,
+    /// Time constant of a first-order lag, s: `u` follows the command `u + lag du/dt`, for which the [bound](Self::bound) holds; that of the
+    /// rate holds for `u` itself. Zero: the command acts at once.
+    pub lag: f64,
+}
+
+impl Channel {
+    /// A channel without controls.
+    pub const NONE: Self = Self {
+        scale: 1.0,
+        bound: Some(Bound::Norm(0.0)),
+        rate_bound: None,
+        axes: [true; 3],
+        from_rest: false,
+        lag: 0.0,
+    };
+
+    /// Returns a channel of all three components, without a limit of its rate.
+    #[must_use]
+    pub fn new(scale: f64, bound: Option<Bound>) -> Self {
+        Self {
+            scale,
+            bound,
+            rate_bound: None,
+            axes: [true; 3],
+            from_rest: false,
+            lag: 0.0,
+        }
+    }
+
+    /// Returns the bound on the coefficients; `None` with a lag, where the [bound](Self::bound) is that of the command.
+    #[must_use]
+    pub fn coefficient_bound(&self) -> Option<Bound> {
+        self.bound.filter(|_| self.lag == 0.0)
+    }
+
+    /// Returns the magnitude that counts as 1 in the solver, N or N m: the scale, or a smaller bound. Variables far below 1 would be lost
+    /// in the tolerances of the subproblem.
+    #[must_use]
+    pub fn unit(&self) -> f64 {
+        let largest = self.bound.map_or(f64::INFINITY, |bound| bound.largest());
+        if largest > 0.0 {
+            self.scale.min(largest)
+        } else {
+            self.scale
+        }
+    }
+
+    /// Tells whether component `axis` can act at all.
+    #[must_use]
+    pub fn acts_along(&self, axis: usize) -> bool {
+        self.axes[axis] && self.bound.is_none_or(|bound| bound.actuates(axis))
+    }
+
+    /// Tells whether any component can act.
+    #[must_use]
+    pub fn acts(&self) -> bool {
+        (0..3).any(|axis| self.acts_along(axis))
+    }
+
+    /// Returns the components of `u` that may act; the others are 0.
+    #[must_use]
+    pub fn acting(&self, u: &Vector3<f64>) -> Vector3<f64> {
+        Vector3::from_fn(|axis, _| if self.axes[axis] { u[axis] } else { 0.0 })
+    }
+
+    /// Returns `u` moved within the limit: shortened if its norm is bounded, otherwise clamped component by component.
+    #[must_use]
+    pub fn within(&self, u: &Vector3<f64>) -> Vector3<f64> {
+        let u = self.acting(u);
+        match self.bound {
+            None => u,
+            Some(Bound::Norm(limit)) => {
+                let norm = u.norm();
+                if norm > limit { u * (limit / norm) } else { u }
+            }
+            Some(Bound::PerAxis(limits)) => u.zip_map(&limits, |u, limit| u.clamp(-limit, limit)),
+            Some(Bound::Between { lower, upper }) => u.sup(&lower).inf(&upper),
+        }
+    }
+
+    /// Returns by how much a coefficient `u` exceeds its limit, or the size of components that may not act; 0 inside.
+    #[must_use]
+    pub fn violation(&self, u: &Vector3<f64>) -> f64 {
+        let bound = self.coefficient_bound();
+        let beyond = bound.map_or(0.0, |bound| bound.violation(u));
+        beyond.max((u - self.acting(u)).amax())
+    }
+}
+
+/// A controllable wrench on one node, or six controls of a [user-defined actuator](mechanics::Actuator), or six efforts of
+/// [actuators on the strains](mechanics::StrainActuator).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ActuatedNode {
+    /// Index of the node; for a user-defined actuator its first node.
+    pub node: usize,
+    /// Force, spatial frame.
+    pub force: Channel,
+    /// Moment, body frame.
+    pub moment: Channel,
+}
+
+impl ActuatedNode {
+    /// Tells whether any component of force or moment can act.
+    #[must_use]
+    pub fn acts(&self) -> bool {
+        self.force.acts() || self.moment.acts()
+    }
+
+    /// Returns the carriers of channels on a node: each has a force or a moment of its own.
+    pub fn carrying(node: usize, channels: &[Channel]) -> impl Iterator<Item = Self> {
+        channels.chunks(2).map(move |pair| Self {
+            node,
+            force: pair[0],
+            moment: pair.get(1).copied().unwrap_or(Channel::NONE),
+        })
+    }
+}
+
+/// One scalar of an actuator's wrench.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Component {
+    /// Index of the actuator.
+    pub actuator: usize,
+    /// 0..3 force, 3..6 moment.
+    pub axis: usize,
+}
+
+/// The way in which a goal is enforced: as an equality, within a tolerance, or by a penalty.
+///
+/// A soft goal is solved as a hard one with variables of its own: residual = s, with the penalty `½ weight |s|²`. It thereby has all that
+/// makes hard goals converge (second-order correction, filter).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Enforcement {
+    /// Equality constraints.
+    Hard,
+    /// Penalty `½ weight Σ r²` on the scaled residuals of [`Goal`].
+    Soft {
+        /// Weight on the squared scaled residual.
+        weight: f64,
+    },
+    /// A set around the goal: `|x - x*| ≤ distance`, an angle of at most `angle` between the rotations, and for a goal at rest `|v| ≤
+    /// speed` and `|ω| ≤ spin`; a tolerance of 0 is an equality.
+    ///
+    /// Each of the four is solved as a hard goal with variables of its own: residual = s, with s in the ball of the tolerance. The
+    /// subproblem has the ball as a second-order cone, so that no step linearizes its surface.
+    Within {
+        /// Tolerance of the position, m.
+        distance: f64,
+        /// Tolerance of the orientation, rad.
+        angle: f64,
+        /// Tolerance of the velocity, m/s.
+        speed: f64,
+        /// Tolerance of the angular velocity, rad/s.
+        spin: f64,
+    },
+}
+
+impl Enforcement {
+    /// Returns the tolerance of a part of the goal, in the part's own unit; 0 for an equality and for a soft goal.
+    #[must_use]
+    pub fn tolerance(&self, part: GoalPart) -> f64 {
+        match (*self, part) {
+            (Self::Within { distance, .. }, GoalPart::Position) => distance,
+            (Self::Within { angle, .. }, GoalPart::Orientation) => angle,
+            (Self::Within { speed, .. }, GoalPart::Velocity) => speed,
+            (Self::Within { spin, .. }, GoalPart::AngularVelocity) => spin,
+            (Self::Within { .. }, GoalPart::Deviation(_)) => 0.0,
+            (Self::Hard | Self::Soft { .. }, _) => 0.0,
+        }
+    }
+}
+
+/// A pose that a node must reach at a time node.
+///
+/// Scaled residuals: the position error divided by the rod's length, the orientation error as the rotation vector `log(R*ᵀ R)`, and with
+/// `at_rest` the velocity times `T₀/L` and the angular velocity times `T₀` ([`Scales`](mechanics::Scales)), both from the terminal
+/// Legendre transform.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Goal {
+    /// Name in reports: its key in the scene.
+    pub name: String,
+    /// Index of the node.
+    pub node: usize,
+    /// Index of the time node.
+    pub time_node: usize,
+    /// Position, m.
+    pub position: Option<Vector3<f64>>,
+    /// Rotation, body to space.
+    pub rotation: Option<Matrix3<f64>>,
+    /// Asks for zero linear and angular velocity of the node. Only a goal at the end of the horizon may ask for it (otherwise a solve
+    /// fails): before the end, momenta are those before the kick, which do not give the velocity of the time node.
+    pub at_rest: bool,
+    /// Equality, tolerance or penalty.
+    pub enforcement: Enforcement,
+}
+
+impl Goal {
+    /// Returns a hard goal at rest of the tip at the end of the horizon.
+    #[must_use]
+    pub fn reach(rod: &Rod, grid: TimeGrid, position: Vector3<f64>) -> Self {
+        Self {
+            name: "task".into(),
+            node: rod.tip(),
+            time_node: grid.n_steps,
+            position: Some(position),
+            rotation: None,
+            at_rest: true,
+            enforcement: Enforcement::Hard,
+        }
+    }
+
+    /// Returns the vectors of the goal, each of which gives three equations.
+    #[must_use]
+    pub fn parts(&self) -> Vec<GoalPart> {
+        let mut parts = Vec::new();
+        parts.extend(self.position.map(|_| GoalPart::Position));
+        parts.extend(self.rotation.map(|_| GoalPart::Orientation));
+        if self.at_rest {
+            parts.extend([GoalPart::Velocity, GoalPart::AngularVelocity]);
+        }
+        parts
+    }
+}
+
+/// The objective.
+///
+/// `effort/2 ∫ |f/f_s|² + |m/m_s|² dt + rate/2 ∫ |ḟ/f_s|² + |ṁ/m_s|² dt + energy ∫ U/(EI/L) dt + Σ tracking + Σ terms`. Time integrals
+/// include the time step, so that weights keep their meaning on finer grids. Integrals of states are sums by the trapezoidal rule over
+/// [`samples`](Self::samples) of the time nodes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Objective {
+    /// Weight of the effort: half of it is the cost of a second of a control of size 1.
+    pub effort: f64,
+    /// Weight of the rate, s².
+    pub rate: f64,
+    /// Weight of the elastic energy divided by `EI/L`, per second.
+    pub energy: f64,
+    /// Paths that nodes should follow.
+    pub tracking: Vec<Tracking>,
+    /// User-defined terms.
+    pub terms: Vec<StateCost>,
+    /// Number of intervals between the samples of integrals of states; all time nodes if it exceeds their number. Positive if there is
+    /// anything to integrate.
+    pub samples: usize,
+}
+
+/// A free final time: the number of steps stays, the time step changes.
+///
+/// Everything that is given by time nodes (goals, blocks of the control, samples) scales with the duration; times (loads, tracked paths) do
+/// not.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FreeDuration {
+    /// Shortest duration, s; positive.
+    pub shortest: f64,
+    /// Longest duration, s; finite, and with a step that the integrator can take.
+    pub longest: f64,
+    /// Cost of a second, added to the objective: a time penalty beside [`Objective::effort`], minimum time without it.
+    pub price: f64,
+}
+
+/// The problem to minimize the objective over wrenches on some nodes, subject to the discrete equations of motion, the bounds, the goals,
+/// and the path constraints.
+#[derive(Clone, Debug)]
+pub struct OptimalControlProblem {
+    /// The rod, shared with the problems that are derived from this one.
+    pub rod: Arc<Rod>,
+    /// Radius of the arm at every node, m, for the distance from obstacles. Empty for a line without thickness.
+    pub radii: Vec<f64>,
+    /// Time grid of the horizon; if the duration is free, the grid from which the search starts.
+    pub grid: TimeGrid,
+    /// Limits and price of a free duration; `None` fixes the duration to that of the grid.
+    pub duration: Option<FreeDuration>,
+    /// State at time 0.
+    pub initial: State,
+    /// Blocks of the control.
+    pub control: ControlGrid,
+    /// Controllable wrenches; no node occurs twice.
+    pub actuators: Vec<ActuatedNode>,
+    /// User-defined actuators. Their controls are the last of the `actuators`, in the order of force and moment.
+    pub acting: Vec<Acting>,
+    /// The actuators of the rod whose efforts are controls, beside their given efforts; `None` if there are none. The efforts follow the
+    /// controls of user-defined actuators among the `actuators`, in the order of force and moment.
+    pub efforts: Option<Efforts>,
+    /// Goals to be reached.
+    pub goals: Vec<Goal>,
+    /// Equilibrium in which the arm stays from the end of the horizon on; `None` if it may go on moving.
+    pub stay: Option<Arc<Stay>>,
+    /// The path constraints: obstacles and limits.
+    pub path: Vec<PathConstraint>,
+    /// The objective.
+    pub objective: Objective,
+    /// Signal that ends work on the problem early: rollouts, sweeps, initial guesses, gains and the check read it. By default it is never
+    /// raised.
+    pub stop: StopSignal,
+}
+
+/// A part of a problem that a free duration does not allow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DurationConflict {
+    /// A bound on the magnitude of a rate.
+    Rate,
+    /// A soft path constraint, whose penalty the check does not follow over the duration; its index.
+    Path(usize),
+    /// A driven base, whose motion is a function of time.
+    Base,
+    /// A user-defined term, which may depend on time.
+    Term,
+    /// A user-defined actuator, which may depend on time.
+    Actuator,
+    /// A track with a weight on its speed, which the check does not follow over the duration; its index.
+    Speed(usize),
+}
+
+/// One scalar residual of a goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GoalRow {
+    /// Index of the goal.
+    pub goal: usize,
+    /// Vector of the goal.
+    pub part: GoalPart,
+    /// Component, 0..3.
+    pub axis: usize,
+}
+
+impl GoalRow {
+    /// Tells whether both rows are components of one vector; the deviation from a stay counts as one vector as a whole. Rows of a vector
+    /// are adjacent.
+    #[must_use]
+    pub fn shares_vector_with(&self, other: &Self) -> bool {
+        let is_of_whole = |row: &Self| matches!(row.part, GoalPart::Deviation(_));
+        self.goal == other.goal
+            && (self.part == other.part || (is_of_whole(self) && is_of_whole(other)))
+    }
+}
+
+/// The vectors of a goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GoalPart {
+    /// Position.
+    Position,
+    /// Orientation.
+    Orientation,
+    /// Velocity.
+    Velocity,
+    /// Angular velocity.
+    AngularVelocity,
+    /// A vector of the deviation of the whole arm from where it [stays](Stay).
+    Deviation(usize),
+}
+
+impl GoalPart {
+    /// Returns the scene key of this part, below the goal's own key, or a description if it has none.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Position => "position_m",
+            Self::Orientation => "orientation_wxyz",
+            Self::Velocity => "at_rest (velocity)",
+            Self::AngularVelocity => "at_rest (angular velocity)",
+            Self::Deviation(_) => "at_rest (deviation from the equilibrium)",
+        }
+    }
+
+    /// Returns the unit of the residual before scaling.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Position => "m",
+            Self::Orientation => "rad",
+            Self::Velocity => "m/s",
+            Self::AngularVelocity => "rad/s",
+            Self::Deviation(_) => "J^(1/2)",
+        }
+    }
+}
+
+impl Objective {
+    /// Tells whether a term depends on the states.
+    #[must_use]
+    pub fn sees_states(&self) -> bool {
+        self.energy > 0.0 || !self.tracking.is_empty() || !self.terms.is_empty()
+    }
+}
+
+impl OptimalControlProblem {
+    pub(crate) fn motion(&self) -> Motion<'_> {
+        Motion {
+            rod: &self.rod,
+            grid: self.grid,
+            initial: &self.initial,
+            stop: Some(&self.stop),
+            control: None,
+        }
+    }
+
+    /// Returns the number of unknowns of the configurations for the sparse route, if it [supports](SparseMotion::unknowns_per_time_node)
+    /// the rod; `None` with actuators of the rod, user-defined ones, or potentials of nodes.
+    #[must_use]
+    pub fn n_states(&self) -> Option<usize> {
+        let potentials = self.rod.actuators.act_on_poses();
+        if !self.acting.is_empty() || !self.rod.actuators.is_empty() || potentials {
+            return None;
+        }
+        SparseMotion::unknowns_per_time_node(&self.motion())
+            .map(|at_once| at_once * self.grid.n_steps)
+    }
+
+    /// Returns the problem of least effort of a tip wrench that brings the tip to a goal.
+    #[must_use]
+    pub fn least_effort(
+        rod: impl Into<Arc<Rod>>,
+        grid: TimeGrid,
+        initial: State,
+        control: ControlGrid,
+        [force, moment]: [Channel; 2],
+        goal: Goal,
+    ) -> Self {
+        let rod = rod.into();
+        Self {
+            grid,
+            duration: None,
+            initial,
+            control,
+            actuators: vec![ActuatedNode {
+                node: rod.tip(),
+                force,
+                moment,
+            }],
+            acting: Vec::new(),
+            efforts: None,
+            goals: vec![goal],
+            stay: None,
+            path: Vec::new(),
+            objective: Objective {
+                effort: 1.0,
+                ..Objective::default()
+            },
+            radii: Vec::new(),
+            stop: StopSignal::default(),
+            rod,
+        }
+    }
+
+    /// Returns the scalar residuals of the goals, in the solver's order.
+    #[must_use]
+    pub fn goal_rows(&self) -> Vec<GoalRow> {
+        let mut rows = Vec::new();
+        for (goal, definition) in self.goals.iter().enumerate() {
+            for part in definition.parts() {
+                rows.extend((0..3).map(|axis| GoalRow { goal, part, axis }));
+            }
+        }
+        if let Some(stay) = &self.stay {
+            let goal = stay.goal;
+            rows.extend((0..stay.n_vectors()).flat_map(|vector| {
+                let part = GoalPart::Deviation(vector);
+                (0..3).map(move |axis| GoalRow { goal, part, axis })
+            }));
+        }
+        rows
+    }
+
+    /// Returns the node that should arrive at the end of the horizon: the tip, unless only other nodes have goals there.
+    #[must_use]
+    pub fn goal_node(&self) -> usize {
+        let (tip, last) = (self.rod.tip(), self.grid.n_steps);
+        let mut others = None;
+        for goal in self.goals.iter().filter(|goal| goal.time_node == last) {
+            if goal.node == tip {
+                return tip;
+            }
+            others = others.or(Some(goal.node));
+        }
+        others.unwrap_or(tip)
+    }
+
+    /// Returns the goals of [`goal_node`](Self::goal_node) at the end of the horizon.
+    pub fn final_goals(&self) -> impl Iterator<Item = &Goal> {
+        let (node, last) = (self.goal_node(), self.grid.n_steps);
+        (self.goals.iter()).filter(move |goal| goal.node == node && goal.time_node == last)
+    }
+
+    /// Returns the value of one unit of a scaled residual in the part's own unit.
+    #[must_use]
+    pub fn goal_scale(&self, part: GoalPart) -> f64 {
+        let scales = &self.rod.scales;
+        match part {
+            GoalPart::Position => scales.length,
+            GoalPart::Orientation => 1.0,
+            GoalPart::Velocity => scales.length / scales.time,
+            GoalPart::AngularVelocity => 1.0 / scales.time,
+            GoalPart::Deviation(_) => scales.moment.sqrt(),
+        }
+    }
+
+    /// Returns the weight of a goal's squared residuals; `None` if the goal is a constraint.
+    #[must_use]
+    pub fn soft_weight(&self, row: &GoalRow) -> Option<f64> {
+        if matches!(row.part, GoalPart::Deviation(_)) {
+            return None;
+        }
+        match self.goals[row.goal].enforcement {
+            Enforcement::Soft { weight } => Some(weight),
+            Enforcement::Hard | Enforcement::Within { .. } => None,
+        }
+    }
+
+    /// Returns the radius of the ball of a goal's scaled residual; `None` for an equality and for a soft goal.
+    #[must_use]
+    pub fn goal_radius(&self, goal: usize, part: GoalPart) -> Option<f64> {
+        let radius = match (part, &self.stay) {
+            (GoalPart::Deviation(_), Some(stay)) => stay.radius(),
+            _ => self.goals[goal].enforcement.tolerance(part),
+        };
+        (radius > 0.0).then(|| radius / self.goal_scale(part))
+    }
+
+    /// Tells whether a goal's residual equals a variable of its own, instead of zero.
+    #[must_use]
+    pub fn has_slack(&self, row: &GoalRow) -> bool {
+        self.soft_weight(row).is_some() || self.goal_radius(row.goal, row.part).is_some()
+    }
+
+    /// Returns the scaled residual of a goal for one unit of the variable that it equals: `1/√w` for a soft goal of weight `w`, whose
+    /// penalty is then half the square of the variable, and 1 within a tolerance. Curvatures of one size keep the subproblems well
+    /// conditioned at any weight.
+    #[must_use]
+    pub fn slack_unit(&self, row: &GoalRow) -> f64 {
+        (self.soft_weight(row).filter(|weight| *weight > 0.0))
+            .map_or(1.0, |weight| weight.sqrt().recip())
+    }
+
+    /// Returns the actuated components, in the order of the variables of one coefficient.
+    #[must_use]
+    pub fn actuated_components(&self) -> Vec<Component> {
+        (0..self.actuators.len())
+            .flat_map(|actuator| (0..6).map(move |axis| Component { actuator, axis }))
+            .filter(|component| self.is_control(component))
+            .filter(|component| self.channel(component).acts_along(component.axis % 3))
+            .collect()
+    }
+
+    /// Returns the channel of a component.
+    #[must_use]
+    pub fn channel(&self, component: &Component) -> &Channel {
+        let actuator = &self.actuators[component.actuator];
+        if component.axis < 3 {
+            &actuator.force
+        } else {
+            &actuator.moment
+        }
+    }
+
+    /// Tells whether a component exists: in a wrench, or as a control of a user-defined actuator.
+    fn is_control(&self, component: &Component) -> bool {
+        component.actuator < self.wrench_actuators().len()
+            || self.own_control(component).is_some()
+            || self.effort(component).is_some()
+    }
+
+    /// Returns the indices of the user-defined actuator and of its control, if the component is one.
+    #[must_use]
+    pub fn own_control(&self, component: &Component) -> Option<(usize, usize)> {
+        (self.acting.iter().enumerate()).find_map(|(index, acting)| {
+            let place = 6 * component.actuator.checked_sub(acting.first)? + component.axis;
+            let control = acting.places.iter().position(|own| *own == place)?;
+            Some((index, control))
+        })
+    }
+
+    /// Returns the index of the driven actuator of the rod whose effort the component is, if it is one.
+    #[must_use]
+    pub fn effort(&self, component: &Component) -> Option<usize> {
+        let efforts = self.efforts.as_ref()?;
+        let place = 6 * component.actuator.checked_sub(efforts.first)? + component.axis;
+        efforts.places.iter().position(|own| *own == place)
+    }
+
+    /// Returns the actuators of the rod whose efforts are controls, with the channels of these.
+    pub fn driven(&self) -> impl Iterator<Item = (&Drive, &Channel)> {
+        self.driven_components()
+            .filter_map(|(actuator, component)| {
+                let actuator = self.rod.actuators.iter().nth(actuator)?;
+                Some((actuator, self.channel(&component)))
+            })
+    }
+
+    /// Returns the indices of the actuators of the rod whose efforts are controls, with the components that these are.
+    pub fn driven_components(&self) -> impl Iterator<Item = (usize, Component)> {
+        (self.efforts.iter()).flat_map(|efforts| {
+            let places = efforts.actuators.iter().zip(&efforts.places);
+            places.map(|(&actuator, &place)| {
+                let component = Component {
+                    actuator: efforts.first + place / 6,
+                    axis: place % 6,
+                };
+                (actuator, component)
+            })
+        })
+    }
+
+    /// Returns the magnitude that counts as 1 in the solver of a driven actuator's effort, by its index among those.
+    pub(super) fn unit_of_effort(&self, index: usize) -> f64 {
+        (self.driven_components().nth(index))
+            .map_or(1.0, |(_, component)| self.channel(&component).unit())
+    }
+
+    /// Tells whether anything acts at time nodes by wrenches that depend on the configuration: a control, or a function of a node's pose.
+    #[must_use]
+    pub fn acts_on_configuration(&self) -> bool {
+        self.depends_on_configuration() || self.rod.actuators.act_on_poses()
+    }
+
+    /// Tells whether a control, or a winch, acts by wrenches that depend on the configuration.
+    #[must_use]
+    pub fn depends_on_configuration(&self) -> bool {
+        !self.acting.is_empty() || self.efforts.is_some() || self.rod.actuators.has_winches()
+    }
+
+    /// Returns the actuators that are wrenches on nodes.
+    #[must_use]
+    pub fn wrench_actuators(&self) -> &[ActuatedNode] {
+        let own = self.acting.first().map(|acting| acting.first);
+        let efforts = self.efforts.as_ref().map(|efforts| efforts.first);
+        let first = own.into_iter().chain(efforts).min();
+        &self.actuators[..first.unwrap_or(self.actuators.len())]
+    }
+
+    /// Returns the nodes with a controllable wrench.
+    #[must_use]
+    pub fn actuated_nodes(&self) -> Vec<usize> {
+        self.wrench_actuators()
+            .iter()
+            .map(|actuator| actuator.node)
+            .collect()
+    }
+
+    /// Returns the least tensions of the tendons that should [stay taut](PathLimit::Taut), by the index of their actuator on the rod.
+    pub(crate) fn least_tensions(&self) -> impl Iterator<Item = (usize, f64)> {
+        (self.path.iter()).flat_map(|path| match &path.limit {
+            PathLimit::Taut { tendons } => tendons.clone(),
+            _ => Vec::new(),
+        })
+    }
+
+    /// Returns the same problem with the smooth law of tendons that [push where they are too long](mechanics::RodActuators::pushing),
+    /// if some of them should stay taut.
+    pub fn smooth(&self) -> std::borrow::Cow<'_, Self> {
+        if self.least_tensions().next().is_none() {
+            return std::borrow::Cow::Borrowed(self);
+        }
+        let mut out = self.clone();
+        let rod = Arc::make_mut(&mut out.rod);
+        rod.actuators = rod.actuators.pushing();
+        std::borrow::Cow::Owned(out)
+    }
+
+    /// Returns the same problem on a grid whose duration is multiplied by `time_scale`.
+    #[must_use]
+    pub fn with_time_scale(&self, time_scale: f64) -> Self {
+        let mut out = self.clone();
+        out.grid.step *= time_scale;
+        out.control = self.control.with_time_scale(time_scale);
+        out
+    }
+
+    /// Returns the same problem with a fixed duration, that of its grid.
+    #[must_use]
+    pub fn with_fixed_duration(&self) -> Self {
+        Self {
+            duration: None,
+            ..self.clone()
+        }
+    }
+
+    /// Returns the term of a free duration in the objective, for the duration of the grid; 0 for a fixed duration.
+    #[must_use]
+    pub fn duration_price(&self) -> f64 {
+        (self.duration).map_or(0.0, |free| free.price * self.grid.duration())
+    }
+
+    /// Returns a part of the problem that conflicts with a free duration, with a description; `None` if there is none or the duration is
+    /// fixed.
+    #[must_use]
+    pub fn duration_conflict(&self) -> Option<(DurationConflict, String)> {
+        self.duration?;
+        let by_norm = |channel: &Channel| matches!(channel.rate_bound, Some(Bound::Norm(_)));
+        if (self.actuators.iter()).any(|a| by_norm(&a.force) || by_norm(&a.moment)) {
+            let what = "a bound on the magnitude of a rate; give one per axis".into();
+            return Some((DurationConflict::Rate, what));
+        }
+        if let Some(at) = (self.path.iter()).position(|p| p.enforcement != PathEnforcement::Hard) {
+            let what = format!("the soft limit \"{}\"; make it hard", self.path[at].name);
+            return Some((DurationConflict::Path(at), what));
+        }
+        let tracks = &self.objective.tracking;
+        if let Some(at) = tracks.iter().position(|track| track.speed_weight > 0.0) {
+            let what = "a track with a price of its speed; leave speed_weight out".into();
+            return Some((DurationConflict::Speed(at), what));
+        }
+        if self.rod.driven_base(0.0).is_some() {
+            let what = "a driven base; hold it or free it".into();
+            return Some((DurationConflict::Base, what));
+        }
+        let is_term = |constraint: &PathConstraint| matches!(constraint.limit, PathLimit::Term(_));
+        if !self.objective.terms.is_empty() || self.path.iter().any(is_term) {
+            let what = "a term of one's own, which may depend on time".into();
+            return Some((DurationConflict::Term, what));
+        }
+        if !self.acting.is_empty() {
+            let what = "an actuator of one's own, which may depend on time".into();
+            return Some((DurationConflict::Actuator, what));
+        }
+        None
+    }
+
+    /// Returns the number of the solver's variables that are controls; the rest are the residuals of soft goals and of goals within a
+    /// tolerance.
+    #[must_use]
+    pub fn n_controls(&self) -> usize {
+        self.control.n_coefficients() * self.actuated_components().len()
+    }
+
+    /// Returns the number of rows of `controls.csv`: one per coefficient, and if the arm stays one more for the time after the horizon.
+    #[must_use]
+    pub fn n_control_rows(&self) -> usize {
+        self.control.n_coefficients() + usize::from(self.stay.is_some())
+    }
+
+    /// Returns the number of the solver's variables.
+    #[must_use]
+    pub fn n_variables(&self) -> usize {
+        self.n_controls()
+            + (self.goal_rows().iter())
+                .filter(|row| self.has_slack(row))
+                .count()
+    }
+
+    /// Returns the coefficients of the wrenches from the solver's scaled variables: coefficient by coefficient, all actuators of each.
+    #[must_use]
+    pub fn wrenches(&self, variables: &[f64]) -> Vec<Wrench> {
+        let components = self.actuated_components();
+        let mut out = vec![Wrench::default(); self.control.n_coefficients() * self.actuators.len()];
+        if components.is_empty() {
+            return out;
+        }
+        let chunks = variables[..self.n_controls()].chunks(components.len());
+        for (j, chunk) in chunks.enumerate() {
+            for (component, v) in components.iter().zip(chunk) {
+                let wrench = &mut out[j * self.actuators.len() + component.actuator];
+                let value = v * self.channel(component).unit();
+                if component.axis < 3 {
+                    wrench.force[component.axis] = value;
+                } else {
+                    wrench.moment[component.axis - 3] = value;
+                }
+            }
+        }
+        out
+    }
+
+    /// Returns the scaled variables of wrenches, as the inverse of [`Self::wrenches`] on the actuated components; residuals of goals are
+    /// zero.
+    #[must_use]
+    pub fn variables(&self, wrenches: &[Wrench]) -> Vec<f64> {
+        let components = self.actuated_components();
+        let mut variables: Vec<f64> = wrenches
+            .chunks(self.actuators.len().max(1))
+            .flat_map(|wrenches| {
+                components.iter().map(|component| {
+                    let wrench = &wrenches[component.actuator];
+                    let value = if component.axis < 3 {
+                        wrench.force[component.axis]
+                    } else {
+                        wrench.moment[component.axis - 3]
+                    };
+                    value / self.channel(component).unit()
+                })
+            })
+            .collect();
+        variables.resize(self.n_variables(), 0.0);
+        variables
+    }
+
+    /// Returns the wrenches at every time node of `grid`, which is the control's own grid or a refinement.
+    #[must_use]
+    pub fn signal(&self, grid: &ControlGrid, coefficients: &[Wrench]) -> ControlSignal {
+        let n = self.actuators.len();
+        let wrenches = (0..=grid.n_steps())
+            .flat_map(|k| {
+                (0..n).map(move |actuator| grid.value(k, |j| coefficients[j * n + actuator]))
+            })
+            .collect();
+        ControlSignal {
+            nodes: self.actuated_nodes(),
+            wrenches,
+            acting: self.acting.clone(),
+            efforts: self.efforts.clone(),
+        }
+    }
+}

@@ -1,0 +1,18 @@
+//! The motion along which steps are linearized.
+
+use std::ops::RangeInclusive;
+
+use crate::curvature::Multipliers;
+use crate::linearization::Motion;
+use cosserat::configuration::Trajectory;
+
+/// The motion that is linearized.
+#[derive(Clone)]
+pub struct Along<'a> {
+    pub motion: &'a Motion<'a>,
+    pub trajectory: &'a Trajectory,
+    /// Multipliers, if second derivatives are asked for as well.
+    pub multipliers: Option<&'a Multipliers<'a>>,
+    /// Time nodes of the stretch. Half a kick is taken at either end of it; the motion before and after it is not read.
+    pub stretch: RangeInclusive<usize>,
+}

@@ -1,0 +1,212 @@
+//! Tests of a loop whose controller fails by itself.
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+
+use nalgebra::Vector3;
+
+use super::{Cause, Contender, Experiment};
+use crate::MpcSettings;
+use crate::controller::tests::tendon_arm;
+use crate::subproblem::FAILS;
+use control::{Bound, Hold};
+use mechanics::{Material, TimeScheme};
+use task::{
+    Arm, ChannelLimits, Cost, Discretization, Place, PointLoad, Task, Track, WrenchActuator,
+};
+
+const FORCE: f64 = 3.0;
+/// Rate, N/s, at which the force reaches its limit within a tenth of a second.
+const RATE: f64 = 30.0;
+const SAMPLES: usize = 10_000;
+
+/// A soft arm whose tip is to be held a tenth of its length aside, and which is pushed once a second.
+fn scene() -> Experiment {
+    let arm = Arm {
+        gravity: Vector3::zeros(),
+        viscous_damping: 2.0,
+        ..Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 1.0, 0.05)
+    };
+    let seconds = 0.01 * SAMPLES as f64;
+    let task = Task {
+        horizon: seconds,
+        targets: Vec::new(),
+        actuators: vec![WrenchActuator {
+            at: Place::Tip,
+            force: ChannelLimits {
+                rate_bound: Some(Bound::Norm(RATE)),
+                ..ChannelLimits::at_most(FORCE)
+            },
+            moment: ChannelLimits::NONE,
+        }],
+        cost: Cost {
+            tracks: vec![Track {
+                path: vec![(0.0, Vector3::new(0.1, 0.0, 0.994))],
+                weight: Some(3e3),
+                ..Track::default()
+            }],
+            ..Cost::default()
+        },
+        ..Task::reach(Vector3::zeros(), 1.0, FORCE)
+    };
+    let discretization = Discretization {
+        samples: 10,
+        ..Discretization::with_elements(4)
+    };
+    let settings = MpcSettings::receding(0.2);
+    let mut scene = Experiment::new(arm, task, discretization, settings);
+    let profile = (0..SAMPLES / 100).flat_map(|i| {
+        let t = i as f64 + 0.3;
+        [(t, 0.0), (t + 0.01, 1.0), (t + 0.05, 1.0), (t + 0.06, 0.0)]
+    });
+    scene.plant.loads.push(PointLoad {
+        at: Place::Tip,
+        force: Vector3::new(0.0, 2.0, 0.0),
+        profile: profile.collect(),
+        ..PointLoad::default()
+    });
+    scene.duration = seconds;
+    scene
+}
+
+/// Ten thousand samples in which factorizations fail singly and in bursts that outlast the plan: every command is finite, within its bound,
+/// and continues from the one before at no more than its rate; every fallback has its cause, a restart follows each burst, and the tip is
+/// at its reference once the controller works again.
+#[test]
+fn forced_failures_are_survived() {
+    let scene = scene();
+    let mut dice = fastrand::Rng::with_seed(7);
+    let mut burst = 0;
+    let forced: Box<dyn FnMut() -> bool> = Box::new(move || {
+        let chance = dice.f64();
+        burst = match chance {
+            _ if burst > 0 => burst - 1,
+            0.0..0.002 => 100,
+            0.002..0.05 => 1,
+            _ => 0,
+        };
+        burst > 0
+    });
+    // The first plan is made without failures.
+    let mut forced = Some(forced);
+    let mut causes = BTreeMap::new();
+    let (mut n, mut since, mut worst) = (0, 0, 0.0f64);
+    let mut before = Vector3::zeros();
+    let outcome = scene.run(Contender::Mpc, &mut |sample, closed| {
+        let sent = closed.sent();
+        let [from, to] = [sent.from[0].force, sent.to[0].force];
+        assert!((from - before).norm() < 1e-9 * FORCE, "{} jumps", sample.t);
+        let most = RATE * (sent.end - sent.start) * (1.0 + 1e-9);
+        assert!((to - from).norm() < most, "{} is too fast", sample.t);
+        before = to;
+        if let Some(forced) = forced.take() {
+            FAILS.set(forced);
+        }
+        n += 1;
+        let force = sample.wrench.force;
+        assert!(force.norm() <= FORCE * (1.0 + 1e-9), "{} {force}", sample.t);
+        assert!(sample.tip.iter().all(|x| x.is_finite()), "{}", sample.t);
+        since = match sample.fallback {
+            Some((cause, action)) => {
+                *causes.entry((cause, action.to_string())).or_insert(0) += 1;
+                0
+            }
+            None => since + 1,
+        };
+        // A push ends after a tenth of a second, and the arm has recovered after another half.
+        let is_quiet = sample.t % 1.0 > 0.95 && since > 60;
+        if is_quiet {
+            worst = worst.max(sample.tip_error());
+        }
+        ControlFlow::Continue(())
+    });
+    FAILS.set(Box::new(|| false));
+    outcome.unwrap();
+    println!("{causes:?} {worst}");
+    assert_eq!(n, SAMPLES);
+    let of = |wanted: Cause, action: &str| {
+        let found = causes
+            .iter()
+            .filter(|((cause, own), _)| *cause == wanted && own == action);
+        found.map(|(_, n)| *n).sum::<usize>()
+    };
+    for action in ["plan", "damping", "ramp"] {
+        assert!(of(Cause::Subproblem, action) > 0, "{action}: {causes:?}");
+    }
+    assert!(worst < 0.01, "{worst}");
+}
+
+/// A loop of an arm with tendons, whose subproblem fails now and then, in a thousand samples: every
+/// tension is within its bounds and every change within its rates, from the pretension on.
+#[test]
+fn tensions_keep_their_bounds_while_factorizations_fail() {
+    let (arm, efforts) = tendon_arm();
+    let path = (0..=40).map(|i| {
+        let t = 0.25 * f64::from(i);
+        let place = Vector3::new(0.03 * t.sin(), 0.02 * (1.7 * t).sin(), -0.285);
+        (t, place)
+    });
+    let task = Task {
+        horizon: 10.0,
+        targets: Vec::new(),
+        actuators: Vec::new(),
+        efforts,
+        cost: Cost {
+            tracks: vec![Track {
+                path: path.collect(),
+                ..Track::default()
+            }],
+            ..Cost::default()
+        },
+        ..Task::reach(Vector3::zeros(), 1.0, 1.0)
+    };
+    for hold in [Hold::Linear, Hold::Constant] {
+        let discretization = Discretization {
+            samples: 10,
+            hold,
+            scheme: Some(TimeScheme::Implicit),
+            ..Discretization::with_elements(4)
+        };
+        let settings = MpcSettings::receding(0.2);
+        let mut scene = Experiment::new(arm.clone(), task.clone(), discretization, settings);
+        scene.duration = 10.0;
+        let mut dice = fastrand::Rng::with_seed(9);
+        let mut burst = 0;
+        let forced: Box<dyn FnMut() -> bool> = Box::new(move || {
+            let chance = dice.f64();
+            burst = match chance {
+                _ if burst > 0 => burst - 1,
+                0.0..0.004 => 100,
+                0.004..0.05 => 1,
+                _ => 0,
+            };
+            burst > 0
+        });
+        let mut forced = Some(forced);
+        let mut before = [0.4; 4];
+        let mut fell_back = 0;
+        let outcome = scene.run(Contender::Mpc, &mut |sample, closed| {
+            let sent = closed.sent();
+            let time = sent.end - sent.start;
+            for (i, (name, [from, to])) in closed.controller().efforts(sent).enumerate() {
+                for tension in [from, to] {
+                    let within = -1e-12..=4.0 + 1e-12;
+                    assert!(within.contains(&tension), "{} {name} {tension}", sample.t);
+                }
+                let change = if hold == Hold::Linear { to } else { from } - before[i];
+                let fastest = -25.0 * time * (1.0 + 1e-9)..=20.0 * time * (1.0 + 1e-9);
+                assert!(fastest.contains(&change), "{} {name} {change}", sample.t);
+                before[i] = to;
+            }
+            if let Some(forced) = forced.take() {
+                FAILS.set(forced);
+            }
+            fell_back += usize::from(sample.fallback.is_some());
+            ControlFlow::Continue(())
+        });
+        FAILS.set(Box::new(|| false));
+        let outcome = outcome.unwrap();
+        assert!(outcome.broke_down.is_none() && outcome.samples.len() == 1000);
+        assert!(fell_back > 100, "{fell_back}");
+    }
+}

@@ -1,0 +1,870 @@
+//! The controller: real-time iterations over a receding horizon.
+
+mod bounds;
+mod changes;
+mod effort;
+mod issued;
+mod outlet;
+mod settings;
+mod step_length;
+mod steps;
+
+use std::time::Instant;
+
+pub use self::effort::ReferenceNeed;
+pub use self::effort::followed;
+pub use self::issued::Issued;
+use self::outlet::Outlet;
+pub use self::settings::{EffortFrom, MpcSettings};
+pub use self::steps::with_long_steps;
+use self::steps::{Divided, period_and_horizon};
+use super::command::Command;
+use super::error::MpcError;
+use super::estimator::Motions;
+use super::holding::Held;
+use super::horizon::{Horizon, driven};
+use super::knots::Knots;
+use super::subproblem::{Subproblem, SubproblemEnd};
+use control::named::distinguish;
+use control::{ActuatedNode, Channel, Hold};
+use control::{ControlKind, NamedControl};
+use mechanics::linearization::StateTangent;
+use mechanics::{Drive, Rod, State, StepError, Wrench};
+use stop::StopSignal;
+use task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
+
+/// Times and results of one sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SampleRecord {
+    /// Gauss-Newton iterations from the measured state to the command, the first of which was prepared.
+    pub iterations: usize,
+    /// Seconds from the measured state to the command.
+    pub feedback_s: f64,
+    /// Seconds for the preparation of the next sample.
+    pub prepare_s: f64,
+    /// `½ |r|²` of tracks and targets, predicted at the start of the sample.
+    pub predicted_cost: f64,
+    /// Largest change of a scaled coefficient of the plan.
+    pub change: f64,
+    /// End of the subproblem.
+    pub subproblem: SubproblemEnd,
+    /// Largest violation of a limit in the plan, to first order and in the scale of the limit; 0 for none.
+    pub violation: f64,
+    /// Tells whether the plan violates a limit although a violation has the highest price: the limit cannot be kept.
+    pub breaks_limit: bool,
+}
+
+/// A model-predictive controller on the full rod.
+///
+/// A sample has two phases (Diehl et al. 2005): [`feedback`](Self::feedback) embeds the measured state, configuration and momentum, in the
+/// linearized model, solves one quadratic program and takes the full step; [`Issued::prepare`] predicts the state of the next sample
+/// under the command that was sent, moves the horizon, simulates the plan and linearizes it. Both reuse memory that is allocated once.
+#[derive(Debug)]
+pub struct Controller {
+    settings: MpcSettings,
+    horizon: Horizon,
+    subproblem: Subproblem,
+    /// Scaled coefficients of the plan, and those of the last sample while they are carried to the present knots.
+    plan: Vec<f64>,
+    before: Vec<f64>,
+    /// The plan before the last correction on the present knots, its cost by the linearized motion, and the cost below which changes are
+    /// ignored.
+    trusted: Vec<f64>,
+    expected: f64,
+    negligible: f64,
+    before_knots: Knots,
+    /// Weights of effort and rate: `C` is tridiagonal in the coefficients, the same for every component.
+    weights: [f64; 2],
+    /// Scaled control that acts at the beginning of the sample.
+    acting: Vec<f64>,
+    /// Outlet of all commands; for a regulator's response, another one for the commands of the plan alone.
+    outlet: Outlet,
+    planned: Option<Outlet>,
+    /// Rows of the subproblem that measure from the control that acts, and the step to a plan strictly within all bounds.
+    from_acting: Vec<usize>,
+    inside: Vec<f64>,
+    /// Scaled control that cancels the disturbance, and the wrench or controls that hold the arm at its reference, which together cost no
+    /// effort.
+    cancelling: Vec<f64>,
+    holding: Option<Held>,
+    /// Wrench on the tip by which the arm differs from its model.
+    disturbing: Wrench,
+    /// Factor on the model's stiffness.
+    stiffness: f64,
+    /// Control that costs no effort, at every coefficient of the plan.
+    free: Vec<f64>,
+    deviation: StateTangent,
+    gradient: Vec<f64>,
+    offsets: Vec<f64>,
+    change: Vec<f64>,
+    command: Command,
+    state: State,
+    prediction: Motions,
+    in_period: Divided,
+    /// Controls at both ends of a step.
+    wrenches: [Vec<Wrench>; 2],
+    /// Tells whether a command acts; before the first one there is no jump.
+    acts: bool,
+    record: SampleRecord,
+}
+
+/// The aim of a command that does not come from a plan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Aim {
+    /// The given wrench at [the node that follows](Controller::followed), as far as it is actuated, and no wrench elsewhere.
+    Follow(Wrench),
+    /// A fraction of the wrenches that act.
+    Part(f64),
+    /// The wrenches that hold the arm where it stays, and cancel the disturbance.
+    Stay,
+}
+
+/// Factor on the weight of a held target, relative to a followed path: a default of the target, which a track of the scene's own with
+/// another `objective.track.weight` replaces (decision 71). A buckled arm has several equilibria; effort is measured from one of them, and
+/// a larger weight keeps the tip at its target nevertheless. A tip whose orientation is prescribed too has one shape, and its loop with
+/// this factor would be less robust against a wrong stiffness.
+const HELD_NEARER: f64 = 10.0;
+/// Cap on the samples of paths in a block of a receding horizon, each of which needs a sweep: a plan that is linear in a block cannot tell
+/// more than its two ends.
+const SAMPLES_A_BLOCK: usize = 2;
+/// Number of blocks over which a change costs as much as the effort, if the task has no price of rates: the default of `objective.rate` of
+/// a receding loop, `4 effort block²`. Without any, errors of the model in fast waves make commands oscillate between their bounds
+/// (decision 50).
+const BLOCKS_A_CHANGE: f64 = 2.0;
+
+impl Controller {
+    /// Cap on the iterations before the first sample, for which nothing waits yet.
+    const FIRST: usize = 50;
+    /// Change of the scaled coefficients of a plan, which are of order 1, below which iterations end: far below what an actuator resolves,
+    /// and far above rounding.
+    const SETTLED: f64 = 1e-9;
+    /// Cap on the iterations of a restart, for which a sample waits.
+    pub const RESTART: usize = 3;
+
+    /// Discretizes the task over one horizon, and iterates from the task's start until the first plan no longer changes.
+    ///
+    /// Without a price of rates, a receding horizon gets one by which a change over two blocks costs as much as the effort. A target must
+    /// be reached by the end of the horizon; if the horizon recedes, its position becomes a track, which counts from the beginning. Tracks,
+    /// targets (soft), all costs, bounds of the task's wrenches, obstacles and limits are used; the task's duration is not. A limit of a
+    /// speed holds for means between samples. Terms of one's own may allocate memory at every sample. Hold and elements are those of
+    /// `discretization`. Steps are shortened so that they divide the sample period; implicit steps of a receding horizon so that they
+    /// divide the horizon. If `discretization` names neither integrator nor step, steps are implicit and long where that is faster.
+    ///
+    /// # Errors
+    /// Returns [`MpcError`] for settings out of range, for a task that cannot be discretized or has features that the controller does not
+    /// support, and if the first plan's motion breaks down.
+    pub fn new(
+        arm: &Arm,
+        task: &Task,
+        discretization: &Discretization,
+        settings: &MpcSettings,
+    ) -> Result<Self, MpcError> {
+        Self::new_until(arm, task, discretization, settings, &StopSignal::default())
+    }
+
+    /// Creates a controller as [`Self::new`] does, unless `stop` is raised before the first plan is computed. Samples do not read the
+    /// signal.
+    ///
+    /// # Errors
+    /// As [`Self::new`], and [`MpcError::Stopped`].
+    pub fn new_until(
+        arm: &Arm,
+        task: &Task,
+        discretization: &Discretization,
+        settings: &MpcSettings,
+        stop: &StopSignal,
+    ) -> Result<Self, MpcError> {
+        let made = Self::make(arm, task, discretization, settings, stop);
+        if made.is_err() {
+            stop.check()?;
+        }
+        made
+    }
+
+    fn make(
+        arm: &Arm,
+        task: &Task,
+        discretization: &Discretization,
+        settings: &MpcSettings,
+        stop: &StopSignal,
+    ) -> Result<Self, MpcError> {
+        settings.check()?;
+        let knots = Knots::new(
+            discretization.hold,
+            settings.block,
+            settings.equal_blocks,
+            settings.horizon,
+        )?;
+        let blocks = knots.blocks(settings.horizon);
+        let model = arm.rod(discretization).map_err(DiscretizeError::from)?;
+        let mut cut = Discretization {
+            blocks,
+            ..with_long_steps(&model, discretization, settings)
+        };
+        if settings.due.is_none() {
+            // More samples cannot be told apart by a plan, and each one needs a sweep.
+            cut.samples = cut.samples.min(SAMPLES_A_BLOCK * blocks);
+        }
+        let mut task = match settings.due {
+            Some(_) => task.clone(),
+            None => task.clone().stopping(),
+        };
+        task.horizon = settings.horizon;
+        let n_tracks = task.cost.tracks.len();
+        for target in &mut task.targets {
+            target.time = None;
+            // A target with a weight needs no default tolerance.
+            target.tolerances.speed.get_or_insert(0.0);
+            target.tolerances.spin.get_or_insert(0.0);
+            // On a receding horizon, a target at the end could be put off for ever, and rest there would never come.
+            if settings.due.is_none() {
+                target.rest = Rest::Passing;
+                let place = target.position.take().map(|place| (0.0, place));
+                let turn = target.rotation.take().map(|rotation| (0.0, rotation));
+                task.cost.tracks.push(Track {
+                    at: target.at,
+                    path: place.into_iter().collect(),
+                    rotations: turn.into_iter().collect(),
+                    ..Track::default()
+                });
+            }
+        }
+        (task.targets).retain(|target| {
+            target.position.is_some() || target.rotation.is_some() || target.rest != Rest::Passing
+        });
+        // Only the steps of this discretization are used, not the wrench that holds the arm.
+        let chosen = (task.clone().stopping())
+            .discretize_until(arm, &cut, stop)?
+            .discrete;
+        let [in_period, in_horizon] =
+            period_and_horizon(chosen.grid.step, chosen.rod.scheme, settings);
+        cut.step = Some(in_horizon.step);
+        let mut problem = task.discretize_until(arm, &cut, stop)?.discrete;
+        for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
+            if held.rotations.is_empty() {
+                held.weight *= HELD_NEARER;
+            }
+        }
+        problem.grid.step = in_horizon.step;
+        problem.grid.n_steps = in_horizon.n;
+        for goal in &mut problem.goals {
+            goal.time_node = problem.grid.n_steps;
+        }
+        let mut weights = [problem.objective.effort, problem.objective.rate];
+        if settings.due.is_none() && weights[1] == 0.0 {
+            weights[1] = weights[0] * (BLOCKS_A_CHANGE * settings.block).powi(2);
+        }
+        let horizon = Horizon::new(
+            problem,
+            knots.clone(),
+            settings.target_weight,
+            settings.limit_price,
+        )?;
+        let (n, n_components) = (horizon.n_variables(), horizon.components.len());
+        let n_nodes = horizon.problem.rod.n_nodes();
+        let nodes = horizon.actuated_nodes();
+        let is_driven = horizon.problem.efforts.is_some();
+        let n_efforts = if is_driven {
+            horizon.problem.rod.actuators.len()
+        } else {
+            0
+        };
+        let lags: Vec<f64> = (horizon.components.iter())
+            .map(|component| horizon.problem.channel(component).lag)
+            .collect();
+        let has_lags = lags.iter().any(|lag| *lag > 0.0);
+        let mut lags_of_efforts = vec![0.0; if has_lags { n_efforts } else { 0 }];
+        for (index, (_, channel)) in driven(&horizon.problem)
+            .iter()
+            .zip(horizon.problem.driven())
+        {
+            if let Some(lag) = lags_of_efforts.get_mut(*index) {
+                *lag = channel.lag;
+            }
+        }
+        // Bound and rate of every coefficient; where there is a lag, a bound at either end of the block before it.
+        let n_rows = if has_lags { 3 * n } else { 2 * n };
+        let state = horizon.start.clone();
+        let mut controller = Self {
+            subproblem: Subproblem::new(n, n_rows, horizon.n_limit_rows()),
+            plan: vec![0.0; n],
+            before: vec![0.0; n],
+            trusted: vec![0.0; n],
+            expected: f64::INFINITY,
+            negligible: horizon.negligible_cost(),
+            before_knots: knots,
+            weights,
+            acting: vec![0.0; n_components],
+            outlet: Outlet::new(settings.start, settings.period, lags),
+            planned: None,
+            from_acting: Vec::with_capacity(n_components),
+            inside: vec![0.0; n],
+            cancelling: vec![0.0; n_components],
+            holding: None,
+            disturbing: Wrench::default(),
+            stiffness: 1.0,
+            free: vec![0.0; n],
+            deviation: StateTangent::zeros(n_nodes),
+            gradient: vec![0.0; n],
+            offsets: vec![0.0; n_rows],
+            change: vec![0.0; n],
+            command: Command {
+                start: settings.start,
+                end: settings.start + settings.period,
+                from: vec![Wrench::default(); nodes.len()],
+                to: vec![Wrench::default(); nodes.len()],
+                nodes,
+                efforts_from: vec![0.0; n_efforts],
+                efforts_to: vec![0.0; n_efforts],
+                efforts_acting: vec![0.0; lags_of_efforts.len()],
+                lags: lags_of_efforts,
+            },
+            prediction: Motions::new(&horizon.problem.rod, in_period.step, horizon.parameters()),
+            state,
+            in_period,
+            wrenches: [(); 2].map(|()| horizon.order.none()),
+            acts: false,
+            record: SampleRecord {
+                iterations: 0,
+                feedback_s: 0.0,
+                prepare_s: 0.0,
+                predicted_cost: 0.0,
+                change: 0.0,
+                subproblem: SubproblemEnd {
+                    iterations: 0,
+                    converged: true,
+                },
+                violation: 0.0,
+                breaks_limit: false,
+            },
+            settings: *settings,
+            horizon,
+        };
+        controller.horizon.stop = stop.clone();
+        controller.count_from_holding();
+        stop.check()?;
+        controller.horizon.place(settings.start, settings.due);
+        controller
+            .before_knots
+            .place(settings.start, controller.horizon.grid.time(0));
+        controller.settle(Self::FIRST)?;
+        controller.horizon.stop = StopSignal::default();
+        Ok(controller)
+    }
+
+    /// Returns the rod of the model.
+    #[must_use]
+    pub fn rod(&self) -> &Rod {
+        &self.horizon.problem.rod
+    }
+
+    /// Returns the model's time step, s.
+    #[must_use]
+    pub fn model_step(&self) -> f64 {
+        self.horizon.grid.step
+    }
+
+    /// Returns the state that is expected at the start of the present sample.
+    #[must_use]
+    pub fn expected(&self) -> &State {
+        &self.horizon.start
+    }
+
+    /// Returns times and results of the last sample.
+    #[must_use]
+    pub fn record(&self) -> &SampleRecord {
+        &self.record
+    }
+
+    /// Returns the predicted positions of a node over the present horizon, as time (s) and position (m).
+    pub fn prediction(&self, node: usize) -> impl Iterator<Item = (f64, [f64; 3])> {
+        let grid = self.horizon.grid;
+        (0..=grid.n_steps).map(move |k| (grid.time(k), self.horizon.position(k, node).into()))
+    }
+
+    /// Returns the settings.
+    #[must_use]
+    pub fn settings(&self) -> &MpcSettings {
+        &self.settings
+    }
+
+    /// Returns the last command; before the first one, it has no wrench.
+    #[must_use]
+    pub fn command(&self) -> &Command {
+        &self.command
+    }
+
+    /// Returns name and whole commanded effort, in its unit, of every actuator in the arm whose effort is a control: at the start of a
+    /// command, and at its end.
+    pub fn efforts<'a>(
+        &'a self,
+        command: &'a Command,
+    ) -> impl Iterator<Item = (&'a str, [f64; 2])> {
+        let problem = &self.horizon.problem;
+        let driven = (problem.efforts.iter()).flat_map(|efforts| &efforts.actuators);
+        driven.zip(self.driven()).map(move |(&index, (own, _))| {
+            let given = own.effort(command.start);
+            let ends = [&command.efforts_from, &command.efforts_to];
+            let added = ends.map(|added| added.get(index).copied().unwrap_or(0.0));
+            (&own.name[..], added.map(|added| given + added))
+        })
+    }
+
+    /// Returns the numbers of a [command](Command) by name: components of the wrenches on its nodes, among them what user-defined actuators
+    /// exert, and efforts of actuators in the arm. Number `actuator` of a component counts the nodes of the command.
+    pub fn commanded(&self) -> Vec<NamedControl> {
+        let horizon = &self.horizon;
+        let mesh = &horizon.problem.rod.mesh;
+        let acts = |node: usize, axis: usize| {
+            let mut effects = horizon.effects.iter().flatten();
+            effects.any(|effect| (effect.0, effect.1) == (node, axis))
+        };
+        let mut out = Vec::new();
+        for (at, &node) in self.command.nodes.iter().enumerate() {
+            let axes = (0..6).filter(|axis| acts(node, *axis));
+            out.extend(axes.map(|axis| NamedControl::on_node(mesh, node, at, axis)));
+        }
+        let named = horizon.problem.named_controls().into_iter();
+        out.extend(named.filter(|own| matches!(own.kind, ControlKind::Effort { .. })));
+        distinguish(&mut out);
+        out
+    }
+
+    /// Returns the actuators in the arm whose efforts are controls, with the channels of these.
+    pub(super) fn driven(&self) -> impl Iterator<Item = (&Drive, &Channel)> {
+        self.horizon.problem.driven()
+    }
+
+    /// Returns the names of the obstacles and limits that the last plan violates although a violation has the highest price: bounds, or the
+    /// time that is left, do not let the controller keep them.
+    pub fn broken_limits(&self) -> impl Iterator<Item = &str> {
+        let path = &self.horizon.problem.path;
+        (self.horizon.broken_limits()).map(|limit| &path[limit].name[..])
+    }
+
+    /// Returns the state in which the task begins.
+    #[must_use]
+    pub fn initial(&self) -> &State {
+        &self.horizon.problem.initial
+    }
+
+    /// Returns the actuators of the task, with their bounds.
+    pub(super) fn actuators(&self) -> &[ActuatedNode] {
+        self.horizon.problem.wrench_actuators()
+    }
+
+    /// Restarts from a state at `start` (s), with at most [`RESTART`](Self::RESTART) iterations, because a sample waits for them. Only the
+    /// disturbance and the command that acts are kept. The first plan is zero, or a ramp to zero if a rate is bounded.
+    ///
+    /// # Errors
+    /// Returns [`MpcError::Measurement`] as [`feedback`](Self::feedback) does, and errors of a motion that breaks down.
+    pub fn restart(&mut self, start: f64, state: &State) -> Result<(), MpcError> {
+        self.check(state)?;
+        self.horizon.start.clone_from(state);
+        self.horizon.place(start, self.settings.due);
+        self.before_knots.clone_from(&self.horizon.knots);
+        self.outlet.write_acting(start, &mut self.acting);
+        self.plan.fill(0.0);
+        self.write_inside();
+        self.plan.clone_from_slice(&self.inside);
+        self.trusted.copy_from_slice(&self.plan);
+        self.planned = None;
+        self.expected = f64::INFINITY;
+        self.deviation.fill_zero();
+        self.settle(Self::RESTART)
+    }
+
+    /// Issues the plan as it is as the command from `start` (s) on: for a sample without a usable measurement, whose state is taken to be
+    /// the expected one.
+    pub fn plan_alone(&mut self, start: f64) -> Issued<'_> {
+        self.state.clone_from(&self.horizon.start);
+        self.trusted.copy_from_slice(&self.plan);
+        self.planned = None;
+        self.issue(start);
+        Issued(self)
+    }
+
+    /// Issues a command from `start` (s) on that does not come from the plan.
+    pub(super) fn steer(&mut self, start: f64, aim: Aim) -> &Command {
+        self.acts = true;
+        self.planned = None;
+        self.outlet.write_acting(start, &mut self.acting);
+        let followed = self.followed();
+        let wanted = &mut self.outlet.wanted;
+        (wanted.start, wanted.end) = (start, start + self.settings.period);
+        let horizon = &self.horizon;
+        let actuators = horizon.problem.wrench_actuators();
+        for (c, (component, scale)) in (horizon.components.iter().zip(&horizon.scales)).enumerate()
+        {
+            let acting = self.acting[c];
+            (wanted.from[c], wanted.to[c]) = match aim {
+                Aim::Follow(wrench) => {
+                    let own = actuators.get(component.actuator);
+                    let acts = own.is_some_and(|own| own.node == followed);
+                    let value = wrench.to_array()[component.axis] / scale;
+                    let value = if acts { value } else { 0.0 };
+                    (value, value)
+                }
+                Aim::Part(part) if horizon.knots.hold() == Hold::Constant => {
+                    (part * acting, part * acting)
+                }
+                Aim::Part(part) => (acting, part * acting),
+                Aim::Stay => {
+                    let held = (horizon.problem.stay.as_ref()).map_or(0.0, |stay| {
+                        stay.wrenches[component.actuator].to_array()[component.axis] / scale
+                    });
+                    let value = held + self.cancelling[c];
+                    (value, value)
+                }
+            };
+        }
+        (self.outlet).send(&self.horizon, self.settings.period, &mut self.command);
+        &self.command
+    }
+
+    /// Returns the last command, shifted so that it acts from `start` (s) on.
+    pub(super) fn release(&mut self, start: f64) -> Command {
+        if self.planned.is_none() {
+            let Self {
+                outlet,
+                horizon,
+                settings,
+                command,
+                ..
+            } = self;
+            outlet.postpone(start, horizon, settings.period, command);
+            return command.clone();
+        }
+        // The plan continues with its own outlet.
+        let mut command = self.command.clone();
+        (self.outlet).postpone(start, &self.horizon, self.settings.period, &mut command);
+        self.outlet.write(&self.horizon, &mut command);
+        command
+    }
+
+    /// Runs both phases: computes the command for the measured state, then prepares the next sample.
+    ///
+    /// # Errors
+    /// As [`feedback`](Self::feedback) and [`Issued::prepare`].
+    pub fn step(&mut self, measured: &State) -> Result<&Command, MpcError> {
+        self.feedback(measured)?.prepare()?;
+        Ok(&self.command)
+    }
+
+    /// Computes the command from the measured state at the start of the sample, for which the last preparation predicted the expected
+    /// state.
+    ///
+    /// # Errors
+    /// Returns [`MpcError::Measurement`] for a state that is not finite or of another size, with the plan left unchanged;
+    /// [`MpcError::Subproblem`]; and with more than one iteration [`MpcError::Rollout`].
+    pub fn feedback(&mut self, measured: &State) -> Result<Issued<'_>, MpcError> {
+        let begin = Instant::now();
+        self.check(measured)?;
+        self.state.clone_from(measured);
+        measured.difference_into(&self.horizon.start, &mut self.deviation);
+        self.correct()?;
+        let mut one = self.record.prepare_s + begin.elapsed().as_secs_f64();
+        self.record.iterations = 1;
+        while self.record.iterations < self.settings.iterations {
+            let so_far = begin.elapsed().as_secs_f64();
+            let is_late = (self.settings.deadline).is_some_and(|deadline| so_far + one > deadline);
+            if is_late || self.record.change < Self::SETTLED {
+                break;
+            }
+            self.horizon.start.clone_from(&self.state);
+            self.model()?;
+            self.deviation.fill_zero();
+            self.correct()?;
+            self.record.iterations += 1;
+            one = begin.elapsed().as_secs_f64() - so_far;
+        }
+        self.issue(self.horizon.grid.start);
+        self.record.feedback_s = begin.elapsed().as_secs_f64();
+        Ok(Issued(self))
+    }
+
+    /// Responds to a measured state with the first command of the linearized model, within the bounds: that of a linear-quadratic regulator
+    /// about the motion of the plan, to be [released](Self::release). The plan continues as if its own motion had been measured.
+    ///
+    /// # Errors
+    /// As [`feedback`](Self::feedback).
+    pub(super) fn regulate(&mut self, measured: &State) -> Result<(), MpcError> {
+        self.check(measured)?;
+        measured.difference_into(&self.horizon.start, &mut self.deviation);
+        let mut own = self.planned.take().unwrap_or_else(|| self.outlet.clone());
+        let (plan, acts) = (self.plan.clone(), self.acts);
+        let outcome = self.correct();
+        if outcome.is_ok() {
+            self.issue(self.horizon.grid.start);
+        }
+        (self.plan, self.acts) = (plan, acts);
+        outcome?;
+        std::mem::swap(&mut self.outlet, &mut own);
+        let expected = self.horizon.start.clone();
+        let outcome = self.feedback(&expected);
+        let outcome = outcome.map(|_| ());
+        std::mem::swap(&mut self.outlet, &mut own);
+        self.planned = outcome.is_ok().then_some(own);
+        outcome
+    }
+
+    /// Prepares the next sample: the state at its start is predicted from the measured one under the command.
+    ///
+    /// # Errors
+    /// Returns [`MpcError::Rollout`] if the model's motion breaks down.
+    pub(super) fn prepare(&mut self) -> Result<(), MpcError> {
+        let begin = Instant::now();
+        self.predict()?;
+        let next = self.command.end;
+        self.carry_over(next);
+        self.deviation.fill_zero();
+        self.model()?;
+        self.record.prepare_s = begin.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    fn check(&self, measured: &State) -> Result<(), MpcError> {
+        let n = self.rod().n_nodes();
+        let configuration = &measured.configuration;
+        let sizes = [
+            configuration.positions.len(),
+            configuration.rotations.len(),
+            measured.linear_momentum.len(),
+            measured.angular_momentum.len(),
+        ];
+        if sizes != [n; 4] {
+            return Err(MpcError::Measurement {
+                found: format!("{sizes:?} positions, rotations, linear and angular momenta"),
+                expected: format!("{n} of each, one a node of the model"),
+            });
+        }
+        let vectors = (configuration.positions.iter())
+            .chain(&measured.linear_momentum)
+            .chain(&measured.angular_momentum)
+            .all(|v| v.iter().all(|c| c.is_finite()));
+        let rotations = (configuration.rotations.iter()).all(|r| r.iter().all(|c| c.is_finite()));
+        if vectors && rotations {
+            return Ok(());
+        }
+        Err(MpcError::Measurement {
+            found: "a number that is not finite".into(),
+            expected: "finite positions, rotations and momenta".into(),
+        })
+    }
+
+    /// Simulates and linearizes the plan's motion from the expected start, and factors its Hessian.
+    fn model(&mut self) -> Result<(), MpcError> {
+        self.roll_out()?;
+        self.horizon.linearize()?;
+        self.condense()
+    }
+
+    /// Computes and factors the Hessian of the linearized motion with effort, rate and jump, and the bounds.
+    fn condense(&mut self) -> Result<(), MpcError> {
+        let (n, present) = (self.horizon.n_variables(), self.horizon.n_present());
+        let n_components = self.horizon.components.len();
+        let hessian = &mut self.subproblem.hessian;
+        hessian.fill(0.0);
+        for j in 0..present {
+            for i in 0..present {
+                hessian[(i, j)] = self.horizon.square[(i, j)];
+            }
+        }
+        for i in present..n {
+            hessian[(i, i)] = 1.0;
+        }
+        for coefficient in 0..self.horizon.knots.len() {
+            let [own, next] = self.control_weights(coefficient);
+            let hessian = &mut self.subproblem.hessian;
+            for c in 0..n_components {
+                let i = coefficient * n_components + c;
+                hessian[(i, i)] += own;
+                if next != 0.0 {
+                    hessian[(i + n_components, i)] += next;
+                    hessian[(i, i + n_components)] += next;
+                }
+            }
+        }
+        self.constrain();
+        self.horizon.write_limits(&mut self.subproblem.soft);
+        self.subproblem.factor()
+    }
+
+    /// Returns the entries of `C` (with the jump) of a coefficient with itself and with the next one.
+    fn control_weights(&self, coefficient: usize) -> [f64; 2] {
+        let knots = &self.horizon.knots;
+        let [effort, rate] = self.weights;
+        let [own, next] = knots.square(coefficient);
+        let mut out = [effort * own, effort * next];
+        let last = knots.len() - 1;
+        if coefficient < last {
+            let slope = rate / knots.gap(coefficient);
+            out[0] += slope;
+            out[1] -= slope;
+        } else {
+            out[1] = 0.0;
+        }
+        if coefficient > 0 {
+            out[0] += rate / knots.gap(coefficient - 1);
+        } else {
+            out[0] += self.jump();
+        }
+        out
+    }
+
+    /// Returns the weight of the jump from the control that acts. A constant course changes by jumps only, so that the first one costs no
+    /// more than the rate between coefficients at the same distance: a higher price would put the jump off at every sample.
+    fn jump(&self) -> f64 {
+        if !self.acts {
+            return 0.0;
+        }
+        let knots = &self.horizon.knots;
+        if knots.hold() != Hold::Constant {
+            return self.settings.jump;
+        }
+        let gap = knots.time(0) - self.horizon.grid.start + 0.5 * self.settings.period;
+        self.settings.jump.min(self.weights[1] / gap)
+    }
+
+    /// Solves the subproblem at the present deviation and takes the full step.
+    fn correct(&mut self) -> Result<(), MpcError> {
+        self.note_free();
+        self.outlet
+            .write_acting(self.horizon.grid.start, &mut self.acting);
+        let present = self.horizon.n_present();
+        let n_components = self.horizon.components.len();
+        let gradient = &mut self.gradient[..];
+        gradient.fill(0.0);
+        let cost = (self.horizon).gradient(&self.deviation, &mut gradient[..present]);
+        for coefficient in 0..self.horizon.knots.len() {
+            let [own, next] = self.control_weights(coefficient);
+            for c in 0..n_components {
+                let i = coefficient * n_components + c;
+                self.gradient[i] += own * (self.plan[i] - self.free[i]);
+                if next != 0.0 {
+                    let j = i + n_components;
+                    self.gradient[i] += next * (self.plan[j] - self.free[j]);
+                    self.gradient[j] += next * (self.plan[i] - self.free[i]);
+                }
+            }
+        }
+        for c in 0..n_components {
+            self.gradient[c] -= self.jump() * (self.acting[c] - self.free[c]);
+        }
+        self.write_offsets();
+        self.write_inside();
+        (self.horizon).write_limit_values(&self.deviation, &mut self.subproblem.soft.values);
+        let end = self.subproblem.solve(
+            &self.gradient,
+            &self.offsets,
+            &self.inside,
+            self.settings.subproblem_tolerance,
+            self.settings.subproblem_iterations,
+            &mut self.change,
+        );
+        if !self.change.iter().all(|x| x.is_finite()) {
+            return Err(MpcError::Subproblem);
+        }
+        self.trusted.copy_from_slice(&self.plan);
+        self.expected = cost + self.control_cost() + self.subproblem.soft.cost();
+        let mut largest = 0.0f64;
+        for (v, x) in self.plan.iter_mut().zip(&self.change).take(present) {
+            *v += x;
+            largest = largest.max(x.abs());
+        }
+        self.record.predicted_cost = cost;
+        self.record.change = largest;
+        self.record.subproblem = end;
+        let soft = &self.subproblem.soft;
+        self.record.violation = (self.horizon).reprice(soft, &self.change, end.iterations > 0);
+        self.record.breaks_limit = self.horizon.broken_limits().next().is_some();
+        Ok(())
+    }
+
+    /// Issues the command of the present plan from `start` (s) on.
+    fn issue(&mut self, start: f64) {
+        if self.stays_from(start) {
+            self.steer(start, Aim::Stay);
+            return;
+        }
+        self.acts = true;
+        let (grid, period) = (&self.horizon.grid, self.settings.period);
+        let last = grid.time(grid.n_steps);
+        let end = start + period;
+        let end = if last > start { end.min(last) } else { end };
+        let is_constant = self.horizon.knots.hold() == Hold::Constant;
+        let wanted = &mut self.outlet.wanted;
+        (wanted.start, wanted.end) = (start, end);
+        self.horizon.control(&self.plan, start, &mut wanted.from);
+        let at_end = if is_constant { start } else { end };
+        self.horizon.control(&self.plan, at_end, &mut wanted.to);
+        (self.outlet).send(&self.horizon, period, &mut self.command);
+    }
+
+    /// Tells whether the task is done and the arm should stay.
+    fn stays_from(&self, start: f64) -> bool {
+        let is_over = |due: f64| start > due - 0.5 * self.in_period.step;
+        self.horizon.problem.stay.is_some() && self.settings.due.is_some_and(is_over)
+    }
+
+    /// Predicts the state at the end of the command.
+    fn predict(&mut self) -> Result<(), MpcError> {
+        let Divided { n, step } = self.in_period;
+        let Self {
+            horizon,
+            prediction,
+            command,
+            wrenches: [now, next],
+            ..
+        } = self;
+        let n_steps = ((command.end - command.start) / step).round() as usize;
+        let n_steps = n_steps.min(n);
+        horizon.start.clone_from(&self.state);
+        let parameters = horizon.parameters();
+        let Horizon {
+            problem,
+            order,
+            start,
+            disturbing,
+            ..
+        } = horizon;
+        let fill = |k: usize, wrenches: &mut [Wrench]| {
+            wrenches.copy_from_slice(disturbing);
+            command.add_at(command.start + k as f64 * step, wrenches);
+        };
+        let model = (&*problem.rod, parameters);
+        let outcome = prediction.run(model, step, (command.start, start), |stepper| {
+            fill(0, now);
+            for k in 0..n_steps {
+                fill(k + 1, next);
+                stepper.advance([order.of(now), order.of(next)])?;
+                std::mem::swap(now, next);
+            }
+            Ok(())
+        });
+        outcome.map_err(|error: StepError| error.into())
+    }
+
+    /// Moves the horizon to `start`. The plan stays the same function of time, and is constant beyond its old end.
+    fn carry_over(&mut self, start: f64) {
+        let n_components = self.horizon.components.len();
+        self.before_knots.clone_from(&self.horizon.knots);
+        if !self.horizon.place(start, self.settings.due) {
+            return;
+        }
+        for plan in [&mut self.plan, &mut self.trusted] {
+            self.before.copy_from_slice(plan);
+            for index in 0..self.horizon.knots.len() {
+                let pair = self.before_knots.at(self.horizon.knots.time(index));
+                for c in 0..n_components {
+                    plan[index * n_components + c] = (pair.iter())
+                        .map(|(i, w)| w * self.before[i * n_components + c])
+                        .sum();
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests;

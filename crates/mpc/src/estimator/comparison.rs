@@ -1,0 +1,232 @@
+//! The comparison of a measurement with its prediction.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::signal::{Measurement, Reading, Signal};
+use mechanics::Rod;
+use mechanics::rotation::{log, orthonormalized};
+
+use super::covariance::{Row, Rows};
+use super::readings::{Kind, Layout, Reader};
+use super::{Estimate, EstimateError, Innovation};
+
+/// A standard deviation of 0, or below this multiple of the arm's own scale, is replaced by the multiple. The covariance of an innovation
+/// then has a condition number of at most `(0.05/1e-6)² = 2.5e9` for the prior of 0.05 of the length, and a solution with it keeps six
+/// digits.
+const EXACT: f64 = 1e-6;
+/// Replacement of the standard deviation of exact velocities, in the arm's own scales: velocities contain the fast waves of an arm, in
+/// which a model of few elements is wrong. As exact values they would be explained by a wrong stiffness, a different one at every sample. A
+/// sensor with a standard deviation of its own (the keys `velocity_sigma_m_s` and `angular_velocity_sigma_rad_s`) is believed.
+const EXACT_VELOCITY: f64 = 1e-2;
+/// Largest `|RᵀR - I|` of a measured rotation, which is that of entries with four digits; up to there it is projected to the nearest
+/// rotation by one step that squares it, so that 1e-6 is left, the least standard deviation.
+const LARGEST_ROTATION_DEFECT: f64 = 1e-3;
+
+/// Largest distance of a measured position from the base, divided by the arm's length: that of an arm that is stretched to twice its
+/// length, where no elastic law of the model holds.
+pub(crate) const FARTHEST: f64 = 2.0;
+
+/// Compares measurements with estimates, in memory that is reused.
+#[derive(Debug)]
+pub(super) struct Comparison {
+    reader: Reader,
+    /// Signals of the last comparison.
+    pub rows: Rows,
+    /// Place and size of the innovation of the position nearest to the tip.
+    nearest: Option<(f64, f64)>,
+    /// Time between two measurements, s, where sensors are not believed to be more exact than the model.
+    pub interval: Option<f64>,
+}
+
+impl Comparison {
+    pub fn new(model: &Rod) -> Self {
+        Self {
+            reader: Reader::new(model),
+            rows: Rows::default(),
+            nearest: None,
+            interval: None,
+        }
+    }
+
+    /// Returns the largest distance of the innovations from `expected`, divided by their standard deviations; NaN if one is NaN.
+    pub fn distance(&self, expected: &[Vector3<f64>]) -> f64 {
+        (self.rows.signals.iter().zip(expected)).fold(0.0, |most, (row, expected)| {
+            let distance = (row.residual - expected).norm() / row.sigma;
+            let is_more = distance > most || distance.is_nan();
+            if is_more { distance } else { most }
+        })
+    }
+
+    /// Computes measured minus expected for every signal that `of_use` accepts, with its derivatives if a layout is given. `rod` has the
+    /// stiffness of the estimate.
+    ///
+    /// # Errors
+    /// Returns [`EstimateError::NotFinite`] and [`EstimateError::Signal`].
+    pub fn compare(
+        &mut self,
+        rod: &Rod,
+        estimate: &Estimate,
+        measurement: &Measurement,
+        layout: Option<&Layout>,
+        of_use: impl Fn(&Signal) -> bool,
+    ) -> Result<(), EstimateError> {
+        for (index, signal) in measurement.signals.iter().enumerate() {
+            check(index, signal)?;
+            if let (Reading::Position(x), true) = (&signal.reading, rod.first_free_node() > 0) {
+                let distance = (x - estimate.state.configuration.positions[0]).norm();
+                if distance > FARTHEST * rod.scales.length {
+                    return Err(EstimateError::Signal {
+                        index,
+                        name: "the distance of its position from the base in m",
+                        value: distance,
+                        expected: "within twice the length of the arm",
+                    });
+                }
+            }
+        }
+        self.rows.clear();
+        self.nearest = None;
+        for signal in measurement.signals.iter().filter(|signal| of_use(signal)) {
+            let (kind, place) = (Kind::of(&signal.reading), signal.place);
+            let Estimate {
+                time,
+                state,
+                disturbance,
+                ..
+            } = estimate;
+            let expected = (self.reader).read(rod, *time, state, disturbance, kind, place);
+            let residual = difference(&signal.reading, &expected);
+            if let Some(layout) = layout {
+                let of = (kind, place);
+                let terms = &mut self.rows.terms;
+                (self.reader).derive(rod, state, disturbance, of, layout, terms);
+            }
+            self.rows.signals.push(Row {
+                end: self.rows.terms.len(),
+                residual,
+                sigma: believable(signal.sigma, kind, rod, self.interval),
+            });
+            if kind == Kind::Position && self.nearest.is_none_or(|(other, _)| other <= place) {
+                self.nearest = Some((place, residual.norm()));
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the last comparison without the values that need a covariance.
+    pub fn innovation(&self) -> Innovation {
+        let signals = &self.rows.signals;
+        let n = 3 * signals.len();
+        let sum: f64 = (signals.iter())
+            .map(|row| (row.residual / row.sigma).norm_squared())
+            .sum();
+        Innovation {
+            n,
+            rms: if n > 0 { (sum / n as f64).sqrt() } else { 0.0 },
+            normalized: None,
+            distance: self.nearest.map(|(_, distance)| distance),
+            refused: 0,
+        }
+    }
+}
+
+fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
+    if !signal.reading.is_finite() {
+        let what = format!("the value of signal {index}");
+        return Err(EstimateError::NotFinite { what });
+    }
+    let require = |name, value: f64, holds: bool, expected| {
+        if value.is_finite() && holds {
+            Ok(())
+        } else {
+            Err(EstimateError::Signal {
+                index,
+                name,
+                value,
+                expected,
+            })
+        }
+    };
+    let (place, sigma) = (signal.place, signal.sigma);
+    let is_place = (0.0..=1.0).contains(&place);
+    require("place", place, is_place, "a part of the length, 0 to 1")?;
+    require("sigma", sigma, sigma >= 0.0, "a number of at least 0")?;
+    if let Reading::Rotation(r) = &signal.reading {
+        let defect = (r.tr_mul(r) - Matrix3::identity()).norm();
+        let expected = "that of a rotation from body to space, below 1e-3";
+        let holds = defect < LARGEST_ROTATION_DEFECT && r.determinant() > 0.0;
+        require("|RᵀR - I| of its rotation", defect, holds, expected)?;
+    }
+    Ok(())
+}
+
+/// Returns the standard deviation of a reading: that of the sensor, or the smallest that the filter accepts if the sensor claims to be more
+/// exact than the model.
+fn believable(sigma: f64, kind: Kind, rod: &Rod, interval: Option<f64>) -> f64 {
+    let is_velocity = matches!(kind, Kind::Velocity | Kind::AngularVelocity);
+    let exact = EXACT * scale(kind, rod);
+    match interval {
+        _ if is_velocity && sigma > exact => sigma,
+        // A sensor that is less exact than an error of the model, be it once or again and again, says how exact it is.
+        Some(interval) if sigma < model_error(kind, rod, f64::INFINITY) => {
+            model_error(kind, rod, interval)
+        }
+        Some(_) => sigma.max(exact),
+        None if is_velocity => EXACT_VELOCITY * scale(kind, rod),
+        None => sigma.max(exact),
+    }
+}
+
+/// Returns the standard deviation of white noise that tells as little, at one measurement every `interval` (s), as the error of the model
+/// allows to know.
+///
+/// An arm that is bent by one radian turns by `θ = 1/K` along each of its `K` elements of the length `l = L/K`. A chord is shorter than its
+/// arc by up to `l θ²/24`, and by up to `θ²/12` its direction differs from that of the mean frame of its ends: nodes of the arm that are
+/// taken exactly as they are stretch and shear the elements by as much. An error anywhere within such a bound has the standard deviation of
+/// the bound over √3. It stays while the arm keeps its shape, during which measurements repeat it: for the time `1/ω₁ = 0.28 T` of a
+/// cantilever with the time scale `T`. `n` equal errors tell as little as `n` independent ones that are `√n` times as large.
+pub(crate) fn model_error(kind: Kind, rod: &Rod, interval: f64) -> f64 {
+    let n = rod.n_elements() as f64;
+    let own = match kind {
+        Kind::Position => 1.0 / (24.0 * n.powi(3)) / f64::sqrt(3.0),
+        Kind::Rotation | Kind::Curvature => 1.0 / (12.0 * n.powi(2)) / f64::sqrt(3.0),
+        Kind::Velocity | Kind::AngularVelocity => EXACT_VELOCITY,
+        Kind::BaseForce | Kind::BaseMoment => EXACT,
+    };
+    let repeated = (LASTS * rod.scales.time / interval).max(1.0);
+    own.max(EXACT) * scale(kind, rod) * repeated.sqrt()
+}
+
+/// Time for which the error of a model stays the same, divided by the time scale of the arm: `1/ω₁` of a cantilever, 1/3.516.
+const LASTS: f64 = 0.28;
+
+/// Returns the unit of a kind of reading.
+fn scale(kind: Kind, rod: &Rod) -> f64 {
+    let scales = &rod.scales;
+    match kind {
+        Kind::Position => scales.length,
+        Kind::Rotation => 1.0,
+        Kind::Velocity => scales.length / scales.time,
+        Kind::AngularVelocity => 1.0 / scales.time,
+        Kind::Curvature => 1.0 / scales.length,
+        Kind::BaseForce => scales.force,
+        Kind::BaseMoment => scales.moment,
+    }
+}
+
+/// Returns measured minus expected; for rotations, the turn in the expected body frame that leads to the measured one. Zero for readings of
+/// different kinds, which are never compared.
+fn difference(measured: &Reading, expected: &Reading) -> Vector3<f64> {
+    match (measured, expected) {
+        (Reading::Rotation(measured), Reading::Rotation(expected)) => {
+            log(&expected.tr_mul(&orthonormalized(measured)))
+        }
+        (Reading::Position(a), Reading::Position(b))
+        | (Reading::Velocity(a), Reading::Velocity(b))
+        | (Reading::AngularVelocity(a), Reading::AngularVelocity(b))
+        | (Reading::Curvature(a), Reading::Curvature(b))
+        | (Reading::BaseForce(a), Reading::BaseForce(b))
+        | (Reading::BaseMoment(a), Reading::BaseMoment(b)) => a - b,
+        _ => Vector3::zeros(),
+    }
+}

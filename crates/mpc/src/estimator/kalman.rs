@@ -1,0 +1,886 @@
+//! An extended Kalman filter on the full state, in the tangent of the integrator.
+
+use faer::Mat;
+use nalgebra::Vector3;
+
+use crate::command::Command;
+use crate::error::MpcError;
+use crate::signal::{Measurement, Reading, Signal};
+use mechanics::beam::Beam;
+use mechanics::forms::NODE_COMPONENTS;
+use mechanics::linearization::{Motion, StateTangent};
+use mechanics::rotation::orthonormalized;
+use mechanics::sensitivity::RepeatedForward;
+use mechanics::stability::automatic_step;
+use mechanics::strain_coordinates::{ShapeTransport, shape_difference};
+use mechanics::{
+    Configuration, ControlSignal, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench,
+};
+
+use super::comparison::Comparison;
+use super::covariance::Covariance;
+use super::gate::Gate;
+use super::node_frames::{NodeFrames, leave_free_motions};
+use super::parameter::N_PARAMETERS;
+use super::prediction::{Predictor, Steps};
+use super::readings::{self, Layout};
+use super::slow::SlowPart;
+use super::unknown_forces::UnknownForces;
+use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation, Parameter};
+use super::{check_start, check_time, setting};
+
+/// A quantity whose components change as random walks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RandomWalk {
+    /// Standard deviation at the start, in the unit of the quantity.
+    pub initial: f64,
+    /// Standard deviation of its change within one second; 0 for a constant.
+    pub change: f64,
+}
+
+/// Settings of a [`KalmanFilter`]. A disturbance that is `None` is not estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KalmanSettings {
+    /// Uncertainty of the state at the start, as a standard deviation of the tip's position, m. Every mode of motion has the same energy,
+    /// that of a cantilever with this deflection of its tip: the covariance is `3 EI/L³ σ²` times the inverse of the Hessian of the energy.
+    pub initial: f64,
+    /// Strength of unknown forces, as the standard deviation of the tip's position that they cause within one second, m: white noise in
+    /// time on the momenta, mostly smooth along the arm. A mode of frequency `ν` gains `3 EI/L³ σ² ((ω₁/ν)² + 0.1)`, with `ω₁` the
+    /// frequency of the first bending mode.
+    pub change: f64,
+    /// Force at the tip, N.
+    pub tip_force: Option<RandomWalk>,
+    /// Moment at the tip, N m.
+    pub tip_moment: Option<RandomWalk>,
+    /// Distributed force, N/m.
+    pub distributed: Option<RandomWalk>,
+    /// Factor on the elastic moduli. Estimates are limited to 0.1 to 1.6, where the explicit scheme with the automatic step is stable.
+    pub stiffness: Option<RandomWalk>,
+    /// Mass at the tip beyond the model's, kg. The payload is limited to between nothing and ten times the mass of the arm.
+    pub payload: Option<RandomWalk>,
+    /// Viscous damping beyond the model's, 1/s. The damping is limited to between none and 50 divided by the time scale of the arm, `L²
+    /// sqrt(ρA/EI)`.
+    pub viscous: Option<RandomWalk>,
+    /// Time of the internal damping beyond the model's, s; only for a model with implicit steps. The damping time is limited to between
+    /// zero and a tenth of the time scale of the arm.
+    pub internal: Option<RandomWalk>,
+    /// Delay of commands beyond their known delay, s. It is limited to a tenth of the time scale of the arm.
+    pub delay: Option<RandomWalk>,
+    /// Tells whether impossible signals are refused: those whose squared innovation, normalized by the covariance that the filter expects,
+    /// exceeds that of all but one in 10⁹ (chi-square, three degrees of freedom; Bar-Shalom, Li and Kirubarajan 2001, section 5.4). If
+    /// recent signals are all farther off than expected, by their median (Hampel 1974), the model is wrong, and the threshold is multiplied
+    /// by as much. A signal that is refused three consecutive times is accepted afterwards: then the estimate is wrong.
+    pub refuses: bool,
+    /// Tells whether sensors are taken to be no more exact than the elements of the model, as an arm that is not the model demands
+    /// (decision 116).
+    pub model_error: bool,
+    /// Longest time step of the model, s.
+    pub longest_step: f64,
+}
+
+impl KalmanSettings {
+    /// Returns settings that estimate the state only: the tip is within a twentieth of the length at the start, and unknown forces deflect
+    /// it by 3 thousandths within a second, which is about the error of ten elements for a swinging arm.
+    #[must_use]
+    pub fn of(model: &Rod) -> Self {
+        Self {
+            initial: INITIAL * model.scales.length,
+            change: CHANGE * model.scales.length / model.scales.time.sqrt(),
+            tip_force: None,
+            tip_moment: None,
+            distributed: None,
+            stiffness: None,
+            payload: None,
+            viscous: None,
+            internal: None,
+            delay: None,
+            refuses: false,
+            model_error: false,
+            longest_step: automatic_step(model),
+        }
+    }
+
+    /// Returns the random walks of tip force, tip moment and distributed force.
+    fn wrench_walks(&self) -> [Option<RandomWalk>; 3] {
+        [self.tip_force, self.tip_moment, self.distributed]
+    }
+
+    /// Returns the random walks of [`Parameter::ALL`].
+    fn parameter_walks(&self) -> [Option<RandomWalk>; N_PARAMETERS] {
+        [
+            self.stiffness,
+            self.payload,
+            self.viscous,
+            self.internal,
+            self.delay,
+        ]
+    }
+
+    /// Refuses unknowns that change no motion because the tip is held.
+    fn check_tip(&self, model: &Rod) -> Result<(), MpcError> {
+        let tip = model.joint(model.tip());
+        if tip.is_some() && (self.tip_force.is_some() || self.payload.is_some()) {
+            return Err(MpcError::Unsupported(
+                "neither a force nor a mass on a tip that is held moves the arm, so that no filter finds them; leave tip_force and payload out, \
+                 and take distributed for what pushes",
+            ));
+        }
+        if tip.is_some_and(|joint| !joint.turns()) && self.tip_moment.is_some() {
+            return Err(MpcError::Unsupported(
+                "no moment on a clamped or driven tip moves the arm, so that no filter finds it; leave tip_moment out",
+            ));
+        }
+        Ok(())
+    }
+
+    fn check(&self) -> Result<(), MpcError> {
+        let at_least_zero =
+            |name, value: f64| setting(name, value, value >= 0.0, "a finite number of at least 0");
+        let positive =
+            |name, value: f64| setting(name, value, value > 0.0, "a positive finite number");
+        positive("longest_step", self.longest_step)?;
+        positive("initial", self.initial)?;
+        at_least_zero("change", self.change)?;
+        let names = [
+            "tip_force",
+            "tip_moment",
+            "distributed",
+            "stiffness",
+            "payload",
+            "viscous",
+            "internal",
+            "delay",
+        ];
+        let walks = (self.wrench_walks().into_iter()).chain(self.parameter_walks());
+        for (name, walk) in names.into_iter().zip(walks) {
+            if let Some(walk) = walk {
+                at_least_zero(name, walk.initial)?;
+                at_least_zero(name, walk.change)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Default standard deviations of the tip's distance at the start and of the deflection that unknown forces cause within the time scale of
+/// the arm, divided by the length, which [`KalmanSettings::initial`] and [`KalmanSettings::change`] expose.
+const INITIAL: f64 = 0.05;
+const CHANGE: f64 = 0.003;
+/// Change of a parameter, in its unit, in central differences of two motions. Their relative error is the square of it, 1e-8, and rounding
+/// adds 1e-12 of a motion that repeats its initial errors.
+const PARAMETER_CHANGE: f64 = 1e-4;
+/// Cap on the linearizations of a measurement, which the plant waits for.
+const MOST_ITERATIONS: usize = 10;
+/// Largest difference of an innovation from its linearization, in standard deviations of the noise, at which iterations end: it then adds
+/// at most a quarter to the variance of the noise. The first 0.6 s of `mpc-reach` are the same with half and with twice the value.
+const LINEAR: f64 = 0.5;
+/// Largest angle, rad, by which one linearization of a measurement may bend or twist an element: as much as an element resolves
+/// (`control/advice.rs`). The first 0.6 s of `mpc-reach` are the same with half and with twice the value.
+const FARTHEST_TURN: f64 = 0.5;
+/// Steps that are linearized together: with the last time node they fill the vectors of the kernels.
+const MOST_STEPS: usize = 15;
+
+/// An extended Kalman filter whose error is `(δx, ζ, δp, δπ)` of every free node, and that of the disturbances.
+///
+/// To first order the error is the [difference](State::difference) of states. Finite corrections follow the strains: they move the strains
+/// of the elements linearly ([`retract_shape`](mechanics::strain_coordinates::retract_shape)), so that an arm that is found bent is not found stretched, and carry the covariance to the
+/// tangent of the corrected shape. Deviations of stiff strains, which are known best, stay small that way. Strains that change linearly would
+/// carry a held tip away; on such an arm the poses of the nodes are corrected one by one instead, to first order the same, and motions that
+/// an end holds have no error. A correction after which the
+/// measurement differs from its linearization is repeated from there (the iterated filter, a Gauss-Newton method for the most likely state;
+/// Bell and Cathey 1993), so that the arm is found from far as well.
+///
+/// The error is propagated by the exact linearization of the integrator's own steps, and along stiffness, payload, damping and delay by
+/// differences of two motions, of which the slow part is kept: the effect of a wrong parameter on modes up to the fifth bending mode. Every
+/// disturbance is a random walk. A standard deviation of 0 is replaced by 1e-6 of the arm's own scales.
+///
+/// No call after the first of its kind allocates memory if steps are explicit.
+pub struct KalmanFilter {
+    settings: KalmanSettings,
+    estimate: Estimate,
+    layout: Layout,
+    covariance: Covariance,
+    /// Covariance of the start, about the stress-free shape.
+    at_rest: Mat<f64>,
+    predictor: Predictor,
+    sweep: RepeatedForward,
+    trajectory: Trajectory,
+    /// Efforts along the motion; `None` for a model without actuators.
+    efforts: Option<ControlSignal>,
+    /// Derivatives of the end of a motion along its start and along the disturbances.
+    transition: [Mat<f64>; 2],
+    comparison: Comparison,
+    /// Map of the poses' errors from one shape to another; `None` where the tip is held.
+    transport: Option<ShapeTransport>,
+    slow: SlowPart,
+    unknown_forces: UnknownForces,
+    /// Point of linearization of a measurement; also memory for the next state.
+    point: Estimate,
+    next: State,
+    acting: Acting,
+    gate: Gate,
+    /// Innovations expected at the point, from the linearization at the point before.
+    expected: Vec<Vector3<f64>>,
+    /// Estimate and covariance to which a failed correction returns.
+    before: (Estimate, Mat<f64>),
+    tangent: StateTangent,
+    /// Time of the last correction, and between it and the one before, s.
+    corrected_at: f64,
+    interval: f64,
+}
+
+impl std::fmt::Debug for KalmanFilter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("KalmanFilter")
+            .field("settings", &self.settings)
+            .field("estimate", &self.estimate)
+            .finish_non_exhaustive()
+    }
+}
+
+impl KalmanFilter {
+    /// Creates a filter at `time` (s) in `state`, on the nodes of `model`.
+    ///
+    /// # Errors
+    /// Returns [`MpcError::Setting`] for a setting out of range, [`MpcError::Measurement`] for a state of another size or that is not
+    /// finite, [`MpcError::Unsupported`] for a model whose elastic energy is not positive definite about its stress-free shape, and for
+    /// unknowns at a tip whose motion they do not change.
+    pub fn new(
+        model: &Rod,
+        time: f64,
+        state: &State,
+        settings: &KalmanSettings,
+    ) -> Result<Self, MpcError> {
+        settings.check()?;
+        check_start(model, time, state)?;
+        settings.check_tip(model)?;
+        let mut parameters = settings.parameter_walks().map(|walk| walk.is_some());
+        for (is_there, parameter) in parameters.iter_mut().zip(Parameter::ALL) {
+            *is_there &= parameter.applies(model);
+        }
+        let wrenches = settings.wrench_walks().map(|walk| walk.is_some());
+        let layout = Layout::new(model, wrenches, parameters);
+        let n_nodes = model.n_nodes();
+        let mut trajectory = Trajectory::with_capacity(n_nodes, MOST_STEPS + 1);
+        for _ in 0..2 {
+            trajectory.push(&model.rest);
+        }
+        let grid = TimeGrid {
+            start: 0.0,
+            step: settings.longest_step,
+            n_steps: 1,
+        };
+        let motion = motion(model, grid, state);
+        let at_rest = equal_energies(model, &model.rest, &layout).ok_or(MpcError::Unsupported(
+            "the model's elastic energy is not positive definite at rest",
+        ))?;
+        let frames = NodeFrames::new(model, &at_rest);
+        let estimate = Estimate {
+            time,
+            state: state.clone(),
+            disturbance: Disturbance::NONE,
+            deviation: Disturbance::NONE,
+        };
+        let predictor = Predictor::new(model, settings.longest_step);
+        let mut filter = Self {
+            efforts: predictor.signal_of_efforts(),
+            settings: *settings,
+            covariance: Covariance::new(layout.n, layout.n_state),
+            slow: SlowPart::new(model, &frames),
+            unknown_forces: UnknownForces::new(model, &frames),
+            at_rest,
+            predictor,
+            sweep: RepeatedForward::new(&motion, &trajectory, layout.n_disturbances()),
+            trajectory,
+            transition: [layout.n_state, layout.n_disturbances()]
+                .map(|columns| Mat::zeros(layout.n_state, columns)),
+            comparison: Comparison::new(model),
+            transport: (model.has_free_tip()).then(|| ShapeTransport::new(n_nodes)),
+            point: estimate.clone(),
+            next: state.clone(),
+            acting: Acting::default(),
+            gate: Gate::new(),
+            expected: Vec::new(),
+            before: (estimate.clone(), Mat::zeros(layout.n, layout.n)),
+            tangent: StateTangent::zeros(n_nodes),
+            corrected_at: f64::NEG_INFINITY,
+            interval: f64::INFINITY,
+            layout,
+            estimate,
+        };
+        filter.restart(time, state)?;
+        Ok(filter)
+    }
+
+    /// Returns the covariance of the error: of `(δx, ζ, δp, δπ)` of every free node, node by node, then of the estimated disturbances: tip
+    /// force, tip moment, distributed force, stiffness, payload, viscous damping, internal damping, delay.
+    #[must_use]
+    pub fn covariance(&self) -> &Mat<f64> {
+        &self.covariance.matrix
+    }
+
+    /// Returns the derivatives of the last motion's end along its start, and along the disturbances, with respect to the components of the
+    /// covariance; of its last 15 steps.
+    #[must_use]
+    pub fn transition(&self) -> &[Mat<f64>; 2] {
+        &self.transition
+    }
+
+    /// Returns the derivatives of a reading at a place along the components of the covariance, three rows; of `reading` only the kind is
+    /// used.
+    ///
+    /// # Errors
+    /// Returns [`EstimateError`] for an invalid place.
+    pub fn derivative(&mut self, place: f64, reading: Reading) -> Result<Mat<f64>, EstimateError> {
+        let measurement = Measurement {
+            time: self.estimate.time,
+            signals: vec![Signal {
+                place,
+                reading,
+                sigma: 0.0,
+            }],
+        };
+        self.point.clone_from(&self.estimate);
+        self.gate.clear();
+        self.compare(&measurement)?;
+        let mut out = Mat::zeros(3, self.layout.n);
+        for (i, slope) in &self.comparison.rows.terms {
+            for axis in 0..3 {
+                out[(axis, *i)] += slope[axis];
+            }
+        }
+        Ok(out)
+    }
+
+    /// Propagates the estimate over some steps, at most [`MOST_STEPS`].
+    fn carry(&mut self, steps: Steps, command: &Command) -> Result<(), EstimateError> {
+        let Self {
+            estimate,
+            predictor,
+            trajectory,
+            efforts,
+            transition: [along_state, along_disturbance],
+            ..
+        } = self;
+        trajectory.positions.clear();
+        trajectory.rotations.clear();
+        trajectory.push(&estimate.state.configuration);
+        predictor.roll_out(
+            &estimate.state,
+            steps,
+            command,
+            &estimate.disturbance,
+            |stepper| stepper.record(trajectory),
+        )?;
+        self.next.clone_from(predictor.end());
+        let grid = TimeGrid {
+            start: steps.start,
+            step: steps.step,
+            n_steps: steps.n,
+        };
+        let layout = self.layout;
+        if let Some(efforts) = efforts {
+            predictor.write_efforts(steps, command, efforts);
+        }
+        let rod = predictor.changed(&estimate.disturbance);
+        let motion = Motion {
+            control: efforts.as_ref(),
+            ..motion(rod, grid, &estimate.state)
+        };
+        self.sweep.sweep(&motion, trajectory, &|_, visit| {
+            visit_disturbances(&layout, rod, visit);
+        })?;
+        self.sweep.write(along_state, along_disturbance);
+        self.derive_parameters(steps, command)?;
+        let [along_state, along_disturbance] = &self.transition;
+        self.covariance.predict(along_state, along_disturbance);
+        self.add_noise(steps.step * steps.n as f64);
+        self.covariance.commit();
+        std::mem::swap(&mut self.estimate.state, &mut self.next);
+        Ok(())
+    }
+
+    /// Adds to the next covariance the noise of unknown forces and random walks within `duration` (s), at the present state.
+    fn add_noise(&mut self, duration: f64) {
+        let energy = energy(self.predictor.model(), self.settings.change) * duration;
+        let covariance = self.covariance.next_mut();
+        (self.unknown_forces).add(energy, &self.next.configuration, covariance);
+        for i in self.layout.n_state..self.layout.n {
+            if let Some(walk) = walk_of(&self.settings, &self.layout, i) {
+                covariance[(i, i)] += walk.change * walk.change * duration;
+            }
+        }
+    }
+
+    /// Computes the columns of the parameters by differences of two motions, of which the slow part `S` is kept. For a payload `m` both
+    /// motions have the same velocity `v` of the tip, whose momentum is `p = m v`: with `A` the derivative of the end along the start, the
+    /// column is `B = S(dz/dm - v' e_p) + v' e_p - A v e_p`, with `v'` the velocity at the end.
+    fn derive_parameters(&mut self, steps: Steps, command: &Command) -> Result<(), EstimateError> {
+        for parameter in Parameter::ALL {
+            let Some(at) = self.layout.parameter(parameter) else {
+                continue;
+            };
+            let column = at - self.layout.n_state;
+            let Estimate {
+                state, disturbance, ..
+            } = &self.estimate;
+            let [along_state, along_disturbance] = &mut self.transition;
+            let out = along_disturbance.col_as_slice_mut(column);
+            let change = PARAMETER_CHANGE * parameter.unit(self.predictor.model());
+            let tip = self.predictor.model().tip();
+            // A mass is estimated at the known velocity, not at the known momentum, which is larger for a heavier tip (decision 78).
+            let velocities = (parameter == Parameter::Payload).then(|| {
+                let mass = self.predictor.changed(disturbance).nodes[tip].mass;
+                [&*state, &self.next].map(|state| state.linear_momentum[tip] / mass)
+            });
+            let start = &mut self.point.state;
+            start.clone_from(state);
+            for sign in [-1.0, 1.0] {
+                let mut moved = *disturbance;
+                *parameter.of_mut(&mut moved) += sign * change;
+                let mut command = command;
+                if parameter == Parameter::Delay {
+                    command = self.acting.later(steps.start, sign * change);
+                }
+                if let Some([velocity, _]) = velocities {
+                    start.linear_momentum[tip] =
+                        state.linear_momentum[tip] + velocity * (sign * change);
+                }
+                (self.predictor).roll_out(start, steps, command, &moved, |_| ())?;
+                let end = self.predictor.end();
+                end.difference_into(&self.next, &mut self.tangent);
+                let tangent = self.tangent.components_from(self.layout.first_free_node);
+                for (out, value) in out.iter_mut().zip(tangent) {
+                    let slope = sign * value / (2.0 * change);
+                    *out = if sign < 0.0 { slope } else { *out + slope };
+                }
+            }
+            let Some([first, last]) = velocities else {
+                self.slow.leave(&self.next.configuration, out);
+                continue;
+            };
+            let at = NODE_COMPONENTS * (tip - self.layout.first_free_node) + readings::LINEAR;
+            for axis in 0..3 {
+                out[at + axis] -= last[axis];
+            }
+            self.slow.leave(&self.next.configuration, out);
+            for axis in 0..3 {
+                out[at + axis] += last[axis];
+                let along = along_state.col_as_slice(at + axis);
+                for (out, along) in out.iter_mut().zip(along) {
+                    *out -= along * first[axis];
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Compares a measurement with the point.
+    fn compare(&mut self, measurement: &Measurement) -> Result<(), EstimateError> {
+        let rod = (self.predictor).changed(&self.point.disturbance);
+        let layout = Some(&self.layout);
+        (self.comparison).compare(rod, &self.point, measurement, layout, |_| true)?;
+        self.comparison.rows.retain(self.gate.refused());
+        Ok(())
+    }
+
+    /// Carries the prior to the tangent of the point, which is not that of the estimate.
+    fn move_prior(&mut self) {
+        let (there, here) = (&self.estimate, &self.point);
+        let first = self.layout.first_free_node;
+        let tangent = &mut self.tangent;
+        there.state.difference_into(&here.state, tangent);
+        if self.transport.is_some() {
+            shape_difference(
+                &there.state.configuration,
+                &here.state.configuration,
+                &mut tangent.positions,
+                &mut tangent.rotations,
+            );
+        }
+        let mean = &mut self.covariance.mean;
+        for (mean, value) in mean.iter_mut().zip(tangent.components_from(first)) {
+            *mean = value;
+        }
+        let differences = [
+            (
+                self.layout.tip_force,
+                there.disturbance.tip.force - here.disturbance.tip.force,
+            ),
+            (
+                self.layout.tip_moment,
+                there.disturbance.tip.moment - here.disturbance.tip.moment,
+            ),
+            (
+                self.layout.distributed,
+                there.disturbance.distributed - here.disturbance.distributed,
+            ),
+        ];
+        for (at, value) in differences {
+            if let Some(at) = at {
+                mean[at..at + 3].copy_from_slice(value.as_slice());
+            }
+        }
+        for parameter in Parameter::ALL {
+            if let Some(at) = self.layout.parameter(parameter) {
+                mean[at] = parameter.of(&there.disturbance) - parameter.of(&here.disturbance);
+            }
+        }
+        if let Some(transport) = &mut self.transport {
+            transport.between(&there.state.configuration, &here.state.configuration);
+        }
+        self.covariance.move_prior(self.transport.as_ref(), first);
+    }
+
+    /// Keeps the parameters within their ranges: a correction that leads beyond is replaced by the most likely errors at the bound, by the
+    /// corrected covariance (projection of the estimate; Simon 2010, section 2.3). Clamping a parameter alone would leave the correlated
+    /// errors unchanged, and bias them at every measurement.
+    fn stay_in_range(&mut self) {
+        let model = self.predictor.model();
+        for _ in 0..N_PARAMETERS {
+            for parameter in Parameter::ALL {
+                let Some(at) = self.layout.parameter(parameter) else {
+                    continue;
+                };
+                let [least, most] = parameter.range(model);
+                let own = parameter.of(&self.point.disturbance);
+                let found = own + self.covariance.correction[at];
+                self.covariance.shift(at, found.clamp(least, most) - found);
+            }
+        }
+    }
+
+    /// Moves the point along the correction, by a fraction of it if it would turn elements far; returns the fraction, and writes the
+    /// innovations to first order to `expected`. The point before is in `next`.
+    fn move_point(&mut self) -> f64 {
+        self.stay_in_range();
+        let correction = &mut self.covariance.correction;
+        let first = self.layout.first_free_node;
+        let n_nodes = self.next.linear_momentum.len();
+        let vector = |of: &[f64], at: usize| Vector3::from_column_slice(&of[at..at + 3]);
+        let mut farthest = 0.0f64;
+        let mut before = Vector3::zeros();
+        for node in first..n_nodes {
+            let turn = vector(correction, NODE_COMPONENTS * (node - first) + 3);
+            if node > 0 {
+                farthest = farthest.max((turn - before).norm());
+            }
+            before = turn;
+        }
+        let part = if farthest > FARTHEST_TURN {
+            FARTHEST_TURN / farthest
+        } else {
+            1.0
+        };
+        correction.iter_mut().for_each(|value| *value *= part);
+        let correction = &*correction;
+        self.expected.clear();
+        let rows = &self.comparison.rows;
+        let innovations = (rows.signals.iter().zip(rows.times(correction)))
+            .map(|(row, change)| row.residual - change);
+        self.expected.extend(innovations);
+
+        let (next, tangent) = (&mut self.next, &mut self.tangent);
+        let Estimate {
+            state, disturbance, ..
+        } = &mut self.point;
+        next.clone_from(state);
+        tangent.fill_zero();
+        for (free, node) in (first..n_nodes).enumerate() {
+            let at = NODE_COMPONENTS * free;
+            tangent.positions[node] = vector(correction, at);
+            tangent.rotations[node] = vector(correction, at + 3);
+            next.linear_momentum[node] += vector(correction, at + 6);
+            next.angular_momentum[node] += vector(correction, at + 9);
+        }
+        let (positions, rotations) = (&tangent.positions, &tangent.rotations);
+        let (here, there) = (&state.configuration, &mut next.configuration);
+        (self.predictor.model()).retract(here, (positions, rotations), there);
+        for rotation in &mut there.rotations[first..] {
+            *rotation = orthonormalized(rotation);
+        }
+        // Held nodes are not moved by rounding either.
+        there.positions[..first].copy_from_slice(&here.positions[..first]);
+        there.rotations[..first].copy_from_slice(&here.rotations[..first]);
+        let vectors = [
+            (self.layout.tip_force, &mut disturbance.tip.force),
+            (self.layout.tip_moment, &mut disturbance.tip.moment),
+            (self.layout.distributed, &mut disturbance.distributed),
+        ];
+        for (at, value) in vectors {
+            if let Some(at) = at {
+                *value += vector(correction, at);
+            }
+        }
+        for parameter in Parameter::ALL {
+            if let Some(at) = self.layout.parameter(parameter) {
+                let [least, most] = parameter.range(self.predictor.model());
+                let value = parameter.of_mut(disturbance);
+                *value = (*value + correction[at]).clamp(least, most);
+            }
+        }
+        std::mem::swap(&mut self.point.state, &mut self.next);
+        part
+    }
+
+    /// Makes the point the estimate, and carries the covariance to its tangent from that of the point before.
+    fn accept_point(&mut self) {
+        let (here, there) = (&self.next.configuration, &self.point.state.configuration);
+        if let Some(transport) = &mut self.transport {
+            transport.between(here, there);
+            (self.covariance).transport(transport, self.layout.first_free_node);
+        }
+        self.covariance.commit();
+        std::mem::swap(&mut self.estimate.state, &mut self.point.state);
+        self.estimate.disturbance = self.point.disturbance;
+    }
+
+    /// Writes the standard deviations of the disturbances from the covariance.
+    fn write_deviation(&mut self) {
+        let sigma = |at: usize| self.covariance.matrix[(at, at)].max(0.0).sqrt();
+        let vector = |at: Option<usize>| {
+            at.map_or_else(Vector3::zeros, |at| {
+                Vector3::from_fn(|axis, _| sigma(at + axis))
+            })
+        };
+        let deviation = &mut self.estimate.deviation;
+        deviation.tip.force = vector(self.layout.tip_force);
+        deviation.tip.moment = vector(self.layout.tip_moment);
+        deviation.distributed = vector(self.layout.distributed);
+        for parameter in Parameter::ALL {
+            *parameter.of_mut(deviation) = self.layout.parameter(parameter).map_or(0.0, sigma);
+        }
+    }
+}
+
+impl Estimator for KalmanFilter {
+    fn advance(&mut self, command: &Command, until: f64) -> Result<(), EstimateError> {
+        self.predictor.check(command)?;
+        if self.layout.parameter(Parameter::Delay).is_some() {
+            self.acting.take(command);
+        }
+        let Some(steps) = self.predictor.steps(self.estimate.time, until)? else {
+            self.estimate.time = until;
+            return Ok(());
+        };
+        let several = steps.n > MOST_STEPS;
+        if several {
+            self.before.0.state.clone_from(&self.estimate.state);
+            self.before.1.copy_from(&self.covariance.matrix);
+        }
+        for first in (0..steps.n).step_by(MOST_STEPS) {
+            let outcome = self.carry(steps.part(first, MOST_STEPS), command);
+            if outcome.is_err() {
+                if several {
+                    self.estimate.state.clone_from(&self.before.0.state);
+                    self.covariance.matrix.copy_from(&self.before.1);
+                }
+                return outcome;
+            }
+        }
+        self.estimate.time = until;
+        self.write_deviation();
+        Ok(())
+    }
+
+    fn correct(&mut self, measurement: &Measurement) -> Result<Innovation, EstimateError> {
+        check_time(measurement.time, self.estimate.time)?;
+        self.point.time = self.estimate.time;
+        self.point.state.clone_from(&self.estimate.state);
+        self.point.disturbance = self.estimate.disturbance;
+        self.gate.clear();
+        let since = self.estimate.time - self.corrected_at;
+        let interval = if since > 0.0 { since } else { self.interval };
+        self.comparison.interval = self.settings.model_error.then_some(interval);
+        self.compare(measurement)?;
+        self.covariance.begin_correction();
+        let mut refused = 0;
+        if self.settings.refuses {
+            let squares = self.covariance.squares(&self.comparison.rows);
+            refused = self.gate.judge(measurement, squares);
+            self.comparison.rows.retain(self.gate.refused());
+        }
+        let mut innovation = self.comparison.innovation();
+        innovation.normalized = Some(0.0);
+        innovation.refused = refused;
+        if innovation.n == 0 {
+            return Ok(innovation);
+        }
+        for iteration in 1..=MOST_ITERATIONS {
+            let normalized = self.covariance.correct(&self.comparison.rows)?;
+            if iteration == 1 {
+                innovation.normalized = Some(normalized);
+            }
+            let part = self.move_point();
+            self.compare(measurement)?;
+            let nonlinearity = self.comparison.distance(&self.expected);
+            if nonlinearity.is_nan() {
+                return Err(EstimateError::Singular);
+            }
+            if part == 1.0 && nonlinearity < LINEAR || iteration == MOST_ITERATIONS {
+                break;
+            }
+            self.move_prior();
+        }
+        self.accept_point();
+        self.write_deviation();
+        (self.corrected_at, self.interval) = (self.estimate.time, interval);
+        Ok(innovation)
+    }
+
+    fn estimate(&self) -> &Estimate {
+        &self.estimate
+    }
+
+    fn restart(&mut self, time: f64, state: &State) -> Result<(), MpcError> {
+        let model = self.predictor.model();
+        check_start(model, time, state)?;
+        self.estimate.time = time;
+        self.estimate.state.clone_from(state);
+        self.estimate.disturbance = Disturbance::NONE;
+        (self.corrected_at, self.interval) = (f64::NEG_INFINITY, f64::INFINITY);
+        let shape = equal_energies(model, &state.configuration, &self.layout);
+        let shape = shape.as_ref().unwrap_or(&self.at_rest);
+        let energy = energy(model, self.settings.initial);
+        let n_state = self.layout.n_state;
+        let matrix = &mut self.covariance.matrix;
+        matrix.fill(0.0);
+        for j in 0..n_state {
+            for i in 0..n_state {
+                matrix[(i, j)] = energy * shape[(i, j)];
+            }
+        }
+        for i in n_state..self.layout.n {
+            if let Some(walk) = walk_of(&self.settings, &self.layout, i) {
+                matrix[(i, i)] = walk.initial * walk.initial;
+            }
+        }
+        self.write_deviation();
+        Ok(())
+    }
+}
+
+/// The present command, the end of the one before, and the present command shifted by a delay.
+#[derive(Debug, Default)]
+struct Acting {
+    command: Command,
+    /// Wrenches at the end of the command before, on the nodes of this one, and its efforts there.
+    before: Vec<Wrench>,
+    efforts_before: Vec<f64>,
+    later: Command,
+}
+
+impl Acting {
+    /// Stores a command that acts; it may be the present one again.
+    fn take(&mut self, command: &Command) {
+        let own = &mut self.command;
+        (own.start, own.end) = (command.start, command.end);
+        if own == command {
+            return;
+        }
+        self.before.clear();
+        for (node, from) in command.nodes.iter().zip(&command.from) {
+            let at = own.nodes.iter().position(|other| other == node);
+            self.before.push(at.map_or(*from, |at| own.to[at]));
+        }
+        let is_first = own.efforts_to.len() != command.efforts_from.len();
+        let before = if is_first {
+            &command.efforts_from
+        } else {
+            &own.efforts_to
+        };
+        self.efforts_before.clone_from(before);
+        own.clone_from(command);
+    }
+
+    /// Returns the command shifted by `delay` (s), from `start` (s) on until its end: reduced by its change meanwhile. A jump from the end
+    /// of the command before counts as if it were spread over the command, with the same impulse.
+    fn later(&mut self, start: f64, delay: f64) -> &Command {
+        let (begin, end) = (self.command.start, self.command.end);
+        let part = if start < end {
+            delay / (end - begin)
+        } else {
+            0.0
+        };
+        let (own, out) = (&self.command, &mut self.later);
+        out.clone_from(own);
+        for (i, before) in self.efforts_before.iter().enumerate() {
+            if let Some(&lag) = own.lags.get(i).filter(|lag| **lag > 0.0) {
+                // The course u(t - delay), which has no jump.
+                let off = own.efforts_acting[i] - own.efforts_from[i];
+                out.efforts_acting[i] = own.efforts_from[i] + off * (delay / lag).exp();
+                continue;
+            }
+            let change = (own.efforts_to[i] - before) * part;
+            out.efforts_from[i] -= change;
+            out.efforts_to[i] -= change;
+        }
+        for (i, before) in self.before.iter().enumerate() {
+            let force = (own.to[i].force - before.force) * part;
+            let moment = (own.to[i].moment - before.moment) * part;
+            for wrench in [&mut out.from[i], &mut out.to[i]] {
+                wrench.force -= force;
+                wrench.moment -= moment;
+            }
+        }
+        out
+    }
+}
+
+fn motion<'a>(rod: &'a Rod, grid: TimeGrid, initial: &'a State) -> Motion<'a> {
+    Motion {
+        rod,
+        grid,
+        initial,
+        stop: None,
+        control: None,
+    }
+}
+
+/// Calls `visit` with disturbance, node, component and weight for all effects of wrenches of unit size.
+fn visit_disturbances(layout: &Layout, rod: &Rod, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
+    let tip = rod.tip();
+    for (at, part) in [(layout.tip_force, 0), (layout.tip_moment, 3)] {
+        if let Some(at) = at {
+            for axis in 0..3 {
+                visit(at - layout.n_state + axis, tip, part + axis, 1.0);
+            }
+        }
+    }
+    if let Some(at) = layout.distributed {
+        for (q, element) in rod.elements.iter().enumerate() {
+            for node in [q, q + 1] {
+                for axis in 0..3 {
+                    let share = 0.5 * element.length;
+                    visit(at - layout.n_state + axis, node, axis, share);
+                }
+            }
+        }
+    }
+}
+
+/// Returns the mean energy of a mode of a cantilever whose tip has this standard deviation, or of a beam between two held ends whose middle
+/// has it: `3 EI/L³ σ²` or `192 EI/L³ σ²`, J, half of it in its bending.
+fn energy(model: &Rod, deviation: f64) -> f64 {
+    Beam::of(model).by_force[0] * model.scales.force / model.scales.length * deviation * deviation
+}
+
+/// Returns the inverse of the Hessian of the energy at a shape: a covariance in which every mode has the mean energy ½, and motions that an
+/// end holds have no error.
+fn equal_energies(rod: &Rod, shape: &Configuration, layout: &Layout) -> Option<Mat<f64>> {
+    let norm = EnergyNorm::at(rod, shape)?;
+    let root = norm.columns_over(Mat::identity(layout.n_state, layout.n_state));
+    let mut covariance = &root * root.transpose();
+    leave_free_motions(rod, &mut covariance, NODE_COMPONENTS);
+    covariance.norm_max().is_finite().then_some(covariance)
+}
+
+/// Returns the random walk of a component of the error, if it belongs to a disturbance.
+fn walk_of(settings: &KalmanSettings, layout: &Layout, i: usize) -> Option<RandomWalk> {
+    let wrenches = [layout.tip_force, layout.tip_moment, layout.distributed].map(|at| (at, 3));
+    let starts = (wrenches.into_iter()).chain(layout.parameters.map(|at| (at, 1)));
+    let walks = (settings.wrench_walks().into_iter()).chain(settings.parameter_walks());
+    (starts.zip(walks))
+        .find(|((at, size), _)| at.is_some_and(|at| (at..at + size).contains(&i)))
+        .and_then(|(_, walk)| walk)
+}

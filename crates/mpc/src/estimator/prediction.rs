@@ -1,0 +1,275 @@
+//! Motions of the model that begin at an estimate.
+
+use std::ops::Range;
+
+use crate::command::{Command, ControlOrder};
+use crate::signal::EARLY;
+use mechanics::{ControlSignal, Efforts, Rod, State, StepError, Stepper, TimeGrid, Wrench};
+
+use super::{Disturbance, EstimateError, ModelParameters, Motions};
+
+/// Moves a state of the model under commands and a disturbance. After its creation it allocates no memory if steps are explicit.
+#[derive(Clone, Debug)]
+pub struct Predictor {
+    model: Rod,
+    /// The model with the corrections of a disturbance, and their values.
+    rod: Rod,
+    parameters: ModelParameters,
+    longest_step: f64,
+    motions: Motions,
+    order: ControlOrder,
+    /// Controls at both ends of a step.
+    wrenches: [Vec<Wrench>; 2],
+    /// State at the end of the last motion.
+    end: State,
+}
+
+/// Equal steps from a given time on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Steps {
+    pub start: f64,
+    pub step: f64,
+    pub n: usize,
+}
+
+impl Steps {
+    /// Returns the time after `k` steps, s.
+    fn time(&self, k: usize) -> f64 {
+        self.start + k as f64 * self.step
+    }
+
+    /// Returns at most `most` of the steps, from step `first` on.
+    pub fn part(&self, first: usize, most: usize) -> Self {
+        Self {
+            start: self.time(first),
+            n: most.min(self.n - first),
+            ..*self
+        }
+    }
+}
+
+impl Predictor {
+    /// Creates a predictor of motions of `model` with steps of at most `longest_step` (s).
+    #[must_use]
+    pub fn new(model: &Rod, longest_step: f64) -> Self {
+        let order = ControlOrder::on_all(model);
+        Self {
+            motions: Motions::new(model, longest_step, Disturbance::NONE.parameters()),
+            rod: model.clone(),
+            parameters: Disturbance::NONE.parameters(),
+            model: model.clone(),
+            longest_step,
+            wrenches: [(); 2].map(|()| order.none()),
+            order,
+            end: State::at_rest(model.rest.clone()),
+        }
+    }
+
+    /// Moves `state` from `start` to `end` (s) in equal steps, under a command that acts all the time and a constant disturbance.
+    ///
+    /// # Errors
+    /// Returns [`EstimateError`] as [`Estimator::advance`](super::Estimator::advance) does; `state` is then unchanged.
+    pub fn advance(
+        &mut self,
+        state: &mut State,
+        [start, end]: [f64; 2],
+        command: &Command,
+        disturbance: &Disturbance,
+    ) -> Result<(), EstimateError> {
+        if let Some(steps) = self.steps(start, end)? {
+            self.check(command)?;
+            self.roll_out(state, steps, command, disturbance, |_| ())?;
+            state.clone_from(&self.end);
+        }
+        Ok(())
+    }
+
+    /// Returns the model.
+    pub(super) fn model(&self) -> &Rod {
+        &self.model
+    }
+
+    /// Returns the model with the corrections of a disturbance.
+    pub(super) fn changed(&mut self, disturbance: &Disturbance) -> &Rod {
+        let parameters = disturbance.parameters();
+        if self.parameters != parameters {
+            disturbance.change_model(&self.model, &mut self.rod);
+            self.parameters = parameters;
+        }
+        &self.rod
+    }
+
+    /// Returns the state at the end of the last motion.
+    pub(super) fn end(&self) -> &State {
+        &self.end
+    }
+
+    /// Returns the steps from one time to another; none if these are equal up to rounding.
+    pub(super) fn steps(&self, start: f64, end: f64) -> Result<Option<Steps>, EstimateError> {
+        let n = (end - start) / self.longest_step;
+        if n.abs() <= EARLY {
+            return Ok(None);
+        }
+        if !n.is_finite() {
+            let what = "the time to advance to".into();
+            return Err(EstimateError::NotFinite { what });
+        }
+        if n < 0.0 {
+            return Err(EstimateError::Ahead {
+                time: end,
+                estimate: start,
+            });
+        }
+        let TimeGrid { n_steps, step, .. } = TimeGrid::covering(end - start, self.longest_step, 1);
+        Ok(Some(Steps {
+            start,
+            step,
+            n: n_steps,
+        }))
+    }
+
+    /// Checks that a command is valid for this model.
+    pub(super) fn check(&self, command: &Command) -> Result<(), EstimateError> {
+        let n_nodes = self.model.n_nodes();
+        if let Some(&node) = command.nodes.iter().find(|node| **node >= n_nodes) {
+            return Err(EstimateError::Node { node, n_nodes });
+        }
+        let finite = (command.from.iter().chain(&command.to)).all(|wrench| {
+            wrench.force.iter().all(|c| c.is_finite())
+                && wrench.moment.iter().all(|c| c.is_finite())
+        });
+        if !finite {
+            let what = "a wrench of the command".into();
+            return Err(EstimateError::NotFinite { what });
+        }
+        let efforts = [
+            &command.efforts_from,
+            &command.efforts_to,
+            &command.efforts_acting,
+            &command.lags,
+        ];
+        if efforts
+            .into_iter()
+            .flatten()
+            .any(|effort| !effort.is_finite())
+        {
+            let what = "an effort of the command".into();
+            return Err(EstimateError::NotFinite { what });
+        }
+        let n_actuators = self.model.actuators.len();
+        if let Some(own) = (efforts.into_iter()).find(|own| ![0, n_actuators].contains(&own.len()))
+        {
+            return Err(EstimateError::Efforts {
+                given: own.len(),
+                n_actuators,
+            });
+        }
+        if command.start < command.end {
+            return Ok(());
+        }
+        Err(EstimateError::Span {
+            start: command.start,
+            end: command.end,
+        })
+    }
+
+    /// Simulates steps from a state, calls `visit` at every time node after the first, and leaves the last state in [`end`](Self::end).
+    pub(super) fn roll_out(
+        &mut self,
+        from: &State,
+        steps: Steps,
+        command: &Command,
+        disturbance: &Disturbance,
+        visit: impl FnMut(&Stepper),
+    ) -> Result<(), StepError> {
+        self.end.clone_from(from);
+        self.walk((steps, 0..steps.n), command, disturbance, visit)
+    }
+
+    /// Simulates steps from a state, which `visit` may change after each of them; it is given the time and the length of the last step.
+    /// Leaves the last state in [`end`](Self::end).
+    pub(super) fn roll_out_changing(
+        &mut self,
+        from: &State,
+        steps: Steps,
+        command: &Command,
+        disturbance: &mut Disturbance,
+        mut visit: impl FnMut(f64, &mut State, &mut Disturbance),
+    ) -> Result<(), StepError> {
+        self.end.clone_from(from);
+        for k in 0..steps.n {
+            self.walk((steps, k..k + 1), command, disturbance, |_| ())?;
+            visit(steps.time(k + 1), &mut self.end, disturbance);
+        }
+        Ok(())
+    }
+
+    /// Writes the efforts of a command at the time nodes of some steps, for the linearization of their motion.
+    pub(super) fn write_efforts(&self, steps: Steps, command: &Command, out: &mut ControlSignal) {
+        let Some(efforts) = &self.order.efforts else {
+            return;
+        };
+        let n_carriers = efforts.places.len().div_ceil(6);
+        out.wrenches.clear();
+        (out.wrenches).resize(n_carriers * (steps.n + 1), Wrench::default());
+        for (k, carriers) in out.wrenches.chunks_exact_mut(n_carriers).enumerate() {
+            command.write_efforts_at(steps.time(k), carriers);
+        }
+    }
+
+    /// Returns a signal without wrenches that carries efforts; `None` for a rod without actuators.
+    pub(super) fn signal_of_efforts(&self) -> Option<ControlSignal> {
+        self.order.efforts.as_ref().map(|own| ControlSignal {
+            efforts: Some(Efforts {
+                first: 0,
+                ..own.clone()
+            }),
+            ..ControlSignal::default()
+        })
+    }
+
+    /// Moves the state at the [`end`](Self::end) through those of the steps whose numbers are given, and calls `visit` after each of them.
+    fn walk(
+        &mut self,
+        (steps, numbers): (Steps, Range<usize>),
+        command: &Command,
+        disturbance: &Disturbance,
+        mut visit: impl FnMut(&Stepper),
+    ) -> Result<(), StepError> {
+        self.changed(disturbance);
+        let Self {
+            rod,
+            parameters,
+            motions,
+            order,
+            wrenches: [now, next],
+            end,
+            ..
+        } = self;
+        let start = steps.time(numbers.start);
+        let model = (&*rod, *parameters);
+        motions.run(model, steps.step, (start, end), |stepper| {
+            write_wrenches(rod, command, start, disturbance, now);
+            for k in numbers {
+                write_wrenches(rod, command, steps.time(k + 1), disturbance, next);
+                stepper.advance([order.of(now), order.of(next)])?;
+                visit(stepper);
+                std::mem::swap(now, next);
+            }
+            Ok(())
+        })
+    }
+}
+
+/// Writes the controls of a command and a disturbance at time `t`.
+fn write_wrenches(
+    rod: &Rod,
+    command: &Command,
+    t: f64,
+    disturbance: &Disturbance,
+    out: &mut [Wrench],
+) {
+    out.fill(Wrench::default());
+    disturbance.add_to(rod, out);
+    command.add_at(t, out);
+}

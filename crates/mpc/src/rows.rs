@@ -1,0 +1,371 @@
+//! Rows over one horizon: the residuals of tracks, targets and terms, and of each limit those rows that are nearest to being violated.
+//!
+//! A controller reads the same [residuals](Residual) and limits as the solver and evaluates them sample after sample in memory that is
+//! reused. Every row is a sum of forms at one or two time nodes, whose derivatives one reverse sweep finds. Rows are in ascending order of
+//! time: when the horizon shrinks toward its end, the last ones remain.
+
+use faer::Mat;
+
+use super::limits::{LimitRow, Maxima, Prices, limit_rows};
+use super::soft_rows::SoftRows;
+use control::path::RodView;
+use control::residual::{Residual, ResidualKind, States, cost_residuals, goal_residuals};
+use control::{GoalPart, OptimalControlProblem};
+use mechanics::linearization::StateTangent;
+use mechanics::sensitivity::RepeatedReverse;
+use mechanics::{StateForm, TimeGrid};
+
+/// Number of terms of the form of a limit: six components of two nodes.
+const LIMIT_TERMS: usize = 12;
+
+/// Forms of a row: at its time node, and for a row of an interval also at the beginning of the interval.
+type RowForms = [Option<usize>; 2];
+
+/// The evaluated motion: that of a roll-out, with the times at which its states occur.
+#[derive(Clone, Copy)]
+pub(super) struct Evaluated<'a> {
+    pub problem: &'a OptimalControlProblem,
+    pub states: States<'a>,
+    /// The grid for the motion of obstacles.
+    pub grid: TimeGrid,
+}
+
+/// All rows of the longest horizon; those of the present one are the last.
+#[derive(Debug)]
+pub(super) struct Rows {
+    /// Residuals in ascending order of time, on the longest grid.
+    residuals: Vec<Residual>,
+    /// First row of every residual.
+    starts: Vec<usize>,
+    row_forms: Vec<RowForms>,
+    values: Vec<f64>,
+    limits: Vec<LimitRow>,
+    limit_forms: Vec<RowForms>,
+    limit_values: Vec<f64>,
+    maxima: Maxima,
+    pub prices: Prices,
+    /// Forms; their time nodes are on the present grid from `first.form` on.
+    forms: Vec<StateForm>,
+    form_nodes: Vec<usize>,
+    /// Number of time nodes of the longest horizon that have passed.
+    passed: usize,
+    first: First,
+    limits_along_start: Mat<f64>,
+}
+
+/// Indices of the first rows of the present horizon.
+#[derive(Clone, Copy, Debug, Default)]
+struct First {
+    residual: usize,
+    row: usize,
+    limit: usize,
+    form: usize,
+}
+
+/// Returns the residuals that a controller minimizes. `weight` is that of a target's scaled residual. A deviation from the shape in which
+/// the arm stays counts as the distance by which it moves the tip: a deviation of energy `½ |r|²` moves it by `|r|` times the square root
+/// of the tip's compliance.
+fn residuals(problem: &OptimalControlProblem, weight: f64) -> Vec<Residual> {
+    let mut out = cost_residuals(problem);
+    out.extend(goal_residuals(problem, None).into_iter().map(|residual| {
+        let scales = &problem.rod.scales;
+        let factor = match (&problem.stay, residual.kind) {
+            (
+                Some(stay),
+                ResidualKind::Goal {
+                    part: GoalPart::Deviation(_),
+                    ..
+                },
+            ) => stay.compliance * scales.moment / scales.length.powi(2),
+            _ => 1.0,
+        };
+        Residual {
+            weight: weight * factor,
+            ..residual
+        }
+    }));
+    out.sort_by_key(|residual| residual.time_node);
+    out
+}
+
+impl Rows {
+    /// Creates the rows. `weight` is twice the cost of a target whose scaled residual is 1, `price` that of a violated hard limit, `None` if
+    /// it follows the multipliers.
+    pub fn new(
+        problem: &OptimalControlProblem,
+        states: &States,
+        weight: f64,
+        price: Option<f64>,
+        n_states: usize,
+    ) -> Self {
+        let residuals = residuals(problem, weight);
+        let prices = Prices::new(problem, price);
+        let limits = limit_rows(problem, &prices);
+        let mut starts = Vec::with_capacity(residuals.len());
+        // Time nodes of the forms of every row, the limits' last.
+        let mut nodes: Vec<[Option<usize>; 2]> = Vec::new();
+        for residual in &residuals {
+            starts.push(nodes.len());
+            let n_rows = residual.kind.n_rows(&problem.rod);
+            nodes.extend((0..n_rows).map(|_| [Some(residual.time_node), residual.before]));
+        }
+        let n_rows = nodes.len();
+        nodes.extend(limits.iter().map(|row| {
+            let is_of_two = problem.path[row.limit].limit.n_instants() > 1;
+            [Some(row.time_node), is_of_two.then_some(row.before)]
+        }));
+        let mut order: Vec<(usize, usize, usize)> = (nodes.iter().enumerate())
+            .flat_map(|(row, nodes)| {
+                let instants = nodes.iter().enumerate();
+                instants.filter_map(move |(instant, node)| node.map(|node| (node, row, instant)))
+            })
+            .collect();
+        order.sort_unstable();
+        let mut row_forms: Vec<RowForms> = vec![[None; 2]; nodes.len()];
+        let mut forms = Vec::with_capacity(order.len());
+        for (form, &(time_node, row, instant)) in order.iter().enumerate() {
+            row_forms[row][instant] = Some(form);
+            let room = if row < n_rows { 0 } else { LIMIT_TERMS };
+            forms.push(StateForm {
+                time_node,
+                terms: Vec::with_capacity(room),
+            });
+        }
+        let limit_forms = row_forms.split_off(n_rows);
+        let mut out = Self {
+            values: vec![0.0; n_rows],
+            limit_values: vec![LimitRow::NOWHERE; limits.len()],
+            maxima: Maxima::default(),
+            prices,
+            form_nodes: forms.iter().map(|form| form.time_node).collect(),
+            passed: 0,
+            first: First::default(),
+            limits_along_start: Mat::zeros(limits.len(), n_states),
+            residuals,
+            starts,
+            row_forms,
+            limits,
+            limit_forms,
+            forms,
+        };
+        // All forms have their terms once, so that no later evaluation needs room.
+        for index in 0..out.residuals.len() {
+            let residual = out.residuals[index];
+            out.write_slopes(index, &residual, problem, states);
+        }
+        out
+    }
+
+    /// Leaves out rows of the longest horizon before time node `passed`, at which the present one begins.
+    pub fn place(&mut self, passed: usize) {
+        let is_before = |residual: &Residual| residual.time_node < passed;
+        let residual = self.residuals.partition_point(is_before);
+        self.passed = passed;
+        self.first = First {
+            residual,
+            row: (self.starts.get(residual)).map_or(self.row_forms.len(), |row| *row),
+            limit: self.limits.partition_point(|row| row.time_node < passed),
+            form: self.form_nodes.partition_point(|node| *node < passed),
+        };
+        let first = self.first.form;
+        for (form, node) in (self.forms.iter_mut().zip(&self.form_nodes)).skip(first) {
+            form.time_node = node - passed;
+        }
+    }
+
+    /// Forms of the longest horizon.
+    pub fn forms(&self) -> &[StateForm] {
+        &self.forms
+    }
+
+    /// Forms of the present horizon, in ascending order of time.
+    pub fn present_forms(&self) -> &[StateForm] {
+        &self.forms[self.first.form..]
+    }
+
+    /// Returns the number of rows of residuals in the longest horizon.
+    pub fn len(&self) -> usize {
+        self.row_forms.len()
+    }
+
+    /// Values of the residuals of the present horizon.
+    pub fn present(&self) -> &[f64] {
+        &self.values[self.first.row..]
+    }
+
+    /// Returns the number of rows of limits in the longest horizon.
+    pub fn n_limits(&self) -> usize {
+        self.limits.len()
+    }
+
+    /// Returns the cost if every tracked or targeted distance and angle has the constant error `off`, divided by the rod's length, or in
+    /// rad.
+    pub fn cost_of(&self, off: f64) -> f64 {
+        let places = (self.residuals.iter()).filter(|residual| residual.kind.is_place());
+        // Half of the square of each of three components.
+        places
+            .map(|place| 0.5 * 3.0 * place.weight * off * off)
+            .sum()
+    }
+
+    /// Evaluates values and forms of all rows of the present horizon.
+    pub fn evaluate(&mut self, at: &Evaluated) {
+        for form in &mut self.forms[self.first.form..] {
+            form.terms.clear();
+        }
+        for index in self.first.residual..self.residuals.len() {
+            self.evaluate_residual(index, at);
+        }
+        for index in self.first.limit..self.limits.len() {
+            self.evaluate_limit(index, at);
+        }
+    }
+
+    fn evaluate_residual(&mut self, index: usize, at: &Evaluated) {
+        let whole = self.residuals[index];
+        let start = self.starts[index];
+        let n_rows = whole.kind.n_rows(&at.problem.rod);
+        self.values[start..][..n_rows].fill(0.0);
+        // Of an interval that has begun before the horizon the velocity is not known.
+        let before = whole.before.map(|before| before.checked_sub(self.passed));
+        let residual = Residual {
+            time_node: whole.time_node - self.passed,
+            before: before.flatten(),
+            ..whole
+        };
+        let is_whole = before.is_none_or(|before| before.is_some());
+        if !is_whole || !residual.counts(at.problem, &at.states.view.grid) {
+            return;
+        }
+        residual.values(at.problem, &at.states, &mut |row, value| {
+            self.values[start + row] = value;
+        });
+        self.write_slopes(index, &residual, at.problem, &at.states);
+    }
+
+    fn write_slopes(
+        &mut self,
+        index: usize,
+        residual: &Residual,
+        problem: &OptimalControlProblem,
+        states: &States,
+    ) {
+        let row_forms = &self.row_forms[self.starts[index]..];
+        let forms = &mut self.forms;
+        residual.slopes(problem, states, &mut |row, instant, term| {
+            if let Some(form) = row_forms[row][instant] {
+                forms[form].terms.push(term);
+            }
+        });
+    }
+
+    fn evaluate_limit(&mut self, index: usize, at: &Evaluated) {
+        let row = self.limits[index];
+        let limit = &at.problem.path[row.limit].limit;
+        self.limit_values[index] = LimitRow::NOWHERE;
+        let k = row.time_node - self.passed;
+        let from = match row.before.checked_sub(self.passed) {
+            Some(from) => from,
+            // Of an interval that has begun before the horizon the mean is not known.
+            None if limit.n_instants() > 1 => return,
+            None => k,
+        };
+        let view = RodView {
+            grid: at.grid,
+            ..at.states.view
+        };
+        let Some(item) = self.maxima.item(limit, &view, [from, k], row.rank) else {
+            return;
+        };
+        self.limit_values[index] = limit.value_since(&view, [from, k], item);
+        let (of_row, forms) = (self.limit_forms[index], &mut self.forms);
+        limit.slopes(&view, [from, k], item, &mut |instant, term| {
+            if let Some(form) = of_row[instant] {
+                forms[form].terms.push(term);
+            }
+        });
+    }
+
+    /// Returns the sum of the slopes of a row's forms; `along` returns that of a form of the present horizon.
+    fn slope(&self, forms: &RowForms, along: impl Fn(usize) -> f64) -> f64 {
+        let present = forms.iter().flatten();
+        present
+            .filter_map(|form| form.checked_sub(self.first.form))
+            .map(along)
+            .sum()
+    }
+
+    /// Writes the slopes of the present residuals along a column of the last sweep.
+    pub fn write_along_column(&self, sweep: &RepeatedReverse, column: usize, out: &mut [f64]) {
+        let present = self.row_forms[self.first.row..].iter();
+        for (forms, out) in present.zip(out) {
+            *out = self.slope(forms, |form| sweep.along_column(form, column));
+        }
+    }
+
+    /// Writes the slopes of the present residuals along a component of the state at the start, and keeps those of limits.
+    pub fn write_along_start(
+        &mut self,
+        sweep: &RepeatedReverse,
+        component: usize,
+        out: &mut [f64],
+    ) {
+        let present = self.row_forms[self.first.row..].iter();
+        for (forms, out) in present.zip(out) {
+            *out = self.slope(forms, |form| sweep.along_start(form, component));
+        }
+        for index in self.first.limit..self.limits.len() {
+            let forms = &self.limit_forms[index];
+            self.limits_along_start[(index, component)] =
+                self.slope(forms, |form| sweep.along_start(form, component));
+        }
+    }
+
+    /// Writes the limits of the present horizon as rows of a subproblem of `n` variables, except for their values.
+    pub fn write_limits(&self, sweep: &RepeatedReverse, n: usize, soft: &mut SoftRows) {
+        let present = self.first.limit..self.limits.len();
+        soft.prices.clear();
+        soft.prices
+            .extend((self.limits[present.clone()].iter()).map(|row| self.prices.of(row)));
+        soft.values.clear();
+        soft.values.resize(soft.prices.len(), LimitRow::NOWHERE);
+        for (at, index) in present.enumerate() {
+            let slopes = soft.slopes.col_as_slice_mut(at);
+            slopes[n..].fill(0.0);
+            for (j, slope) in slopes[..n].iter_mut().enumerate() {
+                let forms = &self.limit_forms[index];
+                *slope = self.slope(forms, |form| sweep.along_column(form, j));
+            }
+        }
+    }
+
+    /// Lets the prices of limits follow the plan at `x`, the solution of a subproblem with these rows; `bounded` tells whether a set or a row
+    /// bounds it. Returns the largest violation of the plan, 0 for none.
+    pub fn reprice(&mut self, soft: &SoftRows, x: &[f64], bounded: bool) -> f64 {
+        let mut largest = 0.0f64;
+        self.prices.begin();
+        for (at, row) in self.limits[self.first.limit..].iter().enumerate() {
+            let share = if bounded { soft.share(at) } else { 0.0 };
+            let value = soft.value(at, x);
+            self.prices.see(row.limit, value, share);
+            largest = largest.max(value);
+        }
+        self.prices.end();
+        largest
+    }
+
+    /// Writes the values of the present limits for a start that deviates.
+    pub fn write_limit_values(
+        &self,
+        first_free_node: usize,
+        deviation: &StateTangent,
+        out: &mut [f64],
+    ) {
+        for (index, out) in (self.first.limit..self.limits.len()).zip(out) {
+            let moved: f64 = (deviation.components_from(first_free_node).enumerate())
+                .map(|(i, d)| self.limits_along_start[(index, i)] * d)
+                .sum();
+            *out = self.limit_values[index] + moved;
+        }
+    }
+}

@@ -1,0 +1,425 @@
+//! The lines of a served loop: one JSON object each.
+
+#![expect(missing_docs, reason = "docs/serving.md explains every field")]
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::SERVING_VERSION;
+use crate::closed_loop::{Percentiles, TipError};
+use crate::estimator::Disturbance;
+use crate::sensor::SensorSettings;
+use control::{ActuatedNode, Bound, Channel};
+use mechanics::{Drive, Wrench};
+
+/// Three numbers, and a rotation row by row.
+pub type Vector = [f64; 3];
+pub type Rows = [[f64; 3]; 3];
+
+/// Returns the rows of a matrix.
+pub fn rows(matrix: &Matrix3<f64>) -> Rows {
+    std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)]))
+}
+
+/// Kind of a line of the plant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    Measurement,
+    Bye,
+}
+
+/// A line of the plant. An absent or null field is not measured.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Line {
+    #[serde(rename = "type")]
+    pub kind: Kind,
+    pub version: Option<u64>,
+    pub time_s: Option<f64>,
+    pub positions_m: Option<Vec<Vector>>,
+    pub rotations: Option<Vec<Rows>>,
+    pub velocities_m_s: Option<Vec<Vector>>,
+    pub angular_velocities_rad_s: Option<Vec<Vector>>,
+    pub linear_momenta_kg_m_s: Option<Vec<Vector>>,
+    pub angular_momenta_kg_m2_s: Option<Vec<Vector>>,
+    pub readings: Option<Vec<ReadingLine>>,
+    /// Rows of a time, s, and a position, m.
+    pub reference_m: Option<Vec<[f64; 4]>>,
+    /// Rows of a time, s, and a quaternion.
+    pub reference_wxyz: Option<Vec<[f64; 5]>>,
+    pub obstacles: Option<Vec<ObstacleLine>>,
+    pub disturbance: Option<DisturbanceLine>,
+}
+
+/// The displacement of an obstacle at the time of the sample from its place in the scene.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObstacleLine {
+    pub name: String,
+    pub moved_m: Vector,
+    pub velocity_m_s: Option<Vector>,
+}
+
+/// A reading of one sensor at one place.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReadingLine {
+    pub time_s: Option<f64>,
+    pub place: Option<f64>,
+    pub position_m: Option<Vector>,
+    pub rotation: Option<Rows>,
+    pub velocity_m_s: Option<Vector>,
+    pub angular_velocity_rad_s: Option<Vector>,
+    pub curvature_1_m: Option<Vector>,
+    pub base_force_n: Option<Vector>,
+    pub base_moment_n_m: Option<Vector>,
+}
+
+/// The first line of the server.
+#[derive(Debug, Serialize)]
+pub(super) struct Hello<'a> {
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    pub version: u64,
+    pub tool: &'static str,
+    pub scene: &'a str,
+    pub period_s: f64,
+    pub first_command_from_s: f64,
+    pub model_step_s: f64,
+    pub horizon_s: f64,
+    pub duration_s: f64,
+    pub length_m: f64,
+    pub nodes: Vec<NodeLine>,
+    pub actuators: Vec<ActuatorLine>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub efforts: Vec<EffortLimits<'a>>,
+    pub accepts: Vec<&'static str>,
+    pub most_readings: usize,
+    pub sensors: Vec<SensorLine>,
+    pub obstacles: Vec<&'a str>,
+    pub path_ends_s: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct NodeLine {
+    pub place: f64,
+    pub rest_position_m: Vector,
+    pub rest_rotation: Rows,
+    pub initial_position_m: Vector,
+    pub initial_rotation: Rows,
+    pub mass_kg: f64,
+    pub rotary_inertia_kg_m2: Vector,
+}
+
+/// An actuator in the arm whose effort is commanded: unit, effort before the first command, limits; `null` means unbounded.
+#[derive(Debug, Serialize)]
+pub(super) struct EffortLimits<'a> {
+    pub name: &'a str,
+    pub unit: &'static str,
+    pub rest: f64,
+    pub least: Option<f64>,
+    pub most: Option<f64>,
+    pub fastest_fall: Option<f64>,
+    pub fastest_rise: Option<f64>,
+}
+
+impl<'a> EffortLimits<'a> {
+    pub fn of((actuator, channel): (&'a Drive, &Channel)) -> Self {
+        let rest = actuator.effort(0.0);
+        let ends = |bound: Option<Bound>| {
+            let interval = bound.and_then(|bound| bound.interval(0));
+            let [least, most] = interval.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+            let finite = |end: f64| end.is_finite().then_some(end);
+            [finite(least), finite(most)]
+        };
+        let [least, most] = ends(channel.bound).map(|end| end.map(|end| rest + end));
+        let [fastest_fall, fastest_rise] = ends(channel.rate_bound);
+        Self {
+            name: &actuator.name,
+            unit: actuator.input_unit(),
+            rest,
+            least,
+            most,
+            fastest_fall,
+            fastest_rise,
+        }
+    }
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct ActuatorLine {
+    pub node: usize,
+    pub force: Option<ChannelLine>,
+    pub moment: Option<ChannelLine>,
+}
+
+/// Limits of a force or moment; `null` means unbounded.
+#[derive(Debug, Serialize)]
+pub(super) struct ChannelLine {
+    pub unit: &'static str,
+    pub frame: &'static str,
+    pub max_norm: Option<f64>,
+    pub max_per_axis: Option<[Option<f64>; 3]>,
+    pub rate_unit: &'static str,
+    pub max_rate_norm: Option<f64>,
+    pub max_rate_per_axis: Option<[Option<f64>; 3]>,
+}
+
+impl ActuatorLine {
+    pub fn of(actuator: &ActuatedNode) -> Self {
+        Self {
+            node: actuator.node,
+            force: ChannelLine::of(&actuator.force, ["N", "spatial", "N/s"]),
+            moment: ChannelLine::of(&actuator.moment, ["N m", "body", "N m/s"]),
+        }
+    }
+
+    /// Returns a line without limits, for a node whose forces and moments follow from other controls.
+    pub fn unbounded(node: usize) -> Self {
+        let free = Channel::new(1.0, None);
+        Self {
+            node,
+            force: ChannelLine::of(&free, ["N", "spatial", "N/s"]),
+            moment: ChannelLine::of(&free, ["N m", "body", "N m/s"]),
+        }
+    }
+}
+
+impl ChannelLine {
+    fn of(channel: &Channel, [unit, frame, rate_unit]: [&'static str; 3]) -> Option<Self> {
+        let finite = |most: f64| most.is_finite().then_some(most);
+        let norm = |bound: Option<Bound>| match bound {
+            Some(Bound::Norm(most)) => finite(most),
+            _ => None,
+        };
+        let axes = |bound: Option<Bound>| match bound {
+            Some(Bound::PerAxis(most)) => Some(Vector::from(most).map(finite)),
+            _ => None,
+        };
+        channel.acts().then(|| Self {
+            unit,
+            frame,
+            max_norm: norm(channel.bound),
+            max_per_axis: axes(channel.bound),
+            rate_unit,
+            max_rate_norm: norm(channel.rate_bound),
+            max_rate_per_axis: axes(channel.rate_bound),
+        })
+    }
+}
+
+/// A sensor of the scene: standard deviations of what it measures.
+#[derive(Debug, Serialize)]
+pub(super) struct SensorLine {
+    pub places: Vec<f64>,
+    pub rate_hz: f64,
+    pub age_s: f64,
+    pub sigma: BTreeMap<&'static str, f64>,
+}
+
+impl SensorLine {
+    pub fn of(settings: &SensorSettings) -> Self {
+        let sigmas = [
+            ("position_m", settings.position),
+            ("rotation", settings.rotation),
+            ("velocity_m_s", settings.velocity),
+            ("angular_velocity_rad_s", settings.angular_velocity),
+            ("curvature_1_m", settings.curvature),
+            ("base_force_n", settings.base_force),
+            ("base_moment_n_m", settings.base_moment),
+        ];
+        let measured = sigmas.into_iter();
+        Self {
+            places: settings.places.clone(),
+            rate_hz: settings.rate_hz,
+            age_s: settings.age_s,
+            sigma: measured
+                .filter_map(|(name, sigma)| Some((name, sigma?)))
+                .collect(),
+        }
+    }
+}
+
+/// A fault in a line of the plant, and its remedy.
+#[derive(Debug, Serialize)]
+pub(super) struct ErrorLine<'a> {
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    pub line: usize,
+    #[serde(rename = "where")]
+    pub place: &'a str,
+    pub message: &'a str,
+    pub help: &'a str,
+}
+
+/// The response to a measurement.
+#[derive(Debug, Serialize)]
+pub(super) struct CommandLine {
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    pub sample: usize,
+    pub time_s: f64,
+    pub from_s: f64,
+    pub to_s: f64,
+    pub wrenches: Vec<WrenchLine>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub efforts: Vec<EffortLine>,
+    pub fallback: Option<FallbackLine>,
+    pub tip: Option<TipLine>,
+    pub predicted_tip_m: Option<Vector>,
+    pub rotation_change: Option<f64>,
+    pub skipped_samples: usize,
+    pub disturbance: Option<DisturbanceLine>,
+    pub innovation: Option<InnovationLine>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub advice: Vec<String>,
+    pub phases_s: Phases,
+}
+
+/// The last measurement that an estimator used, compared with its prediction.
+#[derive(Debug, Serialize)]
+pub(super) struct InnovationLine {
+    pub numbers: usize,
+    pub rms: f64,
+    pub distance_m: Option<f64>,
+    pub refused_signals: usize,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct WrenchLine {
+    pub node: usize,
+    pub force_from_n: Vector,
+    pub force_to_n: Vector,
+    pub moment_from_n_m: Vector,
+    pub moment_to_n_m: Vector,
+}
+
+/// The effort of an actuator in the arm, in its unit.
+#[derive(Debug, Serialize)]
+pub(super) struct EffortLine {
+    pub name: String,
+    pub from: f64,
+    pub to: f64,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct FallbackLine {
+    pub cause: String,
+    pub action: String,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct TipLine {
+    pub time_s: f64,
+    pub position_m: Vector,
+    pub reference_m: Option<Vector>,
+}
+
+/// A disturbance that is estimated, here or by the plant. A number that the plant leaves out is that of the model.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DisturbanceLine {
+    pub tip_force_n: Vector,
+    pub tip_moment_n_m: Vector,
+    pub distributed_n_m: Vector,
+    pub stiffness_factor: f64,
+    pub payload_kg: f64,
+    pub viscous_1_s: f64,
+    pub internal_s: f64,
+    pub delay_s: f64,
+}
+
+impl DisturbanceLine {
+    pub fn of(disturbance: &Disturbance) -> Self {
+        let array = |v: Vector3<f64>| v.into();
+        Self {
+            tip_force_n: array(disturbance.tip.force),
+            tip_moment_n_m: array(disturbance.tip.moment),
+            distributed_n_m: array(disturbance.distributed),
+            stiffness_factor: disturbance.stiffness,
+            payload_kg: disturbance.payload,
+            viscous_1_s: disturbance.viscous,
+            internal_s: disturbance.internal,
+            delay_s: disturbance.delay,
+        }
+    }
+
+    pub fn disturbance(&self) -> Disturbance {
+        Disturbance {
+            tip: Wrench {
+                force: self.tip_force_n.into(),
+                moment: self.tip_moment_n_m.into(),
+            },
+            distributed: self.distributed_n_m.into(),
+            stiffness: self.stiffness_factor,
+            payload: self.payload_kg,
+            viscous: self.viscous_1_s,
+            internal: self.internal_s,
+            delay: self.delay_s,
+        }
+    }
+}
+
+impl Default for DisturbanceLine {
+    fn default() -> Self {
+        Self::of(&Disturbance::NONE)
+    }
+}
+
+/// Durations on this machine, s.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(super) struct Phases {
+    pub read: f64,
+    pub estimate: f64,
+    pub predict: f64,
+    pub feedback: f64,
+    pub prepare_before: f64,
+}
+
+/// Statistics of a served loop, which are its last line.
+#[derive(Clone, Debug, Serialize)]
+pub struct Served {
+    /// `summary`
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    /// `bye`, `end-of-input` or `stopped`.
+    pub status: &'static str,
+    /// Number of samples with a command.
+    pub samples: usize,
+    /// Number of samples that the plant left out.
+    pub skipped_samples: usize,
+    /// Number of lines or parts of lines that were refused.
+    pub errors: usize,
+    /// Time between two samples, s.
+    pub period_s: f64,
+    /// Number of samples that took longer than the period, including the preparation.
+    pub overruns: usize,
+    /// Seconds from a line to the command that answers it.
+    pub response_s: Percentiles,
+    /// Seconds of a whole sample, including the preparation.
+    pub sample_s: Percentiles,
+    /// Seconds of estimation and prediction.
+    pub estimate_s: Percentiles,
+    /// Seconds of the feedback.
+    pub feedback_s: Percentiles,
+    /// Seconds of the preparation.
+    pub prepare_s: Percentiles,
+    /// Time from which distances of the tip from its reference count, s.
+    pub counted_from_s: f64,
+    /// Distance of the known tip from its reference, m.
+    pub tip_error_m: TipError,
+    /// Distance of the known tip from its reference, divided by the length of the arm.
+    pub tip_error_over_length: TipError,
+    /// Number of samples without a command of their own, by cause.
+    pub fallbacks: BTreeMap<String, usize>,
+    /// Largest Frobenius distance of a given rotation from the nearest one.
+    pub rotation_change: f64,
+}
+
+/// Describes an unsupported version of a line.
+pub(super) fn version_message(found: u64) -> String {
+    format!("version {found} is not {SERVING_VERSION}")
+}

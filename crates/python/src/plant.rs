@@ -1,0 +1,892 @@
+//! Simulated arms that a program in Python moves: one, or many at a time.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::Instant;
+
+use nalgebra::{Matrix3, Vector3};
+use numpy::ndarray::Array3;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
+use pyo3::exceptions::{PyIndexError, PyValueError};
+use pyo3::prelude::*;
+
+use super::{GLANCE, raise, read, scene_error};
+use crate::arrays::{Numbers, array_of_matrices, array_of_vectors, matrices, numbers, vectors};
+use crate::controller::Controller;
+use softarm::mechanics::energy::kinetic_energy;
+use softarm::mechanics::rotation::{orthonormalized, stray};
+use softarm::mechanics::stability::automatic_step;
+use softarm::mechanics::{
+    Efforts, NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, TimeGrid, Wrench,
+};
+use softarm::mpc::Transfer;
+use softarm::scene::{Scene, SceneSource};
+use softarm::stop::StopSignal;
+use softarm::task::prediction::simulation_seconds;
+
+/// Most time steps in one call, so that a mistaken `dt` does not hang the interpreter.
+const MOST_STEPS: f64 = 1e9;
+/// An entry of a rotation matrix may be off by about this much, as far as single precision and hand-typed digits go; it is then replaced
+/// by the nearest rotation.
+const NEARLY_A_ROTATION: f64 = 1e-6;
+/// Number of steps between two looks at the clock.
+const LOOK_EVERY: usize = 32;
+/// Least predicted time of the work of a thread, s: several times what beginning one takes.
+const WORTH_A_THREAD_S: f64 = 1e-4;
+
+/// The reason why an arm does not get to the end of a call, and stays where it was.
+enum Halt {
+    /// A step has no solution.
+    Broken(StepError),
+    /// Python has a signal to handle.
+    Interrupted,
+}
+
+/// Looks at the signals of Python during long work without the lock of the interpreter, on the thread that called.
+struct Watch<'a> {
+    /// Asks the other threads of the work to stop.
+    stop: &'a AtomicBool,
+    last: Instant,
+    steps: usize,
+    raised: Option<PyErr>,
+}
+
+impl<'a> Watch<'a> {
+    fn new(stop: &'a AtomicBool) -> Self {
+        Self {
+            stop,
+            last: Instant::now(),
+            steps: 0,
+            raised: None,
+        }
+    }
+
+    /// Tells whether the work goes on after a step.
+    fn goes_on(&mut self) -> bool {
+        self.steps += 1;
+        if self.steps.is_multiple_of(LOOK_EVERY) && self.last.elapsed() >= GLANCE {
+            self.look();
+        }
+        self.raised.is_none()
+    }
+
+    /// Handles the signals of Python, whose exception ends the work.
+    fn look(&mut self) {
+        if self.raised.is_none()
+            && let Err(error) = Python::attach(|py| py.check_signals())
+        {
+            self.stop.store(true, Ordering::Relaxed);
+            self.raised = Some(error);
+        }
+        self.last = Instant::now();
+    }
+
+    /// Returns the exception of a signal.
+    fn end(self) -> PyResult<()> {
+        self.raised.map_or(Ok(()), Err)
+    }
+}
+
+/// An arm in motion.
+struct Arm {
+    rod: Arc<Rod>,
+    state: State,
+    /// Time, s.
+    time: f64,
+    /// Memory of the motion before, and the length of its steps, s.
+    memory: Option<(f64, StepperMemory)>,
+    /// Inputs of all actuators at the end of the call before, if it gave any; of a winch its displacement, m.
+    inputs: Option<Vec<f64>>,
+}
+
+/// Wrenches and efforts that act on an arm over a call, beside the loads of its scene: at its start and at its end, linear in between.
+#[derive(Default)]
+struct Acting {
+    /// Nodes with a wrench, in their order.
+    nodes: Vec<usize>,
+    /// A wrench on each of these nodes.
+    wrenches: [Vec<Wrench>; 2],
+    /// An effort of every actuator, or none: then those of the scene act.
+    efforts: [Vec<f64>; 2],
+}
+
+impl Acting {
+    /// Lets wrenches act on the nodes from `first` on, six numbers each: force (spatial, N) and moment (body frame, N m). Nodes without any
+    /// are left out.
+    fn on(&mut self, first: usize, from: &[f64], to: &[f64]) {
+        for (node, (from, to)) in (first..).zip(from.chunks_exact(6).zip(to.chunks_exact(6))) {
+            if from.iter().chain(to).any(|&number| number != 0.0) {
+                self.nodes.push(node);
+                self.wrenches[0].push(wrench(from));
+                self.wrenches[1].push(wrench(to));
+            }
+        }
+    }
+}
+
+/// Wrenches and efforts at one time, in the order of a [signal](NodeWrenches).
+#[derive(Clone)]
+struct Packed<'a> {
+    acting: &'a Acting,
+    wrenches: Vec<Wrench>,
+    efforts: Option<Efforts>,
+}
+
+impl<'a> Packed<'a> {
+    fn new(acting: &'a Acting) -> Self {
+        let m = acting.efforts[0].len();
+        Self {
+            acting,
+            wrenches: Vec::with_capacity(acting.nodes.len() + m.div_ceil(6)),
+            efforts: (m > 0).then(|| Efforts {
+                actuators: (0..m).collect(),
+                first: acting.nodes.len(),
+                places: (0..m).collect(),
+            }),
+        }
+    }
+
+    /// Packs what acts after a part of the call, at the time `t`. The given efforts of the scene add up with those of a signal, which has
+    /// the differences.
+    fn pack(&mut self, rod: &Rod, part: f64, t: f64) {
+        let between = |a: f64, b: f64| a + (b - a) * part;
+        self.wrenches.clear();
+        let [from, to] = &self.acting.wrenches;
+        self.wrenches
+            .extend(from.iter().zip(to).map(|(from, to)| Wrench {
+                force: from.force.zip_map(&to.force, between),
+                moment: from.moment.zip_map(&to.moment, between),
+            }));
+        let [from, to] = &self.acting.efforts;
+        if !from.is_empty() {
+            let given = rod.actuators.efforts(t);
+            let more: Vec<f64> = (from.iter().zip(to).zip(given))
+                .map(|((from, to), given)| between(*from, *to) - given)
+                .collect();
+            for six in more.chunks(6) {
+                let at = |i: usize| six.get(i).copied().unwrap_or(0.0);
+                self.wrenches.push(Wrench {
+                    force: Vector3::from_fn(|i, _| at(i)),
+                    moment: Vector3::from_fn(|i, _| at(3 + i)),
+                });
+            }
+        }
+    }
+
+    fn view(&self) -> NodeWrenches<'_> {
+        NodeWrenches {
+            efforts: self.efforts.as_ref(),
+            ..NodeWrenches::on(&self.acting.nodes, &self.wrenches)
+        }
+    }
+}
+
+impl Arm {
+    /// Puts the arm back to the start of its scene.
+    fn restart(&mut self, kind: &Kind) {
+        self.state.clone_from(&kind.initial);
+        self.time = 0.0;
+        self.inputs = None;
+    }
+
+    /// Puts the arm into a state at a time, s: positions, velocities and angular velocities of the nodes, of which those that are not given
+    /// are zero, and rotations.
+    fn put(
+        &mut self,
+        vectors_of: [Option<Numbers<'_>>; 3],
+        rotations: &Numbers<'_>,
+        time: f64,
+    ) -> PyResult<()> {
+        let n = self.rod.n_nodes();
+        let names = ["positions", "velocities", "angular_velocities"];
+        let mut found = Vec::new();
+        for (name, own) in names.into_iter().zip(&vectors_of) {
+            let still = || Ok(vec![Vector3::zeros(); n]);
+            found.push(
+                own.as_ref()
+                    .map_or_else(still, |own| vectors(name, own, n))?,
+            );
+        }
+        let rotations = (matrices("rotations", rotations, n)?.into_iter().enumerate())
+            .map(|(q, matrix)| rotation(q, &matrix))
+            .collect::<PyResult<Vec<_>>>()?;
+        if !time.is_finite() {
+            return Err(PyValueError::new_err(format!(
+                "time = {time}; expected a finite time in s"
+            )));
+        }
+        let mut rotations = rotations;
+        self.keep_base(&mut found[0], &mut rotations, time)?;
+        let state = &mut self.state;
+        for (q, node) in self.rod.nodes.iter().enumerate() {
+            state.configuration.positions[q] = found[0][q];
+            state.linear_momentum[q] = found[1][q] * node.mass;
+            state.angular_momentum[q] = found[2][q].component_mul(&node.rotary);
+        }
+        state.configuration.rotations = rotations;
+        self.time = time;
+        self.inputs = None;
+        Ok(())
+    }
+
+    /// Returns the inputs of all actuators that act now: those of the call before, or those of the scene.
+    fn inputs(&self) -> Vec<f64> {
+        (self.inputs.clone()).unwrap_or_else(|| self.rod.actuators.efforts(self.time))
+    }
+
+    /// Puts a base that is clamped exactly where it is held.
+    ///
+    /// # Errors
+    /// Returns a `ValueError` for a state that moves such a base, or turns it.
+    fn keep_base(
+        &self,
+        positions: &mut [Vector3<f64>],
+        rotations: &mut [Matrix3<f64>],
+        time: f64,
+    ) -> PyResult<()> {
+        let rod = &self.rod;
+        if rod.first_free_node() == 0 || rod.driven_base(time).is_some() {
+            return Ok(());
+        }
+        let (x, r) = (rod.rest.positions[0], rod.rest.rotations[0]);
+        let away = (positions[0] - x).norm();
+        if away > NEARLY_A_ROTATION * rod.scales.length {
+            return Err(PyValueError::new_err(format!(
+                "positions: node 0 is {away:.3e} m away from where the base is clamped, {:?} m; a state does not move the base, [base] of the scene \
+                 does",
+                x.as_slice()
+            )));
+        }
+        let turned = (rotations[0] - r).norm();
+        if turned > NEARLY_A_ROTATION.sqrt() {
+            return Err(PyValueError::new_err(format!(
+                "rotations: node 0 is turned from how the base is clamped (by {turned:.3e} in norm); a state does not turn the base, [base] of the \
+                 scene does"
+            )));
+        }
+        (positions[0], rotations[0]) = (x, r);
+        Ok(())
+    }
+
+    /// Moves the arm by `n` steps of `step` (s), or leaves it where it is, if `goes_on` says no after one of them.
+    fn advance(
+        &mut self,
+        acting: &Acting,
+        (n, step): (usize, f64),
+        goes_on: &mut dyn FnMut() -> bool,
+    ) -> Result<(), Halt> {
+        let rod = Arc::clone(&self.rod);
+        let memory = match self.memory.take() {
+            Some((same, memory)) if same == step => memory,
+            Some((_, mut memory)) => {
+                memory.retune(&rod, step);
+                memory
+            }
+            None => StepperMemory::new(&rod, step),
+        };
+        let mut stepper: Stepper<'_> = memory.begin(&rod, self.time, &self.state);
+        let mut now = Packed::new(acting);
+        now.pack(&rod, 0.0, self.time);
+        let mut next = now.clone();
+        for k in 1..=n {
+            let t = self.time + k as f64 * step;
+            next.pack(&rod, k as f64 / n as f64, t);
+            (stepper.advance([now.view(), next.view()])).map_err(Halt::Broken)?;
+            if !goes_on() {
+                return Err(Halt::Interrupted);
+            }
+            std::mem::swap(&mut now, &mut next);
+        }
+        stepper.write_state(&mut self.state);
+        self.time += n as f64 * step;
+        self.inputs = Some(acting.efforts[1].clone()).filter(|inputs| !inputs.is_empty());
+        self.memory = Some((step, stepper.into_memory()));
+        Ok(())
+    }
+}
+
+/// The rod, start and time step that arms of one scene have in common.
+struct Kind {
+    rod: Arc<Rod>,
+    initial: State,
+    /// Longest time step, s.
+    longest_step: f64,
+    names: Vec<String>,
+}
+
+impl Kind {
+    /// Reads the arm of a scene: its `[plant]`, if it has a closed loop, or its `[rod]`.
+    fn of(py: Python<'_>, name: &str, text: Option<&str>, overrides: &[String]) -> PyResult<Self> {
+        let (scene, source) = read(py, name, text, overrides)?;
+        py.detach(|| Self::read(&scene, &source))
+            .map_err(|error| scene_error(py, &error))
+    }
+
+    fn read(scene: &Scene, source: &SceneSource) -> Result<Self, softarm::scene::SceneError> {
+        let (rod, initial, longest_step) = if scene.mpc.is_some() {
+            let setup = scene.closed_loop(source, 0, &StopSignal::default())?;
+            let step = automatic_step(&setup.plant);
+            (setup.plant, setup.initial, step)
+        } else {
+            let setup = scene.simulation(source)?;
+            (Arc::new(setup.rod), setup.initial, setup.grid.step)
+        };
+        let names = (rod.actuators.iter())
+            .map(|actuator| actuator.name.clone())
+            .collect();
+        Ok(Self {
+            rod,
+            initial,
+            longest_step,
+            names,
+        })
+    }
+
+    fn arm(&self) -> Arm {
+        Arm {
+            rod: Arc::clone(&self.rod),
+            state: self.initial.clone(),
+            time: 0.0,
+            memory: None,
+            inputs: None,
+        }
+    }
+
+    /// Returns the number of steps that cover `dt`, and their length.
+    fn steps(&self, dt: f64) -> PyResult<(usize, f64)> {
+        let n = dt / self.longest_step;
+        if !(dt > 0.0 && n <= MOST_STEPS) {
+            return Err(PyValueError::new_err(format!(
+                "dt = {dt} s; expected a positive time of at most {MOST_STEPS:e} steps of {:e} s",
+                self.longest_step
+            )));
+        }
+        let grid = TimeGrid::covering(dt, self.longest_step, 1);
+        Ok((grid.n_steps, grid.step))
+    }
+
+    fn efforts(&self, name: &str, array: &Numbers<'_>) -> PyResult<Vec<f64>> {
+        numbers(name, array, &[self.names.len()])
+    }
+}
+
+fn wrench(six: &[f64]) -> Wrench {
+    Wrench {
+        force: Vector3::new(six[0], six[1], six[2]),
+        moment: Vector3::new(six[3], six[4], six[5]),
+    }
+}
+
+/// Returns positions, rotations, velocities (spatial) and angular velocities (body) of the nodes as a tuple of arrays.
+type StateArrays<'py> = (
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f64>>,
+);
+
+fn state_arrays<'py>(py: Python<'py>, rod: &Rod, state: &State) -> StateArrays<'py> {
+    let configuration = &state.configuration;
+    let velocities: Vec<_> = (state.linear_momentum.iter().zip(&rod.nodes))
+        .map(|(momentum, node)| momentum / node.mass)
+        .collect();
+    let spins: Vec<_> = (state.angular_momentum.iter().zip(&rod.nodes))
+        .map(|(momentum, node)| momentum.component_div(&node.rotary))
+        .collect();
+    (
+        array_of_vectors(py, &configuration.positions),
+        array_of_matrices(py, &configuration.rotations),
+        array_of_vectors(py, &velocities),
+        array_of_vectors(py, &spins),
+    )
+}
+
+/// A simulated arm that a program moves.
+///
+/// `Plant(name, text=None, overrides=[])` reads a scene: the arm of its `[plant]` section, if it has a closed loop, or of `[rod]`. Delay, lag
+/// and saturation of the plant's actuators belong to `softarm mpc`, and are not simulated here.
+#[pyclass(module = "softarm._softarm")]
+pub(super) struct Plant {
+    kind: Arc<Kind>,
+    arm: Arm,
+}
+
+#[pymethods]
+impl Plant {
+    #[new]
+    #[pyo3(signature = (name, text=None, overrides=Vec::new()))]
+    fn new(
+        py: Python<'_>,
+        name: &str,
+        text: Option<&str>,
+        overrides: Vec<String>,
+    ) -> PyResult<Self> {
+        let kind = Arc::new(Kind::of(py, name, text, &overrides)?);
+        let arm = kind.arm();
+        Ok(Self { kind, arm })
+    }
+
+    /// Time since the start, s.
+    #[getter]
+    fn time(&self) -> f64 {
+        self.arm.time
+    }
+
+    /// Longest time step that a call takes, s: that of the scene.
+    #[getter]
+    fn longest_step(&self) -> f64 {
+        self.kind.longest_step
+    }
+
+    /// Names of the actuators, in the order of efforts.
+    #[getter]
+    fn actuators(&self) -> Vec<String> {
+        self.kind.names.clone()
+    }
+
+    /// Units of the efforts that `step` takes, one for every actuator: `N`, `Pa`, `T`, `T/m`, `1` for an activation, and `m` for the
+    /// displacement of a winch.
+    #[getter]
+    fn units(&self) -> Vec<String> {
+        let word = |unit: &str| if unit.is_empty() { "1" } else { unit }.to_string();
+        (self.kind.rod.actuators.iter())
+            .map(|actuator| word(actuator.input_unit()))
+            .collect()
+    }
+
+    /// The efforts that act now, one for every actuator, in N, Pa, T, T/m or as activation; of a tendon on a winch its tension.
+    #[getter]
+    fn efforts<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let shape = &self.arm.state.configuration;
+        let inputs = self.arm.inputs();
+        (self.kind.rod)
+            .efforts_at(inputs, &shape.positions, &shape.rotations)
+            .into_pyarray(py)
+    }
+
+    /// The inputs that act now, one for every actuator, in the unit of `units`: of a winch its displacement.
+    #[getter]
+    fn inputs<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.arm.inputs().into_pyarray(py)
+    }
+
+    /// Places of the nodes along the arm, from 0 at the base to 1, `(K+1,)`.
+    #[getter]
+    fn places<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_iter(py, self.kind.rod.places())
+    }
+
+    /// Masses of the nodes, kg, `(K+1,)`.
+    #[getter]
+    fn masses<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_iter(py, self.kind.rod.nodes.iter().map(|node| node.mass))
+    }
+
+    /// The state: positions `(K+1, 3)`, m; rotations `(K+1, 3, 3)`, body to space; velocities `(K+1, 3)`, m/s, spatial; angular velocities
+    /// `(K+1, 3)`, rad/s, in the frame of the node.
+    #[getter]
+    fn state<'py>(&self, py: Python<'py>) -> StateArrays<'py> {
+        state_arrays(py, &self.kind.rod, &self.arm.state)
+    }
+
+    /// The state on the nodes of a controller's model, which may have other elements: cubic in between, with the same momenta.
+    fn state_on<'py>(&self, py: Python<'py>, controller: &Controller) -> StateArrays<'py> {
+        let model = controller.model();
+        let state = Transfer::new(&self.kind.rod, model).state(&self.arm.state);
+        state_arrays(py, model, &state)
+    }
+
+    /// Position of the tip, m, `(3,)`.
+    #[getter]
+    fn tip<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let tip = self.arm.state.configuration.positions[self.kind.rod.tip()];
+        PyArray1::from_slice(py, tip.as_slice())
+    }
+
+    /// Kinetic, elastic and potential energy, J.
+    #[getter]
+    fn energy(&self) -> [f64; 3] {
+        let (rod, state) = (&self.kind.rod, &self.arm.state);
+        let (x, r) = (
+            &state.configuration.positions,
+            &state.configuration.rotations,
+        );
+        let potential = rod.gravity_energy(x) + rod.potential_energy(x, r);
+        [
+            kinetic_energy(rod, state),
+            rod.elastic_energy(x, r),
+            potential,
+        ]
+    }
+
+    /// Moves the arm by `dt` seconds under wrenches `(K+1, 6)` on the nodes (force in N, spatial; moment in N m, in the frame of the node)
+    /// and efforts `(m,)` of the actuators, in the unit of `units` (N, Pa, activation, T; of a winch its displacement in m, negative where it
+    /// pulls in); without efforts those of the scene act. They are constant, or go linearly
+    /// to `wrenches_to` and `efforts_to`.
+    #[pyo3(signature = (dt, wrenches=None, efforts=None, wrenches_to=None, efforts_to=None))]
+    fn step(
+        &mut self,
+        py: Python<'_>,
+        dt: f64,
+        wrenches: Option<Numbers<'_>>,
+        efforts: Option<Numbers<'_>>,
+        wrenches_to: Option<Numbers<'_>>,
+        efforts_to: Option<Numbers<'_>>,
+    ) -> PyResult<()> {
+        for (name, from, to) in [
+            ("wrenches", wrenches.is_some(), wrenches_to.is_some()),
+            ("efforts", efforts.is_some(), efforts_to.is_some()),
+        ] {
+            if to && !from {
+                let words = format!("{name}_to without {name}, from which it goes there");
+                return Err(PyValueError::new_err(words));
+            }
+        }
+        let kind = &self.kind;
+        let mut acting = Acting::default();
+        if let Some(own) = &wrenches {
+            let size = [kind.rod.n_nodes(), 6];
+            let from = numbers("wrenches", own, &size)?;
+            let to = wrenches_to.map(|own| numbers("wrenches_to", &own, &size));
+            let to = to.transpose()?;
+            acting.on(0, &from, to.as_ref().unwrap_or(&from));
+        }
+        if let Some(own) = &efforts {
+            let from = kind.efforts("efforts", own)?;
+            let to = efforts_to.map(|own| kind.efforts("efforts_to", &own));
+            acting.efforts = [from.clone(), to.transpose()?.unwrap_or(from)];
+        }
+        let steps = self.kind.steps(dt)?;
+        let arm = &mut self.arm;
+        let stop = AtomicBool::new(false);
+        let mut watch = Watch::new(&stop);
+        match py.detach(|| arm.advance(&acting, steps, &mut || watch.goes_on())) {
+            Err(Halt::Broken(error)) => Err(raise(py, "ModelError", error.to_string())),
+            _ => watch.end(),
+        }
+    }
+
+    /// Puts the arm back to the start of its scene.
+    fn reset(&mut self) {
+        self.arm.restart(&self.kind);
+    }
+
+    /// Puts the arm into a state, at a time in s; without velocities it is at rest.
+    #[pyo3(signature = (positions, rotations, velocities=None, angular_velocities=None, time=None))]
+    fn set_state(
+        &mut self,
+        positions: Numbers<'_>,
+        rotations: Numbers<'_>,
+        velocities: Option<Numbers<'_>>,
+        angular_velocities: Option<Numbers<'_>>,
+        time: Option<f64>,
+    ) -> PyResult<()> {
+        let time = time.unwrap_or(self.arm.time);
+        let given = [Some(positions), velocities, angular_velocities];
+        self.arm.put(given, &rotations, time)
+    }
+
+    /// Returns another arm in the same state.
+    fn copy(&self) -> Self {
+        let mut arm = self.kind.arm();
+        arm.state.clone_from(&self.arm.state);
+        arm.time = self.arm.time;
+        arm.inputs.clone_from(&self.arm.inputs);
+        Self {
+            kind: Arc::clone(&self.kind),
+            arm,
+        }
+    }
+
+    fn __copy__(&self) -> Self {
+        self.copy()
+    }
+
+    fn __deepcopy__(&self, _memo: Bound<'_, PyAny>) -> Self {
+        self.copy()
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "<softarm.Plant: {} nodes, {} actuators, t = {} s>",
+            self.kind.rod.n_nodes(),
+            self.kind.names.len(),
+            self.arm.time
+        )
+    }
+}
+
+/// Returns the rotation that a matrix nearly is.
+fn rotation(node: usize, matrix: &Matrix3<f64>) -> PyResult<Matrix3<f64>> {
+    let off = stray(matrix);
+    if !(off <= NEARLY_A_ROTATION) {
+        return Err(PyValueError::new_err(format!(
+            "rotations[{node}] is not a rotation: R R^T differs from the identity by {off:.1e}, with determinant {:.3}",
+            matrix.determinant()
+        )));
+    }
+    Ok(orthonormalized(matrix))
+}
+
+/// Many arms of one scene, which move at the same time on several threads, as far as that is faster.
+///
+/// `Batch(n, name, text=None, overrides=[], threads=None, each=None)`; `each` has for every arm the overrides of its own.
+#[pyclass(module = "softarm._softarm")]
+pub(super) struct Batch {
+    /// The kind of every arm.
+    kinds: Vec<Arc<Kind>>,
+    arms: Vec<Arm>,
+    /// Reasons why arms broke down since their last reset.
+    errors: Vec<Option<String>>,
+    threads: usize,
+}
+
+#[pymethods]
+impl Batch {
+    #[new]
+    #[pyo3(signature = (n, name, text=None, overrides=Vec::new(), threads=None, each=None))]
+    fn new(
+        py: Python<'_>,
+        n: usize,
+        name: &str,
+        text: Option<&str>,
+        overrides: Vec<String>,
+        threads: Option<usize>,
+        each: Option<Vec<Vec<String>>>,
+    ) -> PyResult<Self> {
+        let kinds = match each {
+            None => {
+                let kind = Arc::new(Kind::of(py, name, text, &overrides)?);
+                vec![kind; n]
+            }
+            Some(each) if each.len() == n => (each.iter())
+                .map(|own| {
+                    let overrides = [&overrides[..], own].concat();
+                    Kind::of(py, name, text, &overrides).map(Arc::new)
+                })
+                .collect::<PyResult<Vec<_>>>()?,
+            Some(each) => {
+                return Err(PyValueError::new_err(format!(
+                    "values of {} arms; expected one for each of the {n} arms",
+                    each.len()
+                )));
+            }
+        };
+        for (index, kind) in kinds.iter().enumerate() {
+            let first = &kinds[0];
+            if kind.rod.n_nodes() != first.rod.n_nodes() || kind.names != first.names {
+                return Err(PyValueError::new_err(format!(
+                    "arm {index} has {} nodes and actuators {:?}, arm 0 has {} and {:?}; arms of a batch have as many nodes and the same actuators",
+                    kind.rod.n_nodes(),
+                    kind.names,
+                    first.rod.n_nodes(),
+                    first.names
+                )));
+            }
+        }
+        let cores = || std::thread::available_parallelism().map_or(1, usize::from);
+        Ok(Self {
+            arms: kinds.iter().map(|kind| kind.arm()).collect(),
+            errors: vec![None; n],
+            threads: threads.unwrap_or_else(cores).max(1),
+            kinds,
+        })
+    }
+
+    fn __len__(&self) -> usize {
+        self.arms.len()
+    }
+
+    /// Times of the arms since their starts, s, `(n,)`.
+    #[getter]
+    fn times<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_iter(py, self.arms.iter().map(|arm| arm.time))
+    }
+
+    /// Positions of all nodes, m, `(n, K+1, 3)`.
+    #[getter]
+    fn positions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f64>> {
+        self.array(py, |_, state, q| state.configuration.positions[q])
+    }
+
+    /// Velocities of all nodes, m/s, spatial, `(n, K+1, 3)`.
+    #[getter]
+    fn velocities<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray3<f64>> {
+        self.array(py, |kind, state, q| {
+            state.linear_momentum[q] / kind.rod.nodes[q].mass
+        })
+    }
+
+    /// Names of the actuators, in the order of efforts.
+    #[getter]
+    fn actuators(&self) -> Vec<String> {
+        self.kinds
+            .first()
+            .map_or_else(Vec::new, |kind| kind.names.clone())
+    }
+
+    /// The state of one arm, as `Plant.state`.
+    fn state<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyAny>> {
+        let arm = self.arm(index)?;
+        (py.import("softarm.control")?.getattr("State")?)
+            .call1(state_arrays(py, &arm.rod, &arm.state))
+    }
+
+    /// Puts one arm into a state, as `Plant.set_state`; an arm that broke down moves again.
+    #[pyo3(signature = (index, positions, rotations, velocities=None, angular_velocities=None, time=None))]
+    #[allow(clippy::too_many_arguments)]
+    fn set_state(
+        &mut self,
+        index: usize,
+        positions: Numbers<'_>,
+        rotations: Numbers<'_>,
+        velocities: Option<Numbers<'_>>,
+        angular_velocities: Option<Numbers<'_>>,
+        time: Option<f64>,
+    ) -> PyResult<()> {
+        let time = time.unwrap_or(self.arm(index)?.time);
+        let given = [Some(positions), velocities, angular_velocities];
+        self.arms[index].put(given, &rotations, time)?;
+        self.errors[index] = None;
+        Ok(())
+    }
+
+    /// Moves every arm by `dt` seconds, under wrenches `(n, 6)` on the tips or `(n, K+1, 6)` on all nodes, and efforts `(n, m)` of the
+    /// actuators, as `Plant.step`. Returns a list with the reason for every arm that broke down, now or before, and `None` for the others; such
+    /// an arm stays where it was until its reset.
+    #[pyo3(signature = (dt, wrenches=None, efforts=None))]
+    fn step(
+        &mut self,
+        py: Python<'_>,
+        dt: f64,
+        wrenches: Option<Numbers<'_>>,
+        efforts: Option<Numbers<'_>>,
+    ) -> PyResult<Vec<Option<String>>> {
+        let Some(first) = self.kinds.first() else {
+            return Ok(Vec::new());
+        };
+        let (n, m, nodes) = (self.arms.len(), first.names.len(), first.rod.n_nodes());
+        let wrenches = wrenches
+            .map(|own| match own.as_array().ndim() {
+                3 => numbers("wrenches", &own, &[n, nodes, 6]),
+                _ => numbers("wrenches", &own, &[n, 6]),
+            })
+            .transpose()?;
+        let efforts = efforts
+            .map(|own| numbers("efforts", &own, &[n, m]))
+            .transpose()?;
+        let steps = (self.kinds.iter())
+            .map(|kind| kind.steps(dt))
+            .collect::<PyResult<Vec<_>>>()?;
+        let acting = |index: usize| {
+            let mut acting = Acting::default();
+            if let Some(own) = &wrenches {
+                // Of one arm: the last of its nodes, or all.
+                let size = own.len() / n;
+                let own = &own[size * index..size * (index + 1)];
+                acting.on(nodes - size / 6, own, own);
+            }
+            if let Some(own) = &efforts {
+                let own = own[m * index..m * (index + 1)].to_vec();
+                acting.efforts = [own.clone(), own];
+            }
+            acting
+        };
+        let seconds: f64 = (self.kinds.iter().zip(&steps))
+            .map(|(kind, (n, _))| simulation_seconds(&kind.rod, *n as f64))
+            .sum();
+        let threads = self
+            .threads
+            .min((seconds / WORTH_A_THREAD_S) as usize)
+            .max(1);
+        let share = n.div_ceil(threads);
+        let (arms, errors) = (&mut self.arms, &mut self.errors);
+        let stop = AtomicBool::new(false);
+        let mut watch = Watch::new(&stop);
+        let work = |first: usize,
+                    arms: &mut [Arm],
+                    errors: &mut [Option<String>],
+                    goes_on: &mut dyn FnMut() -> bool| {
+            for (i, (arm, error)) in (first..).zip(arms.iter_mut().zip(errors)) {
+                if error.is_none() {
+                    match arm.advance(&acting(i), steps[i], goes_on) {
+                        Err(Halt::Broken(reason)) => *error = Some(reason.to_string()),
+                        Err(Halt::Interrupted) => return,
+                        Ok(()) => {}
+                    }
+                }
+            }
+        };
+        py.detach(|| {
+            std::thread::scope(|scope| {
+                let mut shares = (0..).zip(arms.chunks_mut(share).zip(errors.chunks_mut(share)));
+                // The thread that called takes the first share, and looks at the signals of Python until the others are done with theirs.
+                let own = shares.next();
+                let (done, ended) = mpsc::channel::<()>();
+                let mut others = 0;
+                for (index, (arms, errors)) in shares {
+                    let (work, stop, done) = (&work, &stop, done.clone());
+                    others += 1;
+                    scope.spawn(move || {
+                        let mut goes_on = || !stop.load(Ordering::Relaxed);
+                        work(index * share, arms, errors, &mut goes_on);
+                        drop(done);
+                    });
+                }
+                drop(done);
+                if let Some((_, (arms, errors))) = own {
+                    work(0, arms, errors, &mut || watch.goes_on());
+                }
+                while others > 0
+                    && ended.recv_timeout(GLANCE) == Err(mpsc::RecvTimeoutError::Timeout)
+                {
+                    watch.look();
+                }
+            });
+        });
+        watch.end()?;
+        Ok(self.errors.clone())
+    }
+
+    /// Puts arms back to the start of the scene: those of the given indices, or all.
+    #[pyo3(signature = (indices=None))]
+    fn reset(&mut self, indices: Option<Vec<usize>>) -> PyResult<()> {
+        let indices = indices.unwrap_or_else(|| (0..self.arms.len()).collect());
+        for &index in &indices {
+            self.arm(index)?;
+        }
+        for index in indices {
+            self.arms[index].restart(&self.kinds[index]);
+            self.errors[index] = None;
+        }
+        Ok(())
+    }
+}
+
+impl Batch {
+    fn arm(&self, index: usize) -> PyResult<&Arm> {
+        (self.arms.get(index)).ok_or_else(|| {
+            let words = format!("arm {index} of {}", self.arms.len());
+            PyIndexError::new_err(words)
+        })
+    }
+
+    /// Returns a vector of every node of every arm.
+    fn array<'py>(
+        &self,
+        py: Python<'py>,
+        of: impl Fn(&Kind, &State, usize) -> Vector3<f64>,
+    ) -> Bound<'py, PyArray3<f64>> {
+        let nodes = self.kinds.first().map_or(0, |kind| kind.rod.n_nodes());
+        let mut out = Array3::zeros((self.arms.len(), nodes, 3));
+        for (index, (arm, kind)) in self.arms.iter().zip(&self.kinds).enumerate() {
+            for q in 0..nodes {
+                let vector = of(kind, &arm.state, q);
+                for i in 0..3 {
+                    out[(index, q, i)] = vector[i];
+                }
+            }
+        }
+        out.into_pyarray(py)
+    }
+}

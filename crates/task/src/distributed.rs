@@ -1,0 +1,264 @@
+//! Couples along an arm, as muscles exert them.
+
+use faer::Mat;
+use nalgebra::{DMatrix, DVector};
+
+use super::definition::{ControlGroup, OwnActuator};
+use control::{Bound, Channel};
+use mechanics::{Actuator, Rod, SharedActuator, StateView, Wrench};
+
+/// A couple per rest length along the arm, `m(s)` in N m/m, in the body frame of every section.
+///
+/// Each actuated component of `m` is the cubic spline through `n` points at `s_i = i L/(n + 1)`, whose values are the controls, and through
+/// 0 at both ends of the arm; its third derivative does not jump at the second point and at the last but one ("not a knot"; with one point
+/// it is a parabola). Node `q` has the moment `m(s_q) (l_{q-1} + l_q)/2`, with the rest lengths of the elements beside it.
+///
+/// The controls are those of the first point, one of each actuated axis, then those of the second, and so on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DistributedCouple {
+    /// Number `n` of points, at least 1.
+    pub points: usize,
+    /// Components that act: bending about the first and the second director, and twist.
+    pub axes: [bool; 3],
+}
+
+impl DistributedCouple {
+    /// Returns the actuator of a task whose values at every point have this bound, N m/m; axes with a bound of 0 do not act. `scale` (N
+    /// m/m) counts as 1 in the cost.
+    #[must_use]
+    pub fn bounded(points: usize, bound: Bound, scale: f64) -> OwnActuator {
+        let axes: [bool; 3] = std::array::from_fn(|axis| bound.actuates(axis));
+        let count = axes.iter().filter(|acts| **acts).count();
+        // Limits of a group are those of its first axes.
+        let bound = match bound {
+            Bound::Norm(most) => Bound::Norm(most),
+            Bound::PerAxis(most) => {
+                let mut own = nalgebra::Vector3::zeros();
+                let acting = (0..3).filter(|axis| axes[*axis]);
+                for (to, from) in acting.enumerate() {
+                    own[to] = most[from];
+                }
+                Bound::PerAxis(own)
+            }
+            Bound::Between { lower, upper } => {
+                let acting = || (0..3).filter(|axis| axes[*axis]);
+                let packed = |limits: nalgebra::Vector3<f64>| {
+                    let mut own = nalgebra::Vector3::zeros();
+                    for (to, from) in acting().enumerate() {
+                        own[to] = limits[from];
+                    }
+                    own
+                };
+                Bound::Between {
+                    lower: packed(lower),
+                    upper: packed(upper),
+                }
+            }
+        };
+        OwnActuator {
+            actuator: SharedActuator::new(Self { points, axes }),
+            controls: vec![
+                ControlGroup {
+                    count,
+                    channel: Channel::new(scale, Some(bound)),
+                };
+                points
+            ],
+        }
+    }
+
+    fn acting_axes(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..3).filter(|axis| self.axes[*axis])
+    }
+
+    /// Returns the weights of the controls, six rows per node and one column per control: node wrenches are linear in the controls.
+    fn weights(&self, rod: &Rod) -> Mat<f64> {
+        let nodes = self.nodes(rod);
+        let n_axes = self.acting_axes().count();
+        let values = basis(self.points, &rod.places());
+        let mut out = Mat::zeros(6 * nodes.len(), self.points * n_axes);
+        for (i, &q) in nodes.iter().enumerate() {
+            let beside = [q.checked_sub(1), Some(q)].into_iter().flatten();
+            let lengths = beside.filter_map(|e| rod.elements.get(e));
+            let share = 0.5 * lengths.map(|element| element.length).sum::<f64>();
+            for point in 0..self.points {
+                for (at, axis) in self.acting_axes().enumerate() {
+                    out[(6 * i + 3 + axis, point * n_axes + at)] = share * values[(q, point)];
+                }
+            }
+        }
+        out
+    }
+}
+
+impl Actuator for DistributedCouple {
+    fn n_controls(&self) -> usize {
+        self.points * self.acting_axes().count()
+    }
+
+    /// Returns all nodes but the ends, where the couple is 0.
+    fn nodes(&self, rod: &Rod) -> Vec<usize> {
+        (1..rod.tip()).collect()
+    }
+
+    fn wrench(&self, at: &StateView, u: &[f64], out: &mut [Wrench]) {
+        let weights = self.weights(at.rod);
+        for (i, wrench) in out.iter_mut().enumerate() {
+            *wrench = Wrench::from_array(std::array::from_fn(|c| {
+                (u.iter().enumerate())
+                    .map(|(j, u)| weights[(6 * i + c, j)] * u)
+                    .sum()
+            }));
+        }
+    }
+
+    fn configuration_jacobian(&self, at: &StateView, _: &[f64]) -> Mat<f64> {
+        let n = 6 * self.nodes(at.rod).len();
+        Mat::zeros(n, n)
+    }
+
+    fn control_jacobian(&self, at: &StateView, _: &[f64]) -> Mat<f64> {
+        self.weights(at.rod)
+    }
+
+    fn curvature(&self, at: &StateView, u: &[f64], _: &[Wrench]) -> Mat<f64> {
+        let n = 6 * self.nodes(at.rod).len() + u.len();
+        Mat::zeros(n, n)
+    }
+
+    fn named_controls(&self) -> (&'static str, &'static str) {
+        ("couples along the arm", "N m/m")
+    }
+
+    /// Returns `couple at 0.25 x`, with the place of the point as a fraction of the length.
+    fn control_name(&self, index: usize) -> String {
+        let n_axes = self.acting_axes().count().max(1);
+        let axis = self.acting_axes().nth(index % n_axes).unwrap_or(0);
+        let place = (index / n_axes + 1) as f64 / (self.points + 1) as f64;
+        let letter = ["x", "y", "z"][axis];
+        format!("couple at {} {letter}", (place * 1e6).round() / 1e6)
+    }
+
+    fn linear_map(&self, rod: &Rod) -> Option<Mat<f64>> {
+        Some(self.weights(rod))
+    }
+}
+
+/// Returns one row per place (0 to 1): the values there of the splines that are 1 at one of `n` inner points and 0 at the others and at
+/// both ends.
+fn basis(n: usize, places: &[f64]) -> DMatrix<f64> {
+    let n_data = n + 2;
+    let degree = 3.min(n_data - 1);
+    let data: Vec<f64> = (0..n_data)
+        .map(|i| i as f64 / (n_data - 1) as f64)
+        .collect();
+    let mut knots = vec![0.0; degree + 1];
+    knots.extend(data.get(2..n_data.saturating_sub(2)).unwrap_or_default());
+    knots.resize(knots.len() + degree + 1, 1.0);
+    let at = |places: &[f64]| {
+        let rows = places.iter().map(|s| splines(&knots, degree, n_data, *s));
+        DMatrix::from_rows(&rows.map(|row| row.transpose()).collect::<Vec<_>>())
+    };
+    let mut values = DMatrix::zeros(n_data, n);
+    for point in 0..n {
+        values[(point + 1, point)] = 1.0;
+    }
+    // Schoenberg and Whitney: there is a data point within every spline, so that the matrix is regular.
+    let coefficients = at(&data).lu().solve(&values);
+    at(places) * coefficients.unwrap_or_else(|| DMatrix::zeros(n_data, n))
+}
+
+/// Returns the values of all B-splines at a place, by the recursion of Cox and de Boor.
+fn splines(knots: &[f64], degree: usize, n: usize, s: f64) -> DVector<f64> {
+    let s = s.clamp(0.0, 1.0);
+    // The last span is closed.
+    let span = (degree..n).rev().find(|&i| knots[i] <= s).unwrap_or(degree);
+    let mut values = DVector::zeros(n);
+    values[span] = 1.0;
+    for p in 1..=degree {
+        for i in span - p..=span {
+            let ramp = |from: usize, to: usize, along: f64| {
+                let width = knots[to] - knots[from];
+                if width > 0.0 { along / width } else { 0.0 }
+            };
+            let left = ramp(i, i + p, s - knots[i]) * values[i];
+            let right = if i + 1 < n {
+                ramp(i + 1, i + p + 1, knots[i + p + 1] - s) * values[i + 1]
+            } else {
+                0.0
+            };
+            values[i] = left + right;
+        }
+    }
+    values
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Arm, Discretization};
+    use mechanics::Material;
+
+    /// A cubic that is 0 at both ends is its own interpolating spline; so is a parabola, with one point and with any number.
+    #[test]
+    fn cubics_are_their_own_splines() {
+        let places: Vec<f64> = (0..=50).map(|i| 0.02 * f64::from(i)).collect();
+        for n in 1..=9 {
+            let cubic = if n == 1 { 0.0 } else { 1.0 };
+            let f = |s: f64| s * (1.0 - s) * (1.0 + cubic * 2.3 * s);
+            let values = basis(n, &places);
+            for (row, s) in places.iter().enumerate() {
+                let found: f64 = (0..n)
+                    .map(|i| values[(row, i)] * f((i + 1) as f64 / (n + 1) as f64))
+                    .sum();
+                assert!((found - f(*s)).abs() < 1e-13, "{n} points, {s}: {found}");
+            }
+        }
+    }
+
+    /// The spline goes through its points, and is twice continuously differentiable at them: second differences on both sides agree to the
+    /// third derivative times their distance.
+    #[test]
+    fn splines_are_smooth() {
+        let (n, h) = (6, 1e-3);
+        let jump = |i: usize| {
+            let s = (i + 1) as f64 / (n + 1) as f64;
+            let second = |t: f64| {
+                let v = basis(n, &[t - h, t, t + h]);
+                (v.row(0) - 2.0 * v.row(1) + v.row(2)) / (h * h)
+            };
+            (second(s - h) - second(s + h)).amax()
+        };
+        for i in 0..n {
+            let s = (i + 1) as f64 / (n + 1) as f64;
+            let own = basis(n, &[s]);
+            for j in 0..n {
+                let expected = f64::from(u8::from(i == j));
+                assert!((own[(0, j)] - expected).abs() < 1e-13);
+            }
+            // Third derivatives of a spline with knots 1/7 apart are at most a few 7³.
+            assert!(jump(i) < 2.0 * h * 10.0 * 343.0, "{}", jump(i));
+        }
+    }
+
+    /// The moments of all nodes add up to the integral of the couple, to the second order of the elements' length: four times nearer with
+    /// twice as many elements. A parabola over the length is 2/3 in the mean.
+    #[test]
+    fn moments_add_up() {
+        let arm = Arm::cylinder(&Material::isotropic(1e6, 0.5, 1000.0), 2.0, 0.05);
+        let couple = DistributedCouple {
+            points: 1,
+            axes: [false, true, false],
+        };
+        let off = |elements: usize| {
+            let rod = arm.rod(&Discretization::with_elements(elements)).unwrap();
+            let map = couple.linear_map(&rod).unwrap();
+            let sum: f64 = (0..map.nrows()).map(|i| map[(i, 0)]).sum();
+            let about = (0..map.nrows()).filter(|i| i % 6 != 4);
+            assert!(about.into_iter().all(|i| map[(i, 0)] == 0.0));
+            (sum - 2.0 * 2.0 / 3.0).abs()
+        };
+        let ratio = off(10) / off(20);
+        assert!((ratio - 4.0).abs() < 1e-6, "{ratio}");
+    }
+}
