@@ -166,10 +166,6 @@ fn entry_name(array: &str) -> String {
 /// The header of an array of numpy's `.npy` format, version 1.0, whose end aligns the data to 64 bytes.
 fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
     let sizes: String = shape.iter().map(|size| format!("{size}, ")).collect();
-    let sizes = match shape {
-        [only] => format!("{only},"),
-        _ => sizes.trim_end_matches(", ").to_string(),
-    };
     let mut text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({sizes}), }}");
     while !(PREFIX + text.len() + 1).is_multiple_of(64) {
         text.push(' ');
