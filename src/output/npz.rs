@@ -330,7 +330,7 @@ pub(super) fn visit_array(
 }
 
 /// The header of an array of plain numbers or text.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Header {
     /// Numpy's name of the type of an entry.
     descr: String,
@@ -370,39 +370,104 @@ impl Header {
     }
 
     fn parse(text: &str) -> Option<Self> {
-        let mut header = Self::default();
+        let (mut descr, mut in_fortran_order, mut shape) = (None, None, None);
         let mut rest = text.strip_prefix('{')?.strip_suffix('}')?.trim();
         while !rest.is_empty() {
             let (key, value) = quoted(rest)?;
             let value = value.trim_start().strip_prefix(':')?.trim_start();
             rest = match key {
                 "descr" => {
-                    let (descr, rest) = quoted(value)?;
-                    header.descr = descr.to_string();
+                    let (word, rest) = quoted(value)?;
+                    descr = Some(word.to_string());
                     rest
                 }
                 "fortran_order" => {
-                    header.in_fortran_order = value.starts_with("True");
+                    in_fortran_order = Some(value.starts_with("True"));
                     (value.strip_prefix("True")).or_else(|| value.strip_prefix("False"))?
                 }
                 "shape" => {
                     let (sizes, rest) = value.strip_prefix('(')?.split_once(')')?;
-                    let sizes = sizes.split(',').map(str::trim);
-                    let sizes = sizes.filter(|size| !size.is_empty());
-                    header.shape = sizes.map(|size| size.parse().ok()).collect::<Option<_>>()?;
+                    shape = Some(tuple(sizes)?);
                     rest
                 }
                 _ => return None,
             };
             rest = rest.trim_start();
-            rest = rest.strip_prefix(',').unwrap_or(rest).trim_start();
+            rest = match rest.strip_prefix(',') {
+                Some(next) => next.trim_start(),
+                None if rest.is_empty() => rest,
+                None => return None,
+            };
         }
-        Some(header)
+        Some(Self {
+            descr: descr?,
+            in_fortran_order: in_fortran_order?,
+            shape: shape?,
+        })
     }
+}
+
+/// Reads what stands between the brackets of a tuple of sizes, whose last comma may have none after it.
+fn tuple(text: &str) -> Option<Vec<usize>> {
+    let text = text.trim();
+    let sizes = text.strip_suffix(',').unwrap_or(text);
+    if sizes.is_empty() {
+        return text.is_empty().then(Vec::new);
+    }
+    sizes
+        .split(',')
+        .map(|size| size.trim().parse().ok())
+        .collect()
 }
 
 /// Splits off a string in quotation marks of Python.
 fn quoted(text: &str) -> Option<(&str, &str)> {
     let mark = text.chars().next().filter(|mark| "'\"".contains(*mark))?;
     text[1..].split_once(mark)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Headers as this program and numpy write them, of versions 1 and 2 of the format.
+    #[test]
+    fn headers_are_read() {
+        for shape in [&[][..], &[7], &[3, 0, 2]] {
+            let read = Header::read(&mut &header("<f8", shape)[..]).unwrap();
+            assert_eq!((read.descr.as_str(), &read.shape[..]), ("<f8", shape));
+            assert!(!read.in_fortran_order);
+        }
+        let text = b"{'shape': (12, 3), \"fortran_order\": True, 'descr': '>f8'}\n";
+        let mut bytes = [MAGIC, &[2, 0]].concat();
+        bytes.extend((text.len() as u32).to_le_bytes());
+        bytes.extend(text);
+        let read = Header::read(&mut &bytes[..]).unwrap();
+        assert_eq!(
+            (read.descr.as_str(), &read.shape[..]),
+            (">f8", &[12, 3][..])
+        );
+        assert!(read.in_fortran_order);
+    }
+
+    /// Headers that lack a key or a comma, or have more than an array of numbers or words needs.
+    #[test]
+    fn other_headers_are_refused() {
+        for text in [
+            "",
+            "{}",
+            "{'descr': '<f8', 'fortran_order': False}",
+            "{'descr': '<f8', 'shape': (3,)}",
+            "{'fortran_order': False, 'shape': (3,)}",
+            "{'descr': '<f8' 'fortran_order': False, 'shape': (3,)}",
+            "{'descr': '<f8', 'fortran_order': 0, 'shape': (3,)}",
+            "{'descr': '<f8', 'fortran_order': False, 'shape': (3,,4)}",
+            "{'descr': '<f8', 'fortran_order': False, 'shape': (,)}",
+            "{'descr': '<f8', 'fortran_order': False, 'shape': (-3,)}",
+            "{'descr': '<f8', 'fortran_order': False, 'shape': (3,), 'more': 1}",
+            "{'descr': [('x', '<f8')], 'fortran_order': False, 'shape': (3,)}",
+        ] {
+            assert!(Header::parse(text).is_none(), "{text}");
+        }
+    }
 }

@@ -9,6 +9,8 @@ use integrator::LaneIntegrator;
 use nalgebra::Vector3;
 use pulp::Arch;
 
+use crate::levels;
+
 fn rod(
     strain_rule: StrainRule,
     (model, internal_damping): (RodModel, f64),
@@ -89,18 +91,6 @@ fn bits(integrator: &LaneIntegrator) -> Vec<u64> {
     numbers.map(|x| x.to_bits()).collect()
 }
 
-/// Instruction sets of this machine beyond the baseline.
-fn wider() -> Vec<Arch> {
-    let mut wider = Vec::new();
-    #[cfg(target_arch = "x86_64")]
-    {
-        use pulp::x86::{V3, V4};
-        wider.extend(V3::try_new().map(Arch::V3));
-        wider.extend(V4::try_new().map(Arch::V4));
-    }
-    wider
-}
-
 /// Solved steps have the same bits on every instruction set: from rest and by extrapolation, through jumps of the control, new factors and
 /// normalizations.
 #[test]
@@ -134,7 +124,7 @@ fn solved_motions_have_the_same_bits_for_long() {
                 (bits(&integrator), work)
             };
             let one = run(Arch::Scalar);
-            for arch in wider() {
+            for arch in levels() {
                 assert_eq!(one, run(arch), "{rule:?} {n_elements} {arch:?}");
             }
         }
@@ -157,7 +147,7 @@ fn every_vector_length_gives_the_same_bits() {
                 for spin in [1e-3, 0.2, 0.7] {
                     let rod = rod(rule, model, n_elements, unequal);
                     let one = run(&rod, Arch::Scalar, spin);
-                    for arch in wider() {
+                    for arch in levels() {
                         assert_eq!(one, run(&rod, arch, spin), "{rule:?} {model:?} {arch:?}");
                     }
                 }

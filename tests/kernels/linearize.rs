@@ -7,28 +7,16 @@ use cosserat::{
     StateForm, TimeGrid, TimeScheme, Trajectory, stable_step,
 };
 use integrator::curvature::Multipliers;
-use integrator::linearization::Defects;
-use integrator::linearization::Motion;
+use integrator::linearization::{Defects, Motion};
 use integrator::sensitivity::adjoint;
 use integrator::sensitivity::along::Along;
 use integrator::sensitivity::linearize::Memory;
 use integrator::sensitivity::residual::defects_on;
-use integrator::sensitivity::step::StepCurvature;
-use integrator::sensitivity::step::{LinearizedStep, NodeDrift};
+use integrator::sensitivity::step::{LinearizedStep, NodeDrift, StepCurvature};
 use nalgebra::Vector3;
 use pulp::Arch;
 
-/// Instruction sets that this machine has.
-fn levels() -> Vec<Arch> {
-    let mut levels = vec![Arch::Scalar];
-    #[cfg(target_arch = "x86_64")]
-    {
-        use pulp::x86::{V3, V4};
-        levels.extend(V3::try_new().map(Arch::V3));
-        levels.extend(V4::try_new().map(Arch::V4));
-    }
-    levels
-}
+use crate::levels;
 
 /// Largest difference relative to the largest number.
 fn distance<'a>(a: impl Iterator<Item = &'a f64>, b: impl Iterator<Item = &'a f64> + Clone) -> f64 {

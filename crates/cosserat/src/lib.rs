@@ -1,5 +1,7 @@
 //! The discrete rod: rotations, sections, strain rules, energies, loads and what acts on it. A part of softarm.
 
+#![forbid(unsafe_code)]
+
 #[doc(hidden)]
 pub mod actuator;
 #[doc(hidden)]

@@ -1,5 +1,7 @@
 //! The variational integrator in SIMD lanes, its linearization and its second derivatives. A part of softarm.
 
+#![forbid(unsafe_code)]
+
 mod buffer;
 #[doc(hidden)]
 pub mod curvature;

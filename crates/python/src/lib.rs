@@ -3,6 +3,8 @@
 //! A scene crosses the border as text with overrides, a verb as the words of its command line, and its result as a directory, so that a verb
 //! does from Python the same as from a terminal. Plants and controllers keep their state here and exchange arrays.
 
+#![forbid(unsafe_code)]
+
 mod arrays;
 mod controller;
 mod plant;

@@ -1,5 +1,7 @@
 //! Sequential quadratic programming for lifted programs: programs whose states obey recursions.
 
+#![forbid(unsafe_code)]
+
 mod balls;
 mod best_point;
 mod correction;

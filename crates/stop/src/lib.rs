@@ -4,6 +4,8 @@
 //! raised. A loop that finds it raised may therefore return an incomplete result: its caller also reads the signal and discards that
 //! result.
 
+#![forbid(unsafe_code)]
+
 pub mod clock;
 
 use std::panic::resume_unwind;

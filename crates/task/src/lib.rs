@@ -19,6 +19,8 @@
 //! # Ok::<(), softarm::task::DiscretizeError>(())
 //! ```
 
+#![forbid(unsafe_code)]
+
 mod arm;
 mod contradictions;
 mod definition;

@@ -4,6 +4,8 @@
 //! ones ([`refinement`]), path constraints are evaluated between nodes and samples, and energy and momentum are balanced ([`momentum`]).
 //! [`ForwardCheck`] is the certificate, [`CheckLimits`] has its limits.
 
+#![forbid(unsafe_code)]
+
 mod acting;
 mod bodies;
 mod contact;
