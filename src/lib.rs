@@ -58,13 +58,12 @@ pub mod derivatives;
 pub(crate) mod fit;
 #[doc(hidden)]
 pub mod memory;
-pub mod output;
 pub mod scene;
 pub mod solve;
 pub mod tradeoff;
 
 #[doc(inline)]
-pub use {control, mechanics, mpc, sqp, stop, task, verify};
+pub use {control, mechanics, mpc, output, sqp, stop, task, verify};
 
 pub(crate) use mpc::TOOL;
 pub(crate) use stop::clock;

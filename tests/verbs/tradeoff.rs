@@ -138,6 +138,16 @@ fn a_motion() {
     ] {
         assert!(desk.path("run").join(name).is_file(), "{name}");
     }
+    // Attributes are apart, and elements end.
+    let picture = fs::read_to_string(desk.path("run/front.svg")).unwrap();
+    for after_value in picture.split('"').skip(2).step_by(2) {
+        assert!(after_value.starts_with([' ', '/', '>']), "{after_value}");
+    }
+    for tag in ["svg", "g", "text"] {
+        let [open, close] =
+            [format!("<{tag} "), format!("</{tag}>")].map(|part| picture.matches(&part).count());
+        assert_eq!(open, close, "{tag}");
+    }
     let applied = scene(&desk.path("applied.toml"));
     assert_eq!(
         applied.rod.elements as u64,
@@ -256,7 +266,7 @@ fn pages_from_files() {
     assert_eq!(row(recommended, "tolerance"), ["3e-3", "1e-2", "1e-9"]);
     assert_eq!(row(scenes, "time.end_s"), ["0.3", "0.2", "0.3"]);
     // Every point of a front is a disk of its sweep's color, and the legend has one more.
-    for (summary, color) in sweeps.iter().zip(["#1F77B4", "#E66A00", "#2C9F4B"]) {
+    for (summary, color) in sweeps.iter().zip(["#1f77b4", "#e66a00", "#2c9f4b"]) {
         let on_front = points(summary).iter().filter(|p| p["on_front"] == true);
         let disk = format!("fill=\"{color}\" stroke=\"none\"");
         let drawn = page

@@ -1,21 +1,16 @@
 //! Trade-offs read from their result directories: the page of one, and a page that compares several.
 
-use std::ops::Range;
 use std::path::Path;
 
-use plotters::prelude::*;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use super::{
-    COLORS, DOT, FAINT, INK, RING, SIZE, axes, beside, errors_and_times, filled, label,
-    milliseconds, page, picture, sentence,
-};
+use super::{BROAD, Chart, Curve, filled, has_place, milliseconds, page, picture, sentence};
 use crate::output::{
     ComparisonRow, ComparisonTable, OutputError, PAGE_STYLE, read_text, scene_differences,
 };
 use crate::scene::LARGEST_SCENE;
-use crate::tradeoff::{Point, Setting, Tradeoff};
+use crate::tradeoff::{Point, Setting, Subject, Tradeoff};
 
 /// A trade-off read from a result directory.
 #[derive(Debug, Deserialize)]
@@ -61,8 +56,7 @@ impl SavedTradeoff {
     /// Returns the points of the front, the fastest first.
     fn front(&self) -> Vec<&Point> {
         let mut front: Vec<&Point> = (self.found.points.iter())
-            .filter(|point| point.on_front && point.error.is_some_and(|error| error > 0.0))
-            .filter(|point| point.time() > 0.0)
+            .filter(|point| point.on_front && has_place(point))
             .collect();
         front.sort_by(|a, b| a.time().total_cmp(&b.time()));
         front
@@ -147,60 +141,19 @@ pub fn tradeoff_comparison(
 /// # Errors
 /// Returns a sentence if there is none to draw.
 fn fronts(names: &[String], saved: &[SavedTradeoff]) -> Result<String, String> {
-    let all: Vec<&Point> = saved.iter().flat_map(SavedTradeoff::front).collect();
-    if all.is_empty() {
-        return Err("no front has a point".into());
+    let subject = (saved.first()).map_or(Subject::Motion, |saved| saved.found.subject);
+    let curves = names.iter().zip(saved).map(|(name, saved)| Curve {
+        name: name.clone(),
+        points: saved.front(),
+        tolerance: Some(saved.found.tolerance),
+        recommended: saved.found.recommended.as_ref().map(|found| &found.point),
+    });
+    Chart {
+        subject,
+        curves: curves.collect(),
+        tolerance: None,
+        recommended: None,
+        failed: Vec::new(),
     }
-    let tolerances: Vec<f64> = saved.iter().map(|saved| saved.found.tolerance).collect();
-    let (errors, times) = errors_and_times(&all, &tolerances);
-    let mut svg = String::new();
-    draw(&mut svg, names, saved, errors, times).map_err(|error| error.to_string())?;
-    Ok(svg)
-}
-
-fn draw(
-    svg: &mut String,
-    names: &[String],
-    saved: &[SavedTradeoff],
-    errors: Range<f64>,
-    times: Range<f64>,
-) -> Result<(), Box<dyn std::error::Error>> {
-    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-    let mut chart = axes(&root, saved[0].found.subject, &errors, &times)?;
-    let text = label();
-    let at = |point: &Point| (point.error.unwrap_or(errors.end), 1e3 * point.time());
-    for (index, (name, saved)) in names.iter().zip(saved).enumerate() {
-        let color = COLORS[index.min(COLORS.len() - 1)];
-        let front = saved.front();
-        let tolerance = saved.found.tolerance;
-        chart.draw_series(LineSeries::new(
-            [(tolerance, times.start), (tolerance, times.end)],
-            color.mix(0.5).stroke_width(1),
-        ))?;
-        chart
-            .draw_series(LineSeries::new(
-                front.iter().map(|point| at(point)),
-                color.mix(FAINT).stroke_width(2),
-            ))?
-            .label(name.clone())
-            .legend(move |(x, y)| Circle::new((x + 8, y), DOT, color.filled()));
-        chart
-            .draw_series((front.iter()).map(|point| Circle::new(at(point), DOT, color.filled())))?;
-        chart.draw_series(front.iter().map(|point| {
-            let elements = point.setting.elements.to_string();
-            Text::new(elements, beside(at(point)), text.clone())
-        }))?;
-        if let Some(recommended) = &saved.found.recommended {
-            let ring = color.stroke_width(2);
-            chart.draw_series([Circle::new(at(&recommended.point), RING, ring)])?;
-        }
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .label_font(text)
-        .border_style(INK.mix(0.4))
-        .draw()?;
-    root.present()?;
-    Ok(())
+    .svg(BROAD)
 }

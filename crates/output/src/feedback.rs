@@ -7,8 +7,8 @@ use nalgebra::Vector3;
 
 use super::OutputError;
 use super::npz::{self, read_array, read_words, write_array, write_words};
-use crate::control::{Feedback, NamedControl};
-use crate::mechanics::State;
+use control::{Feedback, NamedControl};
+use mechanics::State;
 
 /// Name, shape and numbers of an array.
 pub type NamedArray = (&'static str, Vec<usize>, Vec<f64>);

@@ -6,9 +6,9 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{Extremes, OutputError, RowPrefix};
-use crate::mechanics::nodal_state::ORTHONORMAL;
-use crate::mechanics::rotation::stray;
-use crate::mechanics::{Configuration, State};
+use mechanics::nodal_state::ORTHONORMAL;
+use mechanics::rotation::stray;
+use mechanics::{Configuration, State};
 
 /// Name of the checkpoint in a result directory, and in the directory of a run.
 pub(super) const CHECKPOINT_FILE: &str = "checkpoint.json";

@@ -156,7 +156,7 @@ pub fn compare(command: ReportCommand, results: Vec<Compared>) -> ComparisonData
 }
 
 /// The keys in which the texts of several scenes differ.
-pub(crate) fn scene_differences(scenes: &[&str]) -> Vec<ComparisonRow> {
+pub fn scene_differences(scenes: &[&str]) -> Vec<ComparisonRow> {
     let scenes: Vec<Leaves> = (scenes.iter())
         .map(|text| {
             let table = text.parse::<toml::Table>().unwrap_or_default();

@@ -10,7 +10,7 @@ use super::OutputError;
 
 /// The reason why a file of a user or of a result is not read.
 #[derive(Debug)]
-pub(crate) enum Unreadable {
+pub enum Unreadable {
     /// The system refuses to read the file.
     Io(io::Error),
     /// The file is not a regular one; the name of its kind is given.
@@ -43,7 +43,7 @@ impl fmt::Display for Unreadable {
 
 /// Opens a regular file of at most `largest` bytes; other kinds are refused unopened (reading a pipe could wait for ever, a device never
 /// ends).
-pub(crate) fn open_regular(path: &Path, largest: u64) -> Result<File, Unreadable> {
+pub fn open_regular(path: &Path, largest: u64) -> Result<File, Unreadable> {
     let found = fs::metadata(path).map_err(Unreadable::Io)?;
     if !found.is_file() {
         let kind = if found.is_dir() {
@@ -67,7 +67,7 @@ pub(super) fn open(path: &Path, largest: u64) -> Result<File, OutputError> {
 }
 
 /// Reads a regular file of at most `largest` bytes.
-pub(crate) fn read_regular(path: &Path, largest: u64) -> Result<Vec<u8>, Unreadable> {
+pub fn read_regular(path: &Path, largest: u64) -> Result<Vec<u8>, Unreadable> {
     let mut bytes = Vec::new();
     // Some files report a size of zero although they are not empty.
     open_regular(path, largest)?
@@ -102,7 +102,7 @@ pub(super) mod tests {
 
     /// Damage to the bytes of a file.
     #[derive(Clone, Debug)]
-    pub(in crate::output) enum Accident {
+    pub(crate) enum Accident {
         Flip(prop::sample::Index, u8),
         Cut(prop::sample::Index),
         Insert(prop::sample::Index, Vec<u8>),
@@ -110,7 +110,7 @@ pub(super) mod tests {
         Repeat(prop::sample::Index, usize),
     }
 
-    pub(in crate::output) fn accidents() -> impl Strategy<Value = Vec<Accident>> {
+    pub(crate) fn accidents() -> impl Strategy<Value = Vec<Accident>> {
         let at = any::<prop::sample::Index>;
         let one = prop_oneof![
             4 => (at(), 0..8u8).prop_map(|(at, bit)| Accident::Flip(at, bit)),
@@ -122,7 +122,7 @@ pub(super) mod tests {
         prop::collection::vec(one, 1..4)
     }
 
-    pub(in crate::output) fn damaged(bytes: &[u8], accidents: &[Accident]) -> Vec<u8> {
+    pub(crate) fn damaged(bytes: &[u8], accidents: &[Accident]) -> Vec<u8> {
         let mut bytes = bytes.to_vec();
         for accident in accidents {
             if bytes.is_empty() {

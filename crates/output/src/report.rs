@@ -1,28 +1,22 @@
 //! The content of `report.html`, and the page itself.
 
-#[cfg(feature = "cli")]
 mod comparison;
 mod field;
 mod figure;
 mod render;
 mod words;
 
-#[cfg(feature = "cli")]
-pub(crate) use self::comparison::scene_differences;
-#[cfg(feature = "cli")]
+pub use self::comparison::scene_differences;
 pub use self::comparison::{
     Compared, ComparedRun, ComparisonData, ComparisonRow, ComparisonTable, TradeoffPoint, compare,
 };
 pub use self::field::{ReportField, ReportFields};
 pub use self::figure::figure;
-#[cfg(feature = "cli")]
-pub(crate) use self::render::PAGE_STYLE;
+pub use self::render::PAGE_STYLE;
 pub use self::render::render_report;
-#[cfg(feature = "cli")]
 pub use self::render::{PAGE_MARK, render_comparison};
-pub(crate) use self::words::Columns;
-#[cfg(feature = "cli")]
-pub(crate) use self::words::fill;
+pub use self::words::Columns;
+pub use self::words::fill;
 pub use self::words::{Facts, Words};
 
 use serde::{Deserialize, Serialize};

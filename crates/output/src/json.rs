@@ -6,6 +6,6 @@ use serde_json::Value;
 ///
 /// A derived implementation of [`serde::Serialize`] is compiled once more for every format that it is written to. Behind a table of
 /// functions it is compiled once.
-pub(crate) fn json_value(value: &dyn erased_serde::Serialize) -> Value {
+pub fn json_value(value: &dyn erased_serde::Serialize) -> Value {
     serde_json::to_value(value).unwrap_or_default()
 }

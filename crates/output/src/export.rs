@@ -9,7 +9,7 @@ use nalgebra::Matrix3;
 
 use super::replace::{EXPORT_MARK, HEAD, Own, TABLE_HEAD, Writer};
 use super::{EffortRow, MotionRecord, OutputError};
-use crate::mechanics::rotation::quaternion;
+use mechanics::rotation::quaternion;
 
 /// Destination of an export.
 #[derive(Clone, Copy, Debug)]

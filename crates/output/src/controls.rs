@@ -43,7 +43,7 @@ impl ControlRow {
     }
 }
 
-/// Writes rows under the [headings](crate::control::NamedControl::heading) of their controls; every number in the shortest form that reads
+/// Writes rows under the [headings](control::NamedControl::heading) of their controls; every number in the shortest form that reads
 /// back as the same `f64`, headings in quotes where a comma, a quote or the end of a line asks for them.
 ///
 /// # Errors
@@ -79,7 +79,7 @@ pub fn write_controls(
 }
 
 /// Returns the line of the first row after these headings, which may have ends of lines of their own.
-pub(crate) fn first_line(headings: &[String]) -> u64 {
+pub fn first_line(headings: &[String]) -> u64 {
     2 + (headings.iter().flat_map(|heading| heading.bytes()))
         .filter(|byte| *byte == b'\n')
         .count() as u64
@@ -228,7 +228,7 @@ pub(super) fn csv_error(path: &Path, action: &'static str, error: csv::Error) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::reading::tests::{accidents, damaged};
+    use crate::reading::tests::{accidents, damaged};
     use proptest::prelude::*;
 
     fn headings() -> Vec<String> {

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::npz::{self, largest_archive, read_array, write_array};
 use super::{ArrayView, OutputError};
-use crate::mechanics::{Configuration, MOST_ELEMENTS, NodalState, State};
+use mechanics::{Configuration, MOST_ELEMENTS, NodalState, State};
 
 /// Name of the file in a result directory.
 pub const END_FILE: &str = "end.npz";

@@ -73,7 +73,7 @@ pub enum OutputError {
 
 impl OutputError {
     /// Turns an I/O error while reading into one that names the path, for `map_err`.
-    pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
+    pub fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io {
             path: path.to_path_buf(),
             action,
@@ -82,7 +82,7 @@ impl OutputError {
     }
 
     /// Turns an I/O error while writing into one that names the path, for `map_err`.
-    pub(crate) fn unwritten(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
+    pub fn unwritten(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Unwritten {
             path: path.to_path_buf(),
             action,
@@ -91,7 +91,7 @@ impl OutputError {
     }
 
     /// Returns an error about the content, without a line number.
-    pub(crate) fn malformed(path: &Path, reason: impl Into<String>) -> Self {
+    pub fn malformed(path: &Path, reason: impl Into<String>) -> Self {
         Self::Malformed {
             path: path.to_path_buf(),
             line: None,

@@ -7,7 +7,7 @@ const WIDTH: usize = 80;
 const PREFIXES: [&str; 7] = ["n", "µ", "m", "", "k", "M", "G"];
 
 /// A value with its unit: `12 mm` for 0.012 m. Beyond the prefixes in powers of ten; a mass is given in grams.
-pub(crate) fn quantity(value: f64, unit: &str) -> String {
+pub fn quantity(value: f64, unit: &str) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value} {unit}");
     }
@@ -25,7 +25,7 @@ pub(crate) fn quantity(value: f64, unit: &str) -> String {
 }
 
 /// A mass in kg with the unit that suits it.
-pub(crate) fn mass(kilograms: f64) -> String {
+pub fn mass(kilograms: f64) -> String {
     if kilograms.abs() >= 1e3 {
         return format!("{} kg", digits(kilograms));
     }
@@ -33,7 +33,7 @@ pub(crate) fn mass(kilograms: f64) -> String {
 }
 
 /// About four digits, without trailing zeros.
-pub(crate) fn digits(value: f64) -> String {
+pub fn digits(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) {
         return format!("{value:.2e}");
     }
@@ -47,7 +47,7 @@ pub(crate) fn digits(value: f64) -> String {
 }
 
 /// A line that begins with a word in a column of its own, broken between words.
-pub(crate) fn entry(word: &str, text: &str) -> String {
+pub fn entry(word: &str, text: &str) -> String {
     const INDENT: usize = 12;
     let mut out = format!("  {word:<width$}", width = INDENT - 2);
     let mut column = INDENT;

@@ -1,18 +1,18 @@
 //! The summary objects: `summary.json`, and what `--json` prints.
 
 use super::closed_loop::LoopSummary;
-use crate::control::{Abandoned, ModelMismatch, TrackingError};
-use crate::mechanics::HOLDS;
+use control::{Abandoned, ModelMismatch, TrackingError};
+use mechanics::HOLDS;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::sqp::{Convergence, KktResidual, PhaseTimes, Progress};
-use crate::stop::Stop;
+use sqp::{Convergence, KktResidual, PhaseTimes, Progress};
+use stop::Stop;
 
 /// Version of the layout of every summary.
 pub const SCHEMA_VERSION: u32 = 2;
 /// The program that writes a result, as the summary in a result directory names it.
-pub const TOOL: &str = crate::TOOL;
+pub const TOOL: &str = mpc::TOOL;
 
 /// Summary of `check`.
 #[derive(Clone, Debug, Serialize)]
@@ -168,7 +168,7 @@ pub struct SolveCost {
     pub total_s: [f64; 2],
 }
 
-/// The predicted time of a simulation with either integrator, from the seconds per node-step of [`prediction`](crate::task::prediction).
+/// The predicted time of a simulation with either integrator, from the seconds per node-step of [`prediction`](task::prediction).
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct CostEstimate {
     /// Step of the explicit integrator, s: the scene's own, or the automatic one.
@@ -455,12 +455,12 @@ pub struct DepthSummary {
     pub place: f64,
 }
 
-/// Elements that leave this range of dilatations are outside what any [model](crate::mechanics::RodModel) describes: a
+/// Elements that leave this range of dilatations are outside what any [model](mechanics::RodModel) describes: a
 /// section of constant volume or size, and a linear material.
 const CREDIBLE_DILATATION: [f64; 2] = [0.5, 2.0];
 
 impl SimulateSummary {
-    /// Says that elements left the range of dilatations in which any [model](crate::mechanics::RodModel) describes them.
+    /// Says that elements left the range of dilatations in which any [model](mechanics::RodModel) describes them.
     fn stretched(&self) -> Option<String> {
         let [least, largest] = CREDIBLE_DILATATION;
         let found = &self.dilatation;
@@ -670,7 +670,7 @@ pub struct StaysSummary {
 /// The value of a control.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NamedValue {
-    /// Name of the [control](crate::control::NamedControl).
+    /// Name of the [control](control::NamedControl).
     pub name: String,
     /// Its unit; `1` for a pure number.
     pub unit: &'static str,

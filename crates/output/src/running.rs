@@ -22,7 +22,7 @@ const PLACEHOLDER: &str = "unfinished.json";
 /// Folders of the rows of a simulation.
 const ROW_FOLDERS: [&str; 2] = ["trajectory", "diagnostics"];
 /// Points of a trade-off in progress.
-pub(crate) const JOURNAL_FILE: &str = "points.jsonl";
+pub const JOURNAL_FILE: &str = "points.jsonl";
 /// Extension of files of rows.
 const ROW_ENDING: &str = "f64";
 /// Cap on the attempts to create a directory that other runs remove at the same moment.

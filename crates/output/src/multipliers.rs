@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use super::OutputError;
 use super::reading::read_text;
-use crate::control::{LiftedPoint, OptimalControlProblem, PathMultiplier, Transcription};
-use crate::sqp::SqpOutcome;
-use crate::verify::SolutionMultipliers;
+use control::{LiftedPoint, OptimalControlProblem, PathMultiplier, Transcription};
+use sqp::SqpOutcome;
+use verify::SolutionMultipliers;
 
-/// Multipliers of a solution, as in [`SolutionMultipliers`](crate::verify::SolutionMultipliers).
+/// Multipliers of a solution, as in [`SolutionMultipliers`](verify::SolutionMultipliers).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MultiplierRecord {
     /// Multipliers of the goals' scaled residuals.
@@ -72,7 +72,7 @@ impl MultiplierRecord {
     }
 
     /// Returns the contents of the file.
-    pub(crate) fn file(&self, problem: &OptimalControlProblem) -> impl Serialize {
+    pub fn file(&self, problem: &OptimalControlProblem) -> impl Serialize {
         MultiplierFile {
             goals: self.goals.clone(),
             path: self.path.clone(),
@@ -100,7 +100,7 @@ const LARGEST_ENTRY: u64 = 1 << 6;
 ///
 /// # Errors
 /// Returns [`OutputError`] if the file cannot be read or is not a file of multipliers.
-/// [`Solution::validate`](crate::verify::Solution::validate) checks whether these belong to the problem.
+/// [`Solution::validate`](verify::Solution::validate) checks whether these belong to the problem.
 pub fn read_multipliers(
     path: &Path,
     problem: &OptimalControlProblem,

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::OutputError;
 use super::reading::read_text;
-use crate::mpc::{Disturbance, Innovations, Percentiles, Sample, TipError};
+use mpc::{Disturbance, Innovations, Percentiles, Sample, TipError};
 
 /// Figures of a closed loop before it runs, as `check` reports them.
 #[derive(Clone, Debug, Serialize)]

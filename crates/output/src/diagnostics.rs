@@ -3,7 +3,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 
 use super::{ArrayView, OutputError, npz};
-use crate::mechanics::{Diagnostics, PowerBalance, Rod};
+use mechanics::{Diagnostics, PowerBalance, Rod};
 
 /// Diagnostics at `n` times: the content of `diagnostics.npz`, whose rows correspond to those of `trajectory.npz`.
 ///

@@ -146,8 +146,7 @@ impl Words {
 ///
 /// # Errors
 /// As [`Words::of`].
-#[cfg(feature = "cli")]
-pub(crate) fn fill(
+pub fn fill(
     templates: &[(&'static str, &'static str)],
     name: &str,
     context: &serde_json::Value,
@@ -561,7 +560,6 @@ mod tests {
     }
 
     /// In HTML, values open no element and end no attribute.
-    #[cfg(feature = "cli")]
     #[test]
     fn documents_escape_values() {
         let page = fill(

@@ -247,7 +247,9 @@ impl RowFiles {
     pub fn push(&mut self, row: &[ArrayView]) -> Result<(), OutputError> {
         for (array, (_, _, values)) in self.arrays.iter_mut().zip(row) {
             self.bytes.clear();
-            (self.bytes).extend(values.iter().flat_map(|value| value.to_le_bytes()));
+            for value in *values {
+                self.bytes.extend_from_slice(&value.to_le_bytes());
+            }
             self.checksum.update(&self.bytes);
             (array.writer.write_all(&self.bytes)).map_err(array.unwritten("cannot write"))?;
         }
@@ -308,8 +310,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    use crate::output::MotionRecord;
-    use crate::output::motion::tests::record;
+    use crate::MotionRecord;
+    use crate::motion::tests::record;
 
     /// Returns row `row` of a record, as a record.
     fn row_of(record: &MotionRecord, row: usize) -> MotionRecord {

@@ -1,5 +1,7 @@
 //! The files of a result directory: reading and writing.
 
+#![forbid(unsafe_code)]
+
 mod checkpoint;
 #[doc(hidden)]
 pub mod closed_loop;
@@ -9,7 +11,6 @@ mod directory;
 mod efforts;
 mod end_state;
 mod error;
-#[cfg(feature = "cli")]
 #[doc(hidden)]
 pub mod export;
 mod extremes;
@@ -18,13 +19,12 @@ mod json;
 mod motion;
 mod multipliers;
 mod npz;
-#[cfg(feature = "cli")]
-pub(crate) mod quantity;
+#[doc(hidden)]
+pub mod quantity;
 mod reading;
-#[cfg(feature = "cli")]
-pub(crate) mod replace;
+#[doc(hidden)]
+pub mod replace;
 mod report;
-#[cfg(feature = "cli")]
 mod residuals;
 mod rows;
 mod running;
@@ -33,8 +33,8 @@ pub mod summary;
 
 #[doc(hidden)]
 pub use checkpoint::Checkpoint;
-#[cfg(feature = "cli")]
-pub(crate) use controls::first_line;
+#[doc(hidden)]
+pub use controls::first_line;
 pub use controls::{ControlRow, read_controls, write_controls};
 pub use diagnostics::{BaseReaction, DiagnosticsRecord};
 pub use directory::{ResultDirectory, ResultKind};
@@ -46,13 +46,16 @@ pub use extremes::Extremes;
 pub use feedback::{
     FeedbackArrays, NamedArray, feedback_arrays, read_feedback, read_sensitivity, write_feedback,
 };
-pub(crate) use json::json_value;
+#[doc(hidden)]
+pub use json::json_value;
 pub use motion::{MotionRecord, ThinnedMotion};
 pub use multipliers::{MultiplierRecord, read_multipliers};
 #[doc(hidden)]
 pub use reading::read_text;
-pub(crate) use reading::{Unreadable, open_regular, read_regular};
-pub(crate) use report::Columns;
+#[doc(hidden)]
+pub use reading::{Unreadable, open_regular, read_regular};
+#[doc(hidden)]
+pub use report::Columns;
 #[doc(hidden)]
 pub use report::{
     ArrowKind, Bound, Facts, Hold, ReportArm, ReportArrow, ReportAttempt, ReportBars, ReportChart,
@@ -61,19 +64,18 @@ pub use report::{
     ReportObstacles, ReportPath, ReportRoute, ReportSensitivity, ReportShape, ReportTable,
     ReportTarget, ReportVerdict, ReportVia, Words, figure, render_report,
 };
-#[cfg(feature = "cli")]
 #[doc(hidden)]
 pub use report::{
     Compared, ComparedRun, ComparisonData, ComparisonRow, ComparisonTable, PAGE_MARK,
     TradeoffPoint, compare, render_comparison,
 };
-#[cfg(feature = "cli")]
-pub(crate) use report::{PAGE_STYLE, fill, scene_differences};
-#[cfg(feature = "cli")]
-pub(crate) use residuals::{ResidualRow, read_residuals, write_residuals};
+#[doc(hidden)]
+pub use report::{PAGE_STYLE, fill, scene_differences};
+#[doc(hidden)]
+pub use residuals::{ResidualRow, read_residuals, write_residuals};
 #[doc(hidden)]
 pub use rows::{ArrayView, RowFiles, RowPrefix, row_bytes};
-#[cfg(feature = "cli")]
-pub(crate) use running::JOURNAL_FILE;
+#[doc(hidden)]
+pub use running::JOURNAL_FILE;
 #[doc(hidden)]
 pub use running::RunDirectory;

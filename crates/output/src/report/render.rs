@@ -2,7 +2,6 @@
 
 use serde::Serialize;
 
-#[cfg(feature = "cli")]
 use super::ComparisonData;
 use super::ReportData;
 
@@ -23,10 +22,8 @@ const TEMPLATE: &str = concat!(
     include_str!("foot.html"),
 );
 
-#[cfg(feature = "cli")]
 /// The style sheet of all pages.
-pub(crate) const PAGE_STYLE: &str = include_str!("style.css");
-#[cfg(feature = "cli")]
+pub const PAGE_STYLE: &str = include_str!("style.css");
 /// The words by which a page of softarm is told from other files.
 pub const PAGE_MARK: &str = "<meta name=\"generator\" content=\"softarm\">";
 
@@ -37,7 +34,6 @@ pub fn render_report(data: &ReportData) -> String {
     render(data, &data.title)
 }
 
-#[cfg(feature = "cli")]
 /// The page of several results, made as that of one.
 pub fn render_comparison(data: &ComparisonData) -> String {
     render(data, &data.title)
@@ -72,7 +68,7 @@ mod tests {
 
     use super::super::*;
     use super::*;
-    use crate::output::motion::tests::record;
+    use crate::motion::tests::record;
 
     fn data() -> ReportData {
         let motion = record(5, 3);

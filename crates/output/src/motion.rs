@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::npz::{self, read_array, write_array};
 use super::{ArrayView, OutputError};
-use crate::mechanics::{Energy, State, Wrench};
+use mechanics::{Energy, State, Wrench};
 
 /// A motion of the arm, sampled at `n` times: the content of `trajectory.npz`.
 ///
@@ -41,26 +41,25 @@ impl MotionRecord {
     ) {
         self.t.push(t);
         for x in &state.configuration.positions {
-            self.x.extend(x.iter());
+            self.x.extend_from_slice(x.as_slice());
         }
         for r in &state.configuration.rotations {
             // nalgebra stores columns; the file has rows.
-            self.rotation.extend(r.transpose().iter());
+            self.rotation.extend_from_slice(r.transpose().as_slice());
         }
-        self.tip_force.extend(wrench.force.iter());
-        self.tip_moment.extend(wrench.moment.iter());
+        self.tip_force.extend_from_slice(wrench.force.as_slice());
+        self.tip_moment.extend_from_slice(wrench.moment.as_slice());
         self.energy
             .extend([energy.kinetic, energy.elastic, energy.potential]);
-        self.dilatation.extend(dilatation);
+        self.dilatation.extend_from_slice(dilatation);
     }
 
     /// Appends a shape at rest: `number` stands in the place of the time, and the loads of `rod` are those at `time` seconds.
-    #[cfg(feature = "cli")]
-    pub(crate) fn push_at_rest(
+    pub fn push_at_rest(
         &mut self,
         number: f64,
-        rod: &crate::mechanics::Rod,
-        shape: &crate::mechanics::Configuration,
+        rod: &mechanics::Rod,
+        shape: &mechanics::Configuration,
         time: f64,
     ) {
         let state = State::at_rest(shape.clone());
@@ -91,7 +90,7 @@ impl MotionRecord {
     }
 
     /// Returns the position of a node in a row, m.
-    pub(crate) fn position(&self, row: usize, node: usize) -> Vector3<f64> {
+    pub fn position(&self, row: usize, node: usize) -> Vector3<f64> {
         let at = 3 * (row * self.n_nodes + node);
         Vector3::from_column_slice(&self.x[at..at + 3])
     }
@@ -225,7 +224,7 @@ impl MotionRecord {
     /// Returns the numbers of at most `max_rows` rows, evenly spread, including the first and the last.
     ///
     /// A record of two rows or more keeps at least these two.
-    pub(crate) fn thinned_rows(&self, max_rows: usize) -> Vec<usize> {
+    pub fn thinned_rows(&self, max_rows: usize) -> Vec<usize> {
         let n = self.n_rows();
         let kept = max_rows.max(2).min(n);
         if kept < 2 {
@@ -391,11 +390,11 @@ impl ThinnedMotion {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::output::reading::tests::{accidents, damaged};
+    use crate::reading::tests::{accidents, damaged};
     use proptest::prelude::*;
 
     /// A record whose numbers span magnitudes, signs and subnormals.
-    pub(in crate::output) fn record(n: usize, n_nodes: usize) -> MotionRecord {
+    pub(crate) fn record(n: usize, n_nodes: usize) -> MotionRecord {
         let mut state = 1_u64;
         let mut numbers = |len: usize| -> Vec<f64> {
             (0..len)
