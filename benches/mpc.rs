@@ -20,8 +20,8 @@ use nalgebra::Vector3;
 use softarm::control::Bound;
 use softarm::mechanics::{Material, NodeInertia, Rod, TimeScheme};
 use softarm::mpc::{
-    Computing, Contender, EffortFrom, EstimatorChoice, Experiment, Law, MpcError, MpcSettings,
-    Outcome, Sensing, SensorChoice, SensorPreset, TipError, TipGains, Unknowns,
+    Computing, Contender, EffortFrom, Experiment, Law, MpcError, MpcSettings, Outcome, Sensing,
+    SensorChoice, SensorPreset, TipError, TipGains, Unknowns,
 };
 use softarm::task::{
     Arm, ChannelLimits, Cost, Discretization, Place, PointLoad, Task, Track, WrenchActuator,
@@ -103,10 +103,10 @@ fn scene(seconds: f64, elements: usize) -> Experiment {
 }
 
 /// Poses with noise, velocities not given, and one period of delay.
-fn noisy(mut scene: Experiment, estimator: EstimatorChoice, preset: SensorPreset) -> Experiment {
+fn noisy(mut scene: Experiment, unknowns: Unknowns, preset: SensorPreset) -> Experiment {
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(preset)],
-        estimator,
+        unknowns,
         elements: None,
         step: None,
         seed: 1,
@@ -115,11 +115,8 @@ fn noisy(mut scene: Experiment, estimator: EstimatorChoice, preset: SensorPreset
     scene
 }
 
-const FILTER: EstimatorChoice = EstimatorChoice::Kalman(Unknowns::ALL);
-const STATE_FILTER: EstimatorChoice = EstimatorChoice::Kalman(Unknowns::NONE);
-const OBSERVER: EstimatorChoice = EstimatorChoice::Observer {
-    estimates_wrench: false,
-};
+const FILTER: Unknowns = Unknowns::ALL;
+const STATE_FILTER: Unknowns = Unknowns::NONE;
 
 /// Four of the forty elements, one of the model's ten.
 const SOFT_ELEMENT: &str = "E x 0.8, one soft element";
@@ -460,7 +457,7 @@ fn disturbances() -> Result<(), MpcError> {
     );
     println!("| estimate | error over the last second, % |");
     println!("|---|---|");
-    for (name, estimator) in [("state alone", STATE_FILTER), ("with disturbances", FILTER)] {
+    for (name, unknowns) in [("state alone", STATE_FILTER), ("with disturbances", FILTER)] {
         let mut loaded = still.clone();
         for arm in [&mut loaded.arm, &mut loaded.plant] {
             arm.gravity = Vector3::new(0.0, -1.0, 0.0);
@@ -469,7 +466,7 @@ fn disturbances() -> Result<(), MpcError> {
             mass: 1.57,
             rotary: Vector3::repeat(1e-3),
         });
-        let loaded = noisy(loaded, estimator, SensorPreset::Mocap);
+        let loaded = noisy(loaded, unknowns, SensorPreset::Mocap);
         let found = run(&loaded, Contender::Mpc)?;
         println!(
             "| {name} | {} |",
@@ -529,19 +526,18 @@ fn times() -> Result<(), MpcError> {
     println!("|---|---|---|---|---|---|---|---|---|---|");
     for elements in [10, 20, 40] {
         let estimators = [
-            ("observer", OBSERVER, None),
             ("filter", FILTER, None),
             ("filter on 10 elements", FILTER, Some(10)),
         ];
-        for (name, estimator, own) in estimators {
+        for (name, unknowns, own) in estimators {
             if own == Some(elements) {
                 continue;
             }
             for force in [20.0, 4.0] {
                 let mut timed = scene(50.0, elements);
-                timed.plant = arm(if name == "observer" { 0.98e6 } else { 0.8e6 });
+                timed.plant = arm(0.8e6);
                 timed.task = task(50.0, &|t| reference(t, TURN), force);
-                let mut timed = noisy(timed, estimator, SensorPreset::Mocap);
+                let mut timed = noisy(timed, unknowns, SensorPreset::Mocap);
                 if let Sensing::Estimated { elements, .. } = &mut timed.sensing {
                     *elements = own;
                 }

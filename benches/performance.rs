@@ -324,17 +324,14 @@ fn samples(page: &mut String) {
         "| elements | estimator | p50, ms | p99, ms |\n|---|---|---|---|",
     );
     for elements in [10, 20] {
-        for estimator in ["kalman", "observer", "none"] {
+        for estimator in ["kalman", "none"] {
             let overrides = [
                 format!("rod.elements={elements}"),
                 format!("estimator.kind={estimator}"),
-                // An observer estimates a wrench at the tip, or nothing.
                 if estimator == "none" {
                     "estimator.disturbances=[]".into()
-                } else if estimator == "kalman" {
-                    "estimator.disturbances=[\"tip_force\", \"tip_moment\", \"distributed\", \"stiffness\"]".into()
                 } else {
-                    "estimator.disturbances=[\"tip_force\", \"tip_moment\"]".into()
+                    "estimator.disturbances=[\"tip_force\", \"tip_moment\", \"distributed\", \"stiffness\"]".into()
                 },
                 "time.end_s=2.0".into(),
                 "mpc.counted_from_s=1.0".into(),

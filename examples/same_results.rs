@@ -351,11 +351,11 @@ const CASES: [Case; 34] = [
         &["mpc.computing='fixed'", "mpc.duration_s=0.3"],
     ),
     (
-        "loop, observer and bounds",
+        "loop, filter and bounds",
         "mpc",
         "mpc-reach",
         &[
-            "estimator.kind='observer'",
+            "estimator.kind='kalman'",
             "sensor=[{ preset = 'mocap' }]",
             "control.hold='constant'",
             "control.force_rate_max_n_s=5.0",

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use nalgebra::Vector3;
 use softarm::mechanics::{Material, NodeInertia, Rod};
 use softarm::mpc::{
-    Computing, Contender, Disturbance, EstimatorChoice, Experiment, Innovations, MpcError, Sample,
-    Sensing, SensorChoice, SensorPreset, TipError,
+    Computing, Contender, Disturbance, Experiment, Innovations, MpcError, Sample, Sensing,
+    SensorChoice, SensorPreset, TipError, Unknowns,
 };
 use softarm::task::{Arm, PointLoad};
 
@@ -23,8 +23,8 @@ fn payload(mass: f64) -> Option<NodeInertia> {
 }
 
 /// The arms of the circle, and eight with two faults each.
-fn loops(seconds: f64, estimator: EstimatorChoice) -> Vec<(&'static str, Experiment)> {
-    let usual = noisy(scene(seconds, 10), estimator, SensorPreset::Mocap);
+fn loops(seconds: f64, unknowns: Unknowns) -> Vec<(&'static str, Experiment)> {
+    let usual = noisy(scene(seconds, 10), unknowns, SensorPreset::Mocap);
     let of = |plant: Arm| Experiment {
         plant,
         ..usual.clone()

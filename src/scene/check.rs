@@ -71,7 +71,7 @@ impl Keys<'_> {
         }
         match (&scene.estimator, scene.sensor.is_empty()) {
             (None, false) => {
-                let relation = "goes with sensor; kind = \"kalman\", \"observer\" or \"none\"";
+                let relation = "goes with sensor; kind = \"kalman\" or \"none\"";
                 return Err(self.missing("estimator", relation));
             }
             (Some(estimator), no_sensor) => {

@@ -5,12 +5,12 @@ use crate::{count, estimating};
 use estimating::{Truth, command, rod, upright};
 use softarm::mechanics::State;
 use softarm::mpc::{
-    BoundaryObserver, Disturbance, Estimator, Inbox, KalmanFilter, KalmanSettings, Measurement,
-    ObserverSettings, Predictor, RandomWalk, Regridded, Sensor, SensorPreset, SensorSettings,
+    Disturbance, Estimator, Inbox, KalmanFilter, KalmanSettings, Measurement, Predictor,
+    RandomWalk, Regridded, Sensor, SensorPreset, SensorSettings,
 };
 
 /// Prediction with all disturbances (the stiffness changes the constants of every step), correction by every kind of reading, one step of
-/// linearization and several, a filter on nodes of its own, the observer's replay, the prediction over a delay, the sensor and the inbox allocate nothing after the first
+/// linearization and several, a filter on nodes of its own, the prediction over a delay, the sensor and the inbox allocate nothing after the first
 /// few samples.
 #[test]
 fn estimates_allocate_nothing() {
@@ -41,11 +41,6 @@ fn estimates_allocate_nothing() {
         &settings,
     );
     let mut shown = Regridded::new(&model, &coarse, Box::new(own.unwrap()));
-    let observer_settings = ObserverSettings {
-        integral_time: Some(1.0),
-        ..ObserverSettings::of(&model)
-    };
-    let mut observer = BoundaryObserver::new(&model, 0.0, &start, &observer_settings).unwrap();
     let mut predictor = Predictor::new(&model, settings.longest_step);
     let mut ahead = start.clone();
     let mut truth = Truth::new(
@@ -79,7 +74,7 @@ fn estimates_allocate_nothing() {
             .unwrap();
         inbox.put(&measurement);
         let measurement = inbox.take(act.end).unwrap();
-        for estimator in [&mut filter as &mut dyn Estimator, &mut observer, &mut shown] {
+        for estimator in [&mut filter as &mut dyn Estimator, &mut shown] {
             estimator.advance(act, act.start + 0.3 * PERIOD).unwrap();
             estimator.advance(act, act.end).unwrap();
             estimator.correct(measurement).unwrap();

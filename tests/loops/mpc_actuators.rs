@@ -12,9 +12,9 @@ use serde_json::json;
 use softarm::control::Hold;
 use softarm::mechanics::{Density, Rod, State, TimeScheme};
 use softarm::mpc::{
-    Command, Computing, Contender, Controller, EffortDynamics, EstimatorChoice, Experiment,
-    KalmanFilter, KalmanSettings, LoopSettings, MpcError, MpcSettings, Plant as _, Predictor,
-    RodPlant, Sensing, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
+    Command, Computing, Contender, Controller, EffortDynamics, Experiment, KalmanFilter,
+    KalmanSettings, LoopSettings, MpcError, MpcSettings, Plant as _, Predictor, RodPlant, Sensing,
+    SensorChoice, SensorPreset, SimulatedArm, Unknowns,
 };
 use softarm::mpc::{Disturbance, Estimator as _};
 use softarm::scene::Scene;
@@ -65,7 +65,7 @@ fn scene(hold: Hold) -> Experiment {
     scene.plant_discretization = Discretization::with_elements(12);
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
-        estimator: EstimatorChoice::Kalman(Unknowns::ALL),
+        unknowns: Unknowns::ALL,
         elements: None,
         step: None,
         seed: 3,

@@ -1,4 +1,4 @@
-//! Observers converge, and whatever an estimator refuses leaves no trace.
+//! Whatever an estimator refuses leaves no trace.
 
 use crate::estimating;
 
@@ -7,21 +7,12 @@ use nalgebra::Vector3;
 use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{EnergyNorm, Rod, State, Wrench};
 use softarm::mpc::{
-    BoundaryObserver, Command, Disturbance, EstimateError, Estimator, Inbox, KalmanFilter,
-    Measurement, MpcError, ObserverSettings, Reading, Regridded, Sensor, SensorPreset,
-    SensorSettings, Transfer,
+    Command, Disturbance, EstimateError, Estimator, Inbox, KalmanFilter, Measurement, MpcError,
+    Reading, Regridded, Sensor, SensorPreset, Transfer,
 };
 use softarm::task::Arm;
 
 const PERIOD: f64 = 0.01;
-
-fn no_command(start: f64, end: f64) -> Command {
-    Command {
-        start,
-        end,
-        ..Command::default()
-    }
-}
 
 /// Energy of the difference of two states over that of the rod's own scale.
 fn distance(model: &Rod, a: &State, b: &State) -> f64 {
@@ -34,126 +25,12 @@ fn distance(model: &Rod, a: &State, b: &State) -> f64 {
     norm.out_of(column).norm_l2() / (2.0 * model.scales.moment).sqrt()
 }
 
-/// An observer by exact poses of the tip, started from rest while the arm swings, its tip off by a tenth of the length and more, forgets nine tenths
-/// of its error (in the energy's norm) within one period of the first mode, on any grid; it never has more error than at the start by more than a
-/// twentieth, what the plant has stored in the wrench of the pose. A copy of the model without it keeps more than twice as much.
-#[test]
-fn observers_converge_from_far() {
-    for (arm, elements) in [(upright(), 4), (upright(), 10), (hanging(), 6)] {
-        let model = rod(&arm, elements);
-        let start = at_rest(&model);
-        let mut truth = Truth::new(&model, start.clone(), Disturbance::NONE);
-        // Half a second of swinging makes a state that is far from rest.
-        let mut k = 0;
-        while (k as f64) * PERIOD < 0.3 * model.scales.time {
-            truth.advance(
-                &command(&model, k as f64 * PERIOD, PERIOD),
-                (k + 1) as f64 * PERIOD,
-            );
-            k += 1;
-        }
-        let t0 = truth.time;
-        let settings = ObserverSettings::of(&model);
-        let mut observer = BoundaryObserver::new(&model, t0, &start, &settings).unwrap();
-        let mut copy = Truth::new(&model, start, Disturbance::NONE);
-        copy.time = t0;
-        let mut sensor = Sensor::new(
-            &SensorSettings {
-                position: Some(0.0),
-                rotation: Some(0.0),
-                places: vec![1.0],
-                ..SensorSettings::nothing()
-            },
-            &model,
-        )
-        .unwrap();
-        let mut measurement = Measurement::default();
-        let first = distance(&model, &truth.state, &observer.estimate().state);
-        let off = (truth.state.configuration.positions[model.tip()]
-            - observer.estimate().state.configuration.positions[model.tip()])
-        .norm();
-        assert!(off > 0.1 * model.scales.length, "{off}");
-        let period = std::f64::consts::TAU * model.scales.time / 3.516;
-        let mut history = Vec::new();
-        while truth.time < t0 + period {
-            let (start, end) = (
-                truth.time,
-                t0 + ((truth.time - t0) / PERIOD).round() * PERIOD + PERIOD,
-            );
-            let act = command(&model, start, end - start);
-            truth.advance(&act, end);
-            copy.advance(&act, end);
-            observer.advance(&act, end).unwrap();
-            sensor.measure(end, &truth.state, &mut measurement).unwrap();
-            observer.correct(&measurement).unwrap();
-            let error = distance(&model, &truth.state, &observer.estimate().state) / first;
-            history.push(error);
-        }
-        let last = *history.last().unwrap();
-        let without = distance(&model, &truth.state, &copy.state) / first;
-        let worst = history.iter().fold(0.0, |worst: f64, e| worst.max(*e));
-        assert!(worst < 1.05, "{elements}: {worst}");
-        assert!(
-            last < 0.1 && last < 0.5 * without,
-            "{elements}: {last} {without}"
-        );
-    }
-}
-
-/// An observer with an integral finds a constant force at the tip to a tenth.
-#[test]
-fn observers_find_a_tip_force() {
-    let model = rod(&upright(), 8);
-    let force = Vector3::new(0.6, -0.8, 0.0);
-    let disturbance = Disturbance {
-        tip: Wrench {
-            force,
-            moment: Vector3::zeros(),
-        },
-        ..Disturbance::NONE
-    };
-    let settings = ObserverSettings {
-        integral_time: Some(0.5),
-        ..ObserverSettings::of(&model)
-    };
-    let start = at_rest(&model);
-    let mut observer = BoundaryObserver::new(&model, 0.0, &start, &settings).unwrap();
-    let mut truth = Truth::new(&model, start, disturbance);
-    let sensor = SensorSettings {
-        places: vec![1.0],
-        ..SensorPreset::Mocap.settings(&model)
-    };
-    let mut sensor = Sensor::new(&sensor, &model).unwrap();
-    let mut measurement = Measurement::default();
-    let mut mean = Vector3::zeros();
-    for k in 0..1000 {
-        let act = no_command(k as f64 * PERIOD, (k + 1) as f64 * PERIOD);
-        truth.advance(&act, act.end);
-        observer.advance(&act, act.end).unwrap();
-        sensor
-            .measure(act.end, &truth.state, &mut measurement)
-            .unwrap();
-        observer.correct(&measurement).unwrap();
-        if k >= 800 {
-            mean += observer.estimate().disturbance.tip.force / 200.0;
-        }
-    }
-    assert!((mean - force).norm() < 0.1, "{mean}");
-}
-
 /// Two of every estimator of an arm, new, the last one on nodes of its own.
-fn estimators(arm: &Arm, model: &Rod) -> [[Box<dyn Estimator>; 2]; 3] {
+fn estimators(arm: &Arm, model: &Rod) -> [[Box<dyn Estimator>; 2]; 2] {
     let state = at_rest(model);
     let kalman = || -> Box<dyn Estimator> {
         let settings = all_disturbances(model);
         Box::new(KalmanFilter::new(model, 0.0, &state, &settings).unwrap())
-    };
-    let observer = || -> Box<dyn Estimator> {
-        let settings = ObserverSettings {
-            integral_time: Some(0.5),
-            ..ObserverSettings::of(model)
-        };
-        Box::new(BoundaryObserver::new(model, 0.0, &state, &settings).unwrap())
     };
     let regridded = || -> Box<dyn Estimator> {
         let own = rod(arm, model.n_elements().div_ceil(2));
@@ -161,11 +38,7 @@ fn estimators(arm: &Arm, model: &Rod) -> [[Box<dyn Estimator>; 2]; 3] {
         let filter = KalmanFilter::new(&own, 0.0, &start, &all_disturbances(&own));
         Box::new(Regridded::new(model, &own, Box::new(filter.unwrap())))
     };
-    [
-        [kalman(), kalman()],
-        [observer(), observer()],
-        [regridded(), regridded()],
-    ]
+    [[kalman(), kalman()], [regridded(), regridded()]]
 }
 
 /// A filter that is shown on nodes that are its own gives the same estimates, whatever the command acts on.
@@ -340,20 +213,6 @@ fn what_is_refused_leaves_no_trace() {
         }
         assert_eq!(tried.estimate(), new.estimate());
     }
-}
-
-/// An observer that sees nothing of the tip says so.
-#[test]
-fn observers_need_the_tip() {
-    let model = rod(&upright(), 3);
-    let start = at_rest(&model);
-    let settings = ObserverSettings::of(&model);
-    let mut observer = BoundaryObserver::new(&model, 0.0, &start, &settings).unwrap();
-    let mut sensor = Sensor::new(&SensorPreset::Fbg.settings(&model), &model).unwrap();
-    let mut measurement = Measurement::default();
-    sensor.measure(0.0, &start, &mut measurement).unwrap();
-    let error = observer.correct(&measurement).unwrap_err();
-    assert!(matches!(error, EstimateError::Unusable { .. }), "{error}");
 }
 
 /// Sensors of different age and rate through an inbox: whatever the order of arrival, an estimate is what the same measurements make in the order

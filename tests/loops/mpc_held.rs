@@ -9,8 +9,7 @@ use softarm::control::Hold;
 use softarm::mechanics::equilibrium::{NodeSpring, static_equilibrium};
 use softarm::mechanics::{TimeScheme, Wrench};
 use softarm::mpc::{
-    BoundaryObserver, Command, Contender, Experiment, KalmanFilter, LoopSettings, MpcError,
-    ObserverSettings, Sensing, Unknowns,
+    Command, Contender, Experiment, KalmanFilter, LoopSettings, MpcError, Sensing, Unknowns,
 };
 use softarm::scene::Scene;
 use softarm::stop::StopSignal;
@@ -278,21 +277,14 @@ fn unknowns_at_held_tips_are_refused() {
     let settings = Unknowns::ALL.settings(&model, 0.01);
     let refused = KalmanFilter::new(&model, 0.0, &start, &settings).err();
     assert!(matches!(refused, Some(MpcError::Unsupported(why)) if why.contains("tip_force")));
-    let refused = BoundaryObserver::new(&model, 0.0, &start, &ObserverSettings::of(&model)).err();
-    assert!(matches!(refused, Some(MpcError::Unsupported(why)) if why.contains("observer")));
     let (text, _) = scene(BALL, false);
-    for (key, overrides) in [
-        ("estimator.kind", &["estimator.kind=observer"][..]),
-        (
-            "estimator.disturbances.1",
-            &["estimator.disturbances=[\"stiffness\", \"payload\"]"][..],
-        ),
-    ] {
-        let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
-        let error = Scene::from_toml("scene.toml", &text, &overrides).err();
-        let words = error.map(|error| error.to_string()).unwrap_or_default();
-        assert!(words.contains(key) && words.contains("pinned"), "{words}");
-    }
+    let overrides = ["estimator.disturbances=[\"stiffness\", \"payload\"]".into()];
+    let error = Scene::from_toml("scene.toml", &text, &overrides).err();
+    let words = error.map(|error| error.to_string()).unwrap_or_default();
+    assert!(
+        words.contains("estimator.disturbances.1") && words.contains("pinned"),
+        "{words}"
+    );
     let (scene, source) = Scene::from_toml("scene.toml", &text, &[]).unwrap();
     let found = scene
         .closed_loop(&source, 3, &StopSignal::default())

@@ -10,8 +10,8 @@ use softarm::control::path::{PathEnforcement, RodView};
 use softarm::control::{Bound, Hold, NodeForm, Shape, SharedTerm, StateCost, StateTerm, StateView};
 use softarm::mechanics::{Energy, Rod, TimeGrid, Trajectory};
 use softarm::mpc::{
-    Computing, Contender, EstimatorChoice, Experiment, FallbackSettings, MpcSettings, Sensing,
-    SensorChoice, SensorPreset, SensorSettings, Unknowns,
+    Computing, Contender, Experiment, FallbackSettings, MpcSettings, Sensing, SensorChoice,
+    SensorPreset, SensorSettings, Unknowns,
 };
 use softarm::task::{ChannelLimits, Discretization, Limit, PathLimit, Place, Task};
 
@@ -247,11 +247,11 @@ fn norm(limit: f64) -> Option<Bound> {
 fn sees_markers(scene: &mut Experiment) {
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
-        estimator: EstimatorChoice::Kalman(Unknowns {
+        unknowns: Unknowns {
             tip_force: true,
             stiffness: true,
             ..Unknowns::NONE
-        }),
+        },
         elements: None,
         step: None,
         seed: 5,

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use softarm::control::Hold;
 use softarm::mechanics::{Rod, TimeScheme};
 use softarm::mpc::{
-    Action, ActuatorDynamics, Cause, ClosedLoop, Computing, Contender, EstimatorChoice, Experiment,
+    Action, ActuatorDynamics, Cause, ClosedLoop, Computing, Contender, Experiment,
     FallbackSettings, KalmanFilter, Knowledge, LoopSettings, MpcError, MpcSettings, Outcome,
     Reading, Sensing, Sensor, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
 };
@@ -52,10 +52,10 @@ fn scene() -> Experiment {
     scene
 }
 
-fn estimated(mut scene: Experiment, estimator: EstimatorChoice) -> Experiment {
+fn estimated(mut scene: Experiment, unknowns: Unknowns) -> Experiment {
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
-        estimator,
+        unknowns,
         elements: None,
         step: None,
         seed: 3,
@@ -63,7 +63,7 @@ fn estimated(mut scene: Experiment, estimator: EstimatorChoice) -> Experiment {
     scene
 }
 
-const FILTER: EstimatorChoice = EstimatorChoice::Kalman(Unknowns::ALL);
+const FILTER: Unknowns = Unknowns::ALL;
 
 fn run(scene: &Experiment, contender: Contender) -> Outcome {
     let found = scene.run(contender, &mut |_, _| ControlFlow::Continue(()));
@@ -100,10 +100,7 @@ fn a_filter_of_the_state_alone_follows_a_wrong_arm() {
     soft.duration = 4.0;
     soft.counted_from = 2.0;
     soft.settings.computing = Computing::Fixed(0.01);
-    let seeing = run(
-        &estimated(soft, EstimatorChoice::Kalman(Unknowns::NONE)),
-        Contender::Mpc,
-    );
+    let seeing = run(&estimated(soft, Unknowns::NONE), Contender::Mpc);
     println!("{}", seeing.tip_error.rms);
     assert!(seeing.tip_error.rms < 5e-3, "{}", seeing.tip_error.rms);
 }
@@ -145,12 +142,7 @@ fn filters_say_that_something_is_missing() {
         ..all
     };
     assert_eq!(few.missing(), ["internal", "delay"]);
-    let [few, all] = [few, all].map(|list| {
-        run(
-            &estimated(curved.clone(), EstimatorChoice::Kalman(list)),
-            Contender::Mpc,
-        )
-    });
+    let [few, all] = [few, all].map(|list| run(&estimated(curved.clone(), list), Contender::Mpc));
     let [doubted, found] = [&few, &all].map(|run| run.tally.innovations.unwrap());
     println!(
         "{doubted:?} {} {found:?} {}",

@@ -12,9 +12,8 @@ use softarm::control::path::PathEnforcement;
 use softarm::control::{Bound, Hold, Shape};
 use softarm::mechanics::rotation::exp;
 use softarm::mpc::{
-    Command, Computing, Contender, EffortFrom, EstimatorChoice, Experiment, Known, Measurement,
-    Reading, Sensing, Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal,
-    Unknowns,
+    Command, Computing, Contender, EffortFrom, Experiment, Known, Measurement, Reading, Sensing,
+    Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal, Unknowns,
 };
 use softarm::task::{Limit, PathLimit};
 
@@ -74,7 +73,7 @@ fn served_filters_are_those_of_the_library() {
     scene.settings.computing = Computing::Fixed(0.01);
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Mocap)],
-        estimator: EstimatorChoice::Kalman(Unknowns::ALL),
+        unknowns: Unknowns::ALL,
         elements: None,
         step: None,
         seed: 3,
@@ -306,7 +305,7 @@ fn watched() -> Experiment {
             age_s: 0.0,
             ..SensorPreset::Mocap.settings(&scene.arm.rod(&scene.discretization).unwrap())
         })],
-        estimator: EstimatorChoice::Kalman(Unknowns::NONE),
+        unknowns: Unknowns::NONE,
         elements: None,
         step: None,
         seed: 3,

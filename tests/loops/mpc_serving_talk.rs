@@ -8,8 +8,7 @@ use std::process::{Command as Program, Stdio};
 use serde_json::{Value, json};
 use serving::{Desk, Pipe, assert_same, command_of, scene};
 use softarm::mpc::{
-    EstimatorChoice, FallbackSettings, Sensing, SensorChoice, SensorPreset, ServingEnd, Unknowns,
-    read_line, serve,
+    FallbackSettings, Sensing, SensorChoice, SensorPreset, ServingEnd, Unknowns, read_line, serve,
 };
 
 /// Every kind of bad line is answered by an error that says where and what to do, and by the fall-back's command, which is within its bound; the
@@ -276,7 +275,7 @@ fn estimates_bridge_bad_lines() {
     let mut scene = scene();
     scene.sensing = Sensing::Estimated {
         sensors: vec![SensorChoice::Preset(SensorPreset::Em)],
-        estimator: EstimatorChoice::Kalman(Unknowns::default()),
+        unknowns: Unknowns::default(),
         elements: None,
         step: None,
         seed: 0,

@@ -313,7 +313,7 @@ const SCENES: [&[&str]; 18] = [
         "objective.track.0.circle.ramp_s=0.5",
         "plant.section.diameter_m=0.09",
         "sensor.0.preset='imu'",
-        "estimator.kind='observer'",
+        "estimator.kind='none'",
     ],
     &[
         "rod.length_m=0.3",

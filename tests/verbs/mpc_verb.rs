@@ -456,7 +456,7 @@ fn refusals_name_their_keys() {
         ("sensor.0.preset", &["sensor={rate_hz=10}"]),
         ("sensor.0.rate_hz", &["sensor.rate_hz=-1"]),
         ("estimator.kind", &["estimator.kind=kalmann"]),
-        ("estimator.disturbances", &["estimator.kind=observer"]),
+        ("estimator.kind", &["estimator.kind=observer"]),
         ("sensor", &["sensor=[]"]),
         ("disturbance.0.node", &["disturbance=[{node = 17}]"]),
         ("control.hold", &["control.hold=cubic"]),
@@ -534,20 +534,6 @@ fn what_is_not_meant_is_said() {
     let run = desk.run(&["verify", "run"]);
     assert_eq!(run.code, USAGE, "{}", run.stderr);
     assert!(run.stderr.contains("of a closed loop"), "{}", run.stderr);
-    // An observer of a model that is too stiff.
-    let run = desk.run(&[
-        "mpc",
-        "mpc-track-circle",
-        "--set",
-        "mpc.duration_s=4",
-        "--set",
-        "estimator.kind='observer'",
-        "--set",
-        "estimator.disturbances=[]",
-    ]);
-    assert_eq!(run.code, DONE, "{}", run.stderr);
-    let words = "holds its model against the measurements";
-    assert!(run.stderr.contains(words), "{}", run.stderr);
 }
 
 /// A camera that sees the arm twice a second, later than any fall-back waits by default: the patience of a loop follows its slowest sensor, so that nothing falls back

@@ -10,7 +10,7 @@
 //! carries to the model's nodes; hardware and other simulators implement the trait.
 //!
 //! If the state cannot be measured, a [`Sensor`] gives [`Measurement`]s, late and with noise, and an [`Estimator`] computes from them an
-//! [`Estimate`] of the state and of the disturbances of the arm: a [`BoundaryObserver`], or a [`KalmanFilter`] with its covariance.
+//! [`Estimate`] of the state and of the disturbances of the arm: a [`KalmanFilter`], or one of the caller's.
 //!
 //! A [`ClosedLoop`] combines all of these in simulation. A [`Driver`] is its computing side, with estimator and fallbacks, for a user's own
 //! plant. [`serve`] drives a plant in another process by lines of JSON.
@@ -74,10 +74,9 @@ mod subproblem;
 mod transfer;
 
 pub use closed_loop::{
-    Action, Cause, ClosedLoop, Computing, Contender, Driver, EstimatorChoice, Experiment,
-    FallbackSettings, Innovations, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles,
-    Responded, Sample, SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains,
-    Unknowns,
+    Action, Cause, ClosedLoop, Computing, Contender, Driver, Experiment, FallbackSettings,
+    Innovations, Knowledge, Known, Law, LoopSettings, Outcome, Percentiles, Responded, Sample,
+    SampleObserver, Sensing, SensorChoice, Tally, Tamper, TipError, TipGains, Unknowns,
 };
 pub use command::Command;
 pub use controller::{Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord};
@@ -85,8 +84,8 @@ pub use controller::{Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed,
 pub use controller::{followed, with_long_steps};
 pub use error::MpcError;
 pub use estimator::{
-    BoundaryObserver, Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation,
-    KalmanFilter, KalmanSettings, ObserverSettings, Predictor, RandomWalk, Regridded,
+    Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation, KalmanFilter,
+    KalmanSettings, Predictor, RandomWalk, Regridded,
 };
 pub use limits::KEPT;
 pub use plant::{Plant, RodPlant};

@@ -8,7 +8,7 @@ use super::super::check::MOST_ELEMENTS;
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive};
 use super::base::EndKind;
-use crate::mpc::{EstimatorChoice, Sensing, SensorChoice, SensorSettings, Unknowns};
+use crate::mpc::{Sensing, SensorChoice, SensorSettings, Unknowns};
 
 /// Estimator of the state from sensors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,9 +29,8 @@ pub struct Estimator {
     /// Absent: automatic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_s: Option<Positive<values::Duration>>,
-    /// Unknowns that are estimated besides the state. For an observer both `"tip_force"` and `"tip_moment"`, or
-    /// nothing. Absent: for a Kalman filter all of them that move the arm (a tip that is held answers to no force and no mass, and turns only
-    /// if it is pinned), for an observer nothing.
+    /// Unknowns that are estimated besides the state. Absent: for a Kalman filter all of them that move the arm (a tip that is held answers
+    /// to no force and no mass, and turns only if it is pinned).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub disturbances: Option<Vec<Unknown>>,
     /// Rate of change of the unknown wrenches of a Kalman filter: the deflection over the length that they typically
@@ -49,8 +48,6 @@ pub struct Estimator {
 pub enum EstimatorKind {
     /// The true state is known at once; sensors play no part.
     None,
-    /// The model, with forces and moments in proportion to the difference between measurement and model.
-    Observer,
     /// An extended Kalman filter.
     Kalman,
 }
@@ -86,7 +83,7 @@ impl Estimator {
             (None, EstimatorKind::Kalman) => (Unknown::ALL.into_iter())
                 .filter(|unknown| unknown.moves(tip))
                 .collect(),
-            (None, EstimatorKind::None | EstimatorKind::Observer) => Vec::new(),
+            (None, EstimatorKind::None) => Vec::new(),
         }
     }
 }
@@ -122,14 +119,11 @@ impl Estimator {
         seed: u32,
         tip: EndKind,
     ) -> Sensing {
-        let unknowns = self.unknowns(tip);
-        let has = |unknown| unknowns.contains(&unknown);
-        let estimator = match self.kind {
+        let named = self.unknowns(tip);
+        let has = |unknown| named.contains(&unknown);
+        let unknowns = match self.kind {
             EstimatorKind::None => return Sensing::Everything,
-            EstimatorKind::Observer => EstimatorChoice::Observer {
-                estimates_wrench: has(Unknown::TipForce),
-            },
-            EstimatorKind::Kalman => EstimatorChoice::Kalman(Unknowns {
+            EstimatorKind::Kalman => Unknowns {
                 tip_force: has(Unknown::TipForce),
                 tip_moment: has(Unknown::TipMoment),
                 distributed: has(Unknown::Distributed),
@@ -139,11 +133,11 @@ impl Estimator {
                 internal: has(Unknown::Internal),
                 delay: has(Unknown::Delay),
                 wrench_change: self.wrench_change_1_s.map(Number::get),
-            }),
+            },
         };
         Sensing::Estimated {
             sensors: sensors.iter().cloned().map(SensorChoice::Own).collect(),
-            estimator,
+            unknowns,
             elements: self.elements,
             step: self.step_s.map(Number::get),
             seed: seed.into(),
@@ -164,14 +158,6 @@ impl Keys<'_> {
         if let Some(elements) = estimator.elements {
             self.count("estimator.elements", elements, MOST_ELEMENTS)?;
         }
-        if estimator.kind == EstimatorKind::Observer && tip != EndKind::Free {
-            let message = format!(
-                "an observer corrects its model by a wrench on the tip, and a tip that is {} does not answer to it",
-                tip.name()
-            );
-            let help = "give kind = \"kalman\"".to_string();
-            return Err((self.source).error_at("estimator.kind", message, Some(help)));
-        }
         let named = estimator.unknowns(tip);
         for (index, one) in named.iter().enumerate() {
             if !one.moves(tip) {
@@ -188,21 +174,9 @@ impl Keys<'_> {
                 return Err(self.source.error_at(&key, "is named twice", None));
             }
         }
-        let wrench = [Unknown::TipForce, Unknown::TipMoment];
-        let is_known = match estimator.kind {
-            EstimatorKind::Kalman => true,
-            EstimatorKind::None => named.is_empty(),
-            EstimatorKind::Observer => {
-                named.is_empty()
-                    || named.len() == wrench.len() && named.iter().all(|one| wrench.contains(one))
-            }
-        };
-        if !is_known {
-            let message = match estimator.kind {
-                EstimatorKind::None => "without an estimator nothing is estimated",
-                _ => "an observer estimates both \"tip_force\" and \"tip_moment\", or nothing",
-            };
-            let help = "give estimator.kind = \"kalman\" for a choice of all of them".to_string();
+        if estimator.kind == EstimatorKind::None && !named.is_empty() {
+            let message = "without an estimator nothing is estimated";
+            let help = "give estimator.kind = \"kalman\"".to_string();
             let key = "estimator.disturbances";
             return Err(self.source.error_at(key, message, Some(help)));
         }

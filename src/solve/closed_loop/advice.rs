@@ -3,8 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::mpc::{
-    Cause, Contender, EstimatorChoice, FallbackSettings, Innovations, Outcome, Sensing, TipError,
-    Unknowns,
+    Cause, Contender, FallbackSettings, Innovations, Outcome, Sensing, TipError, Unknowns,
 };
 use crate::output::closed_loop::LimitPeak;
 use crate::scene::{ClosedLoopSetup, LARGEST_STRETCH};
@@ -194,24 +193,16 @@ fn changes(setup: &ClosedLoopSetup, run: &Outcome) -> Vec<String> {
     }
     let mut what = Vec::new();
     let looks_for = match &own.sensing {
-        Sensing::Everything => Some(Unknowns::NONE),
-        Sensing::Estimated { estimator, .. } => match *estimator {
-            EstimatorChoice::Observer { .. } => None,
-            EstimatorChoice::Kalman(unknowns) => Some(Unknowns {
-                wrench_change: Unknowns::NONE.wrench_change,
-                ..unknowns
-            }),
+        Sensing::Everything => Unknowns::NONE,
+        Sensing::Estimated { unknowns, .. } => Unknowns {
+            wrench_change: Unknowns::NONE.wrench_change,
+            ..*unknowns
         },
     };
-    match looks_for {
-        None => what.push(
-            "an observer holds its model against the measurements: estimator.kind = \"kalman\" with estimator.disturbances finds what the model \
-             has wrong",
-        ),
-        Some(unknowns) if unknowns == Unknowns::NONE => what.push(
+    if looks_for == Unknowns::NONE {
+        what.push(
             "[estimator] with estimator.disturbances finds what the model has wrong, which nothing here looks for",
-        ),
-        Some(_) => {}
+        );
     }
     // A horizon that recedes has a price of its own.
     if own.task.cost.rate == 0.0 && own.mpc.due.is_some() {

@@ -253,9 +253,7 @@ impl Work<'_, '_> {
             add(&|setting| setting.iterations = Some(iterations));
         }
         if usual.estimator.is_some() {
-            for kind in [EstimatorKind::Observer, EstimatorKind::Kalman] {
-                add(&|setting| setting.estimator = Some(kind));
-            }
+            add(&|setting| setting.estimator = Some(EstimatorKind::Kalman));
         }
         settings
     }

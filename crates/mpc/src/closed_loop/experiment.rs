@@ -9,10 +9,7 @@ use super::{
 use crate::beam::weakest_bending;
 use crate::controller::{Controller, MpcSettings};
 use crate::error::MpcError;
-use crate::estimator::{
-    BoundaryObserver, Estimator, KalmanFilter, KalmanSettings, ObserverSettings, RandomWalk,
-    Regridded,
-};
+use crate::estimator::{Estimator, KalmanFilter, KalmanSettings, RandomWalk, Regridded};
 use crate::sensor::{Sensor, SensorPreset, SensorSettings};
 use crate::simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
 use crate::transfer::Transfer;
@@ -64,8 +61,8 @@ pub enum Sensing {
     Estimated {
         /// The sensors.
         sensors: Vec<SensorChoice>,
-        /// The estimator.
-        estimator: EstimatorChoice,
+        /// Unknowns that the Kalman filter estimates besides the state.
+        unknowns: Unknowns,
         /// Elements of the estimator's own model; `None` for those of the controller's.
         elements: Option<usize>,
         /// Longest time step of the estimator's own model, s; `None` for the automatic one.
@@ -82,50 +79,6 @@ pub enum SensorChoice {
     Preset(SensorPreset),
     /// A sensor with the given settings.
     Own(SensorSettings),
-}
-
-/// An estimator.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum EstimatorChoice {
-    /// A boundary observer.
-    Observer {
-        /// Tells whether the injected wrench becomes a disturbance at the tip over time.
-        estimates_wrench: bool,
-    },
-    /// An extended Kalman filter.
-    Kalman(Unknowns),
-}
-
-impl EstimatorChoice {
-    /// Creates an estimator of this kind for a loop with this period (s), at time 0 in a state of a model, whose steps are no longer than
-    /// `step` (s), if that is given.
-    fn start(
-        self,
-        model: &Rod,
-        start: &State,
-        step: Option<f64>,
-        period: f64,
-    ) -> Result<Box<dyn Estimator>, MpcError> {
-        let longest_step = longest_step(model, step).map_err(MpcError::EstimatorStep)?;
-        Ok(match self {
-            Self::Observer { estimates_wrench } => {
-                let settings = ObserverSettings {
-                    integral_time: estimates_wrench
-                        .then_some(OBSERVER_INTEGRAL * model.scales.time),
-                    longest_step,
-                    ..ObserverSettings::of(model)
-                };
-                Box::new(BoundaryObserver::new(model, 0.0, start, &settings)?)
-            }
-            Self::Kalman(unknowns) => {
-                let settings = KalmanSettings {
-                    longest_step,
-                    ..unknowns.settings(model, period)
-                };
-                Box::new(KalmanFilter::new(model, 0.0, start, &settings)?)
-            }
-        })
-    }
 }
 
 /// Quantities that a Kalman filter estimates besides the state.
@@ -223,11 +176,23 @@ const PARAMETER_WALK: f64 = 0.05;
 /// (decision 64). With more, the filter attributes its corrections to motions of the arm, from which it learns wrong parameters (Ljung 1979, on the
 /// bias of extended Kalman filters with a wrong noise); with less, the innovations of arms that differ in other ways stay unexplained.
 const UNKNOWN_FORCES: f64 = 0.005;
-/// Time in which the injection of an observer becomes a disturbance, divided by the time scale of the arm: about half of a cantilever's
-/// first period, 1.8, so that the disturbance does not follow its swing.
-const OBSERVER_INTEGRAL: f64 = 1.0;
-
 impl Unknowns {
+    /// Creates a filter for a loop with this period (s), at time 0 in a state of a model, whose steps are no longer than `step` (s), if that
+    /// is given.
+    fn filter(
+        self,
+        model: &Rod,
+        start: &State,
+        step: Option<f64>,
+        period: f64,
+    ) -> Result<Box<dyn Estimator>, MpcError> {
+        let settings = KalmanSettings {
+            longest_step: longest_step(model, step).map_err(MpcError::EstimatorStep)?,
+            ..self.settings(model, period)
+        };
+        Ok(Box::new(KalmanFilter::new(model, 0.0, start, &settings)?))
+    }
+
     /// Returns the names, as in scenes, of the quantities that are not estimated.
     #[must_use]
     pub fn missing(&self) -> Vec<&'static str> {
@@ -371,11 +336,8 @@ impl Experiment {
     #[must_use]
     pub fn missing_unknowns(&self) -> Vec<&'static str> {
         match &self.sensing {
-            Sensing::Estimated {
-                estimator: EstimatorChoice::Kalman(unknowns),
-                ..
-            } => unknowns.missing(),
-            _ => Vec::new(),
+            Sensing::Estimated { unknowns, .. } => unknowns.missing(),
+            Sensing::Everything => Vec::new(),
         }
     }
 
@@ -548,7 +510,7 @@ impl Experiment {
 
     fn estimator(&self, controller: &Controller) -> Result<Option<Box<dyn Estimator>>, MpcError> {
         let Sensing::Estimated {
-            estimator,
+            unknowns,
             elements,
             step,
             ..
@@ -559,7 +521,7 @@ impl Experiment {
         let (model, start) = (controller.rod(), controller.initial());
         let period = controller.settings().period;
         let Some(elements) = elements.filter(|own| *own != model.n_elements()) else {
-            return estimator.start(model, start, *step, period).map(Some);
+            return unknowns.filter(model, start, *step, period).map(Some);
         };
         let own = Discretization {
             elements,
@@ -569,7 +531,7 @@ impl Experiment {
         };
         let own = self.arm.rod(&own).map_err(DiscretizeError::from)?;
         let start = Transfer::new(model, &own).state(start);
-        let estimator = estimator.start(&own, &start, *step, period)?;
+        let estimator = unknowns.filter(&own, &start, *step, period)?;
         Ok(Some(Box::new(Regridded::new(model, &own, estimator))))
     }
 

@@ -29,8 +29,7 @@ use nalgebra::Vector3;
 
 pub use self::driver::{Driver, Known, Responded};
 pub use self::experiment::{
-    Contender, EstimatorChoice, Experiment, Outcome, SampleObserver, Sensing, SensorChoice,
-    Unknowns,
+    Contender, Experiment, Outcome, SampleObserver, Sensing, SensorChoice, Unknowns,
 };
 pub use self::fallback::{Action, Cause, FallbackSettings};
 pub use self::law::{Law, TipGains};

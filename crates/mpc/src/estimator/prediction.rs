@@ -1,7 +1,5 @@
 //! Motions of the model that begin at an estimate.
 
-use std::ops::Range;
-
 use crate::command::{Command, ControlOrder};
 use crate::signal::EARLY;
 use mechanics::{ControlSignal, Efforts, Rod, State, StepError, Stepper, TimeGrid, Wrench};
@@ -180,28 +178,31 @@ impl Predictor {
         steps: Steps,
         command: &Command,
         disturbance: &Disturbance,
-        visit: impl FnMut(&Stepper),
+        mut visit: impl FnMut(&Stepper),
     ) -> Result<(), StepError> {
         self.end.clone_from(from);
-        self.walk((steps, 0..steps.n), command, disturbance, visit)
-    }
-
-    /// Simulates steps from a state, which `visit` may change after each of them; it is given the time and the length of the last step.
-    /// Leaves the last state in [`end`](Self::end).
-    pub(super) fn roll_out_changing(
-        &mut self,
-        from: &State,
-        steps: Steps,
-        command: &Command,
-        disturbance: &mut Disturbance,
-        mut visit: impl FnMut(f64, &mut State, &mut Disturbance),
-    ) -> Result<(), StepError> {
-        self.end.clone_from(from);
-        for k in 0..steps.n {
-            self.walk((steps, k..k + 1), command, disturbance, |_| ())?;
-            visit(steps.time(k + 1), &mut self.end, disturbance);
-        }
-        Ok(())
+        self.changed(disturbance);
+        let Self {
+            rod,
+            parameters,
+            motions,
+            order,
+            wrenches: [now, next],
+            end,
+            ..
+        } = self;
+        let start = steps.time(0);
+        let model = (&*rod, *parameters);
+        motions.run(model, steps.step, (start, end), |stepper| {
+            write_wrenches(rod, command, start, disturbance, now);
+            for k in 0..steps.n {
+                write_wrenches(rod, command, steps.time(k + 1), disturbance, next);
+                stepper.advance([order.of(now), order.of(next)])?;
+                visit(stepper);
+                std::mem::swap(now, next);
+            }
+            Ok(())
+        })
     }
 
     /// Writes the efforts of a command at the time nodes of some steps, for the linearization of their motion.
@@ -225,38 +226,6 @@ impl Predictor {
                 ..own.clone()
             }),
             ..ControlSignal::default()
-        })
-    }
-
-    /// Moves the state at the [`end`](Self::end) through those of the steps whose numbers are given, and calls `visit` after each of them.
-    fn walk(
-        &mut self,
-        (steps, numbers): (Steps, Range<usize>),
-        command: &Command,
-        disturbance: &Disturbance,
-        mut visit: impl FnMut(&Stepper),
-    ) -> Result<(), StepError> {
-        self.changed(disturbance);
-        let Self {
-            rod,
-            parameters,
-            motions,
-            order,
-            wrenches: [now, next],
-            end,
-            ..
-        } = self;
-        let start = steps.time(numbers.start);
-        let model = (&*rod, *parameters);
-        motions.run(model, steps.step, (start, end), |stepper| {
-            write_wrenches(rod, command, start, disturbance, now);
-            for k in numbers {
-                write_wrenches(rod, command, steps.time(k + 1), disturbance, next);
-                stepper.advance([order.of(now), order.of(next)])?;
-                visit(stepper);
-                std::mem::swap(now, next);
-            }
-            Ok(())
         })
     }
 }
