@@ -8,7 +8,7 @@ use softarm::mechanics::rotation::exp;
 use softarm::mechanics::{EnergyNorm, Rod, State, Wrench};
 use softarm::mpc::{
     Command, Disturbance, EstimateError, Estimator, Inbox, KalmanFilter, Measurement, MpcError,
-    Reading, Regridded, Sensor, SensorPreset, Transfer,
+    Quantity, Reading, Regridded, Sensor, SensorPreset, Transfer,
 };
 use softarm::task::Arm;
 
@@ -128,7 +128,10 @@ fn what_is_refused_leaves_no_trace() {
             type Expected = fn(&EstimateError) -> bool;
             let spoils: [(Spoil, Expected); 8] = [
                 (
-                    |m| m.signals[2].reading = Reading::Position(Vector3::repeat(f64::NAN)),
+                    |m| {
+                        m.signals[2].reading =
+                            Reading::Vector(Quantity::Position, Vector3::repeat(f64::NAN))
+                    },
                     |e| matches!(e, EstimateError::NotFinite { .. }),
                 ),
                 (
@@ -280,7 +283,7 @@ fn ages_do_not_matter() {
         let imu_first = |m: &Measurement| {
             m.signals
                 .iter()
-                .any(|s| matches!(s.reading, Reading::Position(_)))
+                .any(|s| matches!(s.reading, Reading::Vector(Quantity::Position, _)))
         };
         all.sort_by(|a, b| {
             a.time

@@ -20,7 +20,7 @@ use softarm::mechanics::{
 };
 use softarm::mpc::{
     Command, Disturbance, Estimator as _, KalmanFilter, KalmanSettings, Measurement, Predictor,
-    Reading, Sensor, SensorPreset, SensorSettings, Unknowns,
+    Quantity, Reading, Sensor, SensorPreset, SensorSettings, Unknowns,
 };
 use softarm::task::Arm;
 
@@ -924,7 +924,7 @@ fn impossible_signals_are_refused() {
         sensor.measure(act.end, &truth, &mut measurement).unwrap();
         for signal in &mut measurement.signals {
             let is_bad = k == 10 && signal.place == 1.0 || k > 20;
-            if let (Reading::Position(x), true) = (&mut signal.reading, is_bad) {
+            if let (Reading::Vector(Quantity::Position, x), true) = (&mut signal.reading, is_bad) {
                 x.x += 0.1;
             }
         }

@@ -11,7 +11,7 @@ use softarm::mechanics::{Rod, TimeScheme};
 use softarm::mpc::{
     Action, ActuatorDynamics, Cause, ClosedLoop, Computing, Contender, Experiment,
     FallbackSettings, KalmanFilter, Knowledge, LoopSettings, MpcError, MpcSettings, Outcome,
-    Reading, Sensing, Sensor, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
+    Quantity, Reading, Sensing, Sensor, SensorChoice, SensorPreset, SimulatedArm, Unknowns,
 };
 use softarm::task::{Discretization, Place, PointLoad};
 
@@ -310,7 +310,7 @@ fn loops_survive_their_sensors() {
         let chance = dice.f64();
         if (2.5..2.9).contains(&t) || chance < 0.1 {
             for signal in &mut measurement.signals {
-                if let Reading::Position(x) = &mut signal.reading {
+                if let Reading::Vector(Quantity::Position, x) = &mut signal.reading {
                     x.x = f64::NAN;
                 }
             }
@@ -361,7 +361,7 @@ fn outliers_cost_nothing() {
             let t = measurement.time;
             if t > 0.5 && (t - t.round()).abs() < 1e-6 {
                 for signal in &mut measurement.signals {
-                    if let Reading::Position(x) = &mut signal.reading {
+                    if let Reading::Vector(Quantity::Position, x) = &mut signal.reading {
                         *x = bad(t, signal.place).unwrap_or(*x);
                     }
                 }
@@ -441,7 +441,7 @@ fn survive(samples: usize) {
             return true;
         }
         for signal in &mut measurement.signals {
-            if let Reading::Position(x) = &mut signal.reading {
+            if let Reading::Vector(Quantity::Position, x) = &mut signal.reading {
                 match chance {
                     0.0..0.05 => x.x = f64::NAN,
                     0.05..0.1 => x.z = f64::INFINITY,

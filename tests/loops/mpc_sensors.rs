@@ -8,7 +8,7 @@ use softarm::mechanics::forms::NODE_COMPONENTS;
 use softarm::mechanics::rotation::log;
 use softarm::mechanics::{DistributedLoad, LoadFrame, Rod, State, StrainRule};
 use softarm::mpc::{
-    Disturbance, KalmanFilter, KalmanSettings, Measurement, MpcError, Reading, Sensor,
+    Disturbance, KalmanFilter, KalmanSettings, Measurement, MpcError, Quantity, Reading, Sensor,
     SensorPreset, SensorSettings, Signal, Transfer,
 };
 use softarm::task::{Arm, Discretization, Place, PointLoad};
@@ -36,12 +36,7 @@ fn everything(rod: &Rod, state: &State) -> Vec<Signal> {
 fn change(from: &Reading, to: &Reading) -> Vector3<f64> {
     match (from, to) {
         (Reading::Rotation(a), Reading::Rotation(b)) => log(&a.tr_mul(b)),
-        (Reading::Position(a), Reading::Position(b))
-        | (Reading::Velocity(a), Reading::Velocity(b))
-        | (Reading::AngularVelocity(a), Reading::AngularVelocity(b))
-        | (Reading::Curvature(a), Reading::Curvature(b))
-        | (Reading::BaseForce(a), Reading::BaseForce(b))
-        | (Reading::BaseMoment(a), Reading::BaseMoment(b)) => b - a,
+        (Reading::Vector(one, a), Reading::Vector(other, b)) if one == other => b - a,
         other => panic!("{other:?}"),
     }
 }
@@ -86,13 +81,17 @@ fn derivatives_of_readings_are_derivatives() {
                     let own = Vector3::from_fn(|axis, _| found[(axis, component)]);
                     // What a reading of this kind changes by with a unit of anything, at most.
                     let size = match signal.reading {
-                        Reading::Position(_) => model.elements[0].length,
-                        Reading::Rotation(_) => 1.0,
-                        Reading::Velocity(_) => model.scales.length / model.scales.time,
-                        Reading::AngularVelocity(_) => 1.0 / model.scales.time,
-                        Reading::Curvature(_) => 1.0 / model.elements[0].length,
-                        Reading::BaseForce(_) => model.elements[0].linear_stiffness.max(),
-                        Reading::BaseMoment(_) => {
+                        Reading::Vector(Quantity::Position, _) => model.elements[0].length,
+                        Reading::Rotation(_) | Reading::Vector(Quantity::Rotation, _) => 1.0,
+                        Reading::Vector(Quantity::Velocity, _) => {
+                            model.scales.length / model.scales.time
+                        }
+                        Reading::Vector(Quantity::AngularVelocity, _) => 1.0 / model.scales.time,
+                        Reading::Vector(Quantity::Curvature, _) => 1.0 / model.elements[0].length,
+                        Reading::Vector(Quantity::BaseForce, _) => {
+                            model.elements[0].linear_stiffness.max()
+                        }
+                        Reading::Vector(Quantity::BaseMoment, _) => {
                             model.elements[0].linear_stiffness.max() * model.elements[0].length
                         }
                     };
@@ -195,10 +194,16 @@ fn sensors_read_what_is_transferred() {
         let q = q + 1;
         let node = &model.nodes[q];
         let expected = [
-            Reading::Position(transferred.configuration.positions[q]),
+            Reading::Vector(Quantity::Position, transferred.configuration.positions[q]),
             Reading::Rotation(transferred.configuration.rotations[q]),
-            Reading::Velocity(transferred.linear_momentum[q] / node.mass),
-            Reading::AngularVelocity(transferred.angular_momentum[q].component_div(&node.rotary)),
+            Reading::Vector(
+                Quantity::Velocity,
+                transferred.linear_momentum[q] / node.mass,
+            ),
+            Reading::Vector(
+                Quantity::AngularVelocity,
+                transferred.angular_momentum[q].component_div(&node.rotary),
+            ),
         ];
         for (signal, expected) in signals.iter().zip(&expected) {
             assert!(
@@ -242,7 +247,7 @@ fn clamps_feel_the_weight() {
         sensor
             .measure(0.0, &State::at_rest(at.clone()), &mut out)
             .unwrap();
-        let (Reading::BaseForce(f), Reading::BaseMoment(m)) =
+        let (Reading::Vector(Quantity::BaseForce, f), Reading::Vector(Quantity::BaseMoment, m)) =
             (out.signals[0].reading, out.signals[1].reading)
         else {
             panic!("{out:?}");
@@ -270,7 +275,7 @@ fn clamps_feel_the_weight() {
     for k in 0..N {
         sensor.measure(k as f64, &state, &mut out).unwrap();
         for signal in &out.signals {
-            let Reading::Curvature(found) = signal.reading else {
+            let Reading::Vector(Quantity::Curvature, found) = signal.reading else {
                 panic!("{signal:?}");
             };
             mean += found / (N * out.signals.len()) as f64;

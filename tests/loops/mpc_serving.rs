@@ -12,8 +12,8 @@ use softarm::control::path::PathEnforcement;
 use softarm::control::{Bound, Hold, Shape};
 use softarm::mechanics::rotation::exp;
 use softarm::mpc::{
-    Command, Computing, Contender, EffortFrom, Experiment, Known, Measurement, Reading, Sensing,
-    Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal, Unknowns,
+    Command, Computing, Contender, EffortFrom, Experiment, Known, Measurement, Quantity, Reading,
+    Sensing, Sensor, SensorChoice, SensorPreset, SensorSettings, ServingEnd, Signal, Unknowns,
 };
 use softarm::task::{Limit, PathLimit};
 
@@ -107,7 +107,9 @@ fn served_filters_are_those_of_the_library() {
             for signal in &seen.signals {
                 let mut reading = json!({ "time_s": seen.time, "place": signal.place });
                 match signal.reading {
-                    Reading::Position(x) => reading["position_m"] = json!(<[f64; 3]>::from(x)),
+                    Reading::Vector(Quantity::Position, x) => {
+                        reading["position_m"] = json!(<[f64; 3]>::from(x))
+                    }
                     Reading::Rotation(r) => reading["rotation"] = json!(rows(&r)),
                     _ => unreachable!(),
                 }
@@ -341,7 +343,7 @@ fn long_lines_are_read_in_blocks() {
         let mut driver = scene.driver().unwrap();
         let signal = Signal {
             place: 1.0,
-            reading: Reading::Position(tip(x)),
+            reading: Reading::Vector(Quantity::Position, tip(x)),
             sigma,
         };
         driver.put(&Measurement {

@@ -95,7 +95,7 @@ pub use serving::{
 };
 #[doc(hidden)]
 pub use serving::{MeasurementLine, rotation_rows};
-pub use signal::{Measurement, Reading, Signal};
+pub use signal::{Measurement, Quantity, QuantityRow, Reading, Signal};
 pub use simulated_arm::{ActuatorDynamics, EffortDynamics, SimulatedArm};
 pub use subproblem::SubproblemEnd;
 pub use transfer::Transfer;

@@ -4,9 +4,8 @@ use nalgebra::Vector3;
 
 use super::error::{MpcError, state_fits};
 use super::estimator::comparison::model_error;
-use super::estimator::{Disturbance, Kind, Reader};
-use super::signal::{EARLY, Measurement, Reading, Signal};
-use mechanics::rotation::exp;
+use super::estimator::{Disturbance, Reader};
+use super::signal::{EARLY, Measurement, Quantity, Signal};
 use mechanics::{Rod, State};
 
 /// Usual sensors, with their noise, rate and age.
@@ -157,40 +156,41 @@ impl SensorSettings {
         }
     }
 
-    /// Returns the measured kinds at every place and at the clamp, with their standard deviations.
-    fn kinds(&self) -> [[Option<(Kind, f64)>; 5]; 2] {
-        let with = |kind: Kind, sigma: Option<f64>| sigma.map(|sigma| (kind, sigma));
-        [
-            [
-                with(Kind::Position, self.position),
-                with(Kind::Rotation, self.rotation),
-                with(Kind::Velocity, self.velocity),
-                with(Kind::AngularVelocity, self.angular_velocity),
-                with(Kind::Curvature, self.curvature),
-            ],
-            [
-                with(Kind::BaseForce, self.base_force),
-                with(Kind::BaseMoment, self.base_moment),
-                None,
-                None,
-                None,
-            ],
-        ]
+    /// Returns the standard deviation of a quantity; `None` where it is not measured.
+    #[must_use]
+    pub fn sigma(&self, quantity: Quantity) -> Option<f64> {
+        *self.clone().sigma_mut(quantity)
+    }
+
+    /// Returns the place of a quantity's standard deviation.
+    pub fn sigma_mut(&mut self, quantity: Quantity) -> &mut Option<f64> {
+        match quantity {
+            Quantity::Position => &mut self.position,
+            Quantity::Rotation => &mut self.rotation,
+            Quantity::Velocity => &mut self.velocity,
+            Quantity::AngularVelocity => &mut self.angular_velocity,
+            Quantity::Curvature => &mut self.curvature,
+            Quantity::BaseForce => &mut self.base_force,
+            Quantity::BaseMoment => &mut self.base_moment,
+        }
+    }
+
+    /// Returns what is measured, with its standard deviation: at places along the arm, or at the clamp.
+    pub fn measured(&self, at_clamp: bool) -> impl Iterator<Item = (Quantity, f64)> + '_ {
+        (Quantity::TABLE.iter())
+            .filter(move |row| row.at_clamp == at_clamp)
+            .filter_map(|row| Some((row.quantity, self.sigma(row.quantity)?)))
     }
 
     /// Returns the names, as in scenes, of the quantities of a shape that the sensor measures more exactly than a model with its elements can, each with
     /// its standard deviation and with that of the model's error; a Kalman filter takes the latter for it.
     pub fn sharper_than(&self, model: &Rod) -> Vec<(&'static str, f64, f64)> {
-        let measured = [
-            ("position_sigma_m", Kind::Position, self.position),
-            ("rotation_sigma_rad", Kind::Rotation, self.rotation),
-            ("curvature_sigma_1_m", Kind::Curvature, self.curvature),
-        ];
-        (measured.into_iter())
-            .filter_map(|(name, kind, sigma)| {
-                let own = model_error(kind, model, f64::INFINITY);
-                let sigma = sigma.filter(|sigma| *sigma < own)?;
-                Some((name, sigma, own))
+        let of_shape = [Quantity::Position, Quantity::Rotation, Quantity::Curvature];
+        (of_shape.into_iter())
+            .filter_map(|quantity| {
+                let own = model_error(quantity, model, f64::INFINITY);
+                let sigma = self.sigma(quantity).filter(|sigma| *sigma < own)?;
+                Some((quantity.row().key, sigma, own))
             })
             .collect()
     }
@@ -211,30 +211,19 @@ impl SensorSettings {
             let holds = (0.0..=1.0).contains(&place);
             require("places", place, holds, "a part of the length, 0 to 1")?;
         }
-        let sigmas = [
-            ("position", self.position),
-            ("rotation", self.rotation),
-            ("velocity", self.velocity),
-            ("angular_velocity", self.angular_velocity),
-            ("curvature", self.curvature),
-            ("base_force", self.base_force),
-            ("base_moment", self.base_moment),
-        ];
-        for (name, sigma) in sigmas {
-            let sigma = sigma.unwrap_or(0.0);
-            require(name, sigma, sigma >= 0.0, "a number of at least 0")?;
+        for row in &Quantity::TABLE {
+            let sigma = self.sigma(row.quantity).unwrap_or(0.0);
+            require(row.key, sigma, sigma >= 0.0, "a number of at least 0")?;
         }
         let rate = self.rate_hz;
         require("rate_hz", rate, rate > 0.0, "a positive number")?;
         let age = self.age_s;
         require("age_s", age, age >= 0.0, "a number of at least 0")?;
-        let [at_places, at_clamp] = self.kinds();
-        let some = |kinds: &[Option<(Kind, f64)>]| kinds.iter().any(Option::is_some);
         let n_places = self.places.len() as f64;
-        if some(&at_places) {
+        if self.measured(false).next().is_some() {
             let expected = "at least one where something is measured at places";
             require("number of places", n_places, n_places > 0.0, expected)
-        } else if some(&at_clamp) {
+        } else if self.measured(true).next().is_some() {
             Ok(())
         } else {
             Err(MpcError::Unsupported(
@@ -263,8 +252,7 @@ impl Sensor {
     /// nothing is measured.
     pub fn new(settings: &SensorSettings, plant: &Rod) -> Result<Self, MpcError> {
         settings.check()?;
-        let [_, at_clamp] = settings.kinds();
-        if !plant.actuators.is_empty() && at_clamp.iter().any(Option::is_some) {
+        if !plant.actuators.is_empty() && settings.measured(true).next().is_some() {
             return Err(MpcError::Unsupported(
                 "the force on the clamp of an arm with actuators in it does not follow from its shape alone; measure poses or curvatures",
             ));
@@ -310,39 +298,24 @@ impl Sensor {
         state_fits(state, &self.rod)?;
         out.time = t;
         out.signals.clear();
-        let [at_places, at_clamp] = self.settings.kinds();
-        for i in 0..self.settings.places.len() {
-            let place = self.settings.places[i];
-            for (kind, sigma) in at_places.into_iter().flatten() {
-                let signal = self.signal(t, state, kind, place, sigma);
-                out.signals.push(signal);
-            }
-        }
-        for (kind, sigma) in at_clamp.into_iter().flatten() {
-            let signal = self.signal(t, state, kind, 0.0, sigma);
-            out.signals.push(signal);
+        let places = self.settings.places.iter();
+        let along = places.flat_map(|&place| {
+            (self.settings.measured(false)).map(move |(quantity, sigma)| (quantity, place, sigma))
+        });
+        let at_clamp = self.settings.measured(true);
+        for (quantity, place, sigma) in along.chain(at_clamp.map(|(own, sigma)| (own, 0.0, sigma)))
+        {
+            let reader = &self.reader;
+            let exact = reader.read(&self.rod, t, state, &Disturbance::NONE, quantity, place);
+            let noise = Vector3::from_fn(|_, _| normal(&mut self.dice)) * sigma;
+            out.signals.push(Signal {
+                place,
+                reading: exact.with_noise(&noise),
+                sigma,
+            });
         }
         self.next = (t * self.settings.rate_hz + EARLY).floor() + 1.0;
         Ok(())
-    }
-
-    fn signal(&mut self, t: f64, state: &State, kind: Kind, place: f64, sigma: f64) -> Signal {
-        let true_reading = (self.reader).read(&self.rod, t, state, &Disturbance::NONE, kind, place);
-        let noise = Vector3::from_fn(|_, _| normal(&mut self.dice)) * sigma;
-        let reading = match true_reading {
-            Reading::Position(v) => Reading::Position(v + noise),
-            Reading::Rotation(r) => Reading::Rotation(r * exp(&noise)),
-            Reading::Velocity(v) => Reading::Velocity(v + noise),
-            Reading::AngularVelocity(v) => Reading::AngularVelocity(v + noise),
-            Reading::Curvature(v) => Reading::Curvature(v + noise),
-            Reading::BaseForce(v) => Reading::BaseForce(v + noise),
-            Reading::BaseMoment(v) => Reading::BaseMoment(v + noise),
-        };
-        Signal {
-            place,
-            reading,
-            sigma,
-        }
     }
 }
 

@@ -1,43 +1,176 @@
 //! The signals of sensors, with their accuracy.
 
+use mechanics::rotation::{exp, log, orthonormalized};
 use nalgebra::{Matrix3, Vector3};
 
 /// Fraction of a period, or of a step, by which a time may be early: more than the rounding of times up to 1e9 periods.
 pub(super) const EARLY: f64 = 1e-6;
 
-/// A quantity of the arm and its value.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Reading {
+/// A quantity that sensors measure; [`row`](Self::row) has its names and unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
     /// Position of a section's center, spatial, m.
-    Position(Vector3<f64>),
+    Position,
     /// Rotation of a section, body to space. Its noise is a turn `exp(n)` on the right, `n` in the body frame, rad.
-    Rotation(Matrix3<f64>),
+    Rotation,
     /// Velocity of a section's center, spatial, m/s.
-    Velocity(Vector3<f64>),
+    Velocity,
     /// Angular velocity of a section, body frame, rad/s.
-    AngularVelocity(Vector3<f64>),
+    AngularVelocity,
     /// Curvature and twist `ψ/l`, `ψ = log(R_aᵀ R_b)` of the ends of an element, including that of the stress-free shape, body frame, 1/m.
     /// The mean over an element is its value at the element's middle; between middles it is linear, and it is extrapolated linearly beyond
     /// the first and the last one.
-    Curvature(Vector3<f64>),
+    Curvature,
     /// Force of the arm on its clamp, spatial frame, N: the pull of the first element on node 0, plus the weight of node 0.
-    BaseForce(Vector3<f64>),
+    BaseForce,
     /// Moment of the arm on its clamp about node 0, in the body frame of node 0, N m.
-    BaseMoment(Vector3<f64>),
+    BaseMoment,
+}
+
+/// Names, unit and form of a quantity.
+#[derive(Clone, Copy, Debug)]
+pub struct QuantityRow {
+    /// The quantity.
+    pub quantity: Quantity,
+    /// Words of it, as pages say them.
+    pub words: &'static str,
+    /// Name of a value, as lines of a served loop have it.
+    pub field: &'static str,
+    /// Scene key of its standard deviation.
+    pub key: &'static str,
+    /// Unit of its standard deviation.
+    pub unit: &'static str,
+    /// Whether it belongs to the clamp and not to a place along the arm.
+    pub at_clamp: bool,
+}
+
+impl Quantity {
+    /// All quantities, those at places along the arm first.
+    pub const TABLE: [QuantityRow; 7] = {
+        const fn row(
+            quantity: Quantity,
+            [words, field, key, unit]: [&'static str; 4],
+            at_clamp: bool,
+        ) -> QuantityRow {
+            QuantityRow {
+                quantity,
+                words,
+                field,
+                key,
+                unit,
+                at_clamp,
+            }
+        }
+        use Quantity as Q;
+        [
+            row(
+                Q::Position,
+                ["position", "position_m", "position_sigma_m", "m"],
+                false,
+            ),
+            row(
+                Q::Rotation,
+                ["rotation", "rotation", "rotation_sigma_rad", "rad"],
+                false,
+            ),
+            row(
+                Q::Velocity,
+                ["velocity", "velocity_m_s", "velocity_sigma_m_s", "m/s"],
+                false,
+            ),
+            row(
+                Q::AngularVelocity,
+                [
+                    "angular velocity",
+                    "angular_velocity_rad_s",
+                    "angular_velocity_sigma_rad_s",
+                    "rad/s",
+                ],
+                false,
+            ),
+            row(
+                Q::Curvature,
+                ["curvature", "curvature_1_m", "curvature_sigma_1_m", "1/m"],
+                false,
+            ),
+            row(
+                Q::BaseForce,
+                [
+                    "force of the base",
+                    "base_force_n",
+                    "base_force_sigma_n",
+                    "N",
+                ],
+                true,
+            ),
+            row(
+                Q::BaseMoment,
+                [
+                    "moment of the base",
+                    "base_moment_n_m",
+                    "base_moment_sigma_n_m",
+                    "N·m",
+                ],
+                true,
+            ),
+        ]
+    };
+
+    /// Returns the row of the quantity.
+    #[must_use]
+    pub fn row(self) -> &'static QuantityRow {
+        // The table has the order of the quantities.
+        &Self::TABLE[self as usize]
+    }
+}
+
+/// The value of a quantity of the arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reading {
+    /// A [`Quantity::Rotation`].
+    Rotation(Matrix3<f64>),
+    /// Three numbers of any other quantity.
+    Vector(Quantity, Vector3<f64>),
 }
 
 impl Reading {
+    /// Returns the quantity of the value.
+    #[must_use]
+    pub fn quantity(&self) -> Quantity {
+        match self {
+            Self::Rotation(_) => Quantity::Rotation,
+            Self::Vector(quantity, _) => *quantity,
+        }
+    }
+
     /// Tells whether all values are finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         match self {
             Self::Rotation(rotation) => rotation.iter().all(|c| c.is_finite()),
-            Self::Position(v)
-            | Self::Velocity(v)
-            | Self::AngularVelocity(v)
-            | Self::Curvature(v)
-            | Self::BaseForce(v)
-            | Self::BaseMoment(v) => v.iter().all(|c| c.is_finite()),
+            Self::Vector(_, v) => v.iter().all(|c| c.is_finite()),
+        }
+    }
+
+    /// Returns the value with noise: a vector is shifted by it, a rotation is turned by `exp(noise)` on the right.
+    #[must_use]
+    pub fn with_noise(&self, noise: &Vector3<f64>) -> Self {
+        match self {
+            Self::Rotation(r) => Self::Rotation(r * exp(noise)),
+            Self::Vector(quantity, v) => Self::Vector(*quantity, v + noise),
+        }
+    }
+
+    /// Returns this minus an expected value of the same quantity; for rotations the turn in the expected body frame that leads to the
+    /// measured one. Zero for readings of different quantities, which are never compared.
+    #[must_use]
+    pub fn minus(&self, expected: &Self) -> Vector3<f64> {
+        match (self, expected) {
+            (Self::Rotation(measured), Self::Rotation(expected)) => {
+                log(&expected.tr_mul(&orthonormalized(measured)))
+            }
+            (Self::Vector(a, measured), Self::Vector(b, expected)) if a == b => measured - expected,
+            _ => Vector3::zeros(),
         }
     }
 }

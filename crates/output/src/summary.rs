@@ -168,7 +168,7 @@ pub struct SolveCost {
     pub total_s: [f64; 2],
 }
 
-/// The predicted time of a simulation with either integrator, from the seconds per node-step of [`prediction`](task::prediction).
+/// The predicted time of a simulation with either integrator, from the seconds per node-step that `softarm::task` predicts.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct CostEstimate {
     /// Step of the explicit integrator, s: the scene's own, or the automatic one.

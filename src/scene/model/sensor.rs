@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive, known};
 use crate::mechanics::Rod;
-use crate::mpc::{SensorPreset, SensorSettings};
+use crate::mpc::{Quantity, SensorPreset, SensorSettings};
 
 /// A sensor with its noise, rate and age; a single one may be written as `[sensor]`. A standard deviation is that of
 /// each of three numbers, and 0 is exact; a quantity without a standard deviation, of its own or by `preset`, is not
@@ -53,22 +53,27 @@ pub struct Sensor {
 }
 
 impl Sensor {
+    /// Returns the key of a quantity's standard deviation.
+    fn sigma(&self, quantity: Quantity) -> Option<NonNegative<values::Deviation>> {
+        match quantity {
+            Quantity::Position => self.position_sigma_m,
+            Quantity::Rotation => self.rotation_sigma_rad,
+            Quantity::Velocity => self.velocity_sigma_m_s,
+            Quantity::AngularVelocity => self.angular_velocity_sigma_rad_s,
+            Quantity::Curvature => self.curvature_sigma_1_m,
+            Quantity::BaseForce => self.base_force_sigma_n,
+            Quantity::BaseMoment => self.base_moment_sigma_n_m,
+        }
+    }
+
     /// Returns the settings of the sensor on an arm with this model: its own numbers, and for absent ones those of its preset.
     pub(in crate::scene) fn settings(&self, model: &Rod) -> SensorSettings {
         let mut out = self
             .preset
             .map_or_else(SensorSettings::nothing, |preset| preset.settings(model));
-        let numbers = [
-            (&mut out.position, self.position_sigma_m),
-            (&mut out.rotation, self.rotation_sigma_rad),
-            (&mut out.velocity, self.velocity_sigma_m_s),
-            (&mut out.angular_velocity, self.angular_velocity_sigma_rad_s),
-            (&mut out.curvature, self.curvature_sigma_1_m),
-            (&mut out.base_force, self.base_force_sigma_n),
-            (&mut out.base_moment, self.base_moment_sigma_n_m),
-        ];
-        for (own, key) in numbers {
-            *own = key.map(Number::get).or(*own);
+        for row in &Quantity::TABLE {
+            let own = out.sigma_mut(row.quantity);
+            *own = self.sigma(row.quantity).map(Number::get).or(*own);
         }
         if let Some(places) = &self.places {
             out.places.clone_from(places);
@@ -105,14 +110,10 @@ impl Keys<'_> {
                 return Err(self.out_of_range(&key, *place, "fraction from 0 to 1", ""));
             }
         }
-        let at_places = [
-            sensor.position_sigma_m,
-            sensor.rotation_sigma_rad,
-            sensor.velocity_sigma_m_s,
-            sensor.angular_velocity_sigma_rad_s,
-            sensor.curvature_sigma_1_m,
-        ];
-        let at_base = [sensor.base_force_sigma_n, sensor.base_moment_sigma_n_m];
+        let measures = |at_clamp| {
+            let mut rows = (Quantity::TABLE.iter()).filter(|row| row.at_clamp == at_clamp);
+            rows.any(|row| sensor.sigma(row.quantity).is_some())
+        };
         if sensor.preset.is_some() {
             return match &sensor.places {
                 Some(places) if places.is_empty() => {
@@ -125,13 +126,13 @@ impl Keys<'_> {
             .places
             .as_ref()
             .is_some_and(|places| !places.is_empty());
-        match (at_places.iter().any(Option::is_some), is_somewhere) {
+        match (measures(false), is_somewhere) {
             (true, false) => Err(self.missing(&key("places"), "as fractions of the arm's length")),
             (false, true) => Err(self.missing(
                 &key("position_sigma_m"),
                 "or another standard deviation of what is measured at the places",
             )),
-            (false, false) if !at_base.iter().any(Option::is_some) => Err(self.missing(
+            (false, false) if !measures(true) => Err(self.missing(
                 &key("preset"),
                 "or else give places and standard deviations",
             )),

@@ -8,6 +8,7 @@ use super::{
     FRAMES, ROWS, add_components, arm, arrows, drawn_arm, efforts, fields, reaction, words,
 };
 use crate::control::Hold;
+use crate::mpc::{Sensing, SensorChoice};
 use crate::output::closed_loop::SampleRow;
 use crate::output::{
     self, Columns, EffortRow, MotionRecord, OutputError, ReportCommand, ReportControls, ReportData,
@@ -126,6 +127,7 @@ fn context(
         "summary": summary,
         "efforts": efforts,
         "scene": setup.resolved,
+        "measured": measured(setup),
         "plant": arm::arm(&own.plant, &setup.plant, known),
         "plant_as_loaded": arm::arm(&own.plant, &setup.plant, all),
         "model": arm::arm(&own.arm, &setup.model, all),
@@ -141,6 +143,26 @@ fn context(
         "within": [corner(f64::min, f64::INFINITY), corner(f64::max, f64::NEG_INFINITY)],
         "peak": { "force": peak(|s| &s.force), "moment": peak(|s| &s.moment) },
     })
+}
+
+/// Returns what every sensor measures, at places along the arm and at the clamp: words, standard deviation and unit of each quantity.
+fn measured(setup: &ClosedLoopSetup) -> Vec<[Vec<Value>; 2]> {
+    let Sensing::Estimated { sensors, .. } = &setup.experiment.sensing else {
+        return Vec::new();
+    };
+    (sensors.iter())
+        .map(|choice| {
+            let settings = match choice {
+                SensorChoice::Preset(preset) => preset.settings(&setup.model),
+                SensorChoice::Own(settings) => settings.clone(),
+            };
+            [false, true].map(|at_clamp| {
+                (settings.measured(at_clamp))
+                    .map(|(own, sigma)| json!([own.row().words, sigma, own.row().unit]))
+                    .collect()
+            })
+        })
+        .collect()
 }
 
 /// Returns a word that tells whether the plant's load of this index belongs to the controller's model.

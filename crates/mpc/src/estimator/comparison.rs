@@ -2,12 +2,11 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::signal::{Measurement, Reading, Signal};
+use crate::signal::{Measurement, Quantity, Reading, Signal};
 use mechanics::Rod;
-use mechanics::rotation::{log, orthonormalized};
 
 use super::covariance::{Row, Rows};
-use super::readings::{Kind, Layout, Reader};
+use super::readings::{Layout, Reader};
 use super::{Estimate, EstimateError, Innovation};
 
 /// A standard deviation of 0, or below this multiple of the arm's own scale, is replaced by the multiple. The covariance of an innovation
@@ -72,7 +71,9 @@ impl Comparison {
     ) -> Result<(), EstimateError> {
         for (index, signal) in measurement.signals.iter().enumerate() {
             check(index, signal)?;
-            if let (Reading::Position(x), true) = (&signal.reading, rod.first_free_node() > 0) {
+            if let (Reading::Vector(Quantity::Position, x), true) =
+                (&signal.reading, rod.first_free_node() > 0)
+            {
                 let distance = (x - estimate.state.configuration.positions[0]).norm();
                 if distance > FARTHEST * rod.scales.length {
                     return Err(EstimateError::Signal {
@@ -87,26 +88,28 @@ impl Comparison {
         self.rows.clear();
         self.nearest = None;
         for signal in measurement.signals.iter().filter(|signal| of_use(signal)) {
-            let (kind, place) = (Kind::of(&signal.reading), signal.place);
+            let (quantity, place) = (signal.reading.quantity(), signal.place);
             let Estimate {
                 time,
                 state,
                 disturbance,
                 ..
             } = estimate;
-            let expected = (self.reader).read(rod, *time, state, disturbance, kind, place);
-            let residual = difference(&signal.reading, &expected);
+            let expected = (self.reader).read(rod, *time, state, disturbance, quantity, place);
+            let residual = signal.reading.minus(&expected);
             if let Some(layout) = layout {
-                let of = (kind, place);
+                let of = (quantity, place);
                 let terms = &mut self.rows.terms;
                 (self.reader).derive(rod, state, disturbance, of, layout, terms);
             }
             self.rows.signals.push(Row {
                 end: self.rows.terms.len(),
                 residual,
-                sigma: believable(signal.sigma, kind, rod, self.interval),
+                sigma: believable(signal.sigma, quantity, rod, self.interval),
             });
-            if kind == Kind::Position && self.nearest.is_none_or(|(other, _)| other <= place) {
+            if quantity == Quantity::Position
+                && self.nearest.is_none_or(|(other, _)| other <= place)
+            {
                 self.nearest = Some((place, residual.norm()));
             }
         }
@@ -162,17 +165,17 @@ fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
 
 /// Returns the standard deviation of a reading: that of the sensor, or the smallest that the filter accepts if the sensor claims to be more
 /// exact than the model.
-fn believable(sigma: f64, kind: Kind, rod: &Rod, interval: Option<f64>) -> f64 {
-    let is_velocity = matches!(kind, Kind::Velocity | Kind::AngularVelocity);
-    let exact = EXACT * scale(kind, rod);
+fn believable(sigma: f64, quantity: Quantity, rod: &Rod, interval: Option<f64>) -> f64 {
+    let is_velocity = matches!(quantity, Quantity::Velocity | Quantity::AngularVelocity);
+    let exact = EXACT * scale(quantity, rod);
     match interval {
         _ if is_velocity && sigma > exact => sigma,
         // A sensor that is less exact than an error of the model, be it once or again and again, says how exact it is.
-        Some(interval) if sigma < model_error(kind, rod, f64::INFINITY) => {
-            model_error(kind, rod, interval)
+        Some(interval) if sigma < model_error(quantity, rod, f64::INFINITY) => {
+            model_error(quantity, rod, interval)
         }
         Some(_) => sigma.max(exact),
-        None if is_velocity => EXACT_VELOCITY * scale(kind, rod),
+        None if is_velocity => EXACT_VELOCITY * scale(quantity, rod),
         None => sigma.max(exact),
     }
 }
@@ -185,48 +188,31 @@ fn believable(sigma: f64, kind: Kind, rod: &Rod, interval: Option<f64>) -> f64 {
 /// taken exactly as they are stretch and shear the elements by as much. An error anywhere within such a bound has the standard deviation of
 /// the bound over √3. It stays while the arm keeps its shape, during which measurements repeat it: for the time `1/ω₁ = 0.28 T` of a
 /// cantilever with the time scale `T`. `n` equal errors tell as little as `n` independent ones that are `√n` times as large.
-pub(crate) fn model_error(kind: Kind, rod: &Rod, interval: f64) -> f64 {
+pub(crate) fn model_error(quantity: Quantity, rod: &Rod, interval: f64) -> f64 {
     let n = rod.n_elements() as f64;
-    let own = match kind {
-        Kind::Position => 1.0 / (24.0 * n.powi(3)) / f64::sqrt(3.0),
-        Kind::Rotation | Kind::Curvature => 1.0 / (12.0 * n.powi(2)) / f64::sqrt(3.0),
-        Kind::Velocity | Kind::AngularVelocity => EXACT_VELOCITY,
-        Kind::BaseForce | Kind::BaseMoment => EXACT,
+    let own = match quantity {
+        Quantity::Position => 1.0 / (24.0 * n.powi(3)) / f64::sqrt(3.0),
+        Quantity::Rotation | Quantity::Curvature => 1.0 / (12.0 * n.powi(2)) / f64::sqrt(3.0),
+        Quantity::Velocity | Quantity::AngularVelocity => EXACT_VELOCITY,
+        Quantity::BaseForce | Quantity::BaseMoment => EXACT,
     };
     let repeated = (LASTS * rod.scales.time / interval).max(1.0);
-    own.max(EXACT) * scale(kind, rod) * repeated.sqrt()
+    own.max(EXACT) * scale(quantity, rod) * repeated.sqrt()
 }
 
 /// Time for which the error of a model stays the same, divided by the time scale of the arm: `1/ω₁` of a cantilever, 1/3.516.
 const LASTS: f64 = 0.28;
 
-/// Returns the unit of a kind of reading.
-fn scale(kind: Kind, rod: &Rod) -> f64 {
+/// Returns the unit of a quantity.
+fn scale(quantity: Quantity, rod: &Rod) -> f64 {
     let scales = &rod.scales;
-    match kind {
-        Kind::Position => scales.length,
-        Kind::Rotation => 1.0,
-        Kind::Velocity => scales.length / scales.time,
-        Kind::AngularVelocity => 1.0 / scales.time,
-        Kind::Curvature => 1.0 / scales.length,
-        Kind::BaseForce => scales.force,
-        Kind::BaseMoment => scales.moment,
-    }
-}
-
-/// Returns measured minus expected; for rotations, the turn in the expected body frame that leads to the measured one. Zero for readings of
-/// different kinds, which are never compared.
-fn difference(measured: &Reading, expected: &Reading) -> Vector3<f64> {
-    match (measured, expected) {
-        (Reading::Rotation(measured), Reading::Rotation(expected)) => {
-            log(&expected.tr_mul(&orthonormalized(measured)))
-        }
-        (Reading::Position(a), Reading::Position(b))
-        | (Reading::Velocity(a), Reading::Velocity(b))
-        | (Reading::AngularVelocity(a), Reading::AngularVelocity(b))
-        | (Reading::Curvature(a), Reading::Curvature(b))
-        | (Reading::BaseForce(a), Reading::BaseForce(b))
-        | (Reading::BaseMoment(a), Reading::BaseMoment(b)) => a - b,
-        _ => Vector3::zeros(),
+    match quantity {
+        Quantity::Position => scales.length,
+        Quantity::Rotation => 1.0,
+        Quantity::Velocity => scales.length / scales.time,
+        Quantity::AngularVelocity => 1.0 / scales.time,
+        Quantity::Curvature => 1.0 / scales.length,
+        Quantity::BaseForce => scales.force,
+        Quantity::BaseMoment => scales.moment,
     }
 }

@@ -1,8 +1,6 @@
 //! The refusal of impossible signals.
 
-use crate::signal::Measurement;
-
-use super::readings::Kind;
+use crate::signal::{Measurement, Quantity};
 
 /// Sum of three squares of independent standard normal numbers that is exceeded once in 10⁹ times (decision 80).
 const LARGEST_SQUARE: f64 = 44.841_275;
@@ -28,7 +26,7 @@ pub(super) struct Gate {
     /// Marks for the refused signals of the last measurement; empty if all are used.
     refused: Vec<bool>,
     /// Signals that were refused, and how many consecutive times.
-    in_a_row: Vec<(Kind, f64, usize)>,
+    in_a_row: Vec<(Quantity, f64, usize)>,
     /// Squares of the last [`RECENT`] signals; the oldest is at `oldest` once there are as many.
     recent: Vec<f64>,
     oldest: usize,
@@ -66,11 +64,11 @@ impl Gate {
         let largest = LARGEST_SQUARE * self.excess();
         for (signal, square) in measurement.signals.iter().zip(squares) {
             self.note(square);
-            let (kind, place) = (Kind::of(&signal.reading), signal.place);
-            let at = (self.in_a_row.iter()).position(|own| (own.0, own.1) == (kind, place));
+            let (quantity, place) = (signal.reading.quantity(), signal.place);
+            let at = (self.in_a_row.iter()).position(|own| (own.0, own.1) == (quantity, place));
             let is_refused = square > largest && {
                 let at = at.unwrap_or_else(|| {
-                    self.in_a_row.push((kind, place, 0));
+                    self.in_a_row.push((quantity, place, 0));
                     self.in_a_row.len() - 1
                 });
                 self.in_a_row[at].2 += 1;
@@ -117,7 +115,7 @@ mod tests {
             signals: (1..=5)
                 .map(|place| Signal {
                     place: f64::from(place) / 5.0,
-                    reading: Reading::Position(Vector3::zeros()),
+                    reading: Reading::Vector(Quantity::Position, Vector3::zeros()),
                     sigma: 1e-3,
                 })
                 .collect(),

@@ -97,7 +97,10 @@ mod tests {
         let mut first = at(0.1);
         first.signals.push(crate::signal::Signal {
             place: 1.0,
-            reading: crate::signal::Reading::Position(nalgebra::Vector3::zeros()),
+            reading: crate::signal::Reading::Vector(
+                crate::signal::Quantity::Position,
+                nalgebra::Vector3::zeros(),
+            ),
             sigma: 1.0,
         });
         inbox.put(&first);

@@ -43,7 +43,7 @@ pub(crate) use self::motions::Motions;
 pub(crate) use self::parameter::ModelParameters;
 use self::parameter::Parameter;
 pub use self::prediction::Predictor;
-pub(super) use self::readings::{Kind, Reader};
+pub(super) use self::readings::Reader;
 pub use self::regridded::Regridded;
 
 /// Loads on the arm and errors of its model, beyond those in the model.

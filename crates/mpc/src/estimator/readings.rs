@@ -12,7 +12,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use crate::signal::Reading;
+use crate::signal::{Quantity, Reading};
 use control::DIFFERENCE;
 use mechanics::element::{ElementPose, ElementStrain, tangent_derivative};
 use mechanics::forms::NODE_COMPONENTS;
@@ -92,32 +92,6 @@ impl Layout {
 /// Derivatives of a reading: components of the error, and the changes of the three numbers per unit of each.
 pub(super) type Terms = Vec<(usize, Vector3<f64>)>;
 
-/// Kind of a reading.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
-    Position,
-    Rotation,
-    Velocity,
-    AngularVelocity,
-    Curvature,
-    BaseForce,
-    BaseMoment,
-}
-
-impl Kind {
-    pub fn of(reading: &Reading) -> Self {
-        match reading {
-            Reading::Position(_) => Self::Position,
-            Reading::Rotation(_) => Self::Rotation,
-            Reading::Velocity(_) => Self::Velocity,
-            Reading::AngularVelocity(_) => Self::AngularVelocity,
-            Reading::Curvature(_) => Self::Curvature,
-            Reading::BaseForce(_) => Self::BaseForce,
-            Reading::BaseMoment(_) => Self::BaseMoment,
-        }
-    }
-}
-
 /// Computes readings of states of one rod.
 #[derive(Clone, Debug)]
 pub(crate) struct Reader {
@@ -143,42 +117,49 @@ impl Reader {
         t: f64,
         state: &State,
         disturbance: &Disturbance,
-        kind: Kind,
+        quantity: Quantity,
         place: f64,
     ) -> Reading {
         let at = &state.configuration;
         let (q, s) = locate(&self.nodes, place);
-        match kind {
-            Kind::Position => Reading::Position(pose(at, q, s).0),
-            Kind::Rotation => Reading::Rotation(pose(at, q, s).1),
-            Kind::Velocity => {
+        match quantity {
+            Quantity::Position => Reading::Vector(quantity, pose(at, q, s).0),
+            Quantity::Rotation => Reading::Rotation(pose(at, q, s).1),
+            Quantity::Velocity => {
                 let velocity = |q: usize| state.linear_momentum[q] / rod.nodes[q].mass;
-                Reading::Velocity(velocity(q) * (1.0 - s) + velocity(q + 1) * s)
+                Reading::Vector(quantity, velocity(q) * (1.0 - s) + velocity(q + 1) * s)
             }
-            Kind::AngularVelocity => Reading::AngularVelocity(
+            Quantity::AngularVelocity => Reading::Vector(
+                quantity,
                 spin(rod, state, q) * (1.0 - s) + spin(rod, state, q + 1) * s,
             ),
-            Kind::Curvature => {
+            Quantity::Curvature => {
                 let curvature = |(q, weight): (usize, f64)| {
                     let turn = at.rotations[q].tr_mul(&at.rotations[q + 1]);
                     log(&turn) * (weight / rod.elements[q].length)
                 };
-                Reading::Curvature(self.elements(place).into_iter().map(curvature).sum())
+                Reading::Vector(
+                    quantity,
+                    self.elements(place).into_iter().map(curvature).sum(),
+                )
             }
-            Kind::BaseForce => {
+            Quantity::BaseForce => {
                 let [force, _] = BaseElement::at(rod, state).gradient();
                 let share = disturbance.distributed * (0.5 * rod.elements[0].length);
                 let loads: Vector3<f64> = (rod.loads.iter().filter(|load| load.node == 0))
                     .map(|load| load.wrench(t, &at.rotations[0]).force)
                     .sum();
-                Reading::BaseForce(force + rod.gravity * rod.nodes[0].mass + share + loads)
+                Reading::Vector(
+                    quantity,
+                    force + rod.gravity * rod.nodes[0].mass + share + loads,
+                )
             }
-            Kind::BaseMoment => {
+            Quantity::BaseMoment => {
                 let [_, moment] = BaseElement::at(rod, state).gradient();
                 let loads: Vector3<f64> = (rod.loads.iter().filter(|load| load.node == 0))
                     .map(|load| load.wrench(t, &at.rotations[0]).moment)
                     .sum();
-                Reading::BaseMoment(loads - moment)
+                Reading::Vector(quantity, loads - moment)
             }
         }
     }
@@ -189,7 +170,7 @@ impl Reader {
         rod: &Rod,
         state: &State,
         disturbance: &Disturbance,
-        (kind, place): (Kind, f64),
+        (quantity, place): (Quantity, f64),
         layout: &Layout,
         terms: &mut Terms,
     ) {
@@ -201,16 +182,16 @@ impl Reader {
             }
         };
         let ends = [(q, 1.0 - s), (q + 1, s)];
-        match kind {
-            Kind::Position | Kind::Rotation if s == 0.0 || s == 1.0 => {
-                let part = if kind == Kind::Position {
+        match quantity {
+            Quantity::Position | Quantity::Rotation if s == 0.0 || s == 1.0 => {
+                let part = if quantity == Quantity::Position {
                     POSITION
                 } else {
                     ROTATION
                 };
                 add(if s == 0.0 { q } else { q + 1 }, part, &Matrix3::identity());
             }
-            Kind::Position => {
+            Quantity::Position => {
                 let helix = Helix::at(state, q);
                 let [dx, a, b] = helix.position(s);
                 add(q, POSITION, &(Matrix3::identity() - dx));
@@ -218,12 +199,12 @@ impl Reader {
                 add(q + 1, POSITION, &dx);
                 add(q + 1, ROTATION, &b);
             }
-            Kind::Rotation => {
+            Quantity::Rotation => {
                 let [a, b] = Helix::at(state, q).rotation(s);
                 add(q, ROTATION, &a);
                 add(q + 1, ROTATION, &b);
             }
-            Kind::Velocity => {
+            Quantity::Velocity => {
                 for (node, weight) in ends.into_iter().filter(|(_, weight)| *weight > 0.0) {
                     let per_momentum = weight / rod.nodes[node].mass;
                     add(node, LINEAR, &Matrix3::from_diagonal_element(per_momentum));
@@ -235,13 +216,13 @@ impl Reader {
                     terms.push((at, state.linear_momentum[node] * (-weight / (mass * mass))));
                 }
             }
-            Kind::AngularVelocity => {
+            Quantity::AngularVelocity => {
                 for (node, weight) in ends.into_iter().filter(|(_, weight)| *weight > 0.0) {
                     let per_momentum = rod.nodes[node].rotary.map(|j| weight / j);
                     add(node, ANGULAR, &Matrix3::from_diagonal(&per_momentum));
                 }
             }
-            Kind::Curvature => {
+            Quantity::Curvature => {
                 let rotations = &state.configuration.rotations;
                 for (q, weight) in self.elements(place) {
                     let psi = log(&rotations[q].tr_mul(&rotations[q + 1]));
@@ -250,10 +231,10 @@ impl Reader {
                     add(q + 1, ROTATION, &slope.transpose());
                 }
             }
-            Kind::BaseForce | Kind::BaseMoment => {
+            Quantity::BaseForce | Quantity::BaseMoment => {
                 let element = BaseElement::at(rod, state);
                 // Rows of `(F, M_a)`, and their sign.
-                let (row, sign) = if kind == Kind::BaseForce {
+                let (row, sign) = if quantity == Quantity::BaseForce {
                     (0, 1.0)
                 } else {
                     (3, -1.0)
@@ -278,7 +259,7 @@ impl Reader {
                 }
                 if let Some(at) = layout.parameter(Parameter::Stiffness) {
                     let [force, moment] = element.gradient();
-                    let own = if kind == Kind::BaseForce {
+                    let own = if quantity == Quantity::BaseForce {
                         force
                     } else {
                         -moment
@@ -287,14 +268,14 @@ impl Reader {
                 }
                 if let Some(at) = layout.parameter(Parameter::Internal) {
                     let [force, moment] = element.per_damping_time(&rate_of(rod, state));
-                    let own = if kind == Kind::BaseForce {
+                    let own = if quantity == Quantity::BaseForce {
                         force
                     } else {
                         -moment
                     };
                     terms.push((at, own));
                 }
-                if let (Some(at), Kind::BaseForce) = (layout.distributed, kind) {
+                if let (Some(at), Quantity::BaseForce) = (layout.distributed, quantity) {
                     let share = 0.5 * rod.elements[0].length;
                     terms.extend((0..3).map(|i| (at + i, Vector3::ith(i, share))));
                 }

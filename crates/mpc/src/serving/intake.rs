@@ -2,10 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::message::{Line, ReadingLine, Rows, Vector, rows};
+use super::message::{Given, Line, ReadingLine, Rows, Vector, rows};
 use crate::estimator::comparison::FARTHEST;
 use crate::sensor::SensorSettings;
-use crate::signal::{Measurement, Reading, Signal};
+use crate::signal::{Measurement, Quantity, Reading, Signal};
 use control::rounding_of;
 use mechanics::rod::BaseCondition;
 use mechanics::rotation::{log, orthonormalized};
@@ -387,11 +387,9 @@ impl Intake {
             })
         };
         // Only those quantities of a state are used that a sensor of the scene measures.
-        let sees = |sigma: fn(&SensorSettings) -> Option<f64>| {
-            self.sensors.iter().any(|own| sigma(own).is_some())
-        };
-        let (position, rotation) = (sees(|own| own.position), sees(|own| own.rotation));
-        let (moves, turns) = (sees(|own| own.velocity), sees(|own| own.angular_velocity));
+        let sees = |quantity| self.sensors.iter().any(|own| own.sigma(quantity).is_some());
+        let (position, rotation) = (sees(Quantity::Position), sees(Quantity::Rotation));
+        let (moves, turns) = (sees(Quantity::Velocity), sees(Quantity::AngularVelocity));
         if !(position || rotation) {
             return Err(Refusal::new(
                 "positions_m",
@@ -402,16 +400,21 @@ impl Intake {
         Ok((self.rod.first_free_node()..self.rod.n_nodes())
             .map(|q| {
                 let at = configuration;
+                let rotation = rotation.then(|| Given::Rotation(rows(&at.rotations[q])));
+                let vectors = [
+                    (Quantity::Position, position.then_some(at.positions[q])),
+                    (Quantity::Velocity, velocity(q).filter(|_| moves)),
+                    (Quantity::AngularVelocity, spin(q).filter(|_| turns)),
+                ];
+                let mut values: Vec<(Quantity, Given)> = (vectors.into_iter())
+                    .filter_map(|(own, v)| Some((own, Given::Vector(v?.into()))))
+                    .collect();
+                values.extend(rotation.map(|rows| (Quantity::Rotation, rows)));
+                values.sort_by_key(|(own, _)| *own as usize);
                 let reading = ReadingLine {
                     time_s: None,
                     place: Some(self.places[q]),
-                    position_m: position.then(|| at.positions[q].into()),
-                    rotation: rotation.then(|| rows(&at.rotations[q])),
-                    velocity_m_s: velocity(q).filter(|_| moves).map(Vector::from),
-                    angular_velocity_rad_s: spin(q).filter(|_| turns).map(Vector::from),
-                    curvature_1_m: None,
-                    base_force_n: None,
-                    base_moment_n_m: None,
+                    values,
                 };
                 (format!("nodes[{q}]"), reading)
             })
@@ -434,59 +437,26 @@ impl Intake {
                 "give the arc length from the base over the length of the arm; without it the place is the tip, 1",
             ));
         }
-        let mut vector = |field: &str, given: Option<Vector>| {
-            let given = Vector3::from(given?);
-            let place = format!("{name}.{field}");
-            let refusal = match field {
-                "position_m" => self.unlikely(&place, &given),
-                _ => not_finite(&place, &given),
+        for &(quantity, given) in &reading.values {
+            let field = format!("{name}.{}", quantity.row().field);
+            let reading = match given {
+                Given::Rotation(rows) => Reading::Rotation(self.rotation(&field, &rows)?),
+                Given::Vector(vector) => {
+                    let vector = Vector3::from(vector);
+                    let refusal = match quantity {
+                        Quantity::Position => self.unlikely(&field, &vector),
+                        _ => not_finite(&field, &vector),
+                    };
+                    if let Some(refusal) = refusal {
+                        refusals.push(refusal);
+                        continue;
+                    }
+                    Reading::Vector(quantity, vector)
+                }
             };
-            let is_usable = refusal.is_none();
-            refusals.extend(refusal);
-            is_usable.then_some(given)
-        };
-        let position = vector("position_m", reading.position_m);
-        let velocity = vector("velocity_m_s", reading.velocity_m_s);
-        let spin = vector("angular_velocity_rad_s", reading.angular_velocity_rad_s);
-        let curvature = vector("curvature_1_m", reading.curvature_1_m);
-        let base_force = vector("base_force_n", reading.base_force_n);
-        let base_moment = vector("base_moment_n_m", reading.base_moment_n_m);
-        let rotation = (reading.rotation.as_ref())
-            .map(|given| self.rotation(&format!("{name}.rotation"), given))
-            .transpose()?;
-        type Sigma = fn(&SensorSettings) -> Option<f64>;
-        let own: [(&str, Option<Reading>, Sigma); 7] = [
-            ("position_m", position.map(Reading::Position), |own| {
-                own.position
-            }),
-            ("rotation", rotation.map(Reading::Rotation), |own| {
-                own.rotation
-            }),
-            ("velocity_m_s", velocity.map(Reading::Velocity), |own| {
-                own.velocity
-            }),
-            (
-                "angular_velocity_rad_s",
-                spin.map(Reading::AngularVelocity),
-                |own| own.angular_velocity,
-            ),
-            ("curvature_1_m", curvature.map(Reading::Curvature), |own| {
-                own.curvature
-            }),
-            ("base_force_n", base_force.map(Reading::BaseForce), |own| {
-                own.base_force
-            }),
-            (
-                "base_moment_n_m",
-                base_moment.map(Reading::BaseMoment),
-                |own| own.base_moment,
-            ),
-        ];
-        for (field, reading, sigma) in own {
-            let Some(reading) = reading else { continue };
-            let Some(sigma) = self.sensors.iter().find_map(sigma) else {
+            let Some(sigma) = self.sensors.iter().find_map(|own| own.sigma(quantity)) else {
                 return Err(Refusal::new(
-                    format!("{name}.{field}"),
+                    field,
                     "no [[sensor]] of the scene measures it, so that its standard deviation is not known",
                     "leave it out, or give its standard deviation to a [[sensor]]",
                 ));

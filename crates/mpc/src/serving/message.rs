@@ -11,6 +11,7 @@ use super::SERVING_VERSION;
 use crate::closed_loop::{Percentiles, TipError};
 use crate::estimator::Disturbance;
 use crate::sensor::SensorSettings;
+use crate::signal::Quantity;
 use control::{ActuatedNode, Bound, Channel};
 use mechanics::{Drive, Wrench};
 
@@ -63,19 +64,57 @@ pub struct ObstacleLine {
     pub velocity_m_s: Option<Vector>,
 }
 
-/// A reading of one sensor at one place.
+/// A reading of one sensor at one place: fields `time_s`, `place`, and values under the names of [`Quantity::TABLE`].
 #[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "BTreeMap<String, serde_json::Value>")]
 pub struct ReadingLine {
     pub time_s: Option<f64>,
     pub place: Option<f64>,
-    pub position_m: Option<Vector>,
-    pub rotation: Option<Rows>,
-    pub velocity_m_s: Option<Vector>,
-    pub angular_velocity_rad_s: Option<Vector>,
-    pub curvature_1_m: Option<Vector>,
-    pub base_force_n: Option<Vector>,
-    pub base_moment_n_m: Option<Vector>,
+    pub values: Vec<(Quantity, Given)>,
+}
+
+/// A value of a reading as it is given.
+#[derive(Clone, Copy, Debug)]
+pub enum Given {
+    Rotation(Rows),
+    Vector(Vector),
+}
+
+impl TryFrom<BTreeMap<String, serde_json::Value>> for ReadingLine {
+    type Error = String;
+
+    fn try_from(mut given: BTreeMap<String, serde_json::Value>) -> Result<Self, String> {
+        fn take<T: serde::de::DeserializeOwned>(
+            given: &mut BTreeMap<String, serde_json::Value>,
+            name: &str,
+        ) -> Result<Option<T>, String> {
+            (given.remove(name).filter(|value| !value.is_null()))
+                .map(|value| {
+                    serde_json::from_value(value).map_err(|error| format!("`{name}`: {error}"))
+                })
+                .transpose()
+        }
+        let mut out = Self {
+            time_s: take(&mut given, "time_s")?,
+            place: take(&mut given, "place")?,
+            values: Vec::new(),
+        };
+        for row in &Quantity::TABLE {
+            let value = match row.quantity {
+                Quantity::Rotation => take(&mut given, row.field)?.map(Given::Rotation),
+                _ => take(&mut given, row.field)?.map(Given::Vector),
+            };
+            out.values.extend(value.map(|value| (row.quantity, value)));
+        }
+        if let Some(unknown) = given.keys().next() {
+            let known: Vec<&str> = Quantity::TABLE.iter().map(|row| row.field).collect();
+            return Err(format!(
+                "unknown field `{unknown}`; a reading has time_s, place, {}",
+                known.join(", ")
+            ));
+        }
+        Ok(out)
+    }
 }
 
 /// The first line of the server.
@@ -222,22 +261,13 @@ pub(super) struct SensorLine {
 
 impl SensorLine {
     pub fn of(settings: &SensorSettings) -> Self {
-        let sigmas = [
-            ("position_m", settings.position),
-            ("rotation", settings.rotation),
-            ("velocity_m_s", settings.velocity),
-            ("angular_velocity_rad_s", settings.angular_velocity),
-            ("curvature_1_m", settings.curvature),
-            ("base_force_n", settings.base_force),
-            ("base_moment_n_m", settings.base_moment),
-        ];
-        let measured = sigmas.into_iter();
         Self {
             places: settings.places.clone(),
             rate_hz: settings.rate_hz,
             age_s: settings.age_s,
-            sigma: measured
-                .filter_map(|(name, sigma)| Some((name, sigma?)))
+            sigma: ([false, true].into_iter())
+                .flat_map(|at_clamp| settings.measured(at_clamp))
+                .map(|(quantity, sigma)| (quantity.row().field, sigma))
                 .collect(),
         }
     }
