@@ -17,6 +17,7 @@ use softarm::task::{Arm, Discretization, Place, PointLoad};
 fn everything(rod: &Rod, state: &State) -> Vec<Signal> {
     let settings = SensorSettings {
         places: vec![0.0, 0.03, 0.25, 0.41, 0.7, 1.0],
+        offsets: vec![[0.0, 0.0], [0.02, -0.013]],
         position: Some(0.0),
         rotation: Some(0.0),
         velocity: Some(0.0),
@@ -41,7 +42,7 @@ fn change(from: &Reading, to: &Reading) -> Vector3<f64> {
     }
 }
 
-/// The derivatives of every kind of reading, on nodes, between them and at both ends, are those of central differences, of both strain
+/// The derivatives of every kind of reading, on nodes, between them and at both ends, at the center of the section and beside it, are those of central differences, of both strain
 /// rules, with and without internal damping, along every component of the state and along the disturbances that the clamp feels.
 #[test]
 fn derivatives_of_readings_are_derivatives() {
@@ -72,7 +73,7 @@ fn derivatives_of_readings_are_derivatives() {
             let mut filter = KalmanFilter::new(&model, 0.0, &state, &settings).unwrap();
             let signals = everything(&model, &state);
             let found: Vec<_> = (signals.iter())
-                .map(|signal| filter.derivative(signal.place, signal.reading).unwrap())
+                .map(|signal| filter.derivative(signal).unwrap())
                 .collect();
             let n_state = NODE_COMPONENTS * 4;
             let n = filter.covariance().nrows();
@@ -286,6 +287,59 @@ fn clamps_feel_the_weight() {
     assert_eq!(out.signals.len(), 12);
 }
 
+/// Markers on the surface of a bent and twisted arm are where its section carries them: their mean is the center, their distances are those
+/// of the section, and the turn of their triangle is that of the rotation that is measured beside them.
+#[test]
+fn markers_ride_on_the_section() {
+    let model = rod(&hanging(), 5);
+    let state = moving(&model, 3);
+    let third = std::f64::consts::TAU / 3.0;
+    let offsets: Vec<[f64; 2]> = (0..3)
+        .map(|i| {
+            0.03 * Vector3::new(
+                (third * f64::from(i)).cos(),
+                (third * f64::from(i)).sin(),
+                0.0,
+            )
+        })
+        .map(|d| [d.x, d.y])
+        .collect();
+    for place in [0.0, 0.37, 0.6, 1.0] {
+        let read = |offsets: Vec<[f64; 2]>| {
+            let settings = SensorSettings {
+                places: vec![place],
+                offsets,
+                position: Some(0.0),
+                rotation: Some(0.0),
+                ..SensorSettings::nothing()
+            };
+            let mut out = Measurement::default();
+            let mut sensor = Sensor::new(&settings, &model).unwrap();
+            sensor.measure(0.0, &state, &mut out).unwrap();
+            let rotation = out.signals.iter().find_map(|signal| match signal.reading {
+                Reading::Rotation(r) => Some(r),
+                Reading::Vector(..) => None,
+            });
+            let positions = out
+                .signals
+                .iter()
+                .filter_map(|signal| match signal.reading {
+                    Reading::Vector(_, x) => Some(x),
+                    Reading::Rotation(_) => None,
+                });
+            (positions.collect::<Vec<_>>(), rotation.unwrap())
+        };
+        let (center, _) = read(vec![[0.0; 2]]);
+        let (markers, rotation) = read(offsets.clone());
+        let mean = (markers[0] + markers[1] + markers[2]) / 3.0;
+        assert!((mean - center[0]).norm() < 1e-15);
+        for (marker, [x, y]) in markers.iter().zip(&offsets) {
+            let turned = rotation * Vector3::new(*x, *y, 0.0);
+            assert!((marker - center[0] - turned).norm() < 1e-15);
+        }
+    }
+}
+
 /// Sensors measure at the multiples of their period whenever they are asked, the same with the same seed and else not, and refuse settings
 /// out of range.
 #[test]
@@ -333,6 +387,14 @@ fn sensors_keep_time_and_seed() {
             ..good.clone()
         },
         SensorSettings {
+            offsets: Vec::new(),
+            ..good.clone()
+        },
+        SensorSettings {
+            offsets: vec![[0.0, f64::INFINITY]],
+            ..good.clone()
+        },
+        SensorSettings {
             age_s: -1.0,
             ..good.clone()
         },
@@ -341,8 +403,14 @@ fn sensors_keep_time_and_seed() {
         let error = Sensor::new(&settings, &plant).unwrap_err();
         assert!(matches!(error, MpcError::Setting { .. }), "{error}");
     }
-    let error = Sensor::new(&SensorSettings::nothing(), &plant).unwrap_err();
-    assert!(matches!(error, MpcError::Unsupported(_)), "{error}");
+    let nothing_there = SensorSettings {
+        offsets: vec![[0.01, 0.0]],
+        ..SensorPreset::Fbg.settings(&plant)
+    };
+    for settings in [SensorSettings::nothing(), nothing_there] {
+        let error = Sensor::new(&settings, &plant).unwrap_err();
+        assert!(matches!(error, MpcError::Unsupported(_)), "{error}");
+    }
     let other = State::at_rest(rod(&upright(), 4).rest);
     let mut sensor = Sensor::new(&good, &plant).unwrap();
     let error = sensor.measure(0.0, &other, &mut Measurement::default());

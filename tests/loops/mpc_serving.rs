@@ -343,6 +343,7 @@ fn long_lines_are_read_in_blocks() {
         let mut driver = scene.driver().unwrap();
         let signal = Signal {
             place: 1.0,
+            offset: [0.0; 2],
             reading: Reading::Vector(Quantity::Position, tip(x)),
             sigma,
         };

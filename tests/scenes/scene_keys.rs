@@ -204,6 +204,7 @@ const SCENES: [&[&str]; 18] = [
         "plant.actuator.moment_rate_max_n_m_s=4.0",
         "sensor.0.preset='mocap'",
         "sensor.0.places=[0.5, 1.0]",
+        "sensor.0.offsets_m=[[0.0, 0.0], [0.01, -0.02]]",
         "sensor.0.position_sigma_m=0.001",
         "sensor.0.rotation_sigma_rad=0.01",
         "sensor.0.velocity_sigma_m_s=0.02",

@@ -3,7 +3,6 @@
 use nalgebra::Vector3;
 
 use super::error::{MpcError, state_fits};
-use super::estimator::comparison::model_error;
 use super::estimator::{Disturbance, Reader};
 use super::signal::{EARLY, Measurement, Quantity, Signal};
 use mechanics::{Rod, State};
@@ -115,6 +114,9 @@ impl SensorPreset {
 pub struct SensorSettings {
     /// Places of the measurements: arc length divided by the arm's length, 0 to 1.
     pub places: Vec<f64>,
+    /// Offsets from the center of the section, along its first and second director, m, at each of which the quantities that
+    /// [have one](crate::QuantityRow::has_offset) are measured at every place.
+    pub offsets: Vec<[f64; 2]>,
     /// Positions at the places, m.
     pub position: Option<f64>,
     /// Rotations at the places, rad.
@@ -143,6 +145,7 @@ impl SensorSettings {
     pub fn nothing() -> Self {
         Self {
             places: Vec::new(),
+            offsets: vec![[0.0; 2]],
             position: None,
             rotation: None,
             velocity: None,
@@ -185,12 +188,11 @@ impl SensorSettings {
     /// Returns the names, as in scenes, of the quantities of a shape that the sensor measures more exactly than a model with its elements can, each with
     /// its standard deviation and with that of the model's error; a Kalman filter takes the latter for it.
     pub fn sharper_than(&self, model: &Rod) -> Vec<(&'static str, f64, f64)> {
-        let of_shape = [Quantity::Position, Quantity::Rotation, Quantity::Curvature];
-        (of_shape.into_iter())
-            .filter_map(|quantity| {
-                let own = model_error(quantity, model, f64::INFINITY);
-                let sigma = self.sigma(quantity).filter(|sigma| *sigma < own)?;
-                Some((quantity.row().key, sigma, own))
+        (Quantity::TABLE.iter().filter(|row| row.of_shape))
+            .filter_map(|row| {
+                let own = row.quantity.model_error(model, f64::INFINITY);
+                let sigma = self.sigma(row.quantity).filter(|sigma| *sigma < own)?;
+                Some((row.key, sigma, own))
             })
             .collect()
     }
@@ -211,9 +213,18 @@ impl SensorSettings {
             let holds = (0.0..=1.0).contains(&place);
             require("places", place, holds, "a part of the length, 0 to 1")?;
         }
+        for &offset in self.offsets.iter().flatten() {
+            require("offsets", offset, true, "a finite number")?;
+        }
         for row in &Quantity::TABLE {
             let sigma = self.sigma(row.quantity).unwrap_or(0.0);
             require(row.key, sigma, sigma >= 0.0, "a number of at least 0")?;
+        }
+        let is_used = self.measured(false).any(|(own, _)| own.row().has_offset);
+        if self.offsets.iter().flatten().any(|x| *x != 0.0) && !is_used {
+            return Err(MpcError::Unsupported(
+                "offsets in the section belong to positions, which this sensor does not measure; leave offsets_m out",
+            ));
         }
         let rate = self.rate_hz;
         require("rate_hz", rate, rate > 0.0, "a positive number")?;
@@ -222,7 +233,14 @@ impl SensorSettings {
         let n_places = self.places.len() as f64;
         if self.measured(false).next().is_some() {
             let expected = "at least one where something is measured at places";
-            require("number of places", n_places, n_places > 0.0, expected)
+            require("number of places", n_places, n_places > 0.0, expected)?;
+            let n_offsets = self.offsets.len() as f64;
+            require(
+                "number of offsets",
+                n_offsets,
+                n_offsets > 0.0,
+                "at least one; [0, 0] is the center",
+            )
         } else if self.measured(true).next().is_some() {
             Ok(())
         } else {
@@ -298,18 +316,30 @@ impl Sensor {
         state_fits(state, &self.rod)?;
         out.time = t;
         out.signals.clear();
-        let places = self.settings.places.iter();
-        let along = places.flat_map(|&place| {
-            (self.settings.measured(false)).map(move |(quantity, sigma)| (quantity, place, sigma))
+        let settings = &self.settings;
+        let along = settings.places.iter().flat_map(|&place| {
+            settings.measured(false).flat_map(move |(quantity, sigma)| {
+                let offsets = match quantity.row().has_offset {
+                    true => &settings.offsets[..],
+                    false => &[[0.0; 2]],
+                };
+                (offsets.iter()).map(move |&offset| (quantity, (place, offset), sigma))
+            })
         });
-        let at_clamp = self.settings.measured(true);
-        for (quantity, place, sigma) in along.chain(at_clamp.map(|(own, sigma)| (own, 0.0, sigma)))
-        {
+        let at_clamp = settings.measured(true);
+        let at_clamp = at_clamp.map(|(own, sigma)| (own, (0.0, [0.0; 2]), sigma));
+        for (quantity, site, sigma) in along.chain(at_clamp) {
             let reader = &self.reader;
-            let exact = reader.read(&self.rod, t, state, &Disturbance::NONE, quantity, place);
-            let noise = Vector3::from_fn(|_, _| normal(&mut self.dice)) * sigma;
+            let exact = reader.read(&self.rod, t, state, &Disturbance::NONE, quantity, site);
+            let numbers = quantity.row().numbers;
+            let noise = Vector3::from_fn(|axis, _| {
+                let number = normal(&mut self.dice);
+                if axis < numbers { number } else { 0.0 }
+            });
+            let noise = noise * sigma;
             out.signals.push(Signal {
-                place,
+                place: site.0,
+                offset: site.1,
                 reading: exact.with_noise(&noise),
                 sigma,
             });

@@ -1,15 +1,24 @@
 //! The signals of sensors, with their accuracy.
 
+use mechanics::Rod;
 use mechanics::rotation::{exp, log, orthonormalized};
 use nalgebra::{Matrix3, Vector3};
 
 /// Fraction of a period, or of a step, by which a time may be early: more than the rounding of times up to 1e9 periods.
 pub(super) const EARLY: f64 = 1e-6;
 
+/// A standard deviation of 0, or below this multiple of the arm's own scale, is replaced by the multiple. The covariance of an innovation
+/// then has a condition number of at most `(0.05/1e-6)² = 2.5e9` for the prior of 0.05 of the length, and a solution with it keeps six
+/// digits.
+pub(super) const EXACT: f64 = 1e-6;
+/// Replacement of the standard deviation of exact velocities, in the arm's own scales: velocities contain the fast waves of an arm, in
+/// which a model of few elements is wrong. As exact values they would be explained by a wrong stiffness, a different one at every sample. A
+/// sensor with a standard deviation of its own (the keys `velocity_sigma_m_s` and `angular_velocity_sigma_rad_s`) is believed.
+pub(super) const EXACT_VELOCITY: f64 = 1e-2;
 /// A quantity that sensors measure; [`row`](Self::row) has its names and unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
-    /// Position of a section's center, spatial, m.
+    /// Position of a point of a section, `x + R d` with the offset `d`, spatial, m.
     Position,
     /// Rotation of a section, body to space. Its noise is a turn `exp(n)` on the right, `n` in the body frame, rad.
     Rotation,
@@ -27,6 +36,9 @@ pub enum Quantity {
     BaseMoment,
 }
 
+/// Time for which the error of a model stays the same, divided by the time scale of the arm: `1/ω₁` of a cantilever, 1/3.516.
+const LASTS: f64 = 0.28;
+
 /// Names, unit and form of a quantity.
 #[derive(Clone, Copy, Debug)]
 pub struct QuantityRow {
@@ -42,6 +54,12 @@ pub struct QuantityRow {
     pub unit: &'static str,
     /// Whether it belongs to the clamp and not to a place along the arm.
     pub at_clamp: bool,
+    /// Whether the shape alone has it, and no motion and no stress.
+    pub of_shape: bool,
+    /// Whether it depends on the offset of its place from the center of the section.
+    pub has_offset: bool,
+    /// How many of the three numbers of a [`Reading::Vector`] it has; the others are 0. A rotation counts as three.
+    pub numbers: usize,
 }
 
 impl Quantity {
@@ -59,6 +77,12 @@ impl Quantity {
                 key,
                 unit,
                 at_clamp,
+                of_shape: matches!(
+                    quantity,
+                    Quantity::Position | Quantity::Rotation | Quantity::Curvature
+                ),
+                has_offset: matches!(quantity, Quantity::Position),
+                numbers: 3,
             }
         }
         use Quantity as Q;
@@ -122,6 +146,40 @@ impl Quantity {
         // The table has the order of the quantities.
         &Self::TABLE[self as usize]
     }
+
+    /// Returns the size that the quantity has on an arm that is bent by a radian or so, in its unit.
+    pub(super) fn scale(self, rod: &Rod) -> f64 {
+        let scales = &rod.scales;
+        match self {
+            Self::Position => scales.length,
+            Self::Rotation => 1.0,
+            Self::Velocity => scales.length / scales.time,
+            Self::AngularVelocity => 1.0 / scales.time,
+            Self::Curvature => 1.0 / scales.length,
+            Self::BaseForce => scales.force,
+            Self::BaseMoment => scales.moment,
+        }
+    }
+
+    /// Returns the standard deviation of white noise that tells as little, at one measurement every `interval` (s), as the error of the model
+    /// allows to know.
+    ///
+    /// An arm that is bent by one radian turns by `θ = 1/K` along each of its `K` elements of the length `l = L/K`. A chord is shorter than its
+    /// arc by up to `l θ²/24`, and by up to `θ²/12` its direction differs from that of the mean frame of its ends: nodes of the arm that are
+    /// taken exactly as they are stretch and shear the elements by as much. An error anywhere within such a bound has the standard deviation of
+    /// the bound over √3. It stays while the arm keeps its shape, during which measurements repeat it: for the time `1/ω₁ = 0.28 T` of a
+    /// cantilever with the time scale `T`. `n` equal errors tell as little as `n` independent ones that are `√n` times as large.
+    pub(super) fn model_error(self, rod: &Rod, interval: f64) -> f64 {
+        let n = rod.n_elements() as f64;
+        let own = match self {
+            Self::Position => 1.0 / (24.0 * n.powi(3)) / f64::sqrt(3.0),
+            Self::Rotation | Self::Curvature => 1.0 / (12.0 * n.powi(2)) / f64::sqrt(3.0),
+            Self::Velocity | Self::AngularVelocity => EXACT_VELOCITY,
+            Self::BaseForce | Self::BaseMoment => EXACT,
+        };
+        let repeated = (LASTS * rod.scales.time / interval).max(1.0);
+        own.max(EXACT) * self.scale(rod) * repeated.sqrt()
+    }
 }
 
 /// The value of a quantity of the arm.
@@ -181,6 +239,9 @@ pub struct Signal {
     /// Arc length from the base divided by the arm's length, 0 to 1, so that a place is the same on every grid. Between two nodes poses lie
     /// on the helix of a [`Transfer`](super::Transfer), and velocities are linear. Without meaning for forces and moments on the clamp.
     pub place: f64,
+    /// Offset `d` from the center of the section, along its first and second director, m; counts for quantities that
+    /// [have one](QuantityRow::has_offset).
+    pub offset: [f64; 2],
     /// Value of the reading.
     pub reading: Reading,
     /// Standard deviation of each of its three values, in the unit of the reading (rad for a rotation); 0 for an exact one.

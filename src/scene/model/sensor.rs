@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, NonNegative, Number, Positive, known};
 use crate::mechanics::Rod;
-use crate::mpc::{Quantity, SensorPreset, SensorSettings};
+use crate::mpc::{Quantity, QuantityRow, SensorPreset, SensorSettings};
 
 /// A sensor with its noise, rate and age; a single one may be written as `[sensor]`. A standard deviation is that of
 /// each of three numbers, and 0 is exact; a quantity without a standard deviation, of its own or by `preset`, is not
@@ -22,6 +22,10 @@ pub struct Sensor {
     /// Places of the measurement, as fractions of the length from the base. Absent: those of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub places: Option<Vec<f64>>,
+    /// Offsets in m from the center of the section, along its two directors, at each of which positions are measured at every
+    /// place, as by markers on the surface. Absent: the center alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offsets_m: Option<Vec<[f64; 2]>>,
     /// Standard deviation of positions in m, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_sigma_m: Option<NonNegative<values::Deviation>>,
@@ -78,6 +82,9 @@ impl Sensor {
         if let Some(places) = &self.places {
             out.places.clone_from(places);
         }
+        if let Some(offsets) = &self.offsets_m {
+            out.offsets.clone_from(offsets);
+        }
         out.rate_hz = self.rate_hz.map_or(out.rate_hz, Number::get);
         out.age_s = self.age_s.map_or(out.age_s, Number::get);
         out
@@ -88,6 +95,7 @@ impl Sensor {
         Self {
             preset: None,
             places: (!settings.places.is_empty()).then(|| settings.places.clone()),
+            offsets_m: (settings.offsets != [[0.0; 2]]).then(|| settings.offsets.clone()),
             position_sigma_m: settings.position.map(known),
             rotation_sigma_rad: settings.rotation.map(known),
             velocity_sigma_m_s: settings.velocity.map(known),
@@ -108,6 +116,21 @@ impl Keys<'_> {
             if !(0.0..=1.0).contains(place) {
                 let key = key(&format!("places.{at}"));
                 return Err(self.out_of_range(&key, *place, "fraction from 0 to 1", ""));
+            }
+        }
+        if let Some(offsets) = &sensor.offsets_m {
+            if offsets.is_empty() {
+                return Err(self.missing(&key("offsets_m.0"), "[0.0, 0.0] is the center"));
+            }
+            for (at, offset) in offsets.iter().enumerate() {
+                self.finite(&key(&format!("offsets_m.{at}")), offset)?;
+            }
+            let is_of_use = |row: &&QuantityRow| {
+                row.has_offset && (sensor.preset.is_some() || sensor.sigma(row.quantity).is_some())
+            };
+            if !Quantity::TABLE.iter().any(|row| is_of_use(&row)) {
+                let relation = "offsets_m belong to positions";
+                return Err(self.missing(&key("position_sigma_m"), relation));
             }
         }
         let measures = |at_clamp| {

@@ -2,21 +2,13 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::signal::{Measurement, Quantity, Reading, Signal};
+use crate::signal::{EXACT, EXACT_VELOCITY, Measurement, Quantity, Reading, Signal};
 use mechanics::Rod;
 
 use super::covariance::{Row, Rows};
 use super::readings::{Layout, Reader};
 use super::{Estimate, EstimateError, Innovation};
 
-/// A standard deviation of 0, or below this multiple of the arm's own scale, is replaced by the multiple. The covariance of an innovation
-/// then has a condition number of at most `(0.05/1e-6)² = 2.5e9` for the prior of 0.05 of the length, and a solution with it keeps six
-/// digits.
-const EXACT: f64 = 1e-6;
-/// Replacement of the standard deviation of exact velocities, in the arm's own scales: velocities contain the fast waves of an arm, in
-/// which a model of few elements is wrong. As exact values they would be explained by a wrong stiffness, a different one at every sample. A
-/// sensor with a standard deviation of its own (the keys `velocity_sigma_m_s` and `angular_velocity_sigma_rad_s`) is believed.
-const EXACT_VELOCITY: f64 = 1e-2;
 /// Largest `|RᵀR - I|` of a measured rotation, which is that of entries with four digits; up to there it is projected to the nearest
 /// rotation by one step that squares it, so that 1e-6 is left, the least standard deviation.
 const LARGEST_ROTATION_DEFECT: f64 = 1e-3;
@@ -88,29 +80,30 @@ impl Comparison {
         self.rows.clear();
         self.nearest = None;
         for signal in measurement.signals.iter().filter(|signal| of_use(signal)) {
-            let (quantity, place) = (signal.reading.quantity(), signal.place);
+            let (quantity, site) = (signal.reading.quantity(), (signal.place, signal.offset));
             let Estimate {
                 time,
                 state,
                 disturbance,
                 ..
             } = estimate;
-            let expected = (self.reader).read(rod, *time, state, disturbance, quantity, place);
+            let expected = (self.reader).read(rod, *time, state, disturbance, quantity, site);
             let residual = signal.reading.minus(&expected);
             if let Some(layout) = layout {
-                let of = (quantity, place);
+                let of = (quantity, site);
                 let terms = &mut self.rows.terms;
                 (self.reader).derive(rod, state, disturbance, of, layout, terms);
             }
             self.rows.signals.push(Row {
                 end: self.rows.terms.len(),
                 residual,
+                numbers: quantity.row().numbers,
                 sigma: believable(signal.sigma, quantity, rod, self.interval),
             });
             if quantity == Quantity::Position
-                && self.nearest.is_none_or(|(other, _)| other <= place)
+                && self.nearest.is_none_or(|(other, _)| other <= signal.place)
             {
-                self.nearest = Some((place, residual.norm()));
+                self.nearest = Some((signal.place, residual.norm()));
             }
         }
         Ok(())
@@ -119,7 +112,7 @@ impl Comparison {
     /// Returns the last comparison without the values that need a covariance.
     pub fn innovation(&self) -> Innovation {
         let signals = &self.rows.signals;
-        let n = 3 * signals.len();
+        let n = signals.iter().map(|row| row.numbers).sum();
         let sum: f64 = (signals.iter())
             .map(|row| (row.residual / row.sigma).norm_squared())
             .sum();
@@ -153,6 +146,9 @@ fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
     let (place, sigma) = (signal.place, signal.sigma);
     let is_place = (0.0..=1.0).contains(&place);
     require("place", place, is_place, "a part of the length, 0 to 1")?;
+    for offset in signal.offset {
+        require("offset", offset, true, "a finite number")?;
+    }
     require("sigma", sigma, sigma >= 0.0, "a number of at least 0")?;
     if let Reading::Rotation(r) = &signal.reading {
         let defect = (r.tr_mul(r) - Matrix3::identity()).norm();
@@ -167,52 +163,15 @@ fn check(index: usize, signal: &Signal) -> Result<(), EstimateError> {
 /// exact than the model.
 fn believable(sigma: f64, quantity: Quantity, rod: &Rod, interval: Option<f64>) -> f64 {
     let is_velocity = matches!(quantity, Quantity::Velocity | Quantity::AngularVelocity);
-    let exact = EXACT * scale(quantity, rod);
+    let exact = EXACT * quantity.scale(rod);
     match interval {
         _ if is_velocity && sigma > exact => sigma,
         // A sensor that is less exact than an error of the model, be it once or again and again, says how exact it is.
-        Some(interval) if sigma < model_error(quantity, rod, f64::INFINITY) => {
-            model_error(quantity, rod, interval)
+        Some(interval) if sigma < quantity.model_error(rod, f64::INFINITY) => {
+            quantity.model_error(rod, interval)
         }
         Some(_) => sigma.max(exact),
-        None if is_velocity => EXACT_VELOCITY * scale(quantity, rod),
+        None if is_velocity => EXACT_VELOCITY * quantity.scale(rod),
         None => sigma.max(exact),
-    }
-}
-
-/// Returns the standard deviation of white noise that tells as little, at one measurement every `interval` (s), as the error of the model
-/// allows to know.
-///
-/// An arm that is bent by one radian turns by `θ = 1/K` along each of its `K` elements of the length `l = L/K`. A chord is shorter than its
-/// arc by up to `l θ²/24`, and by up to `θ²/12` its direction differs from that of the mean frame of its ends: nodes of the arm that are
-/// taken exactly as they are stretch and shear the elements by as much. An error anywhere within such a bound has the standard deviation of
-/// the bound over √3. It stays while the arm keeps its shape, during which measurements repeat it: for the time `1/ω₁ = 0.28 T` of a
-/// cantilever with the time scale `T`. `n` equal errors tell as little as `n` independent ones that are `√n` times as large.
-pub(crate) fn model_error(quantity: Quantity, rod: &Rod, interval: f64) -> f64 {
-    let n = rod.n_elements() as f64;
-    let own = match quantity {
-        Quantity::Position => 1.0 / (24.0 * n.powi(3)) / f64::sqrt(3.0),
-        Quantity::Rotation | Quantity::Curvature => 1.0 / (12.0 * n.powi(2)) / f64::sqrt(3.0),
-        Quantity::Velocity | Quantity::AngularVelocity => EXACT_VELOCITY,
-        Quantity::BaseForce | Quantity::BaseMoment => EXACT,
-    };
-    let repeated = (LASTS * rod.scales.time / interval).max(1.0);
-    own.max(EXACT) * scale(quantity, rod) * repeated.sqrt()
-}
-
-/// Time for which the error of a model stays the same, divided by the time scale of the arm: `1/ω₁` of a cantilever, 1/3.516.
-const LASTS: f64 = 0.28;
-
-/// Returns the unit of a quantity.
-fn scale(quantity: Quantity, rod: &Rod) -> f64 {
-    let scales = &rod.scales;
-    match quantity {
-        Quantity::Position => scales.length,
-        Quantity::Rotation => 1.0,
-        Quantity::Velocity => scales.length / scales.time,
-        Quantity::AngularVelocity => 1.0 / scales.time,
-        Quantity::Curvature => 1.0 / scales.length,
-        Quantity::BaseForce => scales.force,
-        Quantity::BaseMoment => scales.moment,
     }
 }

@@ -41,6 +41,8 @@ pub(super) struct Row {
     pub end: usize,
     /// Measured minus expected.
     pub residual: Vector3<f64>,
+    /// How many of the three numbers are there; the others are 0, and so are their derivatives.
+    pub numbers: usize,
     /// Standard deviation of its noise.
     pub sigma: f64,
 }

@@ -2,9 +2,10 @@
 
 use crate::signal::{Measurement, Quantity};
 
-/// Sum of three squares of independent standard normal numbers that is exceeded once in 10⁹ times (decision 80).
-const LARGEST_SQUARE: f64 = 44.841_275;
-/// Median of such sums, chi-square with three degrees of freedom.
+/// Sums of one and of three squares of independent standard normal numbers that are exceeded once in 10⁹ times (decision 80), and their
+/// medians: chi-square with one and with three degrees of freedom.
+const ONE: [f64; 2] = [37.324_893, 0.454_936];
+const THREE: [f64; 2] = [44.841_275, MEDIAN];
 const MEDIAN: f64 = 2.365_974;
 /// Number of recent signals from whose squares the gate decides whether the model is wrong. The median of `n` squares has the standard
 /// deviation `1/(2 f sqrt n)` with the density `f = 0.188` of chi-square at its median: 0.5 of 2.4 for 30, so that the threshold is known
@@ -26,7 +27,7 @@ pub(super) struct Gate {
     /// Marks for the refused signals of the last measurement; empty if all are used.
     refused: Vec<bool>,
     /// Signals that were refused, and how many consecutive times.
-    in_a_row: Vec<(Quantity, f64, usize)>,
+    in_a_row: Vec<(Quantity, f64, [f64; 2], usize)>,
     /// Squares of the last [`RECENT`] signals; the oldest is at `oldest` once there are as many.
     recent: Vec<f64>,
     oldest: usize,
@@ -61,21 +62,28 @@ impl Gate {
         squares: impl Iterator<Item = f64>,
     ) -> usize {
         self.refused.clear();
-        let largest = LARGEST_SQUARE * self.excess();
+        let excess = self.excess();
         for (signal, square) in measurement.signals.iter().zip(squares) {
-            self.note(square);
-            let (quantity, place) = (signal.reading.quantity(), signal.place);
-            let at = (self.in_a_row.iter()).position(|own| (own.0, own.1) == (quantity, place));
+            let (quantity, place, offset) =
+                (signal.reading.quantity(), signal.place, signal.offset);
+            let [largest, median] = match quantity.row().numbers {
+                1 => ONE,
+                _ => THREE,
+            };
+            self.note(square * (MEDIAN / median));
+            let largest = largest * excess;
+            let at = (self.in_a_row.iter())
+                .position(|own| (own.0, own.1, own.2) == (quantity, place, offset));
             let is_refused = square > largest && {
                 let at = at.unwrap_or_else(|| {
-                    self.in_a_row.push((quantity, place, 0));
+                    self.in_a_row.push((quantity, place, offset, 0));
                     self.in_a_row.len() - 1
                 });
-                self.in_a_row[at].2 += 1;
-                self.in_a_row[at].2 <= MOST_REFUSALS
+                self.in_a_row[at].3 += 1;
+                self.in_a_row[at].3 <= MOST_REFUSALS
             };
             if let (Some(at), true) = (at, square <= largest) {
-                self.in_a_row[at].2 = 0;
+                self.in_a_row[at].3 = 0;
             }
             self.refused.push(is_refused);
         }
@@ -115,6 +123,7 @@ mod tests {
             signals: (1..=5)
                 .map(|place| Signal {
                     place: f64::from(place) / 5.0,
+                    offset: [0.0; 2],
                     reading: Reading::Vector(Quantity::Position, Vector3::zeros()),
                     sigma: 1e-3,
                 })

@@ -97,6 +97,7 @@ mod tests {
         let mut first = at(0.1);
         first.signals.push(crate::signal::Signal {
             place: 1.0,
+            offset: [0.0; 2],
             reading: crate::signal::Reading::Vector(
                 crate::signal::Quantity::Position,
                 nalgebra::Vector3::zeros(),

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 
 use crate::command::Command;
 use crate::error::MpcError;
-use crate::signal::{Measurement, Reading, Signal};
+use crate::signal::{Measurement, Signal};
 use mechanics::beam::Beam;
 use mechanics::forms::NODE_COMPONENTS;
 use mechanics::linearization::{Motion, StateTangent};
@@ -326,18 +326,17 @@ impl KalmanFilter {
         &self.transition
     }
 
-    /// Returns the derivatives of a reading at a place along the components of the covariance, three rows; of `reading` only the kind is
+    /// Returns the derivatives of a signal's reading along the components of the covariance, three rows; of the reading only the quantity is
     /// used.
     ///
     /// # Errors
     /// Returns [`EstimateError`] for an invalid place.
-    pub fn derivative(&mut self, place: f64, reading: Reading) -> Result<Mat<f64>, EstimateError> {
+    pub fn derivative(&mut self, signal: &Signal) -> Result<Mat<f64>, EstimateError> {
         let measurement = Measurement {
             time: self.estimate.time,
             signals: vec![Signal {
-                place,
-                reading,
                 sigma: 0.0,
+                ..*signal
             }],
         };
         self.point.clone_from(&self.estimate);

@@ -7,6 +7,7 @@
 //! ```text
 //! x(s) = x_a + s R_a z,  z = M(sψ) w        δx(s) = δx_a - s R_a ẑ ζ_a + s R_a M(sψ) (δw - s G(sψ, z) δψ),   G(v, z) = ∂(S(v) z)/∂v
 //! R(s) = R_a exp(sψ)                        ζ(s)  = exp(sψ)ᵀ ζ_a + s T(sψ) δψ,                              T the body-frame tangent of exp
+//! x(s) + R(s) d,                            δ = δx(s) - R(s) d̂ ζ(s)                                        at an offset d in the section
 //! δψ = Sᵀ ζ_b - S ζ_a                       δw    = S (R_aᵀ (δx_b - δx_a) + y × ζ_a) + G(ψ, y) δψ,          y = R_aᵀ (x_b - x_a)
 //! ```
 
@@ -118,12 +119,16 @@ impl Reader {
         state: &State,
         disturbance: &Disturbance,
         quantity: Quantity,
-        place: f64,
+        (place, offset): (f64, [f64; 2]),
     ) -> Reading {
         let at = &state.configuration;
         let (q, s) = locate(&self.nodes, place);
         match quantity {
-            Quantity::Position => Reading::Vector(quantity, pose(at, q, s).0),
+            Quantity::Position => {
+                let (x, r) = pose(at, q, s);
+                let d = in_section(offset);
+                Reading::Vector(quantity, d.map_or(x, |d| x + r * d))
+            }
             Quantity::Rotation => Reading::Rotation(pose(at, q, s).1),
             Quantity::Velocity => {
                 let velocity = |q: usize| state.linear_momentum[q] / rod.nodes[q].mass;
@@ -170,7 +175,7 @@ impl Reader {
         rod: &Rod,
         state: &State,
         disturbance: &Disturbance,
-        (quantity, place): (Quantity, f64),
+        (quantity, (place, offset)): (Quantity, (f64, [f64; 2])),
         layout: &Layout,
         terms: &mut Terms,
     ) {
@@ -182,6 +187,17 @@ impl Reader {
             }
         };
         let ends = [(q, 1.0 - s), (q + 1, s)];
+        if let (Quantity::Position, Some(d)) = (quantity, in_section(offset)) {
+            let lever = -pose(&state.configuration, q, s).1 * hat(&d);
+            match s {
+                0.0 | 1.0 => add(if s == 0.0 { q } else { q + 1 }, ROTATION, &lever),
+                _ => {
+                    let [a, b] = Helix::at(state, q).rotation(s);
+                    add(q, ROTATION, &(lever * a));
+                    add(q + 1, ROTATION, &(lever * b));
+                }
+            }
+        }
         match quantity {
             Quantity::Position | Quantity::Rotation if s == 0.0 || s == 1.0 => {
                 let part = if quantity == Quantity::Position {
@@ -293,6 +309,11 @@ impl Reader {
         let s = (place - self.middles[q]) / (self.middles[q + 1] - self.middles[q]);
         [(q, 1.0 - s), (q + 1, s)]
     }
+}
+
+/// Returns an offset from the center of a section in its frame; `None` at the center.
+fn in_section([first, second]: [f64; 2]) -> Option<Vector3<f64>> {
+    (first != 0.0 || second != 0.0).then(|| Vector3::new(first, second, 0.0))
 }
 
 /// Returns the angular velocity of a node in its body frame, rad/s.

@@ -414,6 +414,7 @@ impl Intake {
                 let reading = ReadingLine {
                     time_s: None,
                     place: Some(self.places[q]),
+                    offset_m: None,
                     values,
                 };
                 (format!("nodes[{q}]"), reading)
@@ -435,6 +436,14 @@ impl Intake {
                 format!("{name}.place"),
                 format!("{place} is not between 0 and 1"),
                 "give the arc length from the base over the length of the arm; without it the place is the tip, 1",
+            ));
+        }
+        let offset = reading.offset_m.unwrap_or_default();
+        if offset.iter().any(|x| !x.is_finite()) {
+            return Err(Refusal::new(
+                format!("{name}.offset_m"),
+                format!("{offset:?} is not finite"),
+                "give the place in the section, from its center; without it the place is the center",
             ));
         }
         for &(quantity, given) in &reading.values {
@@ -463,6 +472,7 @@ impl Intake {
             };
             signals.push(Signal {
                 place,
+                offset,
                 reading,
                 sigma,
             });

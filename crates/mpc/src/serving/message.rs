@@ -64,12 +64,13 @@ pub struct ObstacleLine {
     pub velocity_m_s: Option<Vector>,
 }
 
-/// A reading of one sensor at one place: fields `time_s`, `place`, and values under the names of [`Quantity::TABLE`].
+/// A reading of one sensor at one place: fields `time_s`, `place`, `offset_m`, and values under the names of [`Quantity::TABLE`].
 #[derive(Clone, Debug, Deserialize)]
 #[serde(try_from = "BTreeMap<String, serde_json::Value>")]
 pub struct ReadingLine {
     pub time_s: Option<f64>,
     pub place: Option<f64>,
+    pub offset_m: Option<[f64; 2]>,
     pub values: Vec<(Quantity, Given)>,
 }
 
@@ -97,11 +98,15 @@ impl TryFrom<BTreeMap<String, serde_json::Value>> for ReadingLine {
         let mut out = Self {
             time_s: take(&mut given, "time_s")?,
             place: take(&mut given, "place")?,
+            offset_m: take(&mut given, "offset_m")?,
             values: Vec::new(),
         };
         for row in &Quantity::TABLE {
             let value = match row.quantity {
                 Quantity::Rotation => take(&mut given, row.field)?.map(Given::Rotation),
+                _ if row.numbers == 1 => {
+                    take(&mut given, row.field)?.map(|number| Given::Vector([number, 0.0, 0.0]))
+                }
                 _ => take(&mut given, row.field)?.map(Given::Vector),
             };
             out.values.extend(value.map(|value| (row.quantity, value)));
@@ -109,7 +114,7 @@ impl TryFrom<BTreeMap<String, serde_json::Value>> for ReadingLine {
         if let Some(unknown) = given.keys().next() {
             let known: Vec<&str> = Quantity::TABLE.iter().map(|row| row.field).collect();
             return Err(format!(
-                "unknown field `{unknown}`; a reading has time_s, place, {}",
+                "unknown field `{unknown}`; a reading has time_s, place, offset_m, {}",
                 known.join(", ")
             ));
         }
