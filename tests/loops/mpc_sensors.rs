@@ -1,5 +1,7 @@
 //! What sensors read of a state, and its derivatives.
 
+use std::ops::ControlFlow;
+
 use crate::estimating;
 
 use estimating::{all_disturbances, at_rest, hanging, moving, rod, scale, unit, upright};
@@ -8,9 +10,11 @@ use softarm::mechanics::forms::NODE_COMPONENTS;
 use softarm::mechanics::rotation::log;
 use softarm::mechanics::{DistributedLoad, LoadFrame, Rod, State, StrainRule};
 use softarm::mpc::{
-    Disturbance, KalmanFilter, KalmanSettings, Measurement, MpcError, Quantity, Reading, Sensor,
-    SensorPreset, SensorSettings, Signal, Transfer,
+    Contender, Disturbance, KalmanFilter, KalmanSettings, Measurement, MpcError, Quantity, Reading,
+    Sensor, SensorPreset, SensorSettings, Signal, Transfer,
 };
+use softarm::scene::Scene;
+use softarm::stop::StopSignal;
 use softarm::task::{Arm, Discretization, Place, PointLoad};
 
 /// Exact readings of everything at some places.
@@ -23,6 +27,7 @@ fn everything(rod: &Rod, state: &State) -> Vec<Signal> {
         velocity: Some(0.0),
         angular_velocity: Some(0.0),
         curvature: Some(0.0),
+        strain: Some(0.0),
         base_force: Some(0.0),
         base_moment: Some(0.0),
         ..SensorSettings::nothing()
@@ -89,6 +94,7 @@ fn derivatives_of_readings_are_derivatives() {
                         }
                         Reading::Vector(Quantity::AngularVelocity, _) => 1.0 / model.scales.time,
                         Reading::Vector(Quantity::Curvature, _) => 1.0 / model.elements[0].length,
+                        Reading::Vector(Quantity::Strain, _) => 1.0,
                         Reading::Vector(Quantity::BaseForce, _) => {
                             model.elements[0].linear_stiffness.max()
                         }
@@ -338,6 +344,78 @@ fn markers_ride_on_the_section() {
             assert!((marker - center[0] - turned).norm() < 1e-15);
         }
     }
+}
+
+/// Fibres beside the center of an arm that is a helix of constant curvature have the strain of their own line, `|e₃ + κ × d| - 1`, wherever
+/// they are read and on any grid; without stress they have none, whatever the shape at rest is; and stretched by a part they have that part.
+#[test]
+fn fibres_have_the_strain_of_their_line() {
+    let offsets = vec![[0.04, 0.0], [-0.01, 0.03], [0.0, 0.0]];
+    let curvature = Vector3::new(0.8, -0.5, 1.1);
+    let curved = Arm {
+        rest_curvature: curvature,
+        ..upright()
+    };
+    let strains = |model: &Rod, state: &State| {
+        let settings = SensorSettings {
+            places: vec![0.0, 0.3, 0.55, 1.0],
+            offsets: offsets.clone(),
+            strain: Some(0.0),
+            ..SensorSettings::nothing()
+        };
+        let mut out = Measurement::default();
+        let mut sensor = Sensor::new(&settings, model).unwrap();
+        sensor.measure(0.0, state, &mut out).unwrap();
+        let values = out.signals.iter().map(|signal| match signal.reading {
+            Reading::Vector(Quantity::Strain, v) => (signal.offset, v.x),
+            other => panic!("{other:?}"),
+        });
+        values.collect::<Vec<_>>()
+    };
+    for elements in [1, 3, 8] {
+        let [straight, bent] = [&upright(), &curved].map(|arm| rod(arm, elements));
+        let shape = State::at_rest(bent.rest.clone());
+        let found = strains(&straight, &shape);
+        assert_eq!(found.len(), 12);
+        for ([x, y], strain) in found {
+            let line = Vector3::z() + curvature.cross(&Vector3::new(x, y, 0.0));
+            assert!((strain - (line.norm() - 1.0)).abs() < 1e-13);
+        }
+        assert!(
+            strains(&bent, &shape)
+                .iter()
+                .all(|(_, strain)| strain.abs() < 1e-13)
+        );
+        let mut stretched = State::at_rest(straight.rest.clone());
+        for x in &mut stretched.configuration.positions {
+            x.z *= 1.07;
+        }
+        let found = strains(&straight, &stretched);
+        assert!(
+            found
+                .iter()
+                .all(|(_, strain)| (strain - 0.07).abs() < 1e-13)
+        );
+    }
+}
+
+/// Four fibres along the surface, with gratings at five places, lead an arm of four fifths of the stiffness on its circle, within half a
+/// percent of the length: bends, stretch and the wrong stiffness follow from strains alone.
+#[test]
+fn fibres_lead_the_loop() {
+    let fibres = "sensor=[{places=[0.1,0.3,0.5,0.7,0.9], offsets_m=[[0.05,0.0],[0.0,0.05],[-0.05,0.0],[0.0,-0.05]], strain_sigma=1e-5, rate_hz=200, age_s=0.005}]";
+    let overrides = [fibres, "time.end_s=4.0"].map(String::from);
+    let (scene, source) = Scene::load("mpc-track-circle", &overrides).unwrap();
+    let setup = scene
+        .closed_loop(&source, 0, &StopSignal::default())
+        .unwrap();
+    let own = &setup.experiment;
+    let run = own
+        .run(Contender::Mpc, &mut |_, _| ControlFlow::Continue(()))
+        .unwrap();
+    assert!(run.broke_down.is_none() && run.tally.fallbacks.is_empty());
+    let off = run.tip_error.rms / own.arm.length;
+    assert!(off < 5e-3, "{off}");
 }
 
 /// Sensors measure at the multiples of their period whenever they are asked, the same with the same seed and else not, and refuse settings

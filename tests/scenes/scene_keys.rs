@@ -210,6 +210,7 @@ const SCENES: [&[&str]; 18] = [
         "sensor.0.velocity_sigma_m_s=0.02",
         "sensor.0.angular_velocity_sigma_rad_s=0.03",
         "sensor.0.curvature_sigma_1_m=0.04",
+        "sensor.0.strain_sigma=1e-5",
         "sensor.0.base_force_sigma_n=0.05",
         "sensor.0.base_moment_sigma_n_m=0.006",
         "sensor.0.rate_hz=150.0",

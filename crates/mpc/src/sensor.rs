@@ -127,6 +127,8 @@ pub struct SensorSettings {
     pub angular_velocity: Option<f64>,
     /// Curvatures at the places, 1/m.
     pub curvature: Option<f64>,
+    /// Strains of fibres at the offsets, at the places.
+    pub strain: Option<f64>,
     /// Force on the clamp, N.
     pub base_force: Option<f64>,
     /// Moment on the clamp, N m.
@@ -151,6 +153,7 @@ impl SensorSettings {
             velocity: None,
             angular_velocity: None,
             curvature: None,
+            strain: None,
             base_force: None,
             base_moment: None,
             rate_hz: 100.0,
@@ -173,6 +176,7 @@ impl SensorSettings {
             Quantity::Velocity => &mut self.velocity,
             Quantity::AngularVelocity => &mut self.angular_velocity,
             Quantity::Curvature => &mut self.curvature,
+            Quantity::Strain => &mut self.strain,
             Quantity::BaseForce => &mut self.base_force,
             Quantity::BaseMoment => &mut self.base_moment,
         }
@@ -223,7 +227,7 @@ impl SensorSettings {
         let is_used = self.measured(false).any(|(own, _)| own.row().has_offset);
         if self.offsets.iter().flatten().any(|x| *x != 0.0) && !is_used {
             return Err(MpcError::Unsupported(
-                "offsets in the section belong to positions, which this sensor does not measure; leave offsets_m out",
+                "offsets in the section belong to positions and strains, which this sensor does not measure; leave offsets_m out",
             ));
         }
         let rate = self.rate_hz;

@@ -30,6 +30,9 @@ pub enum Quantity {
     /// The mean over an element is its value at the element's middle; between middles it is linear, and it is extrapolated linearly beyond
     /// the first and the last one.
     Curvature,
+    /// Strain of a fibre that runs beside the center at the offset `d`: `|v + κ × d|` over its value without stress, minus 1; one number. As
+    /// with curvatures, the mean over an element is its value at the element's middle.
+    Strain,
     /// Force of the arm on its clamp, spatial frame, N: the pull of the first element on node 0, plus the weight of node 0.
     BaseForce,
     /// Moment of the arm on its clamp about node 0, in the body frame of node 0, N m.
@@ -64,7 +67,7 @@ pub struct QuantityRow {
 
 impl Quantity {
     /// All quantities, those at places along the arm first.
-    pub const TABLE: [QuantityRow; 7] = {
+    pub const TABLE: [QuantityRow; 8] = {
         const fn row(
             quantity: Quantity,
             [words, field, key, unit]: [&'static str; 4],
@@ -79,10 +82,17 @@ impl Quantity {
                 at_clamp,
                 of_shape: matches!(
                     quantity,
-                    Quantity::Position | Quantity::Rotation | Quantity::Curvature
+                    Quantity::Position
+                        | Quantity::Rotation
+                        | Quantity::Curvature
+                        | Quantity::Strain
                 ),
-                has_offset: matches!(quantity, Quantity::Position),
-                numbers: 3,
+                has_offset: matches!(quantity, Quantity::Position | Quantity::Strain),
+                numbers: if matches!(quantity, Quantity::Strain) {
+                    1
+                } else {
+                    3
+                },
             }
         }
         use Quantity as Q;
@@ -117,6 +127,7 @@ impl Quantity {
                 ["curvature", "curvature_1_m", "curvature_sigma_1_m", "1/m"],
                 false,
             ),
+            row(Q::Strain, ["strain", "strain", "strain_sigma", ""], false),
             row(
                 Q::BaseForce,
                 [
@@ -152,7 +163,7 @@ impl Quantity {
         let scales = &rod.scales;
         match self {
             Self::Position => scales.length,
-            Self::Rotation => 1.0,
+            Self::Rotation | Self::Strain => 1.0,
             Self::Velocity => scales.length / scales.time,
             Self::AngularVelocity => 1.0 / scales.time,
             Self::Curvature => 1.0 / scales.length,
@@ -174,6 +185,7 @@ impl Quantity {
         let own = match self {
             Self::Position => 1.0 / (24.0 * n.powi(3)) / f64::sqrt(3.0),
             Self::Rotation | Self::Curvature => 1.0 / (12.0 * n.powi(2)) / f64::sqrt(3.0),
+            Self::Strain => 1.0 / (24.0 * n.powi(2)) / f64::sqrt(3.0),
             Self::Velocity | Self::AngularVelocity => EXACT_VELOCITY,
             Self::BaseForce | Self::BaseMoment => EXACT,
         };

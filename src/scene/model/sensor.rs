@@ -22,8 +22,8 @@ pub struct Sensor {
     /// Places of the measurement, as fractions of the length from the base. Absent: those of `preset`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub places: Option<Vec<f64>>,
-    /// Offsets in m from the center of the section, along its two directors, at each of which positions are measured at every
-    /// place, as by markers on the surface. Absent: the center alone.
+    /// Offsets in m from the center of the section, along its two directors, at each of which positions and strains are measured
+    /// at every place, as by markers on the surface and by fibres along it. Absent: the center alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub offsets_m: Option<Vec<[f64; 2]>>,
     /// Standard deviation of positions in m, not negative. Absent: that of `preset`, or not measured.
@@ -41,6 +41,9 @@ pub struct Sensor {
     /// Standard deviation of curvatures and twist in 1/m, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature_sigma_1_m: Option<NonNegative<values::Deviation>>,
+    /// Standard deviation of the strains of fibres that run along the arm at `offsets_m`, not negative. Absent: not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub strain_sigma: Option<NonNegative<values::Deviation>>,
     /// Standard deviation of the force on the clamp in N, not negative. Absent: that of `preset`, or not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub base_force_sigma_n: Option<NonNegative<values::Deviation>>,
@@ -65,6 +68,7 @@ impl Sensor {
             Quantity::Velocity => self.velocity_sigma_m_s,
             Quantity::AngularVelocity => self.angular_velocity_sigma_rad_s,
             Quantity::Curvature => self.curvature_sigma_1_m,
+            Quantity::Strain => self.strain_sigma,
             Quantity::BaseForce => self.base_force_sigma_n,
             Quantity::BaseMoment => self.base_moment_sigma_n_m,
         }
@@ -101,6 +105,7 @@ impl Sensor {
             velocity_sigma_m_s: settings.velocity.map(known),
             angular_velocity_sigma_rad_s: settings.angular_velocity.map(known),
             curvature_sigma_1_m: settings.curvature.map(known),
+            strain_sigma: settings.strain.map(known),
             base_force_sigma_n: settings.base_force.map(known),
             base_moment_sigma_n_m: settings.base_moment.map(known),
             rate_hz: Some(known(settings.rate_hz)),
@@ -129,7 +134,7 @@ impl Keys<'_> {
                 row.has_offset && (sensor.preset.is_some() || sensor.sigma(row.quantity).is_some())
             };
             if !Quantity::TABLE.iter().any(|row| is_of_use(&row)) {
-                let relation = "offsets_m belong to positions";
+                let relation = "offsets_m belong to positions and strains";
                 return Err(self.missing(&key("position_sigma_m"), relation));
             }
         }

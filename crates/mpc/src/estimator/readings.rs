@@ -148,6 +148,12 @@ impl Reader {
                     self.elements(place).into_iter().map(curvature).sum(),
                 )
             }
+            Quantity::Strain => {
+                let strain =
+                    |(q, weight): (usize, f64)| Fibre::at(rod, state, q, offset).0 * weight;
+                let sum: f64 = self.elements(place).into_iter().map(strain).sum();
+                Reading::Vector(quantity, Vector3::new(sum, 0.0, 0.0))
+            }
             Quantity::BaseForce => {
                 let [force, _] = BaseElement::at(rod, state).gradient();
                 let share = disturbance.distributed * (0.5 * rod.elements[0].length);
@@ -247,6 +253,20 @@ impl Reader {
                     add(q + 1, ROTATION, &slope.transpose());
                 }
             }
+            Quantity::Strain => {
+                for (q, weight) in self.elements(place) {
+                    let Fibre(_, slope) = Fibre::at(rod, state, q, offset);
+                    let mut add = |node, part, sign: f64, at: usize| {
+                        let mut matrix = Matrix3::zeros();
+                        matrix.set_row(0, &(slope.fixed_columns::<3>(at) * (sign * weight)));
+                        add(node, part, &matrix);
+                    };
+                    add(q, POSITION, -1.0, 0);
+                    add(q + 1, POSITION, 1.0, 0);
+                    add(q, ROTATION, 1.0, 3);
+                    add(q + 1, ROTATION, 1.0, 6);
+                }
+            }
             Quantity::BaseForce | Quantity::BaseMoment => {
                 let element = BaseElement::at(rod, state);
                 // Rows of `(F, M_a)`, and their sign.
@@ -319,6 +339,30 @@ fn in_section([first, second]: [f64; 2]) -> Option<Vector3<f64>> {
 /// Returns the angular velocity of a node in its body frame, rad/s.
 fn spin(rod: &Rod, state: &State, q: usize) -> Vector3<f64> {
     state.angular_momentum[q].component_div(&rod.nodes[q].rotary)
+}
+
+/// Strain of a fibre at an offset in an element, and its derivative along `(δx_b - δx_a, ζ_a, ζ_b)`.
+///
+/// With the direction `t` of the line `v + κ × d`, the derivative of its length along `(v, κ)` is `(t, d × t)`.
+struct Fibre(f64, SMatrix<f64, 1, 9>);
+
+impl Fibre {
+    fn at(rod: &Rod, state: &State, q: usize, [first, second]: [f64; 2]) -> Self {
+        let (element, at) = (&rod.elements[q], &state.configuration);
+        let pose = Rod::element_pose(q, &at.positions, &at.rotations);
+        let (strain, slope) = (rod.strain_rule).strain_derivative(element.length, &pose);
+        let d = Vector3::new(first, second, 0.0);
+        let lines = |strain: &ElementStrain| strain.linear.map(|v| v + strain.curvature.cross(&d));
+        let length = |[a, b]: [Vector3<f64>; 2]| 0.5 * (a.norm() + b.norm());
+        let [rest, now] = [&element.rest, &strain].map(|strain| length(lines(strain)));
+        let mut along = SMatrix::<f64, 1, 9>::zeros();
+        for (end, line) in lines(&strain).into_iter().enumerate() {
+            let t = line * (0.5 / line.norm());
+            along += t.transpose() * slope.fixed_rows::<3>(3 * end);
+            along += d.cross(&t).transpose() * slope.fixed_rows::<3>(6);
+        }
+        Self(now / rest - 1.0, along / rest)
+    }
 }
 
 /// Derivatives along the ends of an element at a fraction of it; see the [module documentation](self).
