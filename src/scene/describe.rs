@@ -7,8 +7,8 @@ use super::model::geometry::wxyz;
 use super::model::{
     Base, Body, Contact, Damping, DistributedLoad, EndKind, Gravity, Initial, Limit, Load,
     Objective, Obstacle, Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme,
-    TimeStep, Tip, describe_section, described_control, described_end, described_targets,
-    described_task, describing_hardware, describing_poses,
+    TimeStep, Tip, describe_hardware, describe_section, described_control, described_end,
+    described_targets, described_task, describing_poses,
 };
 use super::values::known;
 use crate::mechanics;
@@ -73,10 +73,6 @@ impl Scene {
             }),
         };
         describe_section(arm, &mut rod)?;
-        let hardware = describing_hardware(&arm.actuators, &task.efforts);
-        let (tendon, chamber, muscle) = hardware.ok_or(DescribeError(
-            "its arm has a push rod or a braid, or actuators in another order than tendons, chambers, muscles",
-        ))?;
         let poses = describing_poses(&arm.pose_actuators, arm.actuators.len(), &task.efforts);
         let (magnet, cable) = poses.filter(|_| arm.potentials.is_empty()).ok_or(DescribeError(
             "its arm has potentials or actuators on poses of its own, or others than magnets and then cables",
@@ -95,8 +91,16 @@ impl Scene {
             return Err(DescribeError("it has terms of its own"));
         }
         let (via, goal) = described_targets(task, mesh)?;
-        Ok(Scene {
-            rod,
+        let time = Time {
+            end_s: known(task.horizon),
+            step_s: chosen.step.map_or(TimeStep::Auto, TimeStep::Seconds),
+            integrator: match chosen.scheme {
+                None => TimeScheme::Auto,
+                Some(mechanics::TimeScheme::Explicit) => TimeScheme::Explicit,
+                Some(mechanics::TimeScheme::Implicit) => TimeScheme::Implicit,
+            },
+        };
+        let mut out = Scene {
             base,
             tip: (tip.kind != EndKind::Free).then_some(tip),
             gravity: (arm.gravity != Vector3::zeros()).then(|| Gravity {
@@ -114,22 +118,10 @@ impl Scene {
             distributed_load: (arm.distributed_loads.iter())
                 .map(DistributedLoad::describing)
                 .collect(),
-            tendon,
-            chamber,
-            muscle,
             magnet,
             cable,
             contact: arm.contacts.iter().map(Contact::describing).collect(),
             initial: Some(Initial::describing(&task.start)),
-            time: Time {
-                end_s: known(task.horizon),
-                step_s: chosen.step.map_or(TimeStep::Auto, TimeStep::Seconds),
-                integrator: match chosen.scheme {
-                    None => TimeScheme::Auto,
-                    Some(mechanics::TimeScheme::Explicit) => TimeScheme::Explicit,
-                    Some(mechanics::TimeScheme::Implicit) => TimeScheme::Implicit,
-                },
-            },
             task: goal.map(|goal| described_task(problem, goal, via)),
             control: Some(described_control(problem)?),
             obstacle: (task.limits[..obstacles].iter())
@@ -145,12 +137,11 @@ impl Scene {
                 saddle_gain: known(settings.saddle_gain),
                 ..Solver::default()
             }),
-            output: None,
-            mpc: None,
-            plant: None,
-            sensor: Vec::new(),
-            estimator: None,
-            disturbance: Vec::new(),
-        })
+            ..Scene::bare(rod, time)
+        };
+        describe_hardware(&arm.actuators, &task.efforts, &mut out).ok_or(DescribeError(
+            "its arm has an actuator that no section describes, such as a push rod, or actuators in another order than that of their sections",
+        ))?;
+        Ok(out)
     }
 }

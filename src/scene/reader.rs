@@ -4,6 +4,7 @@
 //! the path of its key, and the [`SceneSource`](super::SceneSource) finds out where that was written.
 
 use super::error::{excerpt, nearest};
+use super::model::SECTIONS;
 use super::values::digits;
 use serde::de::{
     self, DeserializeOwned, Deserializer, IntoDeserializer, Unexpected, Visitor,
@@ -139,7 +140,7 @@ const TOPICS: [(&[&str], &str); 5] = [
     ),
     (
         &["muscle", "actuat", "braid", "kibben"],
-        "actuators in the arm are [[tendon]], [[chamber]] and [[muscle]] sections: see \"Tendons, chambers and muscles\" in docs/solves.md",
+        "actuators in the arm have the sections {sections}: see \"Tendons, chambers and muscles\" in docs/solves.md",
     ),
     (
         &["magnet", "field_t", "cable"],
@@ -161,11 +162,12 @@ const TOPICS: [(&[&str], &str); 5] = [
 ];
 
 /// Returns the sentence about what a word means; `None` for other words.
-fn topic(word: &str) -> Option<&'static str> {
+fn topic(word: &str) -> Option<String> {
     let word = word.to_lowercase();
     let mut pages = TOPICS.iter();
     let (_, page) = pages.find(|(parts, _)| parts.iter().any(|part| word.contains(part)))?;
-    Some(page)
+    let sections = SECTIONS.map(|section| format!("[[{section}]]"));
+    Some(page.replace("{sections}", &sections.join(", ")))
 }
 
 struct Reader<'a>(&'a Value);

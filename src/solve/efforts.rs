@@ -94,7 +94,7 @@ fn displacement(rod: &Rod, actuator: usize, input: f64, coordinate: f64) -> Opti
     match own.density {
         _ if own.winch.is_some() => Some(input),
         Density::Shortening => Some(-coordinate),
-        Density::Lengthening | Density::Volume | Density::Muscle | Density::Braid { .. } => None,
+        _ => None,
     }
 }
 

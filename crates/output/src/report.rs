@@ -334,8 +334,10 @@ pub struct ReportArrow {
 pub struct ReportRoute {
     /// Its name.
     pub name: String,
-    /// Its kind: "tendon", "chamber", "muscle", "magnet" or "cable".
+    /// Word for its kind, such as "tendon".
     pub kind: &'static str,
+    /// Name of its color in the style sheet.
+    pub color: &'static str,
     /// The first node that it passes.
     pub first: usize,
     /// Places in the axes of the section, in meters, at this node and the following ones.

@@ -323,6 +323,9 @@ impl Common<'_> {
     }
 }
 
+/// Sections of actuators in the arm, in their order along the inputs of a simulation.
+pub(in crate::scene) const SECTIONS: [&str; 3] = ["tendon", "chamber", "muscle"];
+
 /// Distance of an actuator from the axis, in lengths of the arm, above which it is probably a mistake.
 const FAR_ASIDE: f64 = 0.25;
 
@@ -352,7 +355,7 @@ impl Scene {
         })
     }
 
-    /// The actuators in the arm: tendons, then chambers, then muscles.
+    /// The actuators in the arm, in the order of [`SECTIONS`].
     fn hardware(&self) -> Vec<Common<'_>> {
         let tendons = self.tendon.iter().enumerate().map(|(index, own)| {
             let density = Density::Shortening;
@@ -626,12 +629,13 @@ impl Keys<'_> {
     }
 }
 
-/// Returns the keys of the actuators of an arm with the efforts that are controls; `None` for one that no scene has.
-pub(in crate::scene) fn describing_hardware(
+/// Writes the keys of the actuators of an arm, with the efforts that are controls, to a scene; `None` for an actuator that no scene has, or in
+/// another order than that of [`SECTIONS`].
+pub(in crate::scene) fn describe_hardware(
     actuators: &[StrainActuator],
     efforts: &[EffortControl],
-) -> Option<(Vec<Tendon>, Vec<Chamber>, Vec<Muscle>)> {
-    let (mut tendons, mut chambers, mut muscles) = (Vec::new(), Vec::new(), Vec::new());
+    out: &mut Scene,
+) -> Option<()> {
     let mut order = Vec::new();
     for (index, own) in actuators.iter().enumerate() {
         let control = efforts.iter().find(|control| control.actuator == index);
@@ -653,10 +657,9 @@ pub(in crate::scene) fn describing_hardware(
         let (from, to) = (known(route.from), known(route.to));
         let offset_to_m = (route.offset_to != route.offset_from).then_some(route.offset_to);
         let name = Some(own.name.clone()).filter(|name| !name.is_empty());
-        match own.density {
+        order.push(match own.density {
             Density::Shortening => {
-                order.push(0);
-                tendons.push(Tendon {
+                out.tendon.push(Tendon {
                     name,
                     offset_m: route.offset_from,
                     offset_to_m,
@@ -679,10 +682,10 @@ pub(in crate::scene) fn describing_hardware(
                     compliance_1_n: own.winch.map(|winch| known(winch.compliance)),
                     free_length_m: own.winch.map_or(known(0.0), |winch| known(winch.outside)),
                 });
+                "tendon"
             }
             Density::Volume => {
-                order.push(1);
-                chambers.push(Chamber {
+                out.chamber.push(Chamber {
                     name,
                     area_m2: known(own.scale),
                     offset_m: route.offset_from,
@@ -696,10 +699,10 @@ pub(in crate::scene) fn describing_hardware(
                     rest_pressure_pa: rest,
                     profile,
                 });
+                "chamber"
             }
             Density::Muscle => {
-                order.push(2);
-                muscles.push(Muscle {
+                out.muscle.push(Muscle {
                     name,
                     area_m2: known(1.0),
                     stress_pa: known(own.scale),
@@ -714,9 +717,11 @@ pub(in crate::scene) fn describing_hardware(
                     rest_activation: rest,
                     profile,
                 });
+                "muscle"
             }
             Density::Lengthening | Density::Braid { .. } => return None,
-        }
+        });
     }
-    order.is_sorted().then_some((tendons, chambers, muscles))
+    let place = |own: &&str| SECTIONS.iter().position(|section| section == own);
+    order.is_sorted_by_key(place).then_some(())
 }

@@ -134,3 +134,40 @@ pub struct Scene {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub disturbance: Vec<Load>,
 }
+
+impl Scene {
+    /// Returns the scene of an arm alone, without any other section.
+    pub(in crate::scene) fn bare(rod: Rod, time: Time) -> Self {
+        Self {
+            rod,
+            base: Base::default(),
+            tip: None,
+            gravity: None,
+            damping: None,
+            payload: None,
+            body: Vec::new(),
+            load: Vec::new(),
+            distributed_load: Vec::new(),
+            tendon: Vec::new(),
+            chamber: Vec::new(),
+            muscle: Vec::new(),
+            magnet: Vec::new(),
+            cable: Vec::new(),
+            contact: Vec::new(),
+            initial: None,
+            time,
+            task: None,
+            control: None,
+            obstacle: Vec::new(),
+            limit: Vec::new(),
+            objective: None,
+            solver: None,
+            output: None,
+            mpc: None,
+            plant: None,
+            sensor: Vec::new(),
+            estimator: None,
+            disturbance: Vec::new(),
+        }
+    }
+}

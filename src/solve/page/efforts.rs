@@ -1,7 +1,5 @@
 //! The actuators in the arm as a page shows them: their lines, and their efforts over time beside the bounds.
 
-use std::collections::BTreeMap;
-
 use serde_json::{Value, json};
 
 use super::{FRAMES, ROWS, arrows};
@@ -64,8 +62,8 @@ pub(super) fn shown(
     columns.insert("effort_t".into(), t);
     columns.insert("effort_ends".into(), ends.clone());
     let mut routes = Vec::new();
-    let mut groups: BTreeMap<usize, Vec<Value>> = BTreeMap::new();
-    let mut bounds: BTreeMap<usize, Vec<f64>> = BTreeMap::new();
+    // Kinds in the order of their first actuators, with these and with the bounds of their efforts.
+    let mut groups: Vec<(Kind, Vec<Value>, Vec<f64>)> = Vec::new();
     for (index, drive) in rod.actuators.iter().enumerate() {
         let strain = rod.actuators.strains().get(index);
         let functions: Vec<&PlacedFunction> = (rod.actuators.functions().iter())
@@ -78,11 +76,16 @@ pub(super) fn shown(
         let most = largest[index];
         // In words an effort that does not count is none.
         let told = |effort: f64| if is_slack(effort, most) { 0.0 } else { effort };
-        let group = match strain {
-            Some(own) => group(own.density),
-            None => group_of_pose(&functions, drive.unit),
+        let kind = match strain {
+            Some(own) => kind(own.density),
+            None => kind_of_pose(&functions, drive.unit),
         };
-        let members = groups.entry(group).or_default();
+        let known = groups.iter().position(|(own, ..)| *own == kind);
+        let at = known.unwrap_or(groups.len());
+        if known.is_none() {
+            groups.push((kind, Vec::new(), Vec::new()));
+        }
+        let (_, members, limits) = &mut groups[at];
         let slack = curve
             .iter()
             .filter(|effort| !is_magnet(&functions) && is_slack(**effort, most))
@@ -105,7 +108,6 @@ pub(super) fn shown(
             "slack": slack as f64 / curve.len().max(1) as f64,
             "last": told(curve.last().copied().unwrap_or(0.0)),
         }));
-        let limits = bounds.entry(group).or_default();
         for limit in bound
             .into_iter()
             .flatten()
@@ -128,23 +130,25 @@ pub(super) fn shown(
                 }),
         });
     }
-    let groups = groups.into_iter().map(|(group, members)| {
-        let (word, title) = WORDS[group];
-        let limits: Vec<Value> = (bounds[&group].iter().enumerate())
-            .map(|(i, limit)| {
-                let column = format!("effort_bound_{group}_{i}");
-                columns.insert(column.clone(), vec![*limit; ends.len()]);
-                json!({ "column": column, "value": limit })
+    let groups = groups
+        .into_iter()
+        .enumerate()
+        .map(|(group, (kind, members, limits))| {
+            let limits: Vec<Value> = (limits.iter().enumerate())
+                .map(|(i, limit)| {
+                    let column = format!("effort_bound_{group}_{i}");
+                    columns.insert(column.clone(), vec![*limit; ends.len()]);
+                    json!({ "column": column, "value": limit })
+                })
+                .collect();
+            json!({
+                "word": kind.word,
+                "title": kind.title,
+                "unit": kind.unit,
+                "members": members,
+                "bounds": limits,
             })
-            .collect();
-        json!({
-            "word": word,
-            "title": title,
-            "unit": UNITS[group],
-            "members": members,
-            "bounds": limits,
-        })
-    });
+        });
     let groups = groups.collect();
     Shown {
         routes,
@@ -154,34 +158,52 @@ pub(super) fn shown(
     }
 }
 
-/// Words of the groups: of one actuator, and of their efforts.
-const WORDS: [(&str, &str); 7] = [
-    ("tendon", "Tensions"),
-    ("chamber", "Pressures"),
-    ("muscle", "Activations"),
-    ("magnet", "Components of the field"),
-    ("magnet", "Components of the gradient of the field"),
-    ("cable", "Tensions of cables"),
-    ("actuator", "Efforts"),
-];
-/// Units of the efforts of the groups; those of one's own may have another.
-const UNITS: [&str; 7] = ["N", "Pa", "", "T", "T/m", "N", ""];
+/// A kind of actuators as pages show it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Kind {
+    /// Word for one of them, and for its lines in the picture.
+    word: &'static str,
+    /// Title of the chart of their efforts.
+    title: &'static str,
+    /// Name of their color in the style sheet.
+    color: &'static str,
+    /// Unit of their efforts.
+    unit: &'static str,
+}
 
-/// Returns the group of an actuator among [`WORDS`].
-fn group(density: Density) -> usize {
-    match density {
-        Density::Shortening | Density::Lengthening => 0,
-        Density::Volume | Density::Braid { .. } => 1,
-        Density::Muscle => 2,
+/// Returns the kind of an actuator on strains.
+fn kind(density: Density) -> Kind {
+    let [word, title, color] = match density {
+        Density::Shortening | Density::Lengthening => ["tendon", "Tensions", "tendon"],
+        Density::Volume | Density::Braid { .. } => ["chamber", "Pressures", "chamber"],
+        Density::Muscle => ["muscle", "Activations", "muscle"],
+    };
+    Kind {
+        word,
+        title,
+        color,
+        unit: density.effort_unit(),
     }
 }
 
-/// Returns the group of an actuator on poses.
-fn group_of_pose(functions: &[&PlacedFunction], unit: &str) -> usize {
-    match functions.first().map(|own| &own.function) {
-        Some(OfPose::Magnet(_)) => 3 + usize::from(unit == UNITS[4]),
-        Some(OfPose::Cable(_)) => 5,
-        _ => 6,
+/// Returns the kind of an actuator on poses; those of one's own may have any unit, which is not told.
+fn kind_of_pose(functions: &[&PlacedFunction], unit: &'static str) -> Kind {
+    let ([word, title, color], unit) = match functions.first().map(|own| &own.function) {
+        Some(OfPose::Magnet(_)) => {
+            let title = match unit {
+                "T/m" => "Components of the gradient of the field",
+                _ => "Components of the field",
+            };
+            (["magnet", title, "magnet"], unit)
+        }
+        Some(OfPose::Cable(_)) => (["cable", "Tensions of cables", "cable"], unit),
+        _ => (["actuator", "Efforts", "cable"], ""),
+    };
+    Kind {
+        word,
+        title,
+        color,
+        unit,
     }
 }
 
@@ -226,7 +248,8 @@ fn route(rod: &Rod, own: &StrainActuator, most: f64, efforts: Vec<f64>) -> Repor
     let length = rod.scales.length;
     ReportRoute {
         name: own.name.clone(),
-        kind: WORDS[group(own.density)].0,
+        kind: kind(own.density).word,
+        color: kind(own.density).color,
         first: nodes.first().copied().unwrap_or(0),
         offsets: (nodes.iter())
             .map(|&q| {
@@ -236,17 +259,25 @@ fn route(rod: &Rod, own: &StrainActuator, most: f64, efforts: Vec<f64>) -> Repor
             .collect(),
         anchor: None,
         moment: None,
-        radius: match own.density {
-            // A chamber as wide as a circle of its area.
-            Density::Volume | Density::Braid { .. } => (own.scale / std::f64::consts::PI).sqrt(),
-            Density::Shortening | Density::Lengthening | Density::Muscle => 0.0,
-        },
+        radius: radius(own),
         slack: efforts
             .iter()
             .map(|effort| is_slack(*effort, most))
             .collect(),
         most,
         efforts: efforts.into_iter().map(|effort| effort as f32).collect(),
+    }
+}
+
+/// Returns the radius with which an actuator on strains is drawn, m; zero for a line.
+fn radius(own: &StrainActuator) -> f64 {
+    match own.density {
+        // As wide as a circle of its area.
+        Density::Volume => (own.scale / std::f64::consts::PI).sqrt(),
+        Density::Braid { fibre, turns } => {
+            (fibre * fibre - 1.0).max(0.0).sqrt() / (std::f64::consts::TAU * turns).abs()
+        }
+        Density::Shortening | Density::Lengthening | Density::Muscle => 0.0,
     }
 }
 
@@ -258,22 +289,24 @@ fn pose_route(
     efforts: Vec<f64>,
 ) -> Option<ReportRoute> {
     let first = functions.first()?;
-    let (kind, offsets, anchor, moment) = match &first.function {
+    let (offsets, anchor, moment) = match &first.function {
         OfPose::Cable(cable) => {
             let offset: [f64; 3] = cable.offset.into();
             let offsets = vec![offset.map(|part| part as f32)];
-            (WORDS[5].0, offsets, Some(cable.anchor.into()), None)
+            (offsets, Some(cable.anchor.into()), None)
         }
         OfPose::Magnet(magnet) => {
             let offsets = vec![[0.0; 3]; functions.len()];
             let way = magnet.moment.normalize();
-            (WORDS[3].0, offsets, None, Some(way.into()))
+            (offsets, None, Some(way.into()))
         }
         OfPose::Own(_) => return None,
     };
+    let Kind { word, color, .. } = kind_of_pose(functions, "");
     Some(ReportRoute {
         name: name.into(),
-        kind,
+        kind: word,
+        color,
         first: first.node,
         offsets,
         anchor,

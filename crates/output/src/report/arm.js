@@ -126,7 +126,7 @@ function armPieces(stage, run) {
       const effort = route.efforts[i] + (route.efforts[j] - route.efforts[i]) * s;
       const slack = route.slack[s < 0.5 ? i : j];
       const part = route.most > 0 ? clamp(Math.abs(effort) / route.most, 0, 1) : 0;
-      const color = rgba(colors[route.kind], 1), rim = rgba(colors.rim, 0.55);
+      const color = rgba(colors[route.color], 1), rim = rgba(colors.rim, 0.55);
       for (let k = 0; k + 1 < points.length; k++) {
         const [p, q] = [project(points[k].at), project(points[k + 1].at)];
         const faces = points[k].faces || points[k + 1].faces;

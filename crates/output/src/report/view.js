@@ -253,8 +253,8 @@ function pictureKey(stage, arms, arrows, moves) {
   if (has((run) => run.via.length)) key.append(entry('var(--target)', 'points on the way'));
   const payload = arms[0].run.arm.payload;
   if (payload > 0) key.append(block('payload', `payload ${format(payload)} kg`));
-  const kinds = ['tendon', 'chamber', 'muscle', 'cable', 'magnet'].map((kind) => [kind, arms.flatMap(({ run }) => (run.routes || []).filter((route) => route.kind === kind))]);
-  for (const [kind, all] of kinds) if (all.length) key.append(block(kind, kind === 'magnet' ? 'north of a magnet' : `${kind}s, wider with their effort`));
+  const kinds = new Map(arms.flatMap(({ run }) => (run.routes || []).map((route) => [route.kind, route.color])));
+  for (const [kind, color] of kinds) key.append(block(color, kind === 'magnet' ? 'north of a magnet' : `${kind}s, wider with their effort`));
   if (has((run) => (run.routes || []).some((route) => route.slack.some(Boolean))))
     key.append(el('span', {}, el('span', { class: 'swatch dashed', style: 'border-color: var(--soft)' }), 'slack'));
   for (const [color, text] of arrows.legend()) key.append(entry(color, text));
