@@ -527,6 +527,16 @@ fn actuators_in_the_arm_name_their_keys() {
             "muscle.0.stress_pa",
             "not a positive stress",
         ),
+        (
+            "braid=[{fibre = 0.9, turns_1_m = 10.0}]",
+            "braid.0.fibre",
+            "not a number above 1",
+        ),
+        (
+            "braid=[{fibre = 1.3, turns_1_m = 0.0}]",
+            "braid.0.turns_1_m",
+            "not a number other than 0",
+        ),
         ("magnet=[{at = 0.5}]", "magnet.0", "nothing is given"),
         (
             "magnet=[{moment_a_m2 = [0.0, 0.0, 0.0]}]",

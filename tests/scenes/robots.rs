@@ -311,6 +311,67 @@ fn a_muscle_pulls_as_published() {
     assert!((far - chord).abs() < 1e-8, "{far} {chord}");
 }
 
+/// A McKibben muscle at rest. Its pull, the work of its pressure by the volume of a cylinder inside fibres of constant length, balances the
+/// stress of the arm; wound both ways it does not twist. Below the angle of 54.7 degrees between fibres and line it gets shorter, above it
+/// longer, and at that angle it keeps its length, whatever its pressure is.
+#[test]
+fn braids_shorten_up_to_their_angle() {
+    const SCENE: &str = "\
+[rod]
+length_m = 0.2
+elements = 4
+[rod.material]
+youngs_modulus_pa = 1e5
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.01
+[time]
+end_s = 0.5
+";
+    let (axial, turns, pressure) = (1e5 * PI * 1e-4, 60.0, 5e3);
+    let found = |fibre: f64, both_ways: bool| {
+        let braids: Vec<String> = [1.0, -1.0][..1 + usize::from(both_ways)]
+            .iter()
+            .map(|sign| {
+                let part = pressure / if both_ways { 2.0 } else { 1.0 };
+                format!(
+                    "{{fibre = {fibre}, turns_1_m = {}, rest_pressure_pa = {part}}}",
+                    sign * turns
+                )
+            })
+            .collect();
+        let overrides = [format!("braid=[{}]", braids.join(", "))];
+        let (scene, source) = Scene::from_toml("scene.toml", SCENE, &overrides).unwrap();
+        let arm = scene.arm(&source).unwrap();
+        let (grid, options) = (scene.discretization(), StaticsOptions::default());
+        let shape = (statics(&arm, &grid, &options, &StopSignal::default())
+            .unwrap()
+            .own)
+            .shape;
+        let turn = log(&(shape.rotations[0].transpose() * shape.rotations[4]));
+        (shape.positions[4].z / 0.2, turn.z)
+    };
+    for fibre in [1.2_f64, 1.5, 3f64.sqrt(), 2.5] {
+        let (stretch, twist) = found(fibre, true);
+        // The volume of a cylinder of the radius that the fibres leave at a stretch, per length, by differences.
+        let volume = |x: f64| PI * x * (fibre * fibre - x * x) / (TAU * turns).powi(2);
+        let pull = -pressure * (volume(stretch + 1e-5) - volume(stretch - 1e-5)) / 2e-5;
+        assert!(
+            (axial * (stretch - 1.0) + pull).abs() < 1e-8 * axial,
+            "{fibre}: {stretch} {pull}"
+        );
+        assert!(twist.abs() < 1e-9, "{fibre}: {twist}");
+        match fibre {
+            _ if (fibre - 3f64.sqrt()).abs() < 1e-12 => assert!((stretch - 1.0).abs() < 1e-9),
+            _ if fibre < 3f64.sqrt() => assert!(stretch < 1.0),
+            _ => assert!(stretch > 1.0),
+        }
+        // Fibres that are wound one way unwind, because there is more room inside them then.
+        assert!(found(fibre, false).1 < -1e-4);
+    }
+}
+
 /// Each robot reaches a tip that its actuators hold, and stays there.
 #[test]
 fn robots_reach_and_stay() {

@@ -191,6 +191,59 @@ pub struct Muscle {
     pub profile: Option<Vec<[f64; 2]>>,
 }
 
+/// A McKibben muscle or another tube with a braid of fibres that do not stretch (Chou and Hannaford 1996). Its pressure does the work of
+/// the volume inside: with a fibre `fibre` times as long as its line and `turns_1_m` turns of it, that is `π λ (fibre² - λ²)/(2π turns_1_m + κ)²`
+/// per length at the stretch λ of the line and the twist κ. It pulls by `pressure (3 λ² - fibre²)/(4π turns_1_m²)`, so that it shortens below
+/// an angle of 54.7 degrees between fibres and line and lengthens above it, and it twists the arm. Fibres that are wound both ways are two
+/// braids with opposite turns, each with half of the pressure; together they do not twist it. With `pressure_pa` the pressure, above that of
+/// the surroundings, is a control, with `profile` it is given, in simulations too.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Braid {
+    /// Name in results, one for each actuator. Absent: the word braid with its place in the list, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Length of a fibre over that of the line that it is wound about, above 1. The radius of the braid at rest is
+    /// `sqrt(fibre² - 1)/(2π turns_1_m)`.
+    pub fibre: Positive<values::Factor>,
+    /// Turns of a fibre per length of the line in 1/m, not 0, positive about +e3.
+    pub turns_1_m: f64,
+    /// Place of the line in the section at `from`, along its two axes, in m. Default: the center.
+    #[serde(default)]
+    pub offset_m: [f64; 2],
+    /// Place at `to`, reached linearly, in m. Absent: `offset_m`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset_to_m: Option<[f64; 2]>,
+    /// Revolutions of the line about the arm's axis from `from` to `to`, positive about +e3. Default: 0.
+    #[serde(default)]
+    pub turns: f64,
+    /// Start, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+    #[serde(default)]
+    pub from: Fraction,
+    /// End, as a fraction, after `from`. Default: 1, the tip.
+    #[serde(default = "Fraction::one")]
+    pub to: Fraction,
+    /// Least and largest pressure in Pa, which makes it a control; `inf` and `-inf` are no bounds. Absent: the pressure is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pressure_pa: Option<[f64; 2]>,
+    /// Largest rate of the pressure in Pa/s, or the fastest fall, negative, and the fastest rise. With it the pressure begins at
+    /// `rest_pressure_pa`. Absent: it may jump.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rate_pa_s: Option<RateBound>,
+    /// Time constant in s of the first-order lag with which the pressure follows the command of its valve, as that of a chamber.
+    /// Absent: the pressure is the command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lag_s: Option<Positive<values::Time>>,
+    /// Pressure in Pa before the task begins, within the bounds, from which effort is counted. Default: 0.
+    #[serde(default)]
+    pub rest_pressure_pa: f64,
+    /// Given pressure over time, as [t in s, pressure in Pa] with increasing t; linear in between and constant outside. It does not go with
+    /// `pressure_pa`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Vec<[f64; 2]>>,
+}
+
 /// A bound on a rate: a number bounds its magnitude, [down, up] has the fastest fall, negative, and the fastest rise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(JsonSchema))]
@@ -324,7 +377,7 @@ impl Common<'_> {
 }
 
 /// Sections of actuators in the arm, in their order along the inputs of a simulation.
-pub(in crate::scene) const SECTIONS: [&str; 3] = ["tendon", "chamber", "muscle"];
+pub(in crate::scene) const SECTIONS: [&str; 4] = ["tendon", "chamber", "muscle", "braid"];
 
 /// Distance of an actuator from the axis, in lengths of the arm, above which it is probably a mistake.
 const FAR_ASIDE: f64 = 0.25;
@@ -414,7 +467,26 @@ impl Scene {
                 rest_activation
             )
         });
-        tendons.chain(chambers).chain(muscles).collect()
+        let braids = self.braid.iter().enumerate().map(|(index, own)| {
+            let density = Density::Braid {
+                fibre: own.fibre.get(),
+                turns: own.turns_1_m,
+            };
+            common!(
+                own,
+                "braid",
+                index,
+                density,
+                1.0,
+                pressure_pa,
+                rate_pa_s,
+                rest_pressure_pa
+            )
+        });
+        (tendons.chain(chambers))
+            .chain(muscles)
+            .chain(braids)
+            .collect()
     }
 
     /// Returns the index among the actuators of the arm of the one of a section with a name; whether its effort is a control; and its effort
@@ -464,6 +536,17 @@ impl Keys<'_> {
     pub(in crate::scene) fn check_hardware(&self, scene: &Scene) -> Checked {
         for (index, tendon) in scene.tendon.iter().enumerate() {
             self.check_winch(&format!("tendon.{index}"), tendon)?;
+        }
+        for (index, braid) in scene.braid.iter().enumerate() {
+            if braid.turns_1_m == 0.0 || !braid.turns_1_m.is_finite() {
+                let key = format!("braid.{index}.turns_1_m");
+                return Err(self.out_of_range(&key, braid.turns_1_m, "number other than 0", "1/m"));
+            }
+            if !(braid.fibre.get() > 1.0) {
+                let key = format!("braid.{index}.fibre");
+                let expected = "number above 1, since a wound fibre is longer than its line";
+                return Err(self.out_of_range(&key, braid.fibre.get(), expected, ""));
+            }
         }
         let hold = scene.control.as_ref().map(|control| control.hold);
         let mut names = Vec::new();
@@ -718,6 +801,24 @@ pub(in crate::scene) fn describe_hardware(
                     profile,
                 });
                 "muscle"
+            }
+            Density::Braid { fibre, turns } if own.scale == 1.0 => {
+                out.braid.push(Braid {
+                    name,
+                    fibre: known(fibre),
+                    turns_1_m: turns,
+                    offset_m: route.offset_from,
+                    offset_to_m,
+                    turns: route.turns,
+                    from,
+                    to,
+                    pressure_pa: bounds,
+                    rate_pa_s: rate,
+                    lag_s,
+                    rest_pressure_pa: rest,
+                    profile,
+                });
+                "braid"
             }
             Density::Lengthening | Density::Braid { .. } => return None,
         });

@@ -83,6 +83,9 @@ pub struct Scene {
     /// Muscles in the arm.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub muscle: Vec<Muscle>,
+    /// McKibben muscles in the arm: tubes in braids.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub braid: Vec<Braid>,
     /// Magnets in the arm, with the magnetic field around it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub magnet: Vec<Magnet>,
@@ -151,6 +154,7 @@ impl Scene {
             tendon: Vec::new(),
             chamber: Vec::new(),
             muscle: Vec::new(),
+            braid: Vec::new(),
             magnet: Vec::new(),
             cable: Vec::new(),
             contact: Vec::new(),

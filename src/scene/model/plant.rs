@@ -52,6 +52,9 @@ pub struct Plant {
     /// Muscles that differ from those of the model with the same names.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub muscle: Vec<PlantHardware>,
+    /// Braids that differ from those of the model with the same names.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub braid: Vec<PlantHardware>,
 }
 
 /// An actuator in the arm, where it differs from the model's.
@@ -115,6 +118,7 @@ impl Plant {
             ("tendon", &self.tendon),
             ("chamber", &self.chamber),
             ("muscle", &self.muscle),
+            ("braid", &self.braid),
         ]
         .into_iter()
         .flat_map(|(section, all)| {
@@ -161,6 +165,7 @@ impl Default for Plant {
             tendon: Vec::new(),
             chamber: Vec::new(),
             muscle: Vec::new(),
+            braid: Vec::new(),
         }
     }
 }

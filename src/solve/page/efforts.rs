@@ -175,7 +175,8 @@ struct Kind {
 fn kind(density: Density) -> Kind {
     let [word, title, color] = match density {
         Density::Shortening | Density::Lengthening => ["tendon", "Tensions", "tendon"],
-        Density::Volume | Density::Braid { .. } => ["chamber", "Pressures", "chamber"],
+        Density::Volume => ["chamber", "Pressures", "chamber"],
+        Density::Braid { .. } => ["braid", "Pressures in braids", "chamber"],
         Density::Muscle => ["muscle", "Activations", "muscle"],
     };
     Kind {
