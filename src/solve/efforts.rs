@@ -16,7 +16,7 @@ pub(crate) fn commands(
     efforts: &[f64],
 ) -> Option<Vec<f64>> {
     let mut out = None;
-    for (actuator, component) in problem.driven_components() {
+    for (driven, component) in problem.driven_components() {
         let lag = problem.channel(&component).lag;
         if lag == 0.0 {
             continue;
@@ -29,7 +29,8 @@ pub(crate) fn commands(
             };
             weights.iter().map(term).sum()
         };
-        out.get_or_insert_with(|| efforts.to_vec())[actuator] += along(lag) - along(0.0);
+        out.get_or_insert_with(|| efforts.to_vec())[driven.actuator] +=
+            driven.gain * (along(lag) - along(0.0));
     }
     out
 }

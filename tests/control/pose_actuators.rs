@@ -186,6 +186,7 @@ fn problem(
         actuators: vec![0, 1, 3, 5],
         first: 1,
         places: vec![0, 1, 2, 3],
+        gains: vec![1.0; 4],
     });
     problem.actuators[1].moment.axes = [true, false, false];
     problem
@@ -376,6 +377,7 @@ fn a_cable_and_a_magnet_written_anew_are_the_built_in_ones() {
                 actuators: vec![0, 1],
                 first: 1,
                 places: vec![0, 1],
+                gains: vec![1.0; 2],
             });
         }
         problem

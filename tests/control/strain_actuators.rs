@@ -102,6 +102,7 @@ fn problem(parameters: &RodParameters) -> OptimalControlProblem {
         actuators: vec![0, 1, 3],
         first: 1,
         places: vec![0, 1, 3],
+        gains: vec![1.0; 3],
     });
     problem.actuators[1].force.axes = [true, true, false];
     problem.actuators[1].moment.axes = [true, false, false];
@@ -435,6 +436,7 @@ fn a_tendon_written_anew_is_the_built_in_one() {
                 actuators: vec![0],
                 first: 1,
                 places: vec![0],
+                gains: vec![1.0; 1],
             });
         }
         problem

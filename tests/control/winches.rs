@@ -96,6 +96,7 @@ fn problem(
         actuators: vec![0, 1, 3],
         first: 1,
         places: vec![0, 3, 6],
+        gains: vec![1.0; 3],
     });
     problem
 }

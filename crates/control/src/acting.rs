@@ -21,10 +21,8 @@ pub(super) enum Target {
     Node,
     /// A user-defined actuator, and the index of its control.
     Own(usize, usize),
-    /// An actuator on the strains of the rod: its index among those that are driven.
-    Effort(usize),
-    /// An actuator on poses of its nodes, likewise.
-    Posed(usize),
+    /// Actuators of the rod, those that the component [drives](OptimalControlProblem::driven_by).
+    Efforts,
 }
 
 /// Returns what every component acts on.
@@ -33,15 +31,7 @@ pub(super) fn targets(problem: &OptimalControlProblem, components: &[Component])
         .map(|component| {
             let own =
                 (problem.own_control(component)).map(|(actuator, i)| Target::Own(actuator, i));
-            let effort = || {
-                let index = problem.effort(component)?;
-                let strains = is_on_strains(problem, index);
-                Some(if strains {
-                    Target::Effort(index)
-                } else {
-                    Target::Posed(index)
-                })
-            };
+            let effort = || problem.is_effort(component).then_some(Target::Efforts);
             own.or_else(effort).unwrap_or(Target::Node)
         })
         .collect()
@@ -162,33 +152,20 @@ impl<'a> ActingAlong<'a> {
         }
     }
 
-    /// Calls `visit(time, node, component, derivative)` for every component of a wrench at time node `k` that one control changes by its
-    /// value at the time node `time`.
-    pub fn visit(&self, k: usize, target: Target, visit: &mut dyn FnMut(usize, usize, usize, f64)) {
+    /// Calls `visit(node, component, derivative)` for every component of a wrench at time node `k` that the control `component` changes by its
+    /// value at `k`, without what it does by actuators on strains, which [`Self::pulls`] know.
+    pub fn visit(
+        &self,
+        k: usize,
+        (control, target): (&Component, Target),
+        visit: &mut dyn FnMut(usize, usize, f64),
+    ) {
         let (actuator, control) = match target {
             Target::Node => return,
             Target::Own(actuator, control) => (actuator, control),
-            Target::Effort(index) => {
-                if let Some(pulls) = &self.pulls {
-                    pulls.visit(k, index, &mut |[set, time], node, component, wrench| {
-                        let slope = self.law(set, index).along_input;
-                        visit(time, node, component, wrench * slope);
-                    });
-                }
-                return;
-            }
-            Target::Posed(index) => {
-                let (x, r) = (
-                    self.trajectory.positions_at(k),
-                    self.trajectory.rotations_at(k),
-                );
-                for own in &self.posed[index] {
-                    let wrench = own.wrench(&own.pose(x, r), own.weight).to_array();
-                    for (component, slope) in wrench.into_iter().enumerate() {
-                        if slope != 0.0 {
-                            visit(k, own.node, component, slope);
-                        }
-                    }
+            Target::Efforts => {
+                for (index, gain) in self.problem.driven_by(control) {
+                    self.visit_posed(k, index, gain, visit);
                 }
                 return;
             }
@@ -198,7 +175,51 @@ impl<'a> ActingAlong<'a> {
             for component in 0..6 {
                 let slope = jacobian[(6 * i + component, control)];
                 if slope != 0.0 {
-                    visit(k, node, component, slope);
+                    visit(node, component, slope);
+                }
+            }
+        }
+    }
+
+    /// Calls `visit(node, component, derivative)` for every component of a wrench at time node `k` that the control `component` changes by
+    /// actuators on strains, by its value anywhere.
+    pub fn visit_pulls(
+        &self,
+        k: usize,
+        component: &Component,
+        visit: &mut dyn FnMut(usize, usize, f64),
+    ) {
+        let Some(pulls) = &self.pulls else {
+            return;
+        };
+        for (index, gain) in self.problem.driven_by(component) {
+            if is_on_strains(self.problem, index) {
+                pulls.visit(k, index, &mut |[set, _], node, component, wrench| {
+                    let slope = gain * self.law(set, index).along_input;
+                    visit(node, component, wrench * slope);
+                });
+            }
+        }
+    }
+
+    /// Calls `visit(node, component, derivative)` for every component of a wrench at time node `k` that a driven actuator on poses changes by an
+    /// effort.
+    fn visit_posed(
+        &self,
+        k: usize,
+        index: usize,
+        effort: f64,
+        visit: &mut dyn FnMut(usize, usize, f64),
+    ) {
+        let (x, r) = (
+            self.trajectory.positions_at(k),
+            self.trajectory.rotations_at(k),
+        );
+        for own in &self.posed[index] {
+            let wrench = own.wrench(&own.pose(x, r), own.weight * effort).to_array();
+            for (component, slope) in wrench.into_iter().enumerate() {
+                if slope != 0.0 {
+                    visit(own.node, component, slope);
                 }
             }
         }
@@ -250,14 +271,16 @@ impl<'a> ActingAlong<'a> {
             };
             let mut sums = vec![[0.0; 6]; n_nodes];
             for index in 0..driven {
-                let target = if is_on_strains(self.problem, index) {
-                    Target::Effort(index)
-                } else {
-                    Target::Posed(index)
-                };
-                self.visit(k, target, &mut |time, node, component, slope| {
-                    sums[node][component] += slope * change.at(time).effort(index);
-                });
+                if !is_on_strains(self.problem, index) {
+                    self.visit_posed(k, index, 1.0, &mut |node, component, slope| {
+                        sums[node][component] += slope * here.effort(index);
+                    });
+                } else if let Some(pulls) = &self.pulls {
+                    pulls.visit(k, index, &mut |[set, time], node, component, wrench| {
+                        let slope = wrench * self.law(set, index).along_input;
+                        sums[node][component] += slope * change.at(time).effort(index);
+                    });
+                }
             }
             wrenches.extend(sums.into_iter().map(Wrench::from_array));
         }
@@ -337,13 +360,13 @@ impl<'a> ActingAlong<'a> {
             self.posed_curvature(
                 k,
                 (motion, trajectory, costates),
-                &own,
+                components,
                 &mut along_states,
                 &mut along_controls,
             );
         }
         self.winch_curvature(motion, trajectory, costates, &mut along_states);
-        self.input_curvature(motion, costates, &own, &mut along_controls);
+        self.input_curvature(motion, costates, components, &mut along_controls);
         (along_states, along_controls)
     }
 
@@ -405,7 +428,7 @@ impl<'a> ActingAlong<'a> {
         &self,
         k: usize,
         (motion, trajectory, costates): (&Motion, &Trajectory, &AdjointSweep),
-        targets: &[Target],
+        components: &[Component],
         along_states: &mut Vec<OwnCurvature>,
         along_controls: &mut Vec<ControlCurvature>,
     ) {
@@ -449,7 +472,7 @@ impl<'a> ActingAlong<'a> {
                 matrix: Mat::from_fn(6, 6, |i, j| -bent[(i, j)]),
             });
         }
-        let n_components = targets.len();
+        let n_components = components.len();
         for (index, functions) in self
             .posed
             .iter()
@@ -468,10 +491,12 @@ impl<'a> ActingAlong<'a> {
             });
             let mut column = Vec::new();
             for (coefficient, weight) in problem.control.weights(k) {
-                for (at, target) in targets.iter().enumerate() {
-                    if *target == Target::Posed(index) && weight != 0.0 {
-                        let unit = problem.unit_of_effort(index);
-                        column.push((coefficient * n_components + at, weight * unit));
+                for (at, component) in components.iter().enumerate() {
+                    for (_, gain) in problem.driven_by(component).filter(|own| own.0 == index) {
+                        if weight != 0.0 {
+                            let unit = gain * problem.channel(component).unit();
+                            column.push((coefficient * n_components + at, weight * unit));
+                        }
                     }
                 }
             }
@@ -494,20 +519,21 @@ impl<'a> ActingAlong<'a> {
         &self,
         motion: &Motion,
         costates: &AdjointSweep,
-        targets: &[Target],
+        components: &[Component],
         out: &mut Vec<ControlCurvature>,
     ) {
         let Some(pulls) = self.pulls.as_ref().filter(|_| !self.laws.is_empty()) else {
             return;
         };
         let problem = self.problem;
-        let n_components = targets.len();
+        let n_components = components.len();
         let ends = self.ends();
         for set in 0..self.laws.len() {
-            for (at, target) in targets.iter().enumerate() {
-                let Target::Effort(index) = *target else {
-                    continue;
-                };
+            let driven = components.iter().enumerate().flat_map(|(at, component)| {
+                let own = problem.driven_by(component);
+                own.map(move |(index, gain)| (at, index, gain * problem.channel(component).unit()))
+            });
+            for (at, index, unit) in driven.filter(|own| is_on_strains(problem, own.1)) {
                 let law = self.law(set, index);
                 if law.mixed == 0.0 && law.bend == 0.0 {
                     continue;
@@ -539,7 +565,7 @@ impl<'a> ActingAlong<'a> {
                         }
                     })
                     .collect();
-                let unit = problem.unit_of_effort(index) / ends as f64;
+                let unit = unit / ends as f64;
                 let weights = (set..set + ends).flat_map(|k| problem.control.weights(k));
                 out.push(ControlCurvature {
                     forms: vec![form],

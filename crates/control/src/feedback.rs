@@ -265,9 +265,9 @@ pub fn block_transitions(
                 }
                 // The input is constant over the block.
                 (target, Some(acting)) => {
-                    acting.visit(k, target, &mut |_, node, axis, slope| {
-                        visit(index, node, axis, slope);
-                    });
+                    let mut visit_own = |node, axis, slope| visit(index, node, axis, slope);
+                    acting.visit(k, (component, target), &mut visit_own);
+                    acting.visit_pulls(k, component, &mut visit_own);
                 }
             }
         }

@@ -594,7 +594,7 @@ impl Search<'_> {
             let bounds = channel
                 .bound
                 .and_then(|bound| bound.interval(component.axis % 3));
-            let (Some(_), Some(ends)) = (problem.effort(component), bounds) else {
+            let Some(ends) = bounds.filter(|_| problem.is_effort(component)) else {
                 continue;
             };
             for end in ends

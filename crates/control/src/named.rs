@@ -158,9 +158,9 @@ impl OptimalControlProblem {
                 return own(actuator.control_name(control), unit, ControlKind::Own, 0.0);
             }
             let effort = (driven.iter()).find(|(_, place)| *place == component);
-            let drive = effort.and_then(|(index, _)| {
-                let drive = self.rod.actuators.iter().nth(*index)?;
-                Some((*index, drive))
+            let drive = effort.and_then(|(driven, _)| {
+                let drive = self.rod.actuators.iter().nth(driven.actuator)?;
+                Some((driven.actuator, drive))
             });
             match drive {
                 Some((actuator, drive)) => own(

@@ -230,6 +230,17 @@ pub struct Component {
     pub axis: usize,
 }
 
+/// An actuator of the rod that a control drives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Driven {
+    /// Its index among those of the rod.
+    pub actuator: usize,
+    /// Its effort per unit of the control.
+    pub gain: f64,
+    /// Tells whether it is the first that the control drives, which names the control.
+    pub leads: bool,
+}
+
 /// The way in which a goal is enforced: as an equality, within a tolerance, or by a penalty.
 ///
 /// A soft goal is solved as a hard one with variables of its own: residual = s, with the penalty `½ weight |s|²`. It thereby has all that
@@ -660,7 +671,7 @@ impl OptimalControlProblem {
     fn is_control(&self, component: &Component) -> bool {
         component.actuator < self.wrench_actuators().len()
             || self.own_control(component).is_some()
-            || self.effort(component).is_some()
+            || self.is_effort(component)
     }
 
     /// Returns the indices of the user-defined actuator and of its control, if the component is one.
@@ -673,41 +684,52 @@ impl OptimalControlProblem {
         })
     }
 
-    /// Returns the index of the driven actuator of the rod whose effort the component is, if it is one.
+    /// Returns the indices of the driven actuators of the rod whose efforts follow from the component, if it drives some, with the effort of
+    /// each per unit of it.
+    pub fn driven_by(&self, component: &Component) -> impl Iterator<Item = (usize, f64)> + use<'_> {
+        let Component { actuator, axis } = *component;
+        (self.efforts.iter()).flat_map(move |efforts| {
+            let place = actuator
+                .checked_sub(efforts.first)
+                .map(|own| 6 * own + axis);
+            (efforts.places.iter().zip(&efforts.gains).enumerate())
+                .filter(move |(_, (own, _))| Some(**own) == place)
+                .map(|(index, (_, gain))| (index, *gain))
+        })
+    }
+
+    /// Tells whether a component drives actuators of the rod.
     #[must_use]
-    pub fn effort(&self, component: &Component) -> Option<usize> {
-        let efforts = self.efforts.as_ref()?;
-        let place = 6 * component.actuator.checked_sub(efforts.first)? + component.axis;
-        efforts.places.iter().position(|own| *own == place)
+    pub fn is_effort(&self, component: &Component) -> bool {
+        self.driven_by(component).next().is_some()
     }
 
-    /// Returns the actuators of the rod whose efforts are controls, with the channels of these.
+    /// Returns the actuators of the rod whose efforts are controls, with the channels of these. Of several that one control drives it is the
+    /// first.
     pub fn driven(&self) -> impl Iterator<Item = (&Drive, &Channel)> {
-        self.driven_components()
-            .filter_map(|(actuator, component)| {
-                let actuator = self.rod.actuators.iter().nth(actuator)?;
-                Some((actuator, self.channel(&component)))
-            })
+        let drivers = self.driven_components().filter(|(driven, _)| driven.leads);
+        drivers.filter_map(|(driven, component)| {
+            let drive = self.rod.actuators.iter().nth(driven.actuator)?;
+            Some((drive, self.channel(&component)))
+        })
     }
 
-    /// Returns the indices of the actuators of the rod whose efforts are controls, with the components that these are.
-    pub fn driven_components(&self) -> impl Iterator<Item = (usize, Component)> {
+    /// Returns the actuators of the rod whose efforts follow from controls, with the components that these are.
+    pub fn driven_components(&self) -> impl Iterator<Item = (Driven, Component)> {
         (self.efforts.iter()).flat_map(|efforts| {
-            let places = efforts.actuators.iter().zip(&efforts.places);
-            places.map(|(&actuator, &place)| {
+            (efforts.places.iter().enumerate()).map(|(index, &place)| {
                 let component = Component {
                     actuator: efforts.first + place / 6,
                     axis: place % 6,
                 };
-                (actuator, component)
+                let driven = Driven {
+                    actuator: efforts.actuators[index],
+                    gain: efforts.gains[index],
+                    leads: !efforts.places[..index].contains(&place),
+                };
+                (driven, component)
             })
         })
-    }
-
-    /// Returns the magnitude that counts as 1 in the solver of a driven actuator's effort, by its index among those.
-    pub(super) fn unit_of_effort(&self, index: usize) -> f64 {
-        (self.driven_components().nth(index))
-            .map_or(1.0, |(_, component)| self.channel(&component).unit())
     }
 
     /// Tells whether anything acts at time nodes by wrenches that depend on the configuration: a control, or a function of a node's pose.

@@ -35,19 +35,24 @@ pub(super) struct Winches<'a> {
 }
 
 impl<'a> Winches<'a> {
-    /// Returns the winches among the controls; `None` if there are none.
+    /// Returns the winches among the controls; `None` if there are none, or if a control drives several actuators, whose tensions are not free
+    /// then.
     pub fn of(problem: &'a OptimalControlProblem) -> Option<Self> {
         Self::with_least_times(problem, 1.0)
     }
 
     /// Returns [`Self::of`] with least tensions that are `factor` times as large.
     pub fn with_least_times(problem: &'a OptimalControlProblem, factor: f64) -> Option<Self> {
+        if problem.driven_components().any(|(driven, _)| !driven.leads) {
+            return None;
+        }
         let rod = &problem.rod;
         let start = &problem.initial.configuration;
         let coordinates = rod.actuator_coordinates(&start.positions, &start.rotations);
         let given = rod.actuators.efforts(problem.grid.start);
         let least: Vec<(usize, f64)> = problem.least_tensions().collect();
         let all: Vec<DrivenWinch> = (problem.driven_components())
+            .map(|(driven, component)| (driven.actuator, component))
             .filter(|(actuator, _)| {
                 (rod.actuators.iter().nth(*actuator)).is_some_and(|own| own.winch.is_some())
             })

@@ -52,23 +52,26 @@ impl<'a> NodeWrenches<'a> {
 }
 
 /// The places of efforts among the wrenches of a signal.
+///
+/// A number of the signal may drive several actuators, as a motor that pulls one tendon and lets another out: then they have the same place.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Efforts {
     /// Indices of the actuators of the rod that the signal drives; their given efforts add up with those of the signal.
     pub actuators: Vec<usize>,
     /// Index of the first of the signal's wrenches, at one time node, whose components are efforts.
     pub first: usize,
-    /// Place of the effort of every driven actuator from there on: six for each wrench, force before moment.
+    /// Place of the number that drives every actuator from there on: six for each wrench, force before moment.
     pub places: Vec<usize>,
+    /// Effort of every driven actuator per unit of its number.
+    pub gains: Vec<f64>,
 }
 
 impl NodeWrenches<'_> {
     /// Returns the efforts of the signal, in the order of the actuators that it drives.
     fn effort_values(&self) -> Vec<f64> {
         self.efforts.map_or_else(Vec::new, |efforts| {
-            let places = efforts.places.iter();
-            places
-                .map(|&place| component_at(self.wrenches, efforts.first, place))
+            (0..efforts.places.len())
+                .map(|index| self.effort(index))
                 .collect()
         })
     }
@@ -77,7 +80,7 @@ impl NodeWrenches<'_> {
     #[must_use]
     pub fn effort(&self, index: usize) -> f64 {
         self.efforts.map_or(0.0, |efforts| {
-            component_at(self.wrenches, efforts.first, efforts.places[index])
+            efforts.gains[index] * component_at(self.wrenches, efforts.first, efforts.places[index])
         })
     }
 
@@ -93,8 +96,8 @@ impl NodeWrenches<'_> {
         let Some(efforts) = self.efforts else {
             return;
         };
-        for (&actuator, &place) in efforts.actuators.iter().zip(&efforts.places) {
-            out[actuator] += component_at(self.wrenches, efforts.first, place);
+        for (index, &actuator) in efforts.actuators.iter().enumerate() {
+            out[actuator] += self.effort(index);
         }
     }
 }
@@ -264,6 +267,7 @@ impl ControlSignal {
             actuators: efforts.actuators.clone(),
             first: nodes.len(),
             places: (0..efforts.places.len()).collect(),
+            gains: vec![1.0; efforts.places.len()],
         });
         let mut wrenches = Vec::with_capacity(nodes.len() * (grid.n_steps + 1));
         for k in 0..=grid.n_steps {

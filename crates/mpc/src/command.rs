@@ -158,6 +158,7 @@ impl ControlOrder {
                 actuators: (0..n_actuators).collect(),
                 first: nodes.len(),
                 places: (0..n_actuators).collect(),
+                gains: vec![1.0; n_actuators],
             }),
             nodes,
         }

@@ -22,7 +22,7 @@ use super::command::Command;
 use super::error::MpcError;
 use super::estimator::Motions;
 use super::holding::Held;
-use super::horizon::{Horizon, driven};
+use super::horizon::Horizon;
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
 use control::named::distinguish;
@@ -274,12 +274,9 @@ impl Controller {
             .collect();
         let has_lags = lags.iter().any(|lag| *lag > 0.0);
         let mut lags_of_efforts = vec![0.0; if has_lags { n_efforts } else { 0 }];
-        for (index, (_, channel)) in driven(&horizon.problem)
-            .iter()
-            .zip(horizon.problem.driven())
-        {
-            if let Some(lag) = lags_of_efforts.get_mut(*index) {
-                *lag = channel.lag;
+        for (driven, component) in horizon.problem.driven_components() {
+            if let Some(lag) = lags_of_efforts.get_mut(driven.actuator) {
+                *lag = horizon.problem.channel(&component).lag;
             }
         }
         // Bound and rate of every coefficient; where there is a lag, a bound at either end of the block before it.
@@ -400,9 +397,9 @@ impl Controller {
         &'a self,
         command: &'a Command,
     ) -> impl Iterator<Item = (&'a str, [f64; 2])> {
-        let problem = &self.horizon.problem;
-        let driven = (problem.efforts.iter()).flat_map(|efforts| &efforts.actuators);
-        driven.zip(self.driven()).map(move |(&index, (own, _))| {
+        let leading = self.horizon.problem.driven_components();
+        let indices = leading.filter_map(|(driven, _)| driven.leads.then_some(driven.actuator));
+        indices.zip(self.driven()).map(move |(index, (own, _))| {
             let given = own.effort(command.start);
             let ends = [&command.efforts_from, &command.efforts_to];
             let added = ends.map(|added| added.get(index).copied().unwrap_or(0.0));

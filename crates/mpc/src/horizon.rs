@@ -57,9 +57,9 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
         })
         .collect::<Option<Vec<_>>>()?;
     let of = |component: &Component| match problem.own_control(component) {
-        None if problem.effort(component).is_some() => (problem.effort(component).into_iter())
-            .map(|index| driven[index])
-            .map(|actuator| (problem.rod.n_nodes() + actuator / 6, actuator % 6, 1.0))
+        None if problem.is_effort(component) => (problem.driven_by(component))
+            .map(|(index, gain)| (driven[index], gain))
+            .map(|(actuator, gain)| (problem.rod.n_nodes() + actuator / 6, actuator % 6, gain))
             .collect(),
         None => {
             let node = problem.actuators[component.actuator].node;
@@ -98,10 +98,10 @@ pub(super) struct Horizon {
     /// Wrenches of one unit of every component.
     pub effects: Vec<Vec<Effect>>,
     pub knots: Knots,
-    /// Components that are efforts of actuators on strains, in the order in which these are driven.
-    of_efforts: Vec<usize>,
-    /// Components that are efforts of actuators on poses, each with the index of a function of its actuator.
-    of_poses: Vec<(usize, usize)>,
+    /// Components that drive actuators on strains, with the effort for one unit, in the order in which these are driven.
+    of_efforts: Vec<(usize, f64)>,
+    /// Components that drive actuators on poses, likewise, each with the index of a function of its actuator.
+    of_poses: Vec<((usize, f64), usize)>,
     /// The grid of the present horizon; below it, that of the longest horizon, from the first start.
     pub grid: TimeGrid,
     longest: TimeGrid,
@@ -195,17 +195,20 @@ impl Horizon {
         });
         let (mut of_efforts, mut on_strains, mut of_poses) = (Vec::new(), Vec::new(), Vec::new());
         for (index, &actuator) in driven(&problem).iter().enumerate() {
-            let Some(at) = (components.iter()).position(|own| problem.effort(own) == Some(index))
-            else {
+            let driver = components.iter().enumerate().find_map(|(at, component)| {
+                let (_, gain) = problem.driven_by(component).find(|own| own.0 == index)?;
+                Some((at, gain))
+            });
+            let Some((at, gain)) = driver else {
                 continue;
             };
             if actuator < problem.rod.actuators.strains().len() {
-                of_efforts.push(at);
+                of_efforts.push((at, gain));
                 on_strains.push(actuator);
             }
             let functions = problem.rod.actuators.functions().iter().enumerate();
             let own = functions.filter(|(_, own)| own.actuator == Some(actuator));
-            of_poses.extend(own.map(|(function, _)| (at, function)));
+            of_poses.extend(own.map(|(function, _)| ((at, gain), function)));
         }
         let mut trajectory = Trajectory::with_capacity(n_nodes, grid.n_steps + 1);
         for _ in 0..=grid.n_steps {

@@ -142,6 +142,7 @@ impl<'a> Packed<'a> {
                 actuators: (0..m).collect(),
                 first: acting.nodes.len(),
                 places: (0..m).collect(),
+                gains: vec![1.0; m],
             }),
         }
     }

@@ -125,6 +125,7 @@ pub(super) fn efforts(
         actuators: controls.iter().map(|control| control.actuator).collect(),
         first,
         places: (0..controls.len()).map(|at| 3 * at).collect(),
+        gains: vec![1.0; controls.len()],
     };
     Ok((carriers, Some(efforts)))
 }

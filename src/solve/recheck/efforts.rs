@@ -16,7 +16,7 @@ fn commands(
 ) -> Option<Vec<f64>> {
     let n = problem.actuators.len();
     let mut out = None;
-    for (actuator, component) in problem.driven_components() {
+    for (driven, component) in problem.driven_components() {
         let lag = problem.channel(&component).lag;
         if lag > 0.0 {
             let value = |lag: f64| -> f64 {
@@ -27,7 +27,8 @@ fn commands(
                     })
                     .sum()
             };
-            out.get_or_insert_with(|| efforts.to_vec())[actuator] += value(lag) - value(0.0);
+            out.get_or_insert_with(|| efforts.to_vec())[driven.actuator] +=
+                driven.gain * (value(lag) - value(0.0));
         }
     }
     out

@@ -331,16 +331,22 @@ impl Statics<'_> {
         shape: &Configuration,
         wrenches: &[Wrench],
     ) -> Option<Vec<f64>> {
-        let index = self.problem.effort(component)?;
+        if !self.problem.is_effort(component) {
+            return None;
+        }
         let actuators = &self.rod().actuators;
         let mut out = vec![0.0; actuators.len()];
-        let actuator = self.problem.efforts.as_ref()?.actuators[index];
-        out[actuator] = change;
-        if actuators.has_winches() {
+        let along = actuators.has_winches().then(|| {
             let (x, r) = (&shape.positions, &shape.rotations);
-            let y = self.rod().actuator_coordinates(x, r)[actuator];
-            let input = self.inputs(wrenches)[actuator];
-            out[actuator] *= actuators.law(actuator, input, y).along_input;
+            (self.rod().actuator_coordinates(x, r), self.inputs(wrenches))
+        });
+        for (index, gain) in self.problem.driven_by(component) {
+            let actuator = self.problem.efforts.as_ref()?.actuators[index];
+            out[actuator] = gain * change;
+            if let Some((y, inputs)) = &along {
+                let law = actuators.law(actuator, inputs[actuator], y[actuator]);
+                out[actuator] *= law.along_input;
+            }
         }
         Some(out)
     }
@@ -602,7 +608,7 @@ impl Statics<'_> {
 
     /// Tells whether a control has a potential: a force in the spatial frame, or an effort of an actuator of the rod.
     pub fn has_potential(&self, component: &Component) -> bool {
-        let is_effort = self.problem.effort(component).is_some();
+        let is_effort = self.problem.is_effort(component);
         is_effort || (component.axis < 3 && self.problem.own_control(component).is_none())
     }
 

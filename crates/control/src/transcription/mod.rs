@@ -498,10 +498,14 @@ impl<'a> Transcription<'a> {
         let driven = input.and_then(|(actuator, slope)| {
             let efforts = self.problem.efforts.as_ref()?;
             let index = efforts.actuators.iter().position(|own| *own == actuator)?;
-            let of_it = |c: &Component| self.problem.effort(c) == Some(index);
-            let at = self.components.iter().position(of_it)?;
-            let unit = self.problem.channel(&self.components[at]).unit();
-            Some((at, slope * unit))
+            self.components
+                .iter()
+                .enumerate()
+                .find_map(|(at, component)| {
+                    let (_, gain) =
+                        (self.problem.driven_by(component)).find(|own| own.0 == index)?;
+                    Some((at, slope * gain * self.problem.channel(component).unit()))
+                })
         });
         let n = self.components.len();
         (driven.into_iter()).flat_map(move |(at, slope)| {

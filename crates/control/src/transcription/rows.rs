@@ -101,13 +101,13 @@ impl EffortColumns for Columns<'_> {
         };
         let n = self.components.len();
         for (at, component) in self.components.iter().enumerate() {
-            if self.targets[at] != Target::Effort(index) {
-                continue;
+            let mut driven = self.problem.driven_by(component);
+            if let Some((_, gain)) = driven.find(|own| own.0 == index) {
+                let unit = gain * self.problem.channel(component).unit();
+                acting.visit_efforts(set, index, &mut |coefficient, derivative| {
+                    visit(coefficient * n + at, unit * derivative);
+                });
             }
-            let unit = self.problem.channel(component).unit();
-            acting.visit_efforts(set, index, &mut |coefficient, derivative| {
-                visit(coefficient * n + at, unit * derivative);
-            });
         }
     }
 }
@@ -122,25 +122,19 @@ impl ControlColumns for Columns<'_> {
         let here = self.problem.control.weights(k);
         for (at, component) in self.components.iter().enumerate() {
             let unit = self.problem.channel(component).unit();
-            let mut visit_at = |time: usize, node: usize, axis: usize, slope: f64| {
-                let weights = if time == k {
-                    here
-                } else {
-                    self.problem.control.weights(time)
-                };
-                for (coefficient, weight) in weights {
+            let mut visit_at = |node: usize, axis: usize, slope: f64| {
+                for (coefficient, weight) in here {
                     if weight != 0.0 {
                         visit(coefficient * n + at, node, axis, weight * unit * slope);
                     }
                 }
             };
             match (self.targets[at], self.acting) {
-                (Target::Effort(_), _) => {}
                 (Target::Node, _) => {
                     let node = self.problem.actuators[component.actuator].node;
-                    visit_at(k, node, component.axis, 1.0);
+                    visit_at(node, component.axis, 1.0);
                 }
-                (target, Some(acting)) => acting.visit(k, target, &mut visit_at),
+                (target, Some(acting)) => acting.visit(k, (component, target), &mut visit_at),
                 (_, None) => {}
             }
         }

@@ -11,14 +11,15 @@ pub(super) struct Columns<'a> {
     pub knots: &'a Knots,
     pub grid: TimeGrid,
     pub effects: &'a [Vec<Effect>],
-    /// Wrenches of unit efforts, and the components that are efforts, in the order of the driven actuators on strains.
+    /// Wrenches of unit efforts, and the components that drive them, with the effort for one unit, in the order of the driven actuators on
+    /// strains.
     pub pulls: Option<&'a EffortPulls>,
-    pub of_efforts: &'a [usize],
+    pub of_efforts: &'a [(usize, f64)],
     /// Time nodes on whose efforts the stress of an actuator depends: that at which it acts, or both ends of an interval.
     pub ends: usize,
     pub winches: Option<&'a WinchSlopes>,
-    /// Components that are efforts of actuators on poses, and their functions.
-    pub of_poses: &'a [(usize, usize)],
+    /// Components that drive actuators on poses, likewise, and their functions.
+    pub of_poses: &'a [((usize, f64), usize)],
     pub rod: &'a Rod,
     pub trajectory: &'a Trajectory,
     pub scales: &'a [f64],
@@ -47,7 +48,7 @@ impl Columns<'_> {
 
 impl EffortColumns for Columns<'_> {
     fn visit(&self, set: usize, index: usize, visit: &mut dyn FnMut(usize, f64)) {
-        let at = self.of_efforts[index];
+        let (at, gain) = self.of_efforts[index];
         let both = [set, set + 1];
         let times = &both[..self.ends];
         let slope = self
@@ -56,7 +57,10 @@ impl EffortColumns for Columns<'_> {
         for (coefficient, weight) in self.shares(times) {
             if weight != 0.0 {
                 let column = coefficient * self.effects.len() + at;
-                visit(column, weight * self.scales[at] * slope / self.ends as f64);
+                visit(
+                    column,
+                    weight * self.scales[at] * gain * slope / self.ends as f64,
+                );
             }
         }
     }
@@ -81,13 +85,13 @@ impl ControlColumns for Columns<'_> {
                 }
             }
         }
-        for &(at, function) in self.of_poses {
+        for &((at, gain), function) in self.of_poses {
             let own = &self.rod.actuators.functions()[function];
             let (x, r) = (
                 self.trajectory.positions_at(k),
                 self.trajectory.rotations_at(k),
             );
-            let wrench = own.wrench(&own.pose(x, r), own.weight * self.scales[at]);
+            let wrench = own.wrench(&own.pose(x, r), own.weight * gain * self.scales[at]);
             for (coefficient, weight) in self.knots.at_node(&self.grid, k) {
                 let column = coefficient * self.effects.len() + at;
                 for (component, slope) in wrench.to_array().into_iter().enumerate() {
