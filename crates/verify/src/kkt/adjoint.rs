@@ -13,7 +13,7 @@ use crate::{acting, dual, efforts, interval};
 use control::GoalPart;
 use mechanics::differences;
 use mechanics::rotation::exp;
-use mechanics::{RodModel, TimeScheme, Wrench};
+use mechanics::{Efforts, RodModel, TimeScheme, Wrench};
 
 impl Conditions<'_> {
     /// Solves the adjoint equations backward in time and returns the derivative of a functional along the wrench on every actuated node at
@@ -172,10 +172,7 @@ impl Conditions<'_> {
                 let Some(index) = driven.actuators.iter().position(|own| *own == actuator) else {
                     continue;
                 };
-                let place = driven.places[index];
-                let carrier = &mut out[k * width + driven.first + place / 6];
-                let vector = [&mut carrier.force, &mut carrier.moment];
-                vector[place % 6 / 3][place % 3] += covector;
+                add_along_input(driven, index, covector, &mut out[k * width..]);
             }
         }
         out
@@ -392,11 +389,9 @@ impl Conditions<'_> {
             (self.control.efforts.as_ref()).filter(|_| self.rod().actuators.act_on_poses())
         {
             let width = self.control.width();
-            for (&actuator, &place) in driven.actuators.iter().zip(&driven.places) {
+            for (index, &actuator) in driven.actuators.iter().enumerate() {
                 let work = efforts::posed_work(self.rod(), (x, r), actuator, covectors);
-                let carrier = &mut out[k * width + driven.first + place / 6];
-                let vector = [&mut carrier.force, &mut carrier.moment];
-                vector[place % 6 / 3][place % 3] += weight * work;
+                add_along_input(driven, index, weight * work, &mut out[k * width..]);
             }
         }
         if self.rod().scheme == TimeScheme::Explicit && self.control.efforts.is_some() {
@@ -448,7 +443,7 @@ impl Conditions<'_> {
         let rod = self.rod();
         let width = self.control.width();
         let slopes = efforts::slopes_in(rod, inputs, |q| at[q]);
-        for (&actuator, &place) in driven.actuators.iter().zip(&driven.places) {
+        for (index, &actuator) in driven.actuators.iter().enumerate() {
             let mut unit = vec![0.0; rod.actuators.len()];
             unit[actuator] = 1.0;
             let mut slope = 0.0;
@@ -462,9 +457,7 @@ impl Conditions<'_> {
             }
             slope *= slopes[actuator];
             for (k, share) in shares {
-                let carrier = &mut out[k * width + driven.first + place / 6];
-                let vector = [&mut carrier.force, &mut carrier.moment];
-                vector[place % 6 / 3][place % 3] += weight * share * slope;
+                add_along_input(driven, index, weight * share * slope, &mut out[k * width..]);
             }
         }
     }
@@ -518,4 +511,13 @@ impl Conditions<'_> {
             }
         }
     }
+}
+
+/// Adds the derivative along the input of a driven actuator, by its index among those, to the place of the control that drives it, among the
+/// wrenches of one time node.
+fn add_along_input(driven: &Efforts, index: usize, slope: f64, out: &mut [Wrench]) {
+    let place = driven.places[index];
+    let carrier = &mut out[driven.first + place / 6];
+    let vector = [&mut carrier.force, &mut carrier.moment];
+    vector[place % 6 / 3][place % 3] += driven.gains[index] * slope;
 }
