@@ -182,6 +182,7 @@ fn problem(tendons: bool, scheme: TimeScheme) -> OptimalControlProblem {
                 rate: None,
                 scale: None,
                 lag: None,
+                follows: None,
             })
             .collect();
     }

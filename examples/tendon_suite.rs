@@ -144,6 +144,7 @@ fn draw(seed: u64) -> Option<Problem> {
             rate: None,
             scale: None,
             lag: None,
+            follows: None,
         })
         .collect();
     for target in &mut task.targets {

@@ -117,6 +117,7 @@ pub fn tendon_task(is_slow: bool) -> Task {
                 rate: is_slow.then_some(TENSION_RATE),
                 scale: None,
                 lag: None,
+                follows: None,
             })
             .collect(),
         cost: Cost {
@@ -194,6 +195,7 @@ pub fn posed_task() -> Task {
         rate: None,
         scale: None,
         lag: None,
+        follows: None,
     };
     let mut task = tendon_task(false);
     task.efforts = vec![

@@ -40,6 +40,7 @@ fn problem(arm: &Arm, target: Vector3<f64>, tolerance: f64) -> OptimalControlPro
             rate: None,
             scale: None,
             lag: None,
+            follows: None,
         })
         .collect();
     for target in &mut task.targets {

@@ -491,6 +491,7 @@ fn a_field_reaches_and_stays() {
             rate: None,
             scale: None,
             lag: None,
+            follows: None,
         })
         .collect();
     for target in &mut task.targets {

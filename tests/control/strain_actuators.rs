@@ -227,6 +227,7 @@ fn tendons_reach_and_stay() {
                 rate: None,
                 scale: None,
                 lag: None,
+                follows: None,
             })
             .collect();
         for target in &mut task.targets {
@@ -267,6 +268,7 @@ fn rates_of_tensions_are_bounded() {
                 rate: Some([-1.0, 1.0].map(|sign| sign * rate.unwrap_or(f64::INFINITY))),
                 scale: None,
                 lag: None,
+                follows: None,
             })
             .collect();
         let solution = solve(&arm, &task, &discretization).expect("a solution");

@@ -205,6 +205,7 @@ fn winches_reach_and_stay() {
             rate: Some([-0.1, 0.1]),
             scale: None,
             lag: None,
+            follows: None,
         };
         let task = reach(target, 1.0, &control);
         let solution = solve(&arm, &task, &discretization).expect("a solution");
@@ -285,6 +286,7 @@ fn targets_at_the_edge_of_slack_are_reached() {
                 rate: Some([-0.1, 0.1]),
                 scale: None,
                 lag: None,
+                follows: None,
             })
             .collect();
         for target in &mut task.targets {
@@ -378,6 +380,7 @@ fn lagging_tensions_reach_within_the_bounds_of_their_commands() {
             rate: None,
             scale: None,
             lag: Some(lag),
+            follows: None,
         };
         let task = reach(target, 0.6, &control);
         let solution = solve(&arm, &task, &discretization).expect("a solution");
@@ -422,6 +425,7 @@ fn jumps_are_refused() {
         rate: None,
         scale: None,
         lag,
+        follows: None,
     };
     let [winches, tensions] = [hanging(Some(5e-3), 0.0), hanging(None, 0.05)];
     for (arm, lag) in [(&winches, None), (&tensions, Some(0.1))] {

@@ -528,6 +528,31 @@ fn actuators_in_the_arm_name_their_keys() {
             "not a positive stress",
         ),
         (
+            "tendon=[{name='a', offset_m=[0.01, 0.0], tension_n=[0.0, 1.0]}, {offset_m=[-0.01, 0.0], tension_n=[-1.0, 1.0], follows={name='b', gain=1.0}}]",
+            "tendon.1.follows.name",
+            "no actuator in the arm is named",
+        ),
+        (
+            "tendon=[{name='a', offset_m=[0.01, 0.0], tension_n=[0.0, 1.0]}, {offset_m=[-0.01, 0.0], tension_n=[-1.0, 1.0], follows={name='a', gain=0.0}}]",
+            "tendon.1.follows.gain",
+            "not a number other than 0",
+        ),
+        (
+            "tendon=[{name='a', offset_m=[0.01, 0.0], tension_n=[0.0, 1.0]}, {offset_m=[-0.01, 0.0], follows={name='a', gain=1.0}}]",
+            "tendon.1.tension_n",
+            "has bounds of its own",
+        ),
+        (
+            "tendon=[{name='a', offset_m=[0.01, 0.0], tension_n=[0.0, 1.0]}, {offset_m=[-0.01, 0.0], tension_n=[-1.0, 1.0], lag_s=0.1, follows={name='a', gain=1.0}}]",
+            "tendon.1.lag_s",
+            "follows",
+        ),
+        (
+            "tendon=[{name='a', offset_m=[0.01, 0.0], tension_n=[0.0, 1.0]}, {offset_m=[-0.01, 0.0], tension_n=[-1.0, 1.0], follows={name='tendon 1', gain=1.0}}]",
+            "tendon.1.follows.name",
+            "no control of its own",
+        ),
+        (
             "braid=[{fibre = 0.9, turns_1_m = 10.0}]",
             "braid.0.fibre",
             "not a number above 1",

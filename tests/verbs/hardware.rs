@@ -90,7 +90,7 @@ impl Desk {
 
     fn efforts(&self, run: &str) -> (MotionRecord, Vec<EffortRow>) {
         let motion = MotionRecord::read_npz(&self.path(run).join("trajectory.npz")).unwrap();
-        let n = 3 * motion.n_rows();
+        let n = self.read(&format!("{run}/efforts.csv")).lines().count() - 1;
         let rows = read_efforts(&self.path(run).join("efforts.csv"), n, 16).unwrap();
         (motion, rows)
     }
@@ -316,4 +316,128 @@ fn check_names_every_actuator() {
     }
     // A number without a unit has no prefix.
     assert!(talk("check elastica-muscles").contains("first, 0 to 1; at the target 0.5"));
+}
+
+/// Two pairs of tendons on two motors, which pull one tendon of a pair and let the other one out.
+const MOTORS: &str = "\
+[rod]
+length_m = 0.2
+elements = 12
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.01
+[damping]
+viscous_1_s = 5.0
+[time]
+end_s = 0.4
+[[tendon]]
+name = \"left\"
+offset_m = [0.008, 0.0]
+tension_n = [1.0, 10.0]
+pretension_n = 3.0
+[[tendon]]
+name = \"right\"
+offset_m = [-0.008, 0.0]
+tension_n = [1.0, 10.0]
+pretension_n = 3.0
+follows = { name = \"left\", gain = -1.0 }
+[[tendon]]
+name = \"front\"
+offset_m = [0.0, 0.008]
+tension_n = [1.0, 10.0]
+pretension_n = 3.0
+[[tendon]]
+name = \"back\"
+offset_m = [0.0, -0.008]
+tension_n = [1.0, 10.0]
+pretension_n = 3.0
+follows = { name = \"front\", gain = -0.5 }
+[task]
+position_m = [0.03, 0.02, 0.19]
+at_rest = false
+hard = false
+[control]
+blocks = 4
+";
+
+/// The same pairs on winches.
+fn on_winches() -> String {
+    MOTORS
+        .replace("elements = 12", "elements = 6")
+        .replace(
+            "tension_n = [1.0, 10.0]",
+            "displacement_m = [-0.02, 0.02]\ncompliance_1_n = 2e-2",
+        )
+        .replace("pretension_n = 3.0", "rest_displacement_m = -0.004")
+        .replace("[0.03, 0.02, 0.19]", "[0.006, 0.004, 0.199]")
+}
+
+/// One motor for two tendons is one control: files have its column alone, the tensions, or the displacements of winches, of its tendons keep
+/// their relation to the last digits, and both keep their bounds: a motor that begins at 3 N pulls by 5 N at most where its other tendon should
+/// keep 1 N. All derivatives are those of differences, and results are certified by code that knows the relation by itself.
+#[test]
+fn two_tendons_share_a_motor() {
+    let desk = Desk::new();
+    fs::write(desk.path("motors.toml"), MOTORS).unwrap();
+    fs::write(desk.path("winches.toml"), on_winches()).unwrap();
+    for (scene, implicit) in [("motors", false), ("motors", true), ("winches", true)] {
+        let scheme = if implicit {
+            "--set time.integrator=implicit"
+        } else {
+            ""
+        };
+        let found = desk.done(&format!("derivatives {scene}.toml {scheme}"));
+        assert_eq!(found["verdict"], "ok", "{scene} {implicit}: {found}");
+    }
+    // Rest, gain of the second, and unit.
+    for (scene, rest, unit) in [("motors", 3.0, "N"), ("winches", -0.004, "m")] {
+        let summary = desk.done(&format!("solve {scene}.toml --out {scene}"));
+        assert_eq!(summary["check"]["verdict"], "certified", "{scene}");
+        let controls = desk.read(&format!("{scene}/controls.csv"));
+        let head = format!("t_start,t_end,left ({unit}),front ({unit})");
+        assert_eq!(controls.lines().next(), Some(&head[..]));
+        let (_, rows) = desk.efforts(scene);
+        for row in rows.chunks(4) {
+            let [left, right, front, back] = [0, 1, 2, 3].map(|i| match unit {
+                "N" => row[i].effort,
+                _ => row[i].displacement.flatten().unwrap(),
+            } - rest);
+            assert!((right + left).abs() < 1e-12 && (back + 0.5 * front).abs() < 1e-12);
+        }
+        if scene == "motors" {
+            let most = |i: usize| rows.chunks(4).map(|row| row[i].effort).fold(0.0, f64::max);
+            let least = |i: usize| rows.chunks(4).map(|row| row[i].effort).fold(9.0, f64::min);
+            assert!((most(0) - 5.0).abs() < 1e-6 && (least(1) - 1.0).abs() < 1e-6);
+            assert!(most(2) < 7.0 + 1e-9 && least(3) > 1.0 - 1e-9);
+        }
+        desk.done(&format!("verify {scene}"));
+    }
+}
+
+/// In a loop the commands of a pair keep their relation at every sample, within the bounds of both, and lead the arm on its path.
+#[test]
+fn loops_drive_pairs() {
+    let desk = Desk::new();
+    let rest: Vec<String> = (0..4)
+        .map(|i| format!("--set tendon.{i}.pretension_n=0.725"))
+        .collect();
+    let follow = "--set tendon.2.follows={name=\"first\",gain=-1.0} --set tendon.3.follows={name=\"second\",gain=-1.0}";
+    let summary = desk.done(&format!(
+        "mpc mpc-tendons --out loop --set mpc.duration_s=5.0 {follow} {}",
+        rest.join(" ")
+    ));
+    let off = summary["tip_error_over_length"]["rms"].as_f64().unwrap();
+    // The circle is a little lower than the tip under these sums of tensions.
+    assert!(off < 6e-3, "{off}");
+    let (_, rows) = desk.efforts("loop");
+    assert!(rows.len() > 1000);
+    for row in rows.chunks(4) {
+        let efforts = [0, 1, 2, 3].map(|i| row[i].effort);
+        assert!((efforts[0] + efforts[2] - 1.45).abs() < 1e-12);
+        assert!((efforts[1] + efforts[3] - 1.45).abs() < 1e-12);
+        assert!(efforts.iter().all(|effort| *effort > -1e-9));
+    }
 }

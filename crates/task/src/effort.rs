@@ -25,6 +25,18 @@ pub struct EffortControl {
     /// Time constant, s, of the first-order lag with which the effort follows its command: the bounds hold for the command
     /// `u + lag du/dt`, and the effort begins at the pretension. `None`: the command acts at once.
     pub lag: Option<f64>,
+    /// The control that this one follows instead of being one of its own, as two tendons on one motor; scale and lag are then those of the
+    /// other control.
+    pub follows: Option<Follows>,
+}
+
+/// The relation of an effort to a control that drives it too: beyond its pretension it is `gain` times what the control is beyond its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Follows {
+    /// Index among [`Arm::actuators`](super::Arm::actuators) of the actuator of the control, which follows no other one.
+    pub actuator: usize,
+    /// Effort per effort of the control; -1 for a tendon that the motor lets out while it pulls the other one in.
+    pub gain: f64,
 }
 
 /// Returns the carriers of the controls after `first` wrenches, and the place of each control in them: every control has a force or a
@@ -32,7 +44,7 @@ pub struct EffortControl {
 ///
 /// # Errors
 /// Returns [`DiscretizeError`] for an actuator that the rod does not have or that is named twice, bounds without the pretension between
-/// them, a pretension that changes, or a lag under a constant hold.
+/// them, a pretension that changes, a lag under a constant hold, or a control that follows none.
 pub(super) fn efforts(
     controls: &[EffortControl],
     first: usize,
@@ -42,92 +54,155 @@ pub(super) fn efforts(
     if controls.is_empty() {
         return Ok((Vec::new(), None));
     }
-    let mut channels = Vec::with_capacity(controls.len());
-    for (at, control) in controls.iter().enumerate() {
-        let refuse = |what, value, expected| {
-            Err(DiscretizeError::OutOfRange {
-                what,
-                value,
-                expected,
-            })
+    let leaders: Vec<&EffortControl> = (controls.iter())
+        .filter(|control| control.follows.is_none())
+        .collect();
+    let mut channels = (leaders.iter())
+        .map(|control| channel(control, controls, hold, rod))
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut out = Efforts {
+        first,
+        ..Efforts::default()
+    };
+    for control in controls {
+        let (leader, gain) = match control.follows {
+            None => (control.actuator, 1.0),
+            Some(Follows { actuator, gain }) => (actuator, gain),
         };
-        let index = control.actuator;
-        let named_before = controls[..at].iter().any(|other| other.actuator == index);
-        let Some(actuator) = rod.actuators.iter().nth(index).filter(|_| !named_before) else {
-            let expected = "an actuator of the arm, each of them once";
-            return refuse("effort.actuator", index as f64, expected);
+        let Some(at) = leaders.iter().position(|own| own.actuator == leader) else {
+            let expected = "an actuator whose effort is a control and follows no other one";
+            return refuse("effort.follows", leader as f64, expected);
         };
-        let given = match actuator.effort[..] {
-            [] => 0.0,
-            [(_, only)] => only,
-            [_, (_, other), ..] => {
-                let expected = "no row: the effort of a control is given by its pretension alone";
-                return refuse("effort.profile", other, expected);
+        if control.follows.is_some() {
+            if !(gain != 0.0 && gain.is_finite()) {
+                return refuse("effort.gain", gain, "a finite number other than 0");
             }
-        };
-        let [least, most] = control.bounds;
-        if !(least <= given && given <= most && least < most) {
-            let expected = "a pretension within the bounds, which differ";
-            return refuse("effort.pretension", given, expected);
+            let own = channel(control, controls, hold, rod)?;
+            narrow(&mut channels[at], &own, gain)?;
         }
-        if let Some([down, up]) = control.rate
-            && !(down < 0.0 && up > 0.0)
-        {
-            let expected = "rates that let the effort fall and rise";
-            return refuse("effort.rate", if down < 0.0 { up } else { down }, expected);
-        }
-        if let Some(lag) = control.lag {
-            if !(lag > 0.0 && lag.is_finite()) {
-                return refuse("effort.lag", lag, "a positive time");
-            }
-            if hold == Hold::Constant {
-                let expected =
-                    "a linear or cubic hold: after a lag the effort of a command does not jump";
-                return refuse("effort.lag", lag, expected);
-            }
-        }
-        if let Some(winch) = &actuator.winch {
-            let shortest = winch.outside - rod.actuators.at_rest()[index] + least;
-            if !(shortest > 0.0) {
-                let expected = "a displacement by less than all of the tendon, with a least one";
-                return refuse("effort.bounds", least, expected);
-            }
-            if hold == Hold::Constant {
-                let expected = "a linear or cubic hold: a winch does not jump";
-                return refuse("effort.displacement", given, expected);
-            }
-        }
-        let reach = (most - given).max(given - least);
-        let scale = (control.scale).or_else(|| bending_scale(rod, index, least));
-        let scale = scale.unwrap_or(if reach.is_finite() { reach } else { 1.0 });
-        if !(scale > 0.0 && scale.is_finite()) {
-            return refuse("effort.scale", scale, "a positive effort");
-        }
-        let along_first = |value: f64| Vector3::new(value, 0.0, 0.0);
-        let between = |[lower, upper]: [f64; 2]| Bound::Between {
-            lower: along_first(lower),
-            upper: along_first(upper),
-        };
-        let bounded = least.is_finite() || most.is_finite();
-        channels.push(Channel {
-            rate_bound: control.rate.map(between),
-            axes: [true, false, false],
-            from_rest: control.rate.is_some() || control.lag.is_some() || actuator.winch.is_some(),
-            lag: control.lag.unwrap_or(0.0),
-            ..Channel::new(
-                scale,
-                bounded.then(|| between([least - given, most - given])),
-            )
-        });
+        out.actuators.push(control.actuator);
+        out.places.push(3 * at);
+        out.gains.push(gain);
     }
     let carriers = ActuatedNode::carrying(0, &channels).collect();
-    let efforts = Efforts {
-        actuators: controls.iter().map(|control| control.actuator).collect(),
-        first,
-        places: (0..controls.len()).map(|at| 3 * at).collect(),
-        gains: vec![1.0; controls.len()],
+    Ok((carriers, Some(out)))
+}
+
+fn refuse<T>(what: &'static str, value: f64, expected: &'static str) -> Result<T, DiscretizeError> {
+    Err(DiscretizeError::OutOfRange {
+        what,
+        value,
+        expected,
+    })
+}
+
+/// Moves the bounds of a control within those of an effort that is `gain` times the control.
+fn narrow(control: &mut Channel, effort: &Channel, gain: f64) -> Result<(), DiscretizeError> {
+    let within = |own: Option<Bound>, other: Option<Bound>| {
+        let everything = [f64::NEG_INFINITY, f64::INFINITY];
+        let interval = |bound: Option<Bound>| {
+            (bound.and_then(|bound| bound.interval(0))).unwrap_or(everything)
+        };
+        let [mut least, mut most] = interval(other).map(|end| end / gain);
+        if gain < 0.0 {
+            std::mem::swap(&mut least, &mut most);
+        }
+        let [own_least, own_most] = interval(own);
+        let both = [own_least.max(least), own_most.min(most)];
+        (both != everything).then(|| between(both))
     };
-    Ok((carriers, Some(efforts)))
+    control.bound = within(control.bound, effort.bound);
+    control.rate_bound = within(control.rate_bound, effort.rate_bound);
+    control.from_rest |= effort.from_rest;
+    match control.bound.and_then(|bound| bound.interval(0)) {
+        Some([least, most]) if !(least < most) => {
+            let expected =
+                "bounds that leave the control room with those of the actuators that follow it";
+            refuse("effort.bounds", most - least, expected)
+        }
+        _ => Ok(()),
+    }
+}
+
+fn between([lower, upper]: [f64; 2]) -> Bound {
+    let along_first = |value: f64| Vector3::new(value, 0.0, 0.0);
+    Bound::Between {
+        lower: along_first(lower),
+        upper: along_first(upper),
+    }
+}
+
+/// Returns the channel of the effort of one of some controls.
+fn channel(
+    control: &EffortControl,
+    controls: &[EffortControl],
+    hold: Hold,
+    rod: &Rod,
+) -> Result<Channel, DiscretizeError> {
+    let index = control.actuator;
+    let named = controls.iter().filter(|other| other.actuator == index);
+    let is_one = named.count() == 1;
+    let Some(actuator) = rod.actuators.iter().nth(index).filter(|_| is_one) else {
+        let expected = "an actuator of the arm, each of them once";
+        return refuse("effort.actuator", index as f64, expected);
+    };
+    let given = match actuator.effort[..] {
+        [] => 0.0,
+        [(_, only)] => only,
+        [_, (_, other), ..] => {
+            let expected = "no row: the effort of a control is given by its pretension alone";
+            return refuse("effort.profile", other, expected);
+        }
+    };
+    let [least, most] = control.bounds;
+    if !(least <= given && given <= most && least < most) {
+        let expected = "a pretension within the bounds, which differ";
+        return refuse("effort.pretension", given, expected);
+    }
+    if let Some([down, up]) = control.rate
+        && !(down < 0.0 && up > 0.0)
+    {
+        let expected = "rates that let the effort fall and rise";
+        return refuse("effort.rate", if down < 0.0 { up } else { down }, expected);
+    }
+    if let Some(lag) = control.lag {
+        if !(lag > 0.0 && lag.is_finite()) {
+            return refuse("effort.lag", lag, "a positive time");
+        }
+        if hold == Hold::Constant {
+            let expected =
+                "a linear or cubic hold: after a lag the effort of a command does not jump";
+            return refuse("effort.lag", lag, expected);
+        }
+    }
+    if let Some(winch) = &actuator.winch {
+        let shortest = winch.outside - rod.actuators.at_rest()[index] + least;
+        if !(shortest > 0.0) {
+            let expected = "a displacement by less than all of the tendon, with a least one";
+            return refuse("effort.bounds", least, expected);
+        }
+        if hold == Hold::Constant {
+            let expected = "a linear or cubic hold: a winch does not jump";
+            return refuse("effort.displacement", given, expected);
+        }
+    }
+    let reach = (most - given).max(given - least);
+    let scale = (control.scale).or_else(|| bending_scale(rod, index, least));
+    let scale = scale.unwrap_or(if reach.is_finite() { reach } else { 1.0 });
+    if !(scale > 0.0 && scale.is_finite()) {
+        return refuse("effort.scale", scale, "a positive effort");
+    }
+    let bounded = least.is_finite() || most.is_finite();
+    Ok(Channel {
+        rate_bound: control.rate.map(between),
+        axes: [true, false, false],
+        from_rest: control.rate.is_some() || control.lag.is_some() || actuator.winch.is_some(),
+        lag: control.lag.unwrap_or(0.0),
+        ..Channel::new(
+            scale,
+            bounded.then(|| between([least - given, most - given])),
+        )
+    })
 }
 
 /// Returns the effort of an actuator that bends and twists the arm at rest by a radian in all, as the sum over the elements of moment over

@@ -47,5 +47,5 @@ pub use discretize::{DiscreteMotion, Problem};
 #[doc(hidden)]
 pub use discretize::{MOST_STEPS, longest_step};
 pub use distributed::DistributedCouple;
-pub use effort::EffortControl;
+pub use effort::{EffortControl, Follows};
 pub use error::{DiscretizeError, Obstruction};

@@ -9,7 +9,7 @@ use super::super::values::{self, Fraction, NonNegative, Positive, digits, known}
 use super::Scene;
 use crate::control::Hold;
 use crate::mechanics::{Density, Route, StrainActuator, Winch};
-use crate::task::EffortControl;
+use crate::task::{EffortControl, Follows};
 
 /// A tendon in the arm, or a rod in it that pushes: its line lies in the section and moves with it, without friction. A tendon pulls the
 /// section toward itself with the work of its tension as it gets shorter. With `tension_n` its tension is a control, with `profile` it is
@@ -49,6 +49,10 @@ pub struct Tendon {
     /// Absent: the tension is the command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_s: Option<Positive<values::Time>>,
+    /// Another actuator, the control of which drives this one too, as a motor that pulls one tendon in and lets another out. It has bounds of its
+    /// own, which the control keeps as well. Absent: a control of its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub follows: Option<FollowKeys>,
     /// Tension in N before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub pretension_n: f64,
@@ -133,6 +137,10 @@ pub struct Chamber {
     /// Absent: the pressure is the command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_s: Option<Positive<values::Time>>,
+    /// Another actuator, the control of which drives this one too, as a motor that pulls one tendon in and lets another out. It has bounds of its
+    /// own, which the control keeps as well. Absent: a control of its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub follows: Option<FollowKeys>,
     /// Pressure in Pa before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub rest_pressure_pa: f64,
@@ -182,6 +190,10 @@ pub struct Muscle {
     /// Absent: the activation is the command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_s: Option<Positive<values::Time>>,
+    /// Another actuator, the control of which drives this one too, as a motor that pulls one tendon in and lets another out. It has bounds of its
+    /// own, which the control keeps as well. Absent: a control of its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub follows: Option<FollowKeys>,
     /// Activation before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub rest_activation: f64,
@@ -235,6 +247,10 @@ pub struct Braid {
     /// Absent: the pressure is the command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_s: Option<Positive<values::Time>>,
+    /// Another actuator, the control of which drives this one too, as a motor that pulls one tendon in and lets another out. It has bounds of its
+    /// own, which the control keeps as well. Absent: a control of its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub follows: Option<FollowKeys>,
     /// Pressure in Pa before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub rest_pressure_pa: f64,
@@ -242,6 +258,18 @@ pub struct Braid {
     /// `pressure_pa`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
+}
+
+/// The actuator whose control drives another one too.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct FollowKeys {
+    /// Its name: that of a tendon, chamber, muscle or braid whose effort is a control.
+    pub name: String,
+    /// Effort beyond that at rest per effort, or displacement per displacement, of the other actuator beyond its own; not 0. It is -1 for two
+    /// tendons that one drum pulls against each other.
+    pub gain: f64,
 }
 
 /// A bound on a rate: a number bounds its magnitude, [down, up] has the fastest fall, negative, and the fastest rise.
@@ -307,6 +335,7 @@ impl EffortKeys {
             rate: self.rate.1.map(RateBound::range),
             scale: None,
             lag: self.lag,
+            follows: None,
         })
     }
 }
@@ -319,6 +348,7 @@ struct Common<'a> {
     density: Density,
     scale: f64,
     profile: &'a Option<Vec<[f64; 2]>>,
+    follows: &'a Option<FollowKeys>,
 }
 
 /// Collects the keys of an actuator; the names are those of its bounds, of its rate and of its effort at rest.
@@ -347,6 +377,7 @@ macro_rules! common {
             density: $density,
             scale: $scale,
             profile: &$own.profile,
+            follows: &$own.follows,
         }
     };
 }
@@ -523,8 +554,17 @@ impl Scene {
     /// The efforts that the optimizer chooses.
     pub(crate) fn effort_controls(&self) -> Vec<EffortControl> {
         let strains = self.hardware();
+        let index_of = |name: &str| strains.iter().position(|own| own.name() == name);
         let mut out: Vec<EffortControl> = (strains.iter().enumerate())
-            .filter_map(|(index, own)| own.effort.of_task(index))
+            .filter_map(|(index, own)| {
+                let follows = own.follows.as_ref().and_then(|keys| {
+                    let actuator = index_of(&keys.name)?;
+                    let gain = keys.gain;
+                    Some(Follows { actuator, gain })
+                });
+                let control = own.effort.of_task(index)?;
+                Some(EffortControl { follows, ..control })
+            })
             .collect();
         out.extend(self.pose_controls(strains.len()));
         out
@@ -550,8 +590,10 @@ impl Keys<'_> {
         }
         let hold = scene.control.as_ref().map(|control| control.hold);
         let mut names = Vec::new();
-        for own in scene.hardware() {
-            self.check_common(&own, hold)?;
+        let all = scene.hardware();
+        for own in &all {
+            self.check_common(own, hold)?;
+            self.check_follower(own, &all)?;
             let EffortKeys { section, index, .. } = own.effort;
             names.push((own.name(), format!("{section}.{index}")));
         }
@@ -610,6 +652,42 @@ impl Keys<'_> {
             return Err(self.missing(&key("compliance_1_n"), relation));
         }
         Ok(())
+    }
+
+    /// Checks that the actuator which another one follows has a control of its own.
+    fn check_follower(&self, own: &Common, all: &[Common]) -> Checked {
+        let EffortKeys { section, index, .. } = own.effort;
+        let Some(FollowKeys { name, gain }) = &own.follows else {
+            return Ok(());
+        };
+        let key = |name: &str| format!("{section}.{index}.{name}");
+        if *gain == 0.0 || !gain.is_finite() {
+            return Err(self.out_of_range(&key("follows.gain"), *gain, "number other than 0", ""));
+        }
+        if own.effort.range().is_none() {
+            let relation =
+                "an actuator that follows another one has bounds of its own, which may be infinite";
+            return Err(self.missing(&key(own.effort.bounds.0), relation));
+        }
+        if own.effort.lag.is_some() {
+            return Err(self.contradiction(&key("lag_s"), &key("follows")));
+        }
+        let leads = |other: &&Common| {
+            other.effort.range().is_some() && other.follows.is_none() && other.name() != own.name()
+        };
+        if all.iter().filter(leads).any(|other| other.name() == *name) {
+            return Ok(());
+        }
+        let message = match all.iter().any(|other| other.name() == *name) {
+            true => format!("the effort of \"{name}\" is no control of its own"),
+            false => format!("no actuator in the arm is named \"{name}\""),
+        };
+        let names: Vec<String> = all.iter().filter(leads).map(Common::name).collect();
+        let help = match names.is_empty() {
+            true => "give the bounds of its effort to the actuator that should lead".into(),
+            false => format!("it may follow {}", names.join(", ")),
+        };
+        Err((self.source).error_at(&key("follows.name"), message, Some(help)))
     }
 
     fn check_common(&self, own: &Common, hold: Option<Hold>) -> Checked {
@@ -727,6 +805,13 @@ pub(in crate::scene) fn describe_hardware(
             Some(control) => (Some(control.bounds), control.rate.map(RateBound::Each)),
             None => (None, None),
         };
+        let follows = match control.and_then(|control| control.follows) {
+            None => None,
+            Some(Follows { actuator, gain }) => Some(FollowKeys {
+                name: actuators.get(actuator)?.name.clone(),
+                gain,
+            }),
+        };
         let lag_s = control.and_then(|control| control.lag).map(known);
         let rest = match own.effort[..] {
             [(_, only)] => only,
@@ -752,6 +837,7 @@ pub(in crate::scene) fn describe_hardware(
                     tension_n: bounds.filter(|_| of_winch(false)),
                     rate_n_s: rate.filter(|_| of_winch(false)),
                     lag_s,
+                    follows,
                     pretension_n: if is_winch { 0.0 } else { rest },
                     profile,
                     displacement_m: bounds.filter(|_| of_winch(true)),
@@ -779,6 +865,7 @@ pub(in crate::scene) fn describe_hardware(
                     pressure_pa: bounds,
                     rate_pa_s: rate,
                     lag_s,
+                    follows,
                     rest_pressure_pa: rest,
                     profile,
                 });
@@ -797,6 +884,7 @@ pub(in crate::scene) fn describe_hardware(
                     activation: bounds,
                     rate_1_s: rate,
                     lag_s,
+                    follows,
                     rest_activation: rest,
                     profile,
                 });
@@ -815,6 +903,7 @@ pub(in crate::scene) fn describe_hardware(
                     pressure_pa: bounds,
                     rate_pa_s: rate,
                     lag_s,
+                    follows,
                     rest_pressure_pa: rest,
                     profile,
                 });

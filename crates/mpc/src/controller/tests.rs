@@ -320,6 +320,7 @@ pub(crate) fn tendon_arm() -> (Arm, Vec<EffortControl>) {
         rate: Some([-25.0, 20.0]),
         scale: None,
         lag: None,
+        follows: None,
     });
     (arm, controls.into())
 }
