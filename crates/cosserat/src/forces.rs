@@ -181,7 +181,12 @@ impl NodalForces {
         }
     }
 
-    fn add_elastic(&mut self, rod: &Rod, positions: &[Vector3<f64>], rotations: &[Matrix3<f64>]) {
+    pub fn add_elastic(
+        &mut self,
+        rod: &Rod,
+        positions: &[Vector3<f64>],
+        rotations: &[Matrix3<f64>],
+    ) {
         for (q, element) in rod.elements.iter().enumerate() {
             let gradient =
                 element.gradient(rod.strain_rule, &Rod::element_pose(q, positions, rotations));

@@ -21,7 +21,7 @@ use self::steps::{Divided, period_and_horizon};
 use super::command::Command;
 use super::error::MpcError;
 use super::estimator::Motions;
-use super::holding::Held;
+use super::holding::HeldControls;
 use super::horizon::Horizon;
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
@@ -86,7 +86,7 @@ pub struct Controller {
     /// Scaled control that cancels the disturbance, and the wrench or controls that hold the arm at its reference, which together cost no
     /// effort.
     cancelling: Vec<f64>,
-    holding: Option<Held>,
+    holding: Option<HeldControls>,
     /// Wrench on the tip by which the arm differs from its model.
     disturbing: Wrench,
     /// Factor on the model's stiffness.

@@ -1,20 +1,20 @@
-//! The wrench that keeps the tip, or another node that follows a reference, there: the control from which effort is measured.
+//! The controls that keep the tip, or another node that follows a reference, there, from which effort is measured, and the wrench on that
+//! node that would.
 //!
 //! An effort that is measured from zero leaves a permanent offset from the target, whose size depends on the target's weight. Measured from
 //! the control that holds the arm there at rest, it weighs the transient only and leaves no offset (Rawlings, Mayne and Diehl 2017, section
 //! 1.5).
 //!
-//! Along a moving reference, a force that accelerates the mass of the arm is added. With `ξ` the pose of the tip and `J` the derivatives of
-//! all positions by it, over shapes that are held at rest, the arm is reduced to its tip (static condensation; Guyan 1965), and
+//! The controls of least size within their bounds that put the node there at rest are computed (`crates/control/src/holding/along.rs`). The
+//! PID law and the need of a reference know a wrench on the node, and along a moving reference a force that accelerates the mass of the arm
+//! in it. With `ξ` the pose of the tip and `J` the derivatives of all positions by it, over shapes that are held at rest, the arm is
+//! reduced to its tip (static condensation; Guyan 1965), and
 //!
 //! ```text
 //! W = W_static(ξ) + M (ξ̈ + α ξ̇),     M = Σ m Jᵀ J
 //! ```
 //!
 //! with the viscous damping `α`. The inertia of the rotations of elements is negligible.
-//!
-//! If efforts of actuators in the arm are controls, no wrench on the tip says what they are. The controls of least size within their bounds
-//! that put the tip there at rest are computed instead (`crates/control/src/holding/along.rs`), without the force that accelerates the mass.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
@@ -25,8 +25,7 @@ use control::TIP_STIFFNESS;
 use mechanics::beam::Beam;
 use mechanics::equilibrium::{NodeSpring, nearby_equilibrium_until};
 use mechanics::rotation::{exp, log};
-use mechanics::vibration::SmallMotions;
-use mechanics::{Configuration, Load, LoadFrame, Rod, Wrench};
+use mechanics::{Configuration, Rod, Wrench};
 use stop::StopSignal;
 
 /// Reference position of a node (m) and its reference rotation (body to space), each `None` if nothing prescribes it.
@@ -56,46 +55,43 @@ fn six(a: Vector3<f64>, b: Vector3<f64>) -> Vector6<f64> {
 /// reference.
 #[derive(Clone, Debug)]
 pub(super) struct Holding {
-    /// Wrenches at multiples of `spacing` from time 0 on: that of the model, and its derivative by the factor on the model's stiffness.
-    wrenches: Vec<[Vector6<f64>; 2]>,
+    /// Wrenches at multiples of `spacing` from time 0 on.
+    wrenches: Vec<Vector6<f64>>,
+    /// Shape at time 0.
+    pub shape: Configuration,
     spacing: f64,
 }
 
-/// The times along a reference at which a wrench holds the tip.
+/// The times along a reference at which controls hold the node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Along {
-    /// All times; the wrench also accelerates the mass of the arm.
+    /// All times.
     All,
-    /// Times at which the reference rests and the arm is stable under the wrench; the wrench is zero at other times.
+    /// Times at which the reference rests and the arm is stable there; nothing is held at other times.
     Rests,
 }
 
-/// The control from which effort is measured.
+/// The scaled controls that hold a model at the poses of a reference, from which effort is measured.
 #[derive(Clone, Debug)]
-pub(super) enum Held {
-    /// A wrench on the node that follows holds the reference.
-    ByWrench(Holding),
-    /// All controls of the task hold it, efforts of actuators in the arm among them.
-    ByControls(HeldByControls),
-}
-
-/// The scaled controls that hold a model at the poses of a reference.
-#[derive(Clone, Debug)]
-pub(super) struct HeldByControls {
+pub(super) struct HeldControls {
     /// Controls at multiples of `spacing` from time 0 on: those of the model, their derivative by the factor on the model's stiffness, and
-    /// those by each component of a wrench on the tip, control by control.
+    /// those by each component of a wrench on the tip, control by control. Without meaning where nothing is held.
     controls: Vec<f64>,
+    /// Tells for each of these times whether the controls hold the node.
+    is_held: Vec<bool>,
     n: usize,
     spacing: f64,
 }
 
-impl HeldByControls {
+impl HeldControls {
     /// Numbers that are kept of a control: itself, and its derivatives.
     const KEPT: usize = 8;
 
-    /// Returns the controls along `reference`, as [`Holding::along`] returns wrenches. Where none is found they are zero.
+    /// Returns the controls along `reference`, from `held` on, a pose of a node at every time up to an end; the two times are their spacing and that end, s. At times at
+    /// which none is found nothing is held. `None` if the reference is longer than [`LONGEST`], and if `stop` is raised.
     pub fn along(
         (problem, node): (&OptimalControlProblem, usize),
+        mut held: ControlsAlong,
         reference: impl Fn(f64) -> ReferencePose,
         [spacing, end]: [f64; 2],
         along: Along,
@@ -104,22 +100,14 @@ impl HeldByControls {
         if !(end <= LONGEST) {
             return None;
         }
-        let stiffer = {
-            let mut rod = (*problem.rod).clone();
-            rod.take_stiffness(&problem.rod, 1.0 + STIFFER);
-            OptimalControlProblem {
-                rod: rod.into(),
-                ..problem.clone()
-            }
-        };
-        let mut held = ControlsAlong::new(problem);
         let n = problem.actuated_components().len();
         let mut out = Self {
             controls: Vec::new(),
+            is_held: Vec::new(),
             n,
             spacing,
         };
-        let mut before: Option<(ReferencePose, Vec<f64>)> = None;
+        let mut before: Option<(ReferencePose, Option<Vec<f64>>)> = None;
         for i in 0..=(end / spacing).ceil() as usize {
             stop.check().ok()?;
             let t = i as f64 * spacing;
@@ -127,39 +115,44 @@ impl HeldByControls {
             let moves = along == Along::Rests && reference(t + spacing) != target;
             let numbers = match before.take().filter(|(pose, _)| *pose == target) {
                 Some((_, numbers)) => numbers,
-                None if moves => vec![0.0; Self::KEPT * n],
+                None if moves => None,
                 None => {
                     let pose = (target.position, target.rotation);
                     let found = held.hold(problem, node, pose, t);
                     let kept = found.filter(|found| along == Along::All || found.is_stable);
-                    let other = held.clone().hold(&stiffer, node, pose, t);
-                    kept.zip(other).map_or_else(
-                        || vec![0.0; Self::KEPT * n],
-                        |(own, other)| {
-                            (0..n)
-                                .flat_map(|c| {
-                                    let slope = (other.controls[c] - own.controls[c]) / STIFFER;
-                                    [own.controls[c], slope].into_iter().chain(own.bearing[c])
-                                })
-                                .collect()
-                        },
-                    )
+                    kept.map(|own| {
+                        (0..n)
+                            .flat_map(|c| {
+                                [own.controls[c], own.stiffening[c]]
+                                    .into_iter()
+                                    .chain(own.bearing[c])
+                            })
+                            .collect()
+                    })
                 }
             };
-            out.controls.extend_from_slice(&numbers);
+            out.is_held.push(numbers.is_some());
+            match &numbers {
+                Some(numbers) => out.controls.extend_from_slice(numbers),
+                None => (out.controls).resize(out.controls.len() + Self::KEPT * n, 0.0),
+            }
             before = (!moves).then_some((target, numbers));
         }
         Some(out)
     }
 
-    /// Writes the controls at time `t` (s) that hold the model with `stiffness` times its own, under a wrench on its tip.
-    pub fn write(&self, t: f64, stiffness: f64, wrench: &Wrench, out: &mut [f64]) {
+    /// Writes the controls at time `t` (s) that hold the model with `stiffness` times its own, under a wrench on its tip; where nothing is held,
+    /// `others`.
+    pub fn write(&self, t: f64, stiffness: f64, wrench: &Wrench, others: &[f64], out: &mut [f64]) {
         let size = Self::KEPT * self.n;
         let at = (t / self.spacing).max(0.0);
         let last = self.controls.len() / size - 1;
         let (i, s) = ((at as usize).min(last), at.fract());
         let wrench = wrench.to_array();
         let of = |i: usize, c: usize| {
+            if !self.is_held[i] {
+                return others[c];
+            }
             let numbers = &self.controls[i * size + c * Self::KEPT..][..Self::KEPT];
             let borne: f64 = numbers[2..].iter().zip(&wrench).map(|(a, b)| a * b).sum();
             numbers[0] + numbers[1] * (stiffness - 1.0) + borne
@@ -168,30 +161,6 @@ impl HeldByControls {
             *out = of(i, c) * (1.0 - s) + of((i + 1).min(last), c) * s;
         }
     }
-}
-
-/// Tells whether a shape at rest is stable under a constant wrench on a node, spatial force and moment in the body frame.
-fn is_stable(
-    rod: &Rod,
-    (shape, node): (&Configuration, usize),
-    t: f64,
-    wrench: &Vector6<f64>,
-) -> bool {
-    let mut held = rod.clone();
-    let mut push = |force: Vector3<f64>, moment: Vector3<f64>, frame: LoadFrame| {
-        held.loads.push(Load {
-            node,
-            force,
-            moment,
-            frame,
-            profile: Vec::new(),
-        });
-    };
-    let force = wrench.fixed_rows::<3>(0).into();
-    let moment = wrench.fixed_rows::<3>(3).into();
-    push(force, Vector3::zeros(), LoadFrame::Spatial);
-    push(Vector3::zeros(), moment, LoadFrame::Body);
-    SmallMotions::about(&held, shape, t).growth_rate().is_none()
 }
 
 /// Stiffness of the springs that pull the tip, divided by the transverse stiffness of the arm: stiff enough for the shape to be stable
@@ -209,10 +178,6 @@ const CLAMPED: f64 = CLAMPED_STIFFNESS / TIP_STIFFNESS;
 /// 0.6 s is the same in nine digits with a third step, and with half and twice the difference.
 const AIMS: usize = 2;
 const NUDGE: f64 = 1e-4;
-/// Relative change of the stiffness by which the wrench is differentiated, the size of the errors of stiffness for which it is corrected:
-/// the wrench is linear in the stiffness but for the change of the shape under gravity. The rms error of `mpc-push` in its first 0.6 s is
-/// the same in eight digits with half and with twice the value.
-const STIFFER: f64 = 0.1;
 /// Cap on the duration of a reference along which statics are computed, s.
 const LONGEST: f64 = 600.0;
 
@@ -224,54 +189,44 @@ impl Holding {
         start: &Configuration,
         reference: impl Fn(f64) -> ReferencePose,
         [spacing, end]: [f64; 2],
-        along: Along,
         stop: &StopSignal,
     ) -> Option<Self> {
         if !(end <= LONGEST) {
             return None;
         }
-        let mut stiffer = rod.clone();
-        stiffer.take_stiffness(rod, 1.0 + STIFFER);
         let mut shape = start.clone();
-        let mut before: Option<(ReferencePose, [Vector6<f64>; 2], Matrix6<f64>)> = None;
+        let mut first = None;
+        let mut before: Option<(ReferencePose, Vector6<f64>, Matrix6<f64>)> = None;
         let wrenches = (0..=(end / spacing).ceil() as usize)
             .map(|i| {
                 stop.check().ok()?;
                 let t = i as f64 * spacing;
                 let target = reference(t);
-                if along == Along::Rests && reference(t + spacing) != target {
-                    return Some([Vector6::zeros(); 2]);
-                }
-                let (_, [own, slope], mass) = match before.filter(|(pose, ..)| *pose == target) {
-                    Some(held) => held,
-                    None => {
-                        let (own, mass) =
-                            Search::new((rod, node), target, t, stop).wrench(&mut shape);
-                        // From there: an arm that is pressed together may be held in several shapes.
-                        let (other, _) = Search::new((&stiffer, node), target, t, stop)
-                            .wrench(&mut shape.clone());
-                        let is_held =
-                            along == Along::All || is_stable(rod, (&shape, node), t, &own);
-                        let part = if is_held { 1.0 } else { 0.0 };
-                        (target, [own * part, (other - own) * (part / STIFFER)], mass)
-                    }
-                };
-                before = Some((target, [own, slope], mass));
+                let held = before.filter(|(pose, ..)| *pose == target);
+                let (_, own, mass) = held.unwrap_or_else(|| {
+                    let search = Search::new((rod, node), target, t, stop);
+                    let (own, mass) = search.wrench(&mut shape);
+                    (target, own, mass)
+                });
+                before = Some((target, own, mass));
+                first.get_or_insert_with(|| shape.clone());
                 let [speed, acceleration] = motion(&reference, t, spacing, rod.scales.length);
-                let moving = mass * (acceleration + speed * rod.viscous_damping);
-                Some([own + moving, slope])
+                Some(own + mass * (acceleration + speed * rod.viscous_damping))
             })
             .collect::<Option<Vec<_>>>()?;
-        Some(Self { wrenches, spacing })
+        Some(Self {
+            wrenches,
+            shape: first?,
+            spacing,
+        })
     }
 
-    /// Returns the wrench at time `t` (s), of the model with `stiffness` times its own.
-    pub fn wrench(&self, t: f64, stiffness: f64) -> Wrench {
+    /// Returns the wrench at time `t` (s).
+    pub fn wrench(&self, t: f64) -> Wrench {
         let at = (t / self.spacing).max(0.0);
         let last = self.wrenches.len() - 1;
         let (i, s) = ((at as usize).min(last), at.fract());
-        let of = |[own, slope]: [Vector6<f64>; 2]| own + slope * (stiffness - 1.0);
-        let found = of(self.wrenches[i]) * (1.0 - s) + of(self.wrenches[(i + 1).min(last)]) * s;
+        let found = self.wrenches[i] * (1.0 - s) + self.wrenches[(i + 1).min(last)] * s;
         Wrench {
             force: found.fixed_rows::<3>(0).into(),
             moment: found.fixed_rows::<3>(3).into(),
@@ -452,8 +407,8 @@ mod tests {
     use super::*;
     use mechanics::{Material, RodParameters, Section, SectionProfile};
 
-    /// A straight arm without gravity is held off its line by `3 EI/L³` times the displacement, and by as much more as it is stiffer; on
-    /// the way to a target, by forces in between.
+    /// A straight arm without gravity is held off its line by `3 EI/L³` times the displacement; on the way to a target, by forces in
+    /// between.
     #[test]
     fn forces_are_those_of_a_cantilever() {
         let material = Material::isotropic(1e6, 0.5, 1000.0);
@@ -465,38 +420,15 @@ mod tests {
             rotation: None,
         };
         let never = StopSignal::default();
-        let holding = Holding::along(
-            (&rod, rod.tip()),
-            &rod.rest,
-            reference,
-            [0.1, 1.0],
-            Along::All,
-            &never,
-        )
-        .expect("short");
+        let holding = Holding::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 1.0], &never)
+            .expect("short");
         let expected = 3.0 * rod.scales.force * way / rod.scales.length;
-        for (t, stiffness, part) in [
-            (1.0, 1.0, 1.0),
-            (7.0, 1.0, 1.0),
-            (0.55, 1.0, 0.55),
-            (1.0, 0.8, 0.8),
-        ] {
-            let force = holding.wrench(t, stiffness).force.x / expected;
-            assert!(
-                (force / part - 1.0).abs() < 5e-3,
-                "{t} {stiffness}: {force}"
-            );
+        for (t, part) in [(1.0, 1.0), (7.0, 1.0), (0.55, 0.55)] {
+            let force = holding.wrench(t).force.x / expected;
+            assert!((force / part - 1.0).abs() < 5e-3, "{t}: {force}");
         }
         assert!(
-            Holding::along(
-                (&rod, rod.tip()),
-                &rod.rest,
-                reference,
-                [0.1, 1e4],
-                Along::All,
-                &never
-            )
-            .is_none()
+            Holding::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 1e4], &never).is_none()
         );
     }
     /// A straight arm whose tip is to be across by `d` and turned by `θ` takes the force `12 d - 6 θ` (EI/L³ and EI/L²) and the moment
@@ -512,16 +444,9 @@ mod tests {
             rotation: Some(exp(&Vector3::new(0.0, turn, 0.0))),
         };
         let never = StopSignal::default();
-        let holding = Holding::along(
-            (&rod, rod.tip()),
-            &rod.rest,
-            reference,
-            [0.1, 0.0],
-            Along::All,
-            &never,
-        )
-        .expect("short");
-        let found = holding.wrench(0.0, 1.0);
+        let holding = Holding::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 0.0], &never)
+            .expect("short");
+        let found = holding.wrench(0.0);
         let across = way / rod.scales.length;
         let force = (12.0 * across - 6.0 * turn) * rod.scales.force;
         let moment = (4.0 * turn - 6.0 * across) * rod.scales.moment;
@@ -552,20 +477,13 @@ mod tests {
             rotation: None,
         };
         let never = StopSignal::default();
-        let holding = Holding::along(
-            (&rod, rod.tip()),
-            &rod.rest,
-            circle,
-            [0.005, 1.0],
-            Along::All,
-            &never,
-        )
-        .expect("short");
+        let holding = Holding::along((&rod, rod.tip()), &rod.rest, circle, [0.005, 1.0], &never)
+            .expect("short");
         let mass = 33.0 / 140.0 * rod.mass();
         let stiffness = 3.0 * rod.scales.force / rod.scales.length;
         let along = radius * (stiffness - mass * frequency * frequency);
         let across = radius * mass * 2.0 * frequency;
-        let found = holding.wrench(0.5, 1.0).force;
+        let found = holding.wrench(0.5).force;
         let (sin, cos) = (frequency * 0.5).sin_cos();
         let expected = Vector3::new(along * cos - across * sin, along * sin + across * cos, 0.0);
         let size = radius * stiffness;

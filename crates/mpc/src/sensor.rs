@@ -165,7 +165,16 @@ impl SensorSettings {
     /// Returns the standard deviation of a quantity; `None` where it is not measured.
     #[must_use]
     pub fn sigma(&self, quantity: Quantity) -> Option<f64> {
-        *self.clone().sigma_mut(quantity)
+        match quantity {
+            Quantity::Position => self.position,
+            Quantity::Rotation => self.rotation,
+            Quantity::Velocity => self.velocity,
+            Quantity::AngularVelocity => self.angular_velocity,
+            Quantity::Curvature => self.curvature,
+            Quantity::Strain => self.strain,
+            Quantity::BaseForce => self.base_force,
+            Quantity::BaseMoment => self.base_moment,
+        }
     }
 
     /// Returns the place of a quantity's standard deviation.

@@ -8,6 +8,7 @@ use super::statics::{Statics, Target};
 use super::{MOST_CONTROLS, MOST_ELEMENTS, Search};
 use crate::problem::{Component, OptimalControlProblem};
 use mechanics::equilibrium::NodeSpring;
+use mechanics::forces::NodalForces;
 use mechanics::tangent::own_squared_frequency;
 use mechanics::{Configuration, Wrench};
 
@@ -24,6 +25,8 @@ pub struct HoldingControls {
     /// Change of every control, within its bounds, that keeps the node where it is under a wrench on the tip: per unit of force (spatial
     /// frame, N) and moment (body frame, N m).
     pub bearing: Vec<[f64; 6]>,
+    /// Likewise, under a change of the arm's stiffness: per change of the factor on it.
+    pub stiffening: Vec<f64>,
     /// Tells whether small deviations stay small under constant controls.
     pub is_stable: bool,
 }
@@ -81,11 +84,15 @@ fn statics_at(problem: &OptimalControlProblem, t: f64) -> Statics<'_> {
 impl ControlsAlong {
     /// Begins at the start of a problem, without controls.
     pub fn new(problem: &OptimalControlProblem) -> Self {
+        let controls = vec![0.0; problem.actuated_components().len()];
+        Self::from(controls, problem.initial.configuration.clone())
+    }
+
+    /// Begins near an equilibrium with these scaled controls: of several shapes in which a pose is held, the one nearest to it is found.
+    #[must_use]
+    pub fn from(controls: Vec<f64>, shape: Configuration) -> Self {
         Self {
-            point: HoldingPoint {
-                controls: vec![0.0; problem.actuated_components().len()],
-                shape: problem.initial.configuration.clone(),
-            },
+            point: HoldingPoint { controls, shape },
         }
     }
 
@@ -112,7 +119,7 @@ impl ControlsAlong {
         };
         let point = search.solve(&Demand::of(Aim::Approach { weight: 1.0 }), &self.point)?;
         let held = search.held(&point)?;
-        let bearing = bearing(&statics, &target, &point)?;
+        let (bearing, stiffening) = bearing(&statics, &target, &point)?;
         self.point = HoldingPoint {
             shape: held.shape,
             ..point
@@ -120,24 +127,39 @@ impl ControlsAlong {
         Some(HoldingControls {
             controls: self.point.controls.clone(),
             bearing,
+            stiffening,
             is_stable: held.is_stable,
         })
     }
 }
 
 /// Returns the changes of the controls that are not at their bounds by which the node of the target stays where it is under each component
-/// of a wrench on the tip: the least of `½|J δu + C w|² + ½ε|δu|²`, as in the program, with the displacements `J` of the node along the
+/// of a wrench on the tip, and under a change of the factor on the stiffness, whose forces are those of the elements: the least of `½|J δu + C w|² + ½ε|δu|²`, as in the program, with the displacements `J` of the node along the
 /// controls and `C` along the wrench.
-fn bearing(statics: &Statics, target: &Target, point: &HoldingPoint) -> Option<Vec<[f64; 6]>> {
+fn bearing(
+    statics: &Statics,
+    target: &Target,
+    point: &HoldingPoint,
+) -> Option<(Vec<[f64; 6]>, Vec<f64>)> {
     let HoldingPoint { controls, shape } = point;
-    let n_free = shape.positions.len() - statics.problem.rod.first_free_node();
+    let rod = &statics.problem.rod;
+    let n_free = shape.positions.len() - rod.first_free_node();
     let mut right = statics.columns(shape, controls);
     right.extend((0..6).map(|component| {
         let mut column = vec![Vector6::zeros(); n_free];
         column[n_free - 1][component] = 1.0;
-        statics.problem.rod.project_joints(&mut column);
+        rod.project_joints(&mut column);
         column
     }));
+    let mut elastic = NodalForces::zeros(rod.n_nodes());
+    elastic.add_elastic(rod, &shape.positions, &shape.rotations);
+    let of_elements = (rod.first_free_node()..rod.n_nodes()).map(|node| {
+        let (f, m) = (&elastic.forces[node], &elastic.moments[node]);
+        Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z)
+    });
+    let mut column: Vec<_> = of_elements.collect();
+    rod.project_joints(&mut column);
+    right.push(column);
     let factor = statics
         .tangent(shape, controls, &NodeSpring::default())
         .factor()?;
@@ -156,18 +178,18 @@ fn bearing(statics: &Statics, target: &Target, point: &HoldingPoint) -> Option<V
         })
     };
     let free: Vec<bool> = (0..n).map(is_free).collect();
-    let along: Vec<Vec<f64>> = (0..n + 6).map(moved).collect();
+    let along: Vec<Vec<f64>> = (0..n + 7).map(moved).collect();
     let jacobian = DMatrix::from_fn(rows, n, |i, c| if free[c] { along[c][i] } else { 0.0 });
-    let compliance = DMatrix::from_fn(rows, 6, |i, j| along[n + j][i]);
+    let compliance = DMatrix::from_fn(rows, 7, |i, j| along[n + j][i]);
     let square = jacobian.tr_mul(&jacobian) + DMatrix::identity(n, n) * LITTLE;
     let change = square
         .cholesky()?
         .solve(&(jacobian.tr_mul(&compliance) * -1.0));
-    Some(
-        (0..n)
-            .map(|c| std::array::from_fn(|j| change[(c, j)]))
-            .collect(),
-    )
+    let of_wrenches = (0..n).map(|c| std::array::from_fn(|j| change[(c, j)]));
+    Some((
+        of_wrenches.collect(),
+        (0..n).map(|c| change[(c, 6)]).collect(),
+    ))
 }
 
 /// Distance from a bound, in units of a control's scale, below which the control counts as being at it: an interior-point method leaves as

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use crate::beam::{frequencies, modal_mass, weakest_stiffness};
 use crate::controller::{Aim, Controller};
 use crate::error::MpcError;
-use crate::holding::{Along, Holding};
+use crate::holding::Holding;
 use control::Bound;
 use mechanics::{State, Wrench};
 
@@ -92,7 +92,7 @@ impl TipLaw {
             ));
         };
         let own = weakest_stiffness(rod);
-        let Some(holding) = controller.holding(Along::All) else {
+        let Some(holding) = controller.holding() else {
             return Err(MpcError::Unsupported(
                 "a spring and a damper need a reference of at most ten minutes",
             ));
@@ -116,7 +116,7 @@ impl TipLaw {
         let h = controller.settings().period;
         let wanted = (reference(start + h) - reference(start)) / h;
         let velocity = state.linear_momentum[node] / rod.nodes[node].mass;
-        let holding = self.holding.wrench(start, 1.0);
+        let holding = self.holding.wrench(start);
         let off = reference(start) - state.configuration.positions[node];
         let force = holding.force
             + self.stiffness * off

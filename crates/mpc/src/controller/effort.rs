@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Controller, EffortFrom};
-use crate::holding::{Along, Held, HeldByControls, Holding, ReferencePose};
-use control::{Channel, OptimalControlProblem, Tracking};
+use crate::holding::{Along, HeldControls, Holding, ReferencePose};
+use control::{Channel, ControlsAlong, OptimalControlProblem, Tracking};
 use mechanics::Wrench;
 use mechanics::rotation::log;
 
@@ -99,7 +99,7 @@ impl Controller {
 
     /// Returns the wrenches that hold the node along its reference; `None` without a reference, if it lasts more than ten minutes, and after
     /// a stop signal.
-    pub(crate) fn holding(&self, along: Along) -> Option<Holding> {
+    pub(crate) fn holding(&self) -> Option<Holding> {
         let followed = self.followed();
         let mut effects = self.horizon.effects.iter().flatten();
         let turns = effects.any(|&(node, axis, _)| node == followed && axis >= 3);
@@ -109,7 +109,7 @@ impl Controller {
         }
         let start = &self.horizon.problem.initial.configuration;
         let (times, stop) = (self.holding_times(), &self.horizon.stop);
-        Holding::along((self.rod(), followed), start, reference, times, along, stop)
+        Holding::along((self.rod(), followed), start, reference, times, stop)
     }
 
     fn reference_pose(&self, t: f64, turns: bool) -> ReferencePose {
@@ -124,20 +124,40 @@ impl Controller {
         [SAMPLES_A_HOLD * self.settings.period, self.reference_end()]
     }
 
-    /// Returns the controls that hold the node along its reference, or the wrenches on the tip if that follows and no actuator in the arm is
-    /// driven.
-    fn held(&self, along: Along) -> Option<Held> {
+    /// Returns the controls that hold the node along its reference.
+    fn held(&self, along: Along) -> Option<HeldControls> {
         let problem = &self.horizon.problem;
         let node = followed(problem);
-        if problem.efforts.is_none() && node == problem.rod.tip() {
-            return self.holding(along).map(Held::ByWrench);
-        }
         let reference = |t: f64| self.reference_pose(t, true);
         if reference(0.0) == ReferencePose::default() {
             return None;
         }
         let (times, stop) = (self.holding_times(), &self.horizon.stop);
-        HeldByControls::along((problem, node), reference, times, along, stop).map(Held::ByControls)
+        let held = self
+            .led_there()
+            .unwrap_or_else(|| ControlsAlong::new(problem));
+        HeldControls::along((problem, node), held, reference, times, along, stop)
+    }
+
+    /// Returns the equilibrium to which springs lead the node that follows from the start of the task on, with the wrench on it as controls: of
+    /// several shapes in which a pose is held, the one that the arm takes. `None` where other controls act.
+    fn led_there(&self) -> Option<ControlsAlong> {
+        let horizon = &self.horizon;
+        let (problem, node) = (&horizon.problem, self.followed());
+        let turns = horizon.effects.iter().flatten().any(|own| own.1 >= 3);
+        let reference = self.reference_pose(0.0, turns);
+        let start = &problem.initial.configuration;
+        let acts_there = |effects: &Vec<_>| matches!(effects[..], [(at, _, _)] if at == node);
+        if !horizon.effects.iter().all(acts_there) {
+            return None;
+        }
+        let of = (self.rod(), node);
+        let led = Holding::along(of, start, |_| reference, [1.0, 0.0], &horizon.stop)?;
+        let wrench = led.wrench(0.0).to_array();
+        let controls = (horizon.effects.iter().zip(&horizon.scales))
+            .map(|(effects, scale)| wrench[effects[0].1] / (effects[0].2 * scale))
+            .collect();
+        Some(ControlsAlong::from(controls, led.shape))
     }
 
     /// Returns the [need](ReferenceNeed) with the largest excess over the bounds, or within the bounds the largest need; `None` without a
@@ -149,7 +169,7 @@ impl Controller {
         let acts = (problem.wrench_actuators().iter())
             .find(|actuator| actuator.node == node && actuator.force.axes != [false; 3])
             .filter(|actuator| problem.efforts.is_none() || actuator.force.acts())?;
-        let holding = self.holding(Along::All)?;
+        let holding = self.holding()?;
         let spacing = SAMPLES_A_HOLD * self.settings.period;
         let units = [problem.rod.scales.force, problem.rod.scales.moment];
         let size = |of: [f64; 2]| of[0] / units[0] + of[1] / units[1];
@@ -160,7 +180,7 @@ impl Controller {
         (0..=(self.reference_end() / spacing).ceil() as usize)
             .map(|i| {
                 let t = i as f64 * spacing;
-                let wrench = holding.wrench(t, 1.0);
+                let wrench = holding.wrench(t);
                 let over =
                     |channel: &Channel, u| channel.bound.map_or(0.0, |bound| bound.violation(u));
                 let excess = [
@@ -205,31 +225,18 @@ impl Controller {
     /// Writes the control that costs no effort at the coefficients of the present plan.
     pub(super) fn note_free(&mut self) {
         let horizon = &self.horizon;
-        let (followed, n_components) = (self.followed(), horizon.components.len());
+        let n_components = horizon.components.len();
         let tracks = [place_track(&horizon.problem), turn_track(&horizon.problem)];
         for coefficient in 0..horizon.knots.len() {
             let t = horizon.knots.time(coefficient) + horizon.delay();
             // Before the track begins to count, no control holds the arm.
             let holding = (self.holding.as_ref())
                 .filter(|_| (tracks.iter().flatten()).all(|track| track.counts(t)));
-            let wrench = match holding {
-                Some(Held::ByControls(held)) => {
-                    let out = &mut self.free[coefficient * n_components..][..n_components];
-                    held.write(t, self.stiffness, &self.disturbing, out);
-                    continue;
-                }
-                Some(Held::ByWrench(holding)) => Some(holding.wrench(t, self.stiffness).to_array()),
-                None => None,
-            };
-            for (c, effects) in horizon.effects.iter().enumerate() {
-                let held = match (&wrench, &effects[..]) {
-                    (Some(wrench), &[(node, axis, effect)]) if node == followed => {
-                        wrench[axis] / effect
-                    }
-                    _ => 0.0,
-                };
-                self.free[coefficient * n_components + c] =
-                    self.cancelling[c] + held / horizon.scales[c];
+            let out = &mut self.free[coefficient * n_components..][..n_components];
+            let others = &self.cancelling;
+            match holding {
+                Some(held) => held.write(t, self.stiffness, &self.disturbing, others, out),
+                None => out.copy_from_slice(others),
             }
         }
     }
