@@ -1,7 +1,7 @@
 //! The search for efforts that hold a tip: problems whose distance from the target has several minima over the efforts.
 
 use nalgebra::{Rotation3, Vector3};
-use softarm::control::{Holding, OptimalControlProblem, holding};
+use softarm::control::{ControlsAlong, Holding, OptimalControlProblem, holding};
 use softarm::mechanics::{
     Density, Material, NodeWrenches, Route, State, Stepper, StrainActuator, TimeGrid,
 };
@@ -394,3 +394,52 @@ blocks = 14
 [task]
 position_m = [0.42238, 0.24102, -0.2972]
 ";
+
+/// Controls that hold a bent arm change with its stiffness as equilibria of a stiffer arm say, by differences, for forces on the tip with and
+/// without gravity; without gravity they are in proportion to the stiffness.
+#[test]
+fn controls_follow_the_stiffness() {
+    const CHANGE: f64 = 1e-2;
+    let silicone = Material::isotropic(1e6, 0.4, 1000.0);
+    let cylinder = |gravity: f64| Arm {
+        gravity: Vector3::new(0.0, 0.0, gravity),
+        ..Arm::cylinder(&silicone, LENGTH, 0.01)
+    };
+    let by_force = |arm: &Arm| {
+        let task = Task::reach(Vector3::new(0.1, 0.05, 0.381), 1.0, 5.0);
+        let posed = task.discretize(arm, &Discretization::with_elements(ELEMENTS));
+        posed.expect("a problem").discrete
+    };
+    for (kind, problem) in [
+        ("force", by_force(&cylinder(0.0))),
+        ("weight", by_force(&cylinder(-2.0))),
+    ] {
+        let target = problem.goals.iter().find_map(|goal| goal.position);
+        assert!(target.is_some());
+        let hold = |factor: f64| {
+            let mut own = problem.clone();
+            let mut rod = (*own.rod).clone();
+            rod.take_stiffness(&problem.rod, factor);
+            own.rod = rod.into();
+            let mut along = ControlsAlong::new(&own);
+            along
+                .hold(&own, own.rod.tip(), (target, None), 0.0, true)
+                .expect("held")
+        };
+        let [less, own, more] = [1.0 - CHANGE, 1.0, 1.0 + CHANGE].map(hold);
+        let size = own
+            .controls
+            .iter()
+            .fold(0.0, |most: f64, u| most.max(u.abs()));
+        for (c, stiffening) in own.stiffening.iter().enumerate() {
+            let slope = (more.controls[c] - less.controls[c]) / (2.0 * CHANGE);
+            assert!(
+                (stiffening - slope).abs() < 1e-2 * size,
+                "{kind} {c}: {stiffening} {slope}"
+            );
+            if kind == "force" {
+                assert!((stiffening - own.controls[c]).abs() < 1e-3 * size);
+            }
+        }
+    }
+}

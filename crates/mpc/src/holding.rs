@@ -112,13 +112,13 @@ impl HeldControls {
             stop.check().ok()?;
             let t = i as f64 * spacing;
             let target = reference(t);
-            let moves = along == Along::Rests && reference(t + spacing) != target;
+            let rests = reference(t + spacing) == target;
             let numbers = match before.take().filter(|(pose, _)| *pose == target) {
                 Some((_, numbers)) => numbers,
-                None if moves => None,
+                None if along == Along::Rests && !rests => None,
                 None => {
                     let pose = (target.position, target.rotation);
-                    let found = held.hold(problem, node, pose, t);
+                    let found = held.hold(problem, node, pose, t, rests);
                     let kept = found.filter(|found| along == Along::All || found.is_stable);
                     kept.map(|own| {
                         (0..n)
@@ -136,7 +136,7 @@ impl HeldControls {
                 Some(numbers) => out.controls.extend_from_slice(numbers),
                 None => (out.controls).resize(out.controls.len() + Self::KEPT * n, 0.0),
             }
-            before = (!moves).then_some((target, numbers));
+            before = (rests || along == Along::All).then_some((target, numbers));
         }
         Some(out)
     }

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, Matrix3, Vector3, Vector6};
 
 use super::clearance::HeldLimits;
-use super::program::{Aim, Demand, HoldingPoint, LITTLE};
+use super::program::{Aim, Demand, HoldingPoint, LITTLE, NEARER};
 use super::statics::{Statics, Target};
 use super::{MOST_CONTROLS, MOST_ELEMENTS, Search};
 use crate::problem::{Component, OptimalControlProblem};
@@ -96,14 +96,16 @@ impl ControlsAlong {
         }
     }
 
-    /// Moves the equilibrium to a pose of `node`, position (m) and rotation (body to space), under the loads of time `t` (s). Returns
-    /// `None`, and stays where it is, if no equilibrium is found.
+    /// Moves the equilibrium to a pose of `node`, position (m) and rotation (body to space), under the loads of time `t` (s); to one at which
+    /// the node `rests`, as near as it gets, and otherwise up to what controls that hardly move it would do. Returns `None`, and stays where
+    /// it is, if no equilibrium is found.
     pub fn hold(
         &mut self,
         problem: &OptimalControlProblem,
         node: usize,
         (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
         t: f64,
+        rests: bool,
     ) -> Option<HoldingControls> {
         let statics = statics_at(problem, t);
         let target = Target {
@@ -117,7 +119,13 @@ impl ControlsAlong {
             target,
             start: self.point.shape.clone(),
         };
-        let point = search.solve(&Demand::of(Aim::Approach { weight: 1.0 }), &self.point)?;
+        let approach = |weight: f64, from: &HoldingPoint| {
+            search.solve(&Demand::of(Aim::Approach { weight }), from)
+        };
+        let mut point = approach(1.0, &self.point)?;
+        if rests && let Some(nearer) = approach(NEARER, &point) {
+            point = nearer;
+        }
         let held = search.held(&point)?;
         let (bearing, stiffening) = bearing(&statics, &target, &point)?;
         self.point = HoldingPoint {
@@ -181,17 +189,23 @@ fn bearing(
     let along: Vec<Vec<f64>> = (0..n + 7).map(moved).collect();
     let jacobian = DMatrix::from_fn(rows, n, |i, c| if free[c] { along[c][i] } else { 0.0 });
     let compliance = DMatrix::from_fn(rows, 7, |i, j| along[n + j][i]);
-    let square = jacobian.tr_mul(&jacobian) + DMatrix::identity(n, n) * LITTLE;
-    let change = square
-        .cholesky()?
-        .solve(&(jacobian.tr_mul(&compliance) * -1.0));
+    let [right, stiff] = [0..6, 6..7].map(|columns| {
+        let compliance = compliance.columns_range(columns);
+        jacobian.tr_mul(&compliance) * -1.0
+    });
+    let square = jacobian.tr_mul(&jacobian);
+    let change = |price: f64, right: &DMatrix<f64>| {
+        let square = &square + DMatrix::identity(n, n) * price;
+        Some(square.cholesky()?.solve(right))
+    };
+    let (change, stiffening) = (change(LEAST, &right)?, change(LEAST, &stiff)?);
     let of_wrenches = (0..n).map(|c| std::array::from_fn(|j| change[(c, j)]));
-    Some((
-        of_wrenches.collect(),
-        (0..n).map(|c| change[(c, 6)]).collect(),
-    ))
+    Some((of_wrenches.collect(), stiffening.iter().copied().collect()))
 }
 
+/// Weight of the controls' change with the stiffness, far below [`LITTLE`]: without gravity the controls that hold a shape are in proportion
+/// to the stiffness, also those that hardly move the node.
+const LEAST: f64 = 1e-4 * LITTLE;
 /// Distance from a bound, in units of a control's scale, below which the control counts as being at it: an interior-point method leaves as
 /// much.
 const AT_A_BOUND: f64 = 1e-4;
