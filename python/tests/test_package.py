@@ -160,6 +160,23 @@ def test_a_plant_tells_efforts_by_name():
     assert plant.displacements == {"winch": 0.0}
 
 
+def test_two_tendons_on_one_motor():
+    """A controller commands both tendons of a pair, in their relation and within the bounds of both, and a plant takes them by name."""
+    pair = {"tendon.2.follows": {"name": "first", "gain": -1.0}, "tendon.3.follows": {"name": "second", "gain": -1.0}}
+    pair |= {f"tendon.{i}.pretension_n": 0.725 for i in range(4)}
+    scene = sa.Scene.load("mpc-tendons").replace(pair | {"estimator.kind": "none", "estimator.disturbances": [], "sensor": []})
+    controller, plant = scene.controller(), scene.plant()
+    assert controller.actuators == ["first", "second", "third", "fourth"]
+    limits = {own["name"]: (own["least"], own["most"]) for own in controller.greeting["efforts"]}
+    assert np.allclose(list(limits.values()), (0.0, 1.45))
+    for _ in range(20):
+        command = controller.step(plant.state_on(controller))
+        first, third = (np.array(command.efforts[name]) for name in ("first", "third"))
+        assert np.allclose(first + third, 1.45) and (np.minimum(first, third) >= -1e-12).all()
+        plant.apply(command)
+    assert abs(plant.efforts["second"] + plant.efforts["fourth"] - 1.45) < 1e-12
+
+
 def test_tables_have_names_that_csv_quotes():
     """Also those with commas, quotes, `#` and ends of lines."""
     keys = sa.Scene.load("reach-tendons").replace({"rod.elements": 3, "time.end_s": 0.02}).to_dict()

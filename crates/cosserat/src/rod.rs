@@ -1,5 +1,6 @@
 //! The discrete rod: elements, sections, lumped masses, base, loads and scales.
 
+mod check;
 pub(super) mod contact;
 mod pose;
 #[doc(hidden)]
@@ -9,6 +10,7 @@ pub mod strain_actuator;
 
 use nalgebra::{Matrix3, Vector3};
 
+use self::check::{check_computable, lumped};
 use self::contact::Contact;
 use self::pose_actuator::{OfPose, PoseActuator, Span};
 use self::strain_actuator::{RodActuators, StrainActuator};
@@ -284,15 +286,6 @@ pub struct Rod {
     pub scales: Scales,
 }
 
-/// Largest `|RᵀR - I|` of a rotation.
-const LARGEST_ROTATION_DEFECT: f64 = 1e-9;
-
-const FRACTION: &str = "a fraction of the length";
-
-fn is_fraction(s: f64) -> bool {
-    (0.0..=1.0).contains(&s)
-}
-
 impl Rod {
     /// Builds the discrete rod in its stress-free shape.
     ///
@@ -303,266 +296,17 @@ impl Rod {
     /// internal damping, the implicit scheme or the inertia of segments.
     pub fn new(parameters: &RodParameters) -> Result<Self, RodError> {
         let p = parameters;
-        let positive = |x: f64| x > 0.0;
-        require("length", p.length, positive, "a positive length")?;
-        require(
-            "n_elements",
-            p.n_elements as f64,
-            |k| k >= 1.0,
-            "at least one element",
-        )?;
-        require(
-            "rest_stretch",
-            p.rest_stretch,
-            positive,
-            "a positive stretch",
-        )?;
-        require(
-            "viscous_damping",
-            p.viscous_damping,
-            |c| c >= 0.0,
-            "a non-negative damping",
-        )?;
-        require(
-            "internal_damping",
-            p.internal_damping,
-            |tau| tau >= 0.0,
-            "a non-negative time",
-        )?;
-        if p.model != RodModel::Standard {
-            for (parameter, is_used) in [
-                ("internal_damping", p.internal_damping > 0.0),
-                ("scheme", p.scheme == TimeScheme::Implicit),
-                ("rotary_inertia", p.rotary_inertia == RotaryInertia::Segment),
-                ("tip", p.tip != EndCondition::Free),
-                ("base", matches!(p.base, EndCondition::Pinned { .. })),
-            ] {
-                if is_used {
-                    return Err(RodError::NeedsStandardModel { parameter });
-                }
-            }
-        }
-        for i in 0..3 {
-            require("gravity", p.gravity[i], |_| true, "finite")?;
-            require("base_position", p.base_position[i], |_| true, "finite")?;
-            require("rest_curvature", p.rest_curvature[i], |_| true, "finite")?;
-        }
-        let defect = (p.base_rotation.tr_mul(&p.base_rotation) - Matrix3::identity()).norm();
-        require(
-            "|RᵀR - I| of base_rotation",
-            defect,
-            |defect| defect < LARGEST_ROTATION_DEFECT,
-            "that of a rotation matrix, below 1e-9",
-        )?;
-        let parts = p.section.parts().or_else(|end| {
-            let expected = "the end of a segment, beyond that of the one before and at last 1";
-            require("section segments", end, |_| false, expected).map(|()| Vec::new())
-        })?;
-        for (part, s) in parts
-            .iter()
-            .flat_map(|part| [0.0, 0.5, 1.0].map(|s| (part, s)))
-        {
-            let section = part.at(s);
-            require("section mass", section.mass, positive, "positive")?;
-            for i in 0..3 {
-                let section = &section;
-                require(
-                    "section linear stiffness",
-                    section.linear_stiffness[i],
-                    positive,
-                    "positive",
-                )?;
-                require(
-                    "section angular stiffness",
-                    section.angular_stiffness[i],
-                    positive,
-                    "positive",
-                )?;
-                require(
-                    "section rotary inertia",
-                    section.rotary[i],
-                    positive,
-                    "positive",
-                )?;
-            }
-        }
-        require(
-            "multiple",
-            p.multiple as f64,
-            |m| m >= 1.0 && p.n_elements.is_multiple_of(p.multiple),
-            "a divisor of the number of elements",
-        )?;
-        for &s in &p.breaks {
-            require("breaks", s, is_fraction, FRACTION)?;
-        }
-        for (s, curvature) in &p.curvature_rows {
-            require("curvature_rows", *s, is_fraction, FRACTION)?;
-            for i in 0..3 {
-                require("rest_curvature", curvature[i], |_| true, "finite")?;
-            }
-        }
-        if let Some(pair) = p
-            .curvature_rows
-            .windows(2)
-            .find(|pair| pair[1].0 < pair[0].0)
-        {
-            let expected = "a fraction that is not before that of the row before";
-            require("curvature_rows", pair[1].0, |_| false, expected)?;
-        }
-        let mesh = p.mesh();
+        let mesh = p.check()?;
         let k = p.n_elements;
-        if mesh.n_elements() != k {
-            return Err(RodError::FewElements {
-                elements: k,
-                least: mesh.n_pieces() * p.multiple,
-            });
-        }
-        for load in &p.loads {
-            require(
-                "load node",
-                load.node as f64,
-                |node| node <= k as f64,
-                "a node of the rod",
-            )?;
-        }
-        for load in &p.distributed_loads {
-            check_distributed(load)?;
-        }
-        let not_negative = |x: f64| x >= 0.0;
-        let payload = p
-            .payload
-            .iter()
-            .map(|body| ("payload mass", "payload inertia", body));
-        let bodies = (p.bodies.iter()).map(|(_, body)| ("body mass", "body inertia", body));
-        for (mass, inertia, body) in payload.chain(bodies) {
-            require(mass, body.mass, not_negative, "zero or more")?;
-            for i in 0..3 {
-                require(inertia, body.rotary[i], not_negative, "zero or more")?;
-            }
-        }
-        for (at, _) in &p.bodies {
-            require("body place", *at, is_fraction, FRACTION)?;
-        }
-        for end in [&p.base, &p.tip] {
-            match end {
-                EndCondition::Driven(motion) => motion.check()?,
-                EndCondition::Pinned { axis: Some(axis) } => {
-                    let size = axis.norm();
-                    require("length of a hinge's axis", size, positive, "positive")?;
-                }
-                _ => {}
-            }
-        }
-        if let Some(position) = &p.tip_position {
-            for i in 0..3 {
-                require("tip_position", position[i], |_| true, "finite")?;
-            }
-        }
-        if let Some(rotation) = &p.tip_rotation {
-            let defect = (rotation.tr_mul(rotation) - Matrix3::identity()).norm();
-            require(
-                "|RᵀR - I| of tip_rotation",
-                defect,
-                |defect| defect < LARGEST_ROTATION_DEFECT,
-                "that of a rotation matrix, below 1e-9",
-            )?;
-        }
-        for q in 0..k {
-            let psi = p.curvature(&mesh, q) * mesh.length(q, p.length);
-            require(
-                "rest_curvature",
-                psi.norm(),
-                |angle| angle < std::f64::consts::PI,
-                "less than half a turn per element",
-            )?;
-        }
-
         let rest = rest_shape(p, &mesh);
-        let elements: Vec<Element> = (0..k)
-            .map(|q| {
-                let section = p.section.at(mesh.along(q, 0.5));
-                let l = mesh.length(q, p.length);
-                Element {
-                    model: p.model,
-                    length: l,
-                    linear_stiffness: section.linear_stiffness,
-                    angular_stiffness: section.angular_stiffness,
-                    rest: rest_strain(p, &mesh, &rest, q),
-                }
-            })
-            .collect();
-        let element_inertia: Vec<_> = (0..k)
-            .map(|q| {
-                let (start, l) = (mesh.along(q, 0.0), mesh.length(q, p.length));
-                let share = mesh.length(q, 1.0);
-                let (middle, end) = (start + 0.5 * share, start + share);
-                [(start, middle), (middle, end)].map(|(from, to)| {
-                    let mut share = p.section.inertia_between(from, to, p.length);
-                    if p.rotary_inertia == RotaryInertia::Segment {
-                        share.rotary.add_scalar_mut(share.mass * l * l / 12.0);
-                    }
-                    share
-                })
-            })
-            .collect();
-        let mut nodes = vec![
-            NodeInertia {
-                mass: 0.0,
-                rotary: Vector3::zeros()
-            };
-            k + 1
-        ];
-        for (q, ends) in element_inertia.iter().enumerate() {
-            for (end, share) in ends.iter().enumerate() {
-                nodes[q + end].mass += share.mass;
-                nodes[q + end].rotary += share.rotary;
-            }
-        }
+        let elements = p.elements(&mesh, &rest);
+        let element_inertia = p.element_inertia(&mesh);
+        let mut nodes = lumped(&element_inertia);
         let scales = Scales::of(p.length, &mesh, &elements, &nodes);
         let rest_chords: Vec<f64> = (rest.positions.windows(2))
             .map(|ends| (ends[1] - ends[0]).norm())
             .collect();
-        let computable =
-            "positive and finite: the parameters are too far apart to be computed with";
-        for shares in element_inertia.iter().flatten() {
-            require("mass of a node", shares.mass, positive, computable)?;
-            require(
-                "inertia of a node",
-                shares.rotary.min(),
-                positive,
-                computable,
-            )?;
-            require(
-                "inertia of a node",
-                shares.rotary.max(),
-                positive,
-                computable,
-            )?;
-        }
-        for (element, &chord) in elements.iter().zip(&rest_chords) {
-            require("length of an element", chord, positive, computable)?;
-            let stiffness = element.linear_stiffness / element.length;
-            require(
-                "stiffness of an element",
-                stiffness.min(),
-                positive,
-                computable,
-            )?;
-            require(
-                "stiffness of an element",
-                stiffness.max(),
-                positive,
-                computable,
-            )?;
-        }
-        for scale in [scales.force, scales.moment, scales.time] {
-            require(
-                "scale EI/L², EI/L or L² sqrt(ρA/EI)",
-                scale,
-                positive,
-                computable,
-            )?;
-        }
+        check_computable((&elements, &rest_chords), &element_inertia, &scales)?;
         let payload = p.payload.iter().map(|body| (k, body));
         let bodies = p.bodies.iter().map(|(at, body)| (mesh.nearest(*at), body));
         for (node, body) in payload.chain(bodies) {
@@ -879,22 +623,6 @@ impl Rod {
             })
             .fold(0.0, f64::max)
     }
-}
-
-fn check_distributed(load: &DistributedLoad) -> Result<(), RodError> {
-    let end = "a fraction of the length, the end after the start";
-    require("distributed load start", load.from, |from| from >= 0.0, end)?;
-    require(
-        "distributed load end",
-        load.to,
-        |to| to > load.from && to <= 1.0,
-        end,
-    )?;
-    for i in 0..3 {
-        require("distributed force", load.force[i], |_| true, "finite")?;
-        require("distributed moment", load.moment[i], |_| true, "finite")?;
-    }
-    Ok(())
 }
 
 /// Returns the stress-free shape: the curvature of every element and constant stretch from the base pose on.

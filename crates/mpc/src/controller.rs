@@ -391,15 +391,13 @@ impl Controller {
         &self.command
     }
 
-    /// Returns name and whole commanded effort, in its unit, of every actuator in the arm whose effort is a control: at the start of a
+    /// Returns name and whole commanded effort, in its unit, of every actuator in the arm that a control drives: at the start of a
     /// command, and at its end.
     pub fn efforts<'a>(
         &'a self,
         command: &'a Command,
     ) -> impl Iterator<Item = (&'a str, [f64; 2])> {
-        let leading = self.horizon.problem.driven_components();
-        let indices = leading.filter_map(|(driven, _)| driven.leads.then_some(driven.actuator));
-        indices.zip(self.driven()).map(move |(index, (own, _))| {
+        self.driven().map(move |(index, own, ..)| {
             let given = own.effort(command.start);
             let ends = [&command.efforts_from, &command.efforts_to];
             let added = ends.map(|added| added.get(index).copied().unwrap_or(0.0));
@@ -427,9 +425,14 @@ impl Controller {
         out
     }
 
-    /// Returns the actuators in the arm whose efforts are controls, with the channels of these.
-    pub(super) fn driven(&self) -> impl Iterator<Item = (&Drive, &Channel)> {
-        self.horizon.problem.driven()
+    /// Returns the actuators in the arm that controls drive: index, actuator, effort per unit of its control, and the channel of that.
+    pub(super) fn driven(&self) -> impl Iterator<Item = (usize, &Drive, f64, &Channel)> {
+        let problem = &self.horizon.problem;
+        (problem.driven_components()).filter_map(|(driven, component)| {
+            let drive = problem.rod.actuators.iter().nth(driven.actuator)?;
+            let channel = problem.channel(&component);
+            Some((driven.actuator, drive, driven.gain, channel))
+        })
     }
 
     /// Returns the names of the obstacles and limits that the last plan violates although a violation has the highest price: bounds, or the

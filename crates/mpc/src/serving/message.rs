@@ -171,11 +171,13 @@ pub(super) struct EffortLimits<'a> {
 }
 
 impl<'a> EffortLimits<'a> {
-    pub fn of((actuator, channel): (&'a Drive, &Channel)) -> Self {
+    pub fn of((_, actuator, gain, channel): (usize, &'a Drive, f64, &Channel)) -> Self {
         let rest = actuator.effort(0.0);
         let ends = |bound: Option<Bound>| {
             let interval = bound.and_then(|bound| bound.interval(0));
-            let [least, most] = interval.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+            let interval = interval.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+            let [one, other] = interval.map(|end| end * gain);
+            let [least, most] = [one.min(other), one.max(other)];
             let finite = |end: f64| end.is_finite().then_some(end);
             [finite(least), finite(most)]
         };
