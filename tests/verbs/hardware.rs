@@ -417,7 +417,7 @@ fn two_tendons_share_a_motor() {
     }
 }
 
-/// In a loop the commands of a pair keep their relation at every sample, within the bounds of both, and lead the arm on its path.
+/// In a loop the commands of a pair, and the efforts that follow them with the lag of the motor, keep their relation at every sample, within the bounds of both, and lead the arm on its path.
 #[test]
 fn loops_drive_pairs() {
     let desk = Desk::new();
@@ -425,19 +425,21 @@ fn loops_drive_pairs() {
         .map(|i| format!("--set tendon.{i}.pretension_n=0.725"))
         .collect();
     let follow = "--set tendon.2.follows={name=\"first\",gain=-1.0} --set tendon.3.follows={name=\"second\",gain=-1.0}";
-    let summary = desk.done(&format!(
-        "mpc mpc-tendons --out loop --set mpc.duration_s=5.0 {follow} {}",
-        rest.join(" ")
-    ));
-    let off = summary["tip_error_over_length"]["rms"].as_f64().unwrap();
-    // The circle is a little lower than the tip under these sums of tensions.
-    assert!(off < 6e-3, "{off}");
-    let (_, rows) = desk.efforts("loop");
-    assert!(rows.len() > 1000);
-    for row in rows.chunks(4) {
-        let efforts = [0, 1, 2, 3].map(|i| row[i].effort);
-        assert!((efforts[0] + efforts[2] - 1.45).abs() < 1e-12);
-        assert!((efforts[1] + efforts[3] - 1.45).abs() < 1e-12);
-        assert!(efforts.iter().all(|effort| *effort > -1e-9));
+    for lag in ["", "--set tendon.0.lag_s=0.03 --set tendon.1.lag_s=0.03"] {
+        let summary = desk.done(&format!(
+            "mpc mpc-tendons --out loop --set mpc.duration_s=5.0 {follow} {lag} {}",
+            rest.join(" ")
+        ));
+        let off = summary["tip_error_over_length"]["rms"].as_f64().unwrap();
+        // The circle is a little lower than the tip under these sums of tensions.
+        assert!(off < 6e-3, "{off}");
+        let (_, rows) = desk.efforts("loop");
+        assert!(rows.len() > 1000);
+        for row in rows.chunks(4) {
+            let efforts = [0, 1, 2, 3].map(|i| row[i].effort);
+            assert!((efforts[0] + efforts[2] - 1.45).abs() < 1e-12);
+            assert!((efforts[1] + efforts[3] - 1.45).abs() < 1e-12);
+            assert!(efforts.iter().all(|effort| *effort > -1e-9));
+        }
     }
 }

@@ -534,9 +534,16 @@ impl Scene {
         Some((index, own.bounds.1.is_some(), own.rest.1))
     }
 
-    /// Returns the lags of the actuators on strains, s.
+    /// Returns the lags of the actuators on strains, s; of one that follows another, that of the other.
     pub(in crate::scene) fn lags(&self) -> Vec<Option<f64>> {
-        self.hardware().iter().map(|own| own.effort.lag).collect()
+        let all = self.hardware();
+        let leader = |own: &Common| {
+            let keys = own.follows.as_ref()?;
+            all.iter().find(|other| other.name() == keys.name)
+        };
+        (all.iter())
+            .map(|own| leader(own).unwrap_or(own).effort.lag)
+            .collect()
     }
 
     /// Returns the names of the actuators of a section.
