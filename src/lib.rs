@@ -65,6 +65,7 @@ pub mod tradeoff;
 #[doc(inline)]
 pub use {control, mechanics, mpc, output, sqp, stop, task, verify};
 
+#[cfg(feature = "cli")]
 pub(crate) use mpc::TOOL;
 pub(crate) use stop::clock;
 
