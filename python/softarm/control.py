@@ -362,7 +362,9 @@ class Plant:
                         all_nodes[int(np.argmin(np.abs(self.places - place)))] += wrench
             if self.actuators and command.efforts:
                 named = [command.efforts_at(time) for time in (self.time, until)]
-                efforts = [np.array([own[name] for name in self.actuators]) for own in named]
+                # What is given by the scene, and not commanded, stays as it is until the next sample.
+                given = dict(zip(self.actuators, self._native.inputs.tolist()))
+                efforts = [np.array([own.get(name, given[name]) for name in self.actuators]) for own in named]
         self._native.step(dt, ends[0], efforts[0], ends[1], efforts[1])
 
     def reset(self) -> State:

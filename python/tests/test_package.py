@@ -177,6 +177,17 @@ def test_two_tendons_on_one_motor():
     assert abs(plant.efforts["second"] + plant.efforts["fourth"] - 1.45) < 1e-12
 
 
+def test_given_efforts_act_beside_commands():
+    """A plant with a chamber whose pressure the scene gives takes the commands of a controller for its tendons."""
+    keys = sa.Scene.load("mpc-tendons").replace({"estimator.kind": "none", "estimator.disturbances": [], "sensor": []}).to_dict()
+    keys["chamber"] = [{"name": "side", "area_m2": 2e-5, "offset_m": [0.0, 0.006], "profile": [[0.0, 500.0], [0.1, 500.0]]}]
+    scene = sa.Scene(keys)
+    controller, plant = scene.controller(), scene.plant()
+    for _ in range(3):
+        plant.apply(controller.step(plant.state_on(controller)))
+    assert plant.efforts["side"] == 500.0
+
+
 def test_tables_have_names_that_csv_quotes():
     """Also those with commas, quotes, `#` and ends of lines."""
     keys = sa.Scene.load("reach-tendons").replace({"rod.elements": 3, "time.end_s": 0.02}).to_dict()
