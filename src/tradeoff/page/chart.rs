@@ -115,7 +115,7 @@ fn pixels(value: f64) -> String {
     format!("{value:.1}")
 }
 
-/// What the template draws, in pixels.
+/// The picture in pixels, as its template draws it.
 #[derive(Serialize)]
 struct Drawn {
     width: f64,

@@ -176,6 +176,7 @@ const PARAMETER_WALK: f64 = 0.05;
 /// (decision 64). With more, the filter attributes its corrections to motions of the arm, from which it learns wrong parameters (Ljung 1979, on the
 /// bias of extended Kalman filters with a wrong noise); with less, the innovations of arms that differ in other ways stay unexplained.
 const UNKNOWN_FORCES: f64 = 0.005;
+
 impl Unknowns {
     /// Creates a filter for a loop with this period (s), at time 0 in a state of a model, whose steps are no longer than `step` (s), if that
     /// is given.

@@ -100,9 +100,7 @@ impl Controller {
     /// Returns the wrenches that hold the node along its reference; `None` without a reference, if it lasts more than ten minutes, and after
     /// a stop signal.
     pub(crate) fn holding(&self) -> Option<Holding> {
-        let followed = self.followed();
-        let mut effects = self.horizon.effects.iter().flatten();
-        let turns = effects.any(|&(node, axis, _)| node == followed && axis >= 3);
+        let (followed, turns) = (self.followed(), self.turns());
         let reference = |t: f64| self.reference_pose(t, turns);
         if reference(0.0) == ReferencePose::default() {
             return None;
@@ -110,6 +108,13 @@ impl Controller {
         let start = &self.horizon.problem.initial.configuration;
         let (times, stop) = (self.holding_times(), &self.horizon.stop);
         Holding::along((self.rod(), followed), start, reference, times, stop)
+    }
+
+    /// Tells whether a moment acts on the node that follows.
+    fn turns(&self) -> bool {
+        let followed = self.followed();
+        let mut effects = self.horizon.effects.iter().flatten();
+        effects.any(|&(node, axis, _)| node == followed && axis >= 3)
     }
 
     fn reference_pose(&self, t: f64, turns: bool) -> ReferencePose {
@@ -144,8 +149,7 @@ impl Controller {
     fn led_there(&self) -> Option<ControlsAlong> {
         let horizon = &self.horizon;
         let (problem, node) = (&horizon.problem, self.followed());
-        let turns = horizon.effects.iter().flatten().any(|own| own.1 >= 3);
-        let reference = self.reference_pose(0.0, turns);
+        let reference = self.reference_pose(0.0, self.turns());
         let start = &problem.initial.configuration;
         let acts_there = |effects: &Vec<_>| matches!(effects[..], [(at, _, _)] if at == node);
         if !horizon.effects.iter().all(acts_there) {

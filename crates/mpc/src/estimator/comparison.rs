@@ -48,8 +48,8 @@ impl Comparison {
         })
     }
 
-    /// Computes measured minus expected for every signal that `of_use` accepts, with its derivatives if a layout is given. `rod` has the
-    /// stiffness of the estimate.
+    /// Computes measured minus expected for every signal, with its derivatives in the order of a layout. `rod` has the stiffness of the
+    /// estimate.
     ///
     /// # Errors
     /// Returns [`EstimateError::NotFinite`] and [`EstimateError::Signal`].
@@ -58,8 +58,7 @@ impl Comparison {
         rod: &Rod,
         estimate: &Estimate,
         measurement: &Measurement,
-        layout: Option<&Layout>,
-        of_use: impl Fn(&Signal) -> bool,
+        layout: &Layout,
     ) -> Result<(), EstimateError> {
         for (index, signal) in measurement.signals.iter().enumerate() {
             check(index, signal)?;
@@ -79,7 +78,7 @@ impl Comparison {
         }
         self.rows.clear();
         self.nearest = None;
-        for signal in measurement.signals.iter().filter(|signal| of_use(signal)) {
+        for signal in &measurement.signals {
             let (quantity, site) = (signal.reading.quantity(), (signal.place, signal.offset));
             let Estimate {
                 time,
@@ -89,11 +88,9 @@ impl Comparison {
             } = estimate;
             let expected = (self.reader).read(rod, *time, state, disturbance, quantity, site);
             let residual = signal.reading.minus(&expected);
-            if let Some(layout) = layout {
-                let of = (quantity, site);
-                let terms = &mut self.rows.terms;
-                (self.reader).derive(rod, state, disturbance, of, layout, terms);
-            }
+            let of = (quantity, site);
+            let terms = &mut self.rows.terms;
+            (self.reader).derive(rod, state, disturbance, of, layout, terms);
             self.rows.signals.push(Row {
                 end: self.rows.terms.len(),
                 residual,

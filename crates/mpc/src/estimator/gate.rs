@@ -2,10 +2,11 @@
 
 use crate::signal::{Measurement, Quantity};
 
-/// Sums of one and of three squares of independent standard normal numbers that are exceeded once in 10⁹ times (decision 80), and their
-/// medians: chi-square with one and with three degrees of freedom.
+/// Sum of one square of a standard normal number, or of three, that is exceeded once in 10⁹ times (decision 80), and its median:
+/// chi-square with one and with three degrees of freedom.
 const ONE: [f64; 2] = [37.324_893, 0.454_936];
 const THREE: [f64; 2] = [44.841_275, MEDIAN];
+/// Median of the sum of three, to which squares of other sums are brought.
 const MEDIAN: f64 = 2.365_974;
 /// Number of recent signals from whose squares the gate decides whether the model is wrong. The median of `n` squares has the standard
 /// deviation `1/(2 f sqrt n)` with the density `f = 0.188` of chi-square at its median: 0.5 of 2.4 for 30, so that the threshold is known

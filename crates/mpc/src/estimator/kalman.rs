@@ -477,8 +477,8 @@ impl KalmanFilter {
     /// Compares a measurement with the point.
     fn compare(&mut self, measurement: &Measurement) -> Result<(), EstimateError> {
         let rod = (self.predictor).changed(&self.point.disturbance);
-        let layout = Some(&self.layout);
-        (self.comparison).compare(rod, &self.point, measurement, layout, |_| true)?;
+        let layout = &self.layout;
+        (self.comparison).compare(rod, &self.point, measurement, layout)?;
         self.comparison.rows.retain(self.gate.refused());
         Ok(())
     }
