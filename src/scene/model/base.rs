@@ -23,20 +23,15 @@ pub struct Base {
     /// Position in m; for a driven base, the position from which it moves. Default: the origin.
     pub position_m: [f64; 3],
     /// Direction of the arm at the base, of any length but zero. Default: [0, 0, 1].
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 3]>,
     /// Rotation about `direction` in rad, after the shortest rotation of +z onto it, for -z a half turn about +x. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
     /// Orientation of the base as a quaternion, scalar first, of any length but zero; instead of `direction` and
     /// `roll_rad`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Axis of a pinned base that is a hinge, spatial frame, of any length but zero. Default: none, a ball joint.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<[f64; 3]>,
     /// Prescribed motion of a driven base.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<BaseMotion>,
 }
 
@@ -52,23 +47,17 @@ pub struct Tip {
     #[cfg_attr(feature = "schema", schemars(default = "free_tip"))]
     pub kind: EndKind,
     /// Position in m in which the tip is held; for a driven tip, the position from which it moves. Default: where the arm at rest ends.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
     /// Direction in which the arm arrives at its tip, of any length but zero. Default: that of the arm at rest.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 3]>,
     /// Rotation about `direction` in rad, after the shortest rotation of +z onto it, for -z a half turn about +x. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
     /// Orientation of the tip as a quaternion, scalar first, of any length but zero; instead of `direction` and
     /// `roll_rad`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Axis of a pinned tip that is a hinge, spatial frame, of any length but zero. Default: none, a ball joint.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<[f64; 3]>,
     /// Prescribed motion of a driven tip, relative to the pose in which it is held.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<BaseMotion>,
 }
 
@@ -106,12 +95,10 @@ pub struct BaseMotion {
     pub angular_velocity_rad_s: [f64; 3],
     /// Displacement in m over time, as [t in s, x, y, z] with increasing t: the cubic spline through the points that
     /// starts and ends with zero velocity; constant before and after.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub translation_m: Option<Vec<[f64; 4]>>,
     /// Rotation vector in rad over time, as [t in s, x, y, z], by the same kind of spline. Rows of at most half a turn, as logarithms of
     /// orientations have them, turn the shorter way: of the vectors r + 2πk r/|r| of a row, which are one orientation, the nearest to the
     /// row before is taken. A table with a longer row is taken as it is written, turns of more than half a turn from row to row included.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<Vec<[f64; 4]>>,
     /// Frame of all rotation vectors: the spatial one, or that of the base as it is given, whose third axis is the
     /// arm's direction there.

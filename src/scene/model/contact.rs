@@ -19,19 +19,15 @@ use crate::mechanics;
 #[serde(deny_unknown_fields)]
 pub struct Contact {
     /// Name in results. Default: "contact" and its number, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// All points within a distance of a center.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub sphere: Option<Sphere>,
     /// All points within a distance of a segment.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub capsule: Option<Capsule>,
     /// All points behind a plane.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub half_space: Option<HalfSpace>,
     /// A box.
-    #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "box")]
     pub cuboid: Option<Cuboid>,
     /// Depth in m at which the body pushes with `force_n`, positive: as deep an arm sinks that lies on a floor with its whole weight. Results
     /// differ from those of a rigid body in proportion to it, or to its root where a short piece touches.
@@ -39,7 +35,6 @@ pub struct Contact {
     /// Force in N if all of the part that can touch is as deep as `penetration_m`, positive. Absent: the weight of the arm with payload and
     /// bodies, or EI/L² if that is larger, for a body on which the arm can lie; on a round or small one, which an arm across it touches with a short piece
     /// only, as much more as that piece is shorter than the part, so that the piece carries the weight at about `penetration_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_n: Option<Positive<values::Force>>,
     /// Start of the part that can touch, as a fraction of `rod.length_m` from the base. An element ends there. Default: 0, the base.
     #[serde(default)]

@@ -28,22 +28,16 @@ pub struct Control {
     #[serde(default)]
     pub hold: Hold,
     /// Largest tip force in N; `inf` is unbounded, and 0 is no force. Absent: there is no tip force.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
     /// Components (x, y, z) of that force that act, under a bound on the norm as well. Absent: all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_axes: Option<[bool; 3]>,
     /// Largest tip moment in N m; `inf` is unbounded, and 0 is no moment. Absent: there is no tip moment.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
     /// Components of that moment (body frame; the third is twist) that act. Absent: all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_axes: Option<[bool; 3]>,
     /// Largest rate of change of every force in N/s, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_rate_max_n_s: Option<Bound>,
     /// Largest rate of change of every moment in N m/s, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rate_max_n_m_s: Option<Bound>,
     /// Keeps tendons on winches that are controls taut in a solve, those that are taut at the start and where the arm is held at its
     /// target; default true. Where it is false they may go slack, and a solve may not converge, since a slack tendon does not feel its winch.
@@ -53,10 +47,8 @@ pub struct Control {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actuator: Vec<Actuator>,
     /// Couples along the arm. Absent: there are none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub distributed: Option<Distributed>,
     /// Weights of the regulator along the solution; the table may be empty. Absent: no gains are computed.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub feedback: Option<Feedback>,
 }
 
@@ -74,7 +66,6 @@ pub struct Distributed {
     /// Largest couple at every point in N m/m, finite. A component with a bound of 0 does not act.
     pub moment_max_n_m_per_m: Bound,
     /// Couple in N m/m that counts as 1 in the cost and in the solver, positive. Absent: the largest bound.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_scale_n_m_per_m: Option<Positive<values::CoupleDensity>>,
 }
 
@@ -110,16 +101,12 @@ pub struct Actuator {
     /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
     pub node: usize,
     /// Largest force in N; `inf` is unbounded, and 0 is no force. Absent: there is no force.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
     /// Components of that force (x, y, z) that act, under a bound on the norm as well. Absent: all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_axes: Option<[bool; 3]>,
     /// Largest moment in N m; `inf` is unbounded, and 0 is no moment. Absent: there is no moment.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
     /// Components of that moment (body frame; the third is twist) that act. Absent: all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_axes: Option<[bool; 3]>,
 }
 

@@ -26,56 +26,41 @@ const GRADIENT: [&str; 5] = ["Gxx", "Gxy", "Gxz", "Gyy", "Gyz"];
 #[serde(deny_unknown_fields)]
 pub struct Magnet {
     /// Name in results, one for each actuator. Absent: the word magnet with its place in the list, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// Place on the arm, as a fraction of `rod.length_m` from the base. An element ends there. Default: 1, the tip.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub at: Option<Fraction>,
     /// Instead of `at`: [start, end] of a stretch as fractions, over which the moment is spread evenly. Elements end at both.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub along: Option<[Fraction; 2]>,
     /// Magnetic moment in A m², in the axes of the section: the third one points to the tip.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_a_m2: Option<[f64; 3]>,
     /// Instead of `moment_a_m2`: remanence Br in T; the moment is Br `volume_m3`/μ0 along `axis`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub remanence_t: Option<Positive<values::Remanence>>,
     /// Volume of the magnet in m³, with `remanence_t`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub volume_m3: Option<Positive<values::Volume>>,
     /// Direction of the moment in the axes of the section, with `remanence_t`. Default: [0, 0, 1], to the tip.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<[f64; 3]>,
     /// Name of another magnet, whose field this one feels; it then has no key of a field itself. Absent: it has its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub field_of: Option<String>,
     /// Least and largest value of each component of B in T, as [[least, largest] of x, of y, of z], which makes the components controls;
     /// one with two equal numbers stays at that value. Absent: the field is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub field_t: Option<[[f64; 2]; 3]>,
     /// Largest rate of a component of B in T/s, or the fastest fall, negative, and the fastest rise. With it the field begins at
     /// `rest_field_t`. Absent: it may jump.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_t_s: Option<RateBound>,
     /// B in T before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub rest_field_t: [f64; 3],
     /// Given B over time, as [t in s, Bx, By, Bz in T] with increasing t; linear in between and constant outside. It does not go with
     /// `field_t`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 4]>>,
     /// Least and largest value of Gxx, Gxy, Gxz, Gyy and Gyz in T/m, which makes them controls; the others follow, because G is symmetric
     /// and has no trace. Absent: the gradient is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_t_m: Option<[[f64; 2]; 5]>,
     /// Largest rate of a number of G in T/m/s, likewise.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_rate_t_m_s: Option<RateBound>,
     /// The five numbers of G in T/m before the task begins. Absent: 0, or no gradient at all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rest_gradient_t_m: Option<[f64; 5]>,
     /// Given G over time, as [t in s, its five numbers in T/m]. It does not go with `gradient_t_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_profile: Option<Vec<[f64; 6]>>,
     /// Point in m at which the field is B alone. Default: the origin.
     #[serde(default)]
@@ -89,7 +74,6 @@ pub struct Magnet {
 #[serde(deny_unknown_fields)]
 pub struct Cable {
     /// Name in results, one for each actuator. Absent: the word cable with its place in the list, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// Place on the arm where it is attached, as a fraction of `rod.length_m` from the base. An element ends there. Default: 1, the tip.
     #[serde(default = "Fraction::one")]
@@ -100,18 +84,15 @@ pub struct Cable {
     /// The point in space in m.
     pub anchor_m: [f64; 3],
     /// Least and largest tension in N, which makes it a control; a cable pulls only. Absent: the tension is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tension_n: Option<[f64; 2]>,
     /// Largest rate of the tension in N/s, or the fastest fall, negative, and the fastest rise. With it the tension begins at
     /// `pretension_n`. Absent: it may jump.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_n_s: Option<RateBound>,
     /// Tension in N before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub pretension_n: f64,
     /// Given tension over time, as [t in s, tension in N] with increasing t; linear in between and constant outside. It does not go with
     /// `tension_n`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
 }
 

@@ -36,10 +36,8 @@ pub struct Initial {
     /// poses and velocities at its end, at t = 0 of this scene. Loads, targets, controls and elements may be others; the
     /// length and the pose of a held base are the same. The `scene.toml` of the new result has the state itself, in
     /// `[initial.state]`, instead of this key.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
     /// State of all nodes, as softarm writes it in the place of `from`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub state: Option<InitialState>,
 }
 

@@ -20,32 +20,25 @@ use crate::task;
 #[serde(deny_unknown_fields)]
 pub struct Obstacle {
     /// Name in reports. Default: "obstacle" and its number, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// All points within a distance of a center.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub sphere: Option<Sphere>,
     /// All points within a distance of a segment.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub capsule: Option<Capsule>,
     /// All points behind a plane.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub half_space: Option<HalfSpace>,
     /// A box.
-    #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "box")]
     pub cuboid: Option<Cuboid>,
     /// Velocity of the obstacle in m/s; its shape is that at t = 0. Absent: it does not move.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity_m_s: Option<[f64; 3]>,
     /// Clearance in m between the arm's surface and the body, not negative, default 0.
     #[serde(default)]
     pub margin_m: NonNegative<values::Clearance>,
     /// Price of a violation. Absent: the constraint is hard.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
     /// Times per second at which the clearance is enforced, positive; the check looks between them. Absent: every time
     /// step, or about 1000 times of a longer motion.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
 }
 
@@ -94,7 +87,6 @@ pub struct Cuboid {
     /// Whole edges in m, positive.
     pub size_m: [Positive<values::Edge>; 3],
     /// Orientation as a quaternion, scalar first, of any length but zero. Default: along the axes.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
 }
 
@@ -119,32 +111,23 @@ pub struct Price {
 #[serde(deny_unknown_fields)]
 pub struct Limit {
     /// Name in reports. Default: the key of what is limited.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// Smallest and largest length of an element, divided by its length at rest. The model of the section holds for about [0.7, 1.3].
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stretch: Option<[f64; 2]>,
     /// Largest bending curvature in 1/m, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature_max_1_m: Option<Positive<values::LargestCurvature>>,
     /// Largest twist in 1/m, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub twist_max_1_m: Option<Positive<values::LargestCurvature>>,
     /// Largest speed of a node in m/s, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_max_m_s: Option<Positive<values::LargestSpeed>>,
     /// Largest angle between an axis of a node and a direction in space.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tilt: Option<Tilt>,
     /// Node whose speed or tilt is limited; only with `speed_max_m_s` or `tilt`. Absent: "tip".
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub node: Option<LoadNode>,
     /// Price of a violation. Absent: the constraint is hard.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
     /// Times per second at which the limit is enforced, positive; the check looks between them. Absent: every time
     /// step, or about 1000 times of a longer motion.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
 }
 

@@ -82,7 +82,6 @@ pub struct DistributedLoad {
     #[serde(default)]
     pub frame: LoadFrame,
     /// Factor on force and moment over time, as in `[[load]]`. Absent: always 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
 }
 
@@ -105,7 +104,6 @@ pub struct Load {
     pub frame: LoadFrame,
     /// Factor on force and moment over time, as [t in s, factor] with increasing t; linear in between and 0 outside.
     /// Absent: always 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
 }
 

@@ -66,19 +66,15 @@ pub struct Mpc {
     pub period_s: Positive<values::Duration>,
     /// Length of the horizon in s, not below `period_s`. Absent: half of the first natural period of the arm, along a path at most a
     /// quarter of `time.end_s`, and at least ten periods.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<Positive<values::Duration>>,
     /// Time in s at which the task is due, positive: the horizon does not extend beyond it, and shrinks before.
     /// Afterwards the wrench that holds the target acts, if `task.at_rest = true`. Absent: `task.at_s`; without that
     /// the horizon recedes for ever.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub due_s: Option<Positive<values::Instant>>,
     /// Length of a block of the control in s, positive. Absent: a tenth of the horizon.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub block_s: Option<Positive<values::Duration>>,
     /// Number of blocks of one length, after which the next ones are twice as long: near decisions are fine, far ones
     /// coarse; at least 1. Absent: all blocks are equal.
-    #[serde(skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub equal_blocks: Option<usize>,
     /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of
@@ -95,39 +91,31 @@ pub struct Mpc {
     /// Price of obstacles and limits that have no `soft` of their own, as its `linear` and its `quadratic`; positive.
     /// Absent: the price of every limit follows the pull of the reference, so that the limit holds wherever the
     /// commands can keep it. With a number, a limit gives way where the cost saved exceeds the price.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub limit_price: Option<Positive<values::Weight>>,
     /// Gauss-Newton iterations per sample, at least 1, default 1. They end early if the plan does not change any more.
     #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub iterations: usize,
     /// Time in s from the start of a sample at which its command is due, positive: an iteration other than the first is
     /// not begun if it would end later. Commands then depend on the machine. Absent: all iterations are made.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_s: Option<Positive<values::Duration>>,
     /// Duration of the loop in s, positive. Absent: `time.end_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<Positive<values::Duration>>,
     /// Time in s from which on the errors of the tip count in the summary, not negative. Absent: after the first
     /// sample.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub counted_from_s: Option<NonNegative<values::Time>>,
     /// Computing time of a command in the loop's own time.
     pub computing: Computing,
     /// That time in s, not negative, with `computing = "fixed"`. Absent: one period.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub computing_s: Option<NonNegative<values::Time>>,
     /// Delay of the actuators in s that the controller assumes, not negative. Absent: that of `[plant.actuator]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub actuator_delay_s: Option<NonNegative<values::Time>>,
     /// Prediction: with true, the state is predicted over all delays, to the time at which the command acts. Default: true.
     pub predict: bool,
     /// Compensation: with true, the controller's model includes the estimated disturbances. Default: true.
     pub compensate: bool,
     /// Seed of the noise; `--seed` takes precedence. Absent: that of `--seed`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u32>,
     /// Commands of samples for which no command can be computed. Absent: the defaults.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub fallback: Option<Fallback>,
 }
 
@@ -153,7 +141,6 @@ pub enum Computing {
 pub struct Fallback {
     /// Largest age in s of an estimate from which the state is still predicted, positive. Absent: the largest `age_s`
     /// plus two periods of the slowest sensor, so that one reading may be lost, and at least ten `period_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub patience_s: Option<Positive<values::Duration>>,
     /// Samples in a row that follow the plan, default 10.
     pub plan_samples: usize,

@@ -37,11 +37,9 @@ pub struct Objective {
     pub samples: usize,
     /// Force in N that counts as 1, positive. Absent: EI/L² of the arm's harmonic mean EI, the force at the tip that bends the whole arm
     /// by an angle of about 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_scale_n: Option<Positive<values::Force>>,
     /// Moment in N m that counts as 1, positive. Absent: EI/L of the weakest section that a moment acts on, which would bend an arm of that
     /// section by an angle of 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_scale_n_m: Option<Positive<values::Moment>>,
 }
 
@@ -67,18 +65,14 @@ pub struct Track {
     pub switches: bool,
     /// A CSV file with the rows of `path_m`, relative to the folder of the scene, instead of them; a first row of names and lines that
     /// begin with # are passed over. Rows of eight numbers have the quaternion of `orientations_wxyz` after the position.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub path_csv: Option<String>,
     /// A circle, instead of `path_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub circle: Option<Circle>,
     /// A figure eight, instead of `path_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub figure_eight: Option<FigureEight>,
     /// Weight, positive. Absent: the one at which a displacement of the tip that is held statically is missed by a fraction of 1e-4 of
     /// itself: 10⁴ `effort` / (a² + b²), where a = `force_scale_n` L²/(3 E I) and b = `moment_scale_n_m` L/(2 E I) are the displacements
     /// divided by L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
     /// Orientations to follow, as [t in s, w, x, y, z] with increasing t, quaternions of any length but zero, scalar
     /// first: at constant speed about one axis in between, constant before and after. A single row holds at all times.
@@ -87,16 +81,13 @@ pub struct Track {
     pub orientations_wxyz: Vec<[f64; 5]>,
     /// Weight of the orientation, positive. Absent: the one at which a turn of the tip that is held statically is missed by a fraction of
     /// 1e-4 of itself, as of `weight` with a = `force_scale_n` L²/(2 E I) and b = `moment_scale_n_m` L/(E I).
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_weight: Option<Positive<values::Weight>>,
     /// Weight of the difference of the node's velocity from that along the path, or of its velocity if there is no
     /// path; positive. Velocities are means from one sample to the next. A speed of the length over the time scale,
     /// sqrt(rho A L^4/(E I)), counts as 1. Absent: the velocity is free.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_weight: Option<Positive<values::Weight>>,
     /// Time in s from which on the node follows, not negative: it meets a target that moves along the path, and goes
     /// along with it. Absent: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub from_s: Option<NonNegative<values::Time>>,
 }
 
@@ -117,10 +108,8 @@ pub struct Circle {
     pub turn_s: Positive<values::Duration>,
     /// Start of the path in m: it turns into the circle within `ramp_s`, with the weight 3 p² - 2 p³ of the circle at
     /// the fraction p of that time. Absent: on the circle.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub from_m: Option<[f64; 3]>,
     /// Time in s in which the path goes over into the circle, positive; only with `from_m`. Absent: one turn.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub ramp_s: Option<Positive<values::Duration>>,
 }
 
@@ -146,10 +135,8 @@ pub struct FigureEight {
     pub turn_s: Positive<values::Duration>,
     /// Start of the path in m: it turns into the figure within `ramp_s`, with the weight 3 p² - 2 p³ of the figure at
     /// the fraction p of that time. Absent: on the figure.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub from_m: Option<[f64; 3]>,
     /// Time in s in which the path goes over into the figure, positive; only with `from_m`. Absent: one turn.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub ramp_s: Option<Positive<values::Duration>>,
 }
 

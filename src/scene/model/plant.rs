@@ -18,30 +18,23 @@ use crate::mpc::{ActuatorDynamics, EffortDynamics};
 pub struct Plant {
     /// Number of elements, 1 to 5000. Absent: `rod.elements`.
     #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub elements: Option<usize>,
     /// Factor on all stiffnesses of the rod, positive, default 1.
     pub stiffness_factor: Positive<values::Factor>,
     /// Factor on the mass and the rotary inertia of the rod, positive, default 1.
     pub density_factor: Positive<values::Factor>,
     /// Rate of viscous damping in 1/s, not negative. Absent: `damping.viscous_1_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub viscous_1_s: Option<NonNegative<values::DampingRate>>,
     /// Kelvin-Voigt time in s, not negative. Absent: `damping.internal_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub internal_s: Option<NonNegative<values::Time>>,
     /// Stress-free curvature and twist in 1/m, body frame, in the place of `rod.reference.curvature_1_m`; curvature that
     /// changes along the arm is added to them. Absent: those of `[rod.reference]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature_1_m: Option<[f64; 3]>,
     /// Section of a rod that has a material. Absent: `[rod.section]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub section: Option<Section>,
     /// A rigid body at the tip. Absent: `[payload]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub payload: Option<Payload>,
     /// Dynamics and limits of the actuators. Absent: the wrench is the command.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub actuator: Option<PlantActuator>,
     /// Tendons that differ from those of the model with the same names.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -65,20 +58,16 @@ pub struct PlantHardware {
     /// Name of the model's actuator: its `name`, or its kind with its place in the list, such as `tendon 0`.
     pub name: String,
     /// Place in the section at `from`, along its two axes, in m. Absent: the model's.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offset_m: Option<[f64; 2]>,
     /// Place in the section at `to`, in m. Absent: `offset_m` of this table, or the model's if that is absent too.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offset_to_m: Option<[f64; 2]>,
     /// Factor on the effort, of the pretension too: what friction leaves of a tension, or another area of a chamber; positive, default 1.
     #[serde(default = "one")]
     pub effort_factor: Positive<values::Factor>,
     /// Time constant in s of a first-order lag of the effort, not negative. Absent: the model's `lag_s`, or else `plant.actuator.lag_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_s: Option<NonNegative<values::Time>>,
     /// Least and largest effort that the actuator reaches, in the unit of the command, before `effort_factor`; `inf` and `-inf` are no
     /// bounds. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub saturation: Option<[f64; 2]>,
 }
 
@@ -137,16 +126,12 @@ pub struct PlantActuator {
     /// Time constant in s of a first-order lag, not negative, default 0.
     pub lag_s: NonNegative<values::Time>,
     /// Largest force in N, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Positive<values::Force>>,
     /// Largest moment in N m, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Positive<values::Moment>>,
     /// Fastest change of a force in N/s, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_rate_max_n_s: Option<Positive<values::ForceRate>>,
     /// Fastest change of a moment in N m/s, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rate_max_n_m_s: Option<Positive<values::MomentRate>>,
 }
 

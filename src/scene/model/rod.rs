@@ -35,7 +35,6 @@ pub struct Rod {
     /// Largest error of any point of the arm at any time that elements and time step may make, as a fraction of the
     /// length, 1e-8 to 0.1. It stands in the place of `elements` and `time.step_s`, which are then chosen, and does not
     /// go with nodes that are named by an index. Default: 1e-3 if there are no `elements`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<Positive<values::Accuracy>>,
     /// Rule by which strains follow from the nodes.
     #[serde(default)]
@@ -48,25 +47,19 @@ pub struct Rod {
     pub rotary_inertia: RotaryInertia,
     /// Radius in m of a rod that has no `section`, for pictures and for the distance from obstacles; without effect on
     /// the motion.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub display_radius_m: Option<Positive<values::Radius>>,
     /// Material of the rod; goes with `section`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
     /// Shape and size of the section; goes with `material`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub section: Option<Section>,
     /// Stiffness of the section; instead of `material` and `section`, goes with `inertia`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stiffness: Option<Stiffness>,
     /// Inertia of the section; instead of `material` and `section`, goes with `stiffness`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia: Option<Inertia>,
     /// Segments from base to tip, which make up the whole arm. Absent: material and section are the same all along.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub segment: Vec<Segment>,
     /// Stress-free shape. Absent: straight and unstretched.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub reference: Option<Reference>,
 }
 
@@ -104,21 +97,16 @@ pub enum RotaryInertia {
 #[serde(deny_unknown_fields)]
 pub struct Material {
     /// Name of a material, which supplies the figures below that are not given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<MaterialPreset>,
     /// Young's modulus in Pa, positive. Absent: that of `preset`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub youngs_modulus_pa: Option<Positive<values::YoungsModulus>>,
     /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`. Absent: that of `preset`, if
     /// `shear_modulus_pa` is absent too.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub poisson_ratio: Option<PoissonRatio>,
     /// Shear modulus in Pa, positive; either this or `poisson_ratio`. Absent: that of `preset`, if `poisson_ratio` is
     /// absent too.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub shear_modulus_pa: Option<Positive<values::ShearModulus>>,
     /// Density in kg/m³, positive. Absent: that of `preset`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub density_kg_m3: Option<Positive<values::Density>>,
     /// Factor on the shear stiffness G A, for shear that is not uniform over the section; positive, default 1.
     #[serde(default = "Positive::<values::Factor>::one")]

@@ -19,38 +19,27 @@ pub struct Section {
     #[serde(default)]
     pub shape: ShapeKey,
     /// Radius in m all along the rod, of a ring the outer one, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_m: Option<Positive<values::Radius>>,
     /// Radius in m at the base, positive; goes with `radius_tip_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_base_m: Option<Positive<values::Radius>>,
     /// Radius in m at the tip, positive; goes with `radius_base_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_tip_m: Option<Positive<values::Radius>>,
     /// Diameter in m all along the rod, positive; instead of `radius_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub diameter_m: Option<Positive<values::Diameter>>,
     /// Diameter in m at the base, positive; goes with `diameter_tip_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub diameter_base_m: Option<Positive<values::Diameter>>,
     /// Diameter in m at the tip, positive; goes with `diameter_base_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub diameter_tip_m: Option<Positive<values::Diameter>>,
     /// Radius in m of the hole of a ring, positive and smaller than the outer one.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inner_radius_m: Option<Positive<values::Radius>>,
     /// Diameter in m of the hole of a ring; instead of `inner_radius_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inner_diameter_m: Option<Positive<values::Diameter>>,
     /// Width in m of a rectangle or an ellipse along the first axis of the section, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub width_m: Option<Positive<values::Width>>,
     /// Height in m of a rectangle or an ellipse along the second axis of the section, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub height_m: Option<Positive<values::Width>>,
     /// Angle in rad about the arm's axis from the axes of `[base]` to those of the section. The body frames of all nodes
     /// have the axes of the section. The same for all segments. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
 }
 
@@ -98,7 +87,6 @@ pub struct Stiffness {
     pub gj_n_m2: Positive<values::BendingStiffness>,
     /// Angle in rad about the arm's axis from the axes of `[base]` to the principal axes. The body frames of all nodes have
     /// the principal axes. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
 }
 

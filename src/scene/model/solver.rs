@@ -30,11 +30,9 @@ pub struct Solver {
     /// Initial guess.
     pub guess: Guess,
     /// Easier problems that are solved first, each from the solution of the one before. Absent: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub continuation: Option<Continuation>,
     /// Wall-clock time in s from the start of the command, positive. Then all work ends, the check included, and the
     /// best iterate is written; a simulation and a loop write the rows that they have. Absent: no limit.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_s: Option<Positive<values::Duration>>,
 }
 

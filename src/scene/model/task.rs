@@ -25,19 +25,15 @@ pub struct Task {
     #[serde(default)]
     pub node: LoadNode,
     /// Position of the tip, or of `node`, in m.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
     /// Orientation of the tip as a quaternion, scalar first, of any length but zero. The arm reaches it by more than
     /// half a turn if rows of a track or waypoints lead there so, or if that bends the arm less.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Time in s at which the target is due, above 0 and up to `time.end_s`; the horizon of a solve ends then. Absent:
     /// `time.end_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub at_s: Option<Positive<values::Instant>>,
     /// Free final time: the duration of the task is chosen too, and `at_s` is its initial guess. Absent: the task is
     /// due at `at_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub free_duration: Option<FreeDuration>,
     /// Motion at `at_s`: with true, the whole arm comes to rest and stays there with the last wrench held, which needs
     /// an end that keeps the arm from spinning (not ball joints alone); with "tip", the tip, or `node`, has neither
@@ -46,34 +42,27 @@ pub struct Task {
     pub at_rest: AtRest,
     /// Time in s for which the arm stays, positive. Only with `at_rest = true`. Absent: one first period of the held
     /// arm.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_s: Option<Positive<values::Duration>>,
     /// Largest distance of the tip, or of `node`, from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a
     /// hundredth of
     /// `rod.length_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_m: Option<Positive<values::Distance>>,
     /// Enforcement of the target: a constraint (true) or a term of the objective (false).
     #[serde(default = "yes")]
     pub hard: bool,
     /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the target by about a
     /// thousandth of the way.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
     /// Tolerance in m of the distance from `position_m`, positive. Absent: the position is met exactly.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m: Option<Positive<values::Distance>>,
     /// Tolerance in rad of the angle from `orientation_wxyz`, positive and below π. Absent: the orientation is met
     /// exactly.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad: Option<Positive<values::Angle>>,
     /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and `hard`.
     /// Absent: a hundredth of `rod.length_m` per duration of the task.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m_s: Option<NonNegative<values::Speed>>,
     /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and
     /// `hard`. Absent: a tenth of a radian per duration of the task.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad_s: Option<NonNegative<values::AngularSpeed>>,
     /// Waypoints that the arm passes on the way.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -161,24 +150,19 @@ pub struct Via {
     #[serde(default)]
     pub node: LoadNode,
     /// Position in m.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
     /// Orientation as a quaternion, scalar first, of any length but zero.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Enforcement of the waypoint: a constraint (true) or a term of the objective (false).
     #[serde(default = "yes")]
     pub hard: bool,
     /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the waypoint by about a
     /// thousandth of the way.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
     /// Tolerance in m of the distance from `position_m`, positive. Absent: the position is met exactly.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m: Option<Positive<values::Distance>>,
     /// Tolerance in rad of the angle from `orientation_wxyz`, positive and below π. Absent: the orientation is met
     /// exactly.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad: Option<Positive<values::Angle>>,
 }
 

@@ -100,7 +100,6 @@ pub struct Output {
     /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until
     /// it divides the interval between rows; with a given step, rows fall on the nearest multiple. Absent: every time
     /// step.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
     /// Diagnostics: with true, a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction of the
     /// base, balances of momentum and power; the controls of a solve count among the loads. Default: false.

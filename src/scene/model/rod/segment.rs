@@ -18,29 +18,21 @@ use crate::scene::values::{self, Number, Positive, digits, known};
 #[serde(deny_unknown_fields)]
 pub struct Segment {
     /// Length in m, positive; either this or `fraction`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub length_m: Option<Positive<values::Length>>,
     /// Length as a fraction of `rod.length_m`, positive; either this or `length_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub fraction: Option<Positive<values::Part>>,
     /// Material of the segment. Absent: `[rod.material]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
     /// Shape and size of the section. Absent: `[rod.section]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub section: Option<Section>,
     /// Stiffness of the section; instead of `material` and `section`, goes with `inertia`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stiffness: Option<Stiffness>,
     /// Inertia of the section; instead of `material` and `section`, goes with `stiffness`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia: Option<Inertia>,
     /// Radius in m of a segment that has no section, for pictures and for the distance from obstacles. Absent:
     /// `rod.display_radius_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub display_radius_m: Option<Positive<values::Radius>>,
     /// Stress-free shape of the segment. Absent: that of `[rod.reference]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub reference: Option<SegmentReference>,
 }
 
