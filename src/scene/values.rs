@@ -203,6 +203,11 @@ impl Default for Fraction {
     }
 }
 
+/// Tells whether a key is as it is without being given.
+pub(super) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
 #[cfg(feature = "schema")]
 impl<R: Range, Q> schemars::JsonSchema for Number<R, Q> {
     fn inline_schema() -> bool {
