@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::error::DescribeError;
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Positive, known};
 use crate::mechanics::rotation::unit;
 use crate::mechanics::{self, CubicSpline, EndCondition, LoadFrame, MotionCurve, RodError};
@@ -245,21 +245,16 @@ impl Keys<'_> {
         if let Some(position) = &tip.position_m {
             self.finite("tip.position_m", position)?;
         }
-        let given = [
-            ("tip.position_m", tip.position_m.is_some()),
-            ("tip.direction", tip.direction.is_some()),
-            ("tip.orientation_wxyz", tip.orientation_wxyz.is_some()),
-        ];
-        for (key, _) in given.iter().filter(|(_, is_given)| *is_given) {
-            if tip.kind == EndKind::Free {
-                let help = "set tip.kind = \"clamped\" or \"pinned\", or leave the key out";
-                let message = "a free tip is not held in any pose";
-                return Err(self.source.error_at(key, message, Some(help.to_string())));
-            }
+        let pose = given!(tip: position_m, direction, orientation_wxyz);
+        if tip.kind == EndKind::Free
+            && let Some(key) = given_of(&pose).next()
+        {
+            let help = "set tip.kind = \"clamped\" or \"pinned\", or leave the key out";
+            let message = "a free tip is not held in any pose";
+            return Err((self.source).error_at(&format!("tip.{key}"), message, Some(help.into())));
         }
-        if tip.roll_rad.is_some() && tip.direction.is_none() {
-            return Err(self.missing("tip.direction", "goes with tip.roll_rad"));
-        }
+        let [roll, direction] = given!(tip: roll_rad, direction);
+        self.relations("tip", &[Needs(roll, direction, "goes with tip.roll_rad")])?;
         if let Some(motion) = &tip.motion {
             let turns = motion.angular_velocity_rad_s != [0.0; 3]
                 || motion.rotation_rad.is_some()
@@ -295,15 +290,14 @@ impl Keys<'_> {
             self.finite_number(&key("roll_rad"), roll)?;
         }
         if let Some(orientation) = &end.orientation_wxyz {
-            let name = key("orientation_wxyz");
-            self.nonzero(&name, orientation)?;
-            if end.direction.is_some() {
-                return Err(self.contradiction(&name, &key("direction")));
-            }
-            if end.roll_rad.is_some() {
-                return Err(self.contradiction(&name, &key("roll_rad")));
-            }
+            self.nonzero(&key("orientation_wxyz"), orientation)?;
         }
+        let [orientation, direction, roll] = given!(end: orientation_wxyz, direction, roll_rad);
+        let rows = [
+            Excludes(orientation, direction),
+            Excludes(orientation, roll),
+        ];
+        self.relations(end.name, &rows)?;
         if let Some(axis) = &end.axis {
             self.nonzero(&key("axis"), axis)?;
             if end.kind != EndKind::Pinned {

@@ -181,53 +181,56 @@ impl Keys<'_> {
             ],
         )?;
         for (key, bound, unit) in [
+            ("force_rate_max_n_s", control.force_rate_max_n_s, "N/s"),
             (
-                "control.force_rate_max_n_s",
-                control.force_rate_max_n_s,
-                "N/s",
-            ),
-            (
-                "control.moment_rate_max_n_m_s",
+                "moment_rate_max_n_m_s",
                 control.moment_rate_max_n_m_s,
                 "N m/s",
             ),
         ] {
-            match bound {
-                None => {}
-                Some(Bound::Norm(norm)) => self.positive(key, norm, "rate", unit)?,
-                Some(Bound::PerAxis(bounds)) => {
-                    for (axis, bound) in bounds.into_iter().enumerate() {
-                        self.positive(&format!("{key}.{axis}"), bound, "rate", unit)?;
-                    }
-                }
+            for (key, bound) in numbers(&format!("control.{key}"), bound) {
+                self.positive(&key, bound, "rate", unit)?;
             }
         }
-        let acts =
-            |parts: [Option<Bound>; 2]| parts.into_iter().flatten().any(|part| !part.is_zero());
-        let mut nothing = !acts([control.force_max_n, control.moment_max_n_m]);
-        let tip = scene.tip_kind();
+        self.check_wrench_on_tip(control, scene.tip_kind())?;
+        self.check_actuators(control, scene)?;
+        if let Some(distributed) = &control.distributed {
+            self.check_distributed(distributed, scene)?;
+        }
+        let wrenches = (control.actuator.iter())
+            .flat_map(|own| [own.force_max_n, own.moment_max_n_m])
+            .chain([control.force_max_n, control.moment_max_n_m]);
+        let nothing = control.distributed.is_none() && !wrenches.into_iter().any(acts);
+        if nothing && scene.effort_controls().is_empty() {
+            let message = "force_max_n and moment_max_n_m are 0 or not named, so that there is nothing to control with";
+            return Err((self.source).error_at("control", message, Some(NAME_A_PART.into())));
+        }
+        Ok(())
+    }
+
+    /// Checks that the tip answers to the wrench on it.
+    fn check_wrench_on_tip(&self, control: &Control, tip: EndKind) -> Checked {
+        let is_free = tip == EndKind::Free;
+        let turns = is_free || tip == EndKind::Pinned;
         for (key, bound, answers) in [
-            (
-                "control.force_max_n",
-                control.force_max_n,
-                tip == EndKind::Free,
-            ),
-            (
-                "control.moment_max_n_m",
-                control.moment_max_n_m,
-                matches!(tip, EndKind::Free | EndKind::Pinned),
-            ),
+            ("control.force_max_n", control.force_max_n, is_free),
+            ("control.moment_max_n_m", control.moment_max_n_m, turns),
         ] {
-            if acts([bound, None]) && !answers {
+            if acts(bound) && !answers {
                 let message = format!("acts on the tip, which is {}", tip.name());
                 let help = "name another node in [[control.actuator]], or free the tip";
                 return Err(self.source.error_at(key, message, Some(help.to_string())));
             }
         }
+        Ok(())
+    }
+
+    /// Checks that the wrenches on other nodes than the tip act, on nodes that answer to them and are given once.
+    fn check_actuators(&self, control: &Control, scene: &Scene) -> Checked {
         let elements = scene.rod.elements;
         for (index, actuator) in control.actuator.iter().enumerate() {
             let key = format!("control.actuator.{index}");
-            let turns = scene.base.kind == EndKind::Pinned && !acts([actuator.force_max_n, None]);
+            let turns = scene.base.kind == EndKind::Pinned && !acts(actuator.force_max_n);
             let held = scene.base.kind != EndKind::Free && !turns && actuator.node == 0;
             let earlier = &control.actuator[..index];
             let message = if actuator.node > elements {
@@ -246,15 +249,13 @@ impl Keys<'_> {
                         (actuator.moment_max_n_m, actuator.moment_axes),
                     ],
                 )?;
-                let parts = [actuator.force_max_n, actuator.moment_max_n_m];
-                if parts == [None; 2] {
+                if actuator.force_max_n.is_none() && actuator.moment_max_n_m.is_none() {
                     return Err(self.source.error_at(
                         &key,
                         "names neither force_max_n nor moment_max_n_m, so that nothing acts on this node",
                         Some(NAME_A_PART.into()),
                     ));
                 }
-                nothing &= !acts(parts);
                 continue;
             };
             return Err(self
@@ -263,14 +264,6 @@ impl Keys<'_> {
                 .expecting(format!(
                     "expected another node, below the tip's index {elements}"
                 )));
-        }
-        if let Some(distributed) = &control.distributed {
-            self.check_distributed(distributed, scene)?;
-            nothing = false;
-        }
-        if nothing && scene.effort_controls().is_empty() {
-            let message = "force_max_n and moment_max_n_m are 0 or not named, so that there is nothing to control with";
-            return Err((self.source).error_at("control", message, Some(NAME_A_PART.into())));
         }
         Ok(())
     }
@@ -283,13 +276,7 @@ impl Keys<'_> {
             MOST_POINTS,
         )?;
         let key = "control.distributed.moment_max_n_m_per_m";
-        let bounds = match distributed.moment_max_n_m_per_m {
-            Bound::Norm(norm) => vec![(key.to_string(), norm)],
-            Bound::PerAxis(bounds) => (0..3)
-                .map(|axis| (format!("{key}.{axis}"), bounds[axis]))
-                .collect(),
-        };
-        for (key, bound) in bounds {
+        for (key, bound) in numbers(key, Some(distributed.moment_max_n_m_per_m)) {
             self.finite_number(&key, bound)?;
             self.not_below_zero(&key, bound, "bound", "N m/m")?;
         }
@@ -319,14 +306,8 @@ impl Keys<'_> {
         ];
         for ((name, axes_name, unit), (bound, axes)) in names.into_iter().zip(parts) {
             let key = format!("{section}.{name}");
-            match bound {
-                None => {}
-                Some(Bound::Norm(norm)) => self.not_below_zero(&key, norm, "bound", unit)?,
-                Some(Bound::PerAxis(bounds)) => {
-                    for (axis, bound) in bounds.into_iter().enumerate() {
-                        self.not_below_zero(&format!("{key}.{axis}"), bound, "bound", unit)?;
-                    }
-                }
+            for (key, number) in numbers(&key, bound) {
+                self.not_below_zero(&key, number, "bound", unit)?;
             }
             let message = match axes {
                 Some(_) if bound.is_none() => {
@@ -340,6 +321,22 @@ impl Keys<'_> {
             return Err((self.source).error_at(&key, message, Some(help)));
         }
         Ok(())
+    }
+}
+
+/// Tells whether a part of a wrench with this bound acts.
+fn acts(bound: Option<Bound>) -> bool {
+    bound.is_some_and(|bound| !bound.is_zero())
+}
+
+/// Returns the numbers of a bound with their keys.
+fn numbers(key: &str, bound: Option<Bound>) -> Vec<(String, f64)> {
+    match bound {
+        None => Vec::new(),
+        Some(Bound::Norm(norm)) => vec![(key.into(), norm)],
+        Some(Bound::PerAxis(bounds)) => (bounds.into_iter().enumerate())
+            .map(|(axis, bound)| (format!("{key}.{axis}"), bound))
+            .collect(),
     }
 }
 

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, Needs, given};
 use super::super::values::{self, Fraction, Positive, digits, known};
 use super::Scene;
 use super::hardware::{EffortKeys, RateBound};
@@ -136,12 +136,7 @@ impl Magnet {
 
     /// The component of the field or of its gradient that an effort is, for this magnet.
     fn in_field(&self, component: usize, center: [f64; 3]) -> OfPose {
-        let mut field = Vector3::zeros();
-        let mut gradient = Matrix3::zeros();
-        match component {
-            0..3 => field[component] = 1.0,
-            _ => gradient = unit_gradient(component - 3),
-        }
+        let (field, gradient) = unit_field(component);
         OfPose::Magnet(mechanics::Magnet {
             moment: self.moment(),
             field,
@@ -243,6 +238,14 @@ fn column<const N: usize>(rows: &Option<Vec<[f64; N]>>, at: usize) -> Vec<(f64, 
     rows.map(|row| (row[0], row[1 + at])).collect()
 }
 
+/// The field and the gradient of which one component is 1 and the others are 0.
+fn unit_field(component: usize) -> (Vector3<f64>, Matrix3<f64>) {
+    match component {
+        0..3 => (Vector3::ith(component, 1.0), Matrix3::zeros()),
+        _ => (Vector3::zeros(), unit_gradient(component - 3)),
+    }
+}
+
 /// The symmetric matrix without trace of which one of the five numbers is 1 and the others are 0.
 fn unit_gradient(number: usize) -> Matrix3<f64> {
     let [xx, xy, xz, yy, yz] = [0, 1, 2, 3, 4].map(|at| if at == number { 1.0 } else { 0.0 });
@@ -339,30 +342,21 @@ impl Keys<'_> {
 
     fn check_magnet(&self, scene: &Scene, magnet: &Magnet, section: &str) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
-        let given = [
-            ("moment_a_m2", magnet.moment_a_m2.is_some()),
-            ("remanence_t", magnet.remanence_t.is_some()),
-        ];
-        self.exactly_one(section, &given)?;
+        let [moment, remanence, volume, axis, along, at] =
+            given!(magnet: moment_a_m2, remanence_t, volume_m3, axis, along, at);
+        self.exactly_one(section, &[moment, remanence])?;
         if let Some(moment) = &magnet.moment_a_m2 {
             self.nonzero(&key("moment_a_m2"), moment)?;
         }
-        if magnet.remanence_t.is_some() && magnet.volume_m3.is_none() {
-            return Err(self.missing(&key("volume_m3"), "goes with remanence_t"));
-        }
-        for (name, is_given) in [
-            ("volume_m3", magnet.volume_m3.is_some()),
-            ("axis", magnet.axis.is_some()),
-        ] {
-            if is_given && magnet.remanence_t.is_none() {
-                return Err(self.contradiction(&key(name), &key("moment_a_m2")));
-            }
-        }
+        let rows = [
+            Needs(remanence, volume, "goes with remanence_t"),
+            Excludes(volume, moment),
+            Excludes(axis, moment),
+            Excludes(along, at),
+        ];
+        self.relations(section, &rows)?;
         if let Some(axis) = &magnet.axis {
             self.nonzero(&key("axis"), axis)?;
-        }
-        if magnet.at.is_some() && magnet.along.is_some() {
-            return Err(self.contradiction(&key("along"), &key("at")));
         }
         if let Some([from, to]) = magnet.along.map(|ends| ends.map(Fraction::get))
             && to <= from
@@ -397,26 +391,14 @@ impl Keys<'_> {
                         false => format!("expected one of {}", names.join(", ")),
                     }));
             }
-            let own = [
-                ("field_t", magnet.field_t.is_some()),
-                ("rate_t_s", magnet.rate_t_s.is_some()),
-                ("rest_field_t", magnet.rest_field_t != [0.0; 3]),
-                ("profile", magnet.profile.is_some()),
-                ("gradient_t_m", magnet.gradient_t_m.is_some()),
-                ("gradient_rate_t_m_s", magnet.gradient_rate_t_m_s.is_some()),
-                ("rest_gradient_t_m", magnet.rest_gradient_t_m.is_some()),
-                ("gradient_profile", magnet.gradient_profile.is_some()),
-                ("center_m", magnet.center_m != [0.0; 3]),
-            ];
-            if let Some((name, _)) = own.iter().find(|(_, given)| *given) {
-                return Err(self.contradiction(&key(name), &key("field_of")));
-            }
-            return Ok(());
+            let own = given!(magnet: field_t, rate_t_s, rest_field_t, profile, gradient_t_m, gradient_rate_t_m_s,
+                rest_gradient_t_m, gradient_profile, center_m);
+            let field_of = given!(magnet: field_of);
+            return self.relations(section, &own.map(|own| Excludes(own, field_of)));
         }
-        if magnet.gradient_rate_t_m_s.is_some() && magnet.gradient_t_m.is_none() {
-            let relation = "goes with gradient_t_m, which makes it a control";
-            return Err(self.missing(&key("gradient_t_m"), relation));
-        }
+        let [rate, gradient] = given!(magnet: gradient_rate_t_m_s, gradient_t_m);
+        let reason = "goes with gradient_t_m, which makes it a control";
+        self.relations(section, &[Needs(rate, gradient, reason)])?;
         (magnet.efforts(index, &[]).iter())
             .try_for_each(|effort| self.check_effort(&effort.keys, None))
     }
@@ -429,111 +411,25 @@ pub(in crate::scene) fn describing_poses(
     first: usize,
     efforts: &[EffortControl],
 ) -> Option<(Vec<Magnet>, Vec<Cable>)> {
-    let (mut magnets, mut cables) = (Vec::<Magnet>::new(), Vec::new());
-    let control = |at: usize| {
-        efforts
-            .iter()
-            .find(|control| control.actuator == first + at)
-    };
-    let bounds = |at: usize| control(at).map(|control| control.bounds);
-    let rate = |at: usize| control(at).and_then(|control| control.rate.map(RateBound::Each));
-    let rest = |at: usize| match actuators[at].effort[..] {
-        [(_, only)] => only,
-        _ => 0.0,
-    };
-    if (0..actuators.len()).any(|at| control(at).is_some_and(|own| own.scale.is_some())) {
+    let control = |at: usize| efforts.iter().find(|own| own.actuator == first + at);
+    let controls: Vec<_> = (0..actuators.len()).map(control).collect();
+    if controls.iter().flatten().any(|own| own.scale.is_some()) {
         return None;
     }
+    let all = DescribedPoses {
+        actuators,
+        controls,
+    };
+    let (mut magnets, mut cables) = (Vec::new(), Vec::new());
     let mut at = 0;
     while let Some(own) = actuators.get(at) {
         match own.parts[..] {
             [(Span::At(place), OfPose::Cable(cable))] if cable.offset.z == 0.0 => {
-                let rows = own.effort.iter().map(|&(t, effort)| [t, effort]).collect();
-                cables.push(Cable {
-                    name: Some(own.name.clone()).filter(|name| !name.is_empty()),
-                    at: known(place.fraction()),
-                    offset_m: [cable.offset.x, cable.offset.y],
-                    anchor_m: cable.anchor.into(),
-                    tension_n: bounds(at),
-                    rate_n_s: rate(at),
-                    pretension_n: rest(at),
-                    profile: (own.effort.len() > 1).then_some(rows),
-                });
+                cables.push(all.cable(at, place, &cable));
                 at += 1;
             }
             _ if cables.is_empty() => {
-                let name = own.name.strip_suffix(FIELD[0])?.trim_end().to_string();
-                let is = |at: usize, suffix: &str| {
-                    let named = format!("{name} {suffix}");
-                    actuators.get(at).is_some_and(|own| own.name == named)
-                };
-                if !(0..3).all(|i| is(at + i, FIELD[i])) {
-                    return None;
-                }
-                let has_gradient = (0..5).all(|i| is(at + 3 + i, GRADIENT[i]));
-                let n = if has_gradient { 8 } else { 3 };
-                let group = &actuators[at..at + n];
-                let mut found =
-                    parts_of(group)?
-                        .into_iter()
-                        .enumerate()
-                        .map(|(i, (span, magnet))| {
-                            let (place, along) = match span {
-                                Span::At(place) => (Some(known(place.fraction())), None),
-                                Span::Along(from, to) => (None, Some([known(from), known(to)])),
-                            };
-                            Magnet {
-                                name: Some(match i {
-                                    0 => name.clone(),
-                                    _ => format!("{name} {i}"),
-                                }),
-                                at: place,
-                                along,
-                                moment_a_m2: Some(magnet.moment.into()),
-                                remanence_t: None,
-                                volume_m3: None,
-                                axis: None,
-                                field_of: (i > 0).then(|| name.clone()),
-                                field_t: None,
-                                rate_t_s: None,
-                                rest_field_t: [0.0; 3],
-                                profile: None,
-                                gradient_t_m: None,
-                                gradient_rate_t_m_s: None,
-                                rest_gradient_t_m: None,
-                                gradient_profile: None,
-                                center_m: [0.0; 3],
-                            }
-                        });
-                let mut owner = found.next()?;
-                let OfPose::Magnet(first_part) = &own.parts[0].1 else {
-                    return None;
-                };
-                owner.center_m = first_part.center.into();
-                // A component without a control stays at its value, if another one is a control.
-                let ranges = |from: usize, n: usize| {
-                    let any = (from..from + n).any(|at| control(at).is_some());
-                    any.then_some(move |i: usize| bounds(from + i).unwrap_or([rest(from + i); 2]))
-                };
-                owner.field_t = ranges(at, 3).map(|range| [0, 1, 2].map(range));
-                owner.rate_t_s = (at..at + 3).find_map(rate);
-                owner.rest_field_t = [0, 1, 2].map(|i| rest(at + i));
-                owner.profile = rows_of(&group[..3])?.map(|rows| {
-                    (rows.into_iter())
-                        .map(|(t, values)| [t, values[0], values[1], values[2]])
-                        .collect()
-                });
-                if has_gradient {
-                    owner.gradient_t_m = ranges(at + 3, 5).map(|range| [0, 1, 2, 3, 4].map(range));
-                    owner.gradient_rate_t_m_s = (at + 3..at + 8).find_map(rate);
-                    owner.rest_gradient_t_m = Some([0, 1, 2, 3, 4].map(|i| rest(at + 3 + i)));
-                    owner.gradient_profile = rows_of(&group[3..])?.map(|rows| {
-                        (rows.into_iter())
-                            .map(|(t, v)| [t, v[0], v[1], v[2], v[3], v[4]])
-                            .collect()
-                    });
-                }
-                magnets.push(owner);
+                let (found, n) = all.magnets(at)?;
                 magnets.extend(found);
                 at += n;
             }
@@ -541,6 +437,122 @@ pub(in crate::scene) fn describing_poses(
         }
     }
     Some((magnets, cables))
+}
+
+/// Actuators on poses with their controls, as far as their efforts are controls.
+struct DescribedPoses<'a> {
+    actuators: &'a [PoseActuator],
+    controls: Vec<Option<&'a EffortControl>>,
+}
+
+impl DescribedPoses<'_> {
+    fn bounds(&self, at: usize) -> Option<[f64; 2]> {
+        self.controls[at].map(|control| control.bounds)
+    }
+
+    fn rate(&self, at: usize) -> Option<RateBound> {
+        self.controls[at].and_then(|control| control.rate.map(RateBound::Each))
+    }
+
+    fn rest(&self, at: usize) -> f64 {
+        match self.actuators[at].effort[..] {
+            [(_, only)] => only,
+            _ => 0.0,
+        }
+    }
+
+    /// Bounds of the components of a field from an index on, if one of them is a control; another one stays at its value.
+    fn ranges<const N: usize>(&self, from: usize) -> Option<[[f64; 2]; N]> {
+        let range = |i| (self.bounds(from + i)).unwrap_or([self.rest(from + i); 2]);
+        let any = (from..from + N).any(|at| self.controls[at].is_some());
+        any.then(|| std::array::from_fn(range))
+    }
+
+    fn cable(&self, at: usize, place: Place, cable: &mechanics::Cable) -> Cable {
+        let own = &self.actuators[at];
+        let rows = own.effort.iter().map(|&(t, effort)| [t, effort]).collect();
+        Cable {
+            name: Some(own.name.clone()).filter(|name| !name.is_empty()),
+            at: known(place.fraction()),
+            offset_m: [cable.offset.x, cable.offset.y],
+            anchor_m: cable.anchor.into(),
+            tension_n: self.bounds(at),
+            rate_n_s: self.rate(at),
+            pretension_n: self.rest(at),
+            profile: (own.effort.len() > 1).then_some(rows),
+        }
+    }
+
+    /// Returns the magnets of the field whose first component has this index, and the number of its components.
+    fn magnets(&self, at: usize) -> Option<(Vec<Magnet>, usize)> {
+        let name = (self.actuators[at].name.strip_suffix(FIELD[0])?.trim_end()).to_string();
+        let are = |at: usize, suffixes: &[&str]| {
+            suffixes.iter().enumerate().all(|(i, suffix)| {
+                let own = self.actuators.get(at + i);
+                own.is_some_and(|own| own.name == format!("{name} {suffix}"))
+            })
+        };
+        if !are(at, &FIELD) {
+            return None;
+        }
+        let has_gradient = are(at + 3, &GRADIENT);
+        let n = if has_gradient { 8 } else { 3 };
+        let group = &self.actuators[at..at + n];
+        let parts = parts_of(group)?;
+        let center = parts.first()?.1.center;
+        let mut magnets: Vec<Magnet> = (parts.into_iter().enumerate())
+            .map(|(i, (span, magnet))| Magnet {
+                name: Some(match i {
+                    0 => name.clone(),
+                    _ => format!("{name} {i}"),
+                }),
+                field_of: (i > 0).then(|| name.clone()),
+                ..Magnet::describing(span, &magnet)
+            })
+            .collect();
+        let owner = magnets.first_mut()?;
+        owner.center_m = center.into();
+        owner.field_t = self.ranges(at);
+        owner.rate_t_s = (at..at + 3).find_map(|at| self.rate(at));
+        owner.rest_field_t = [0, 1, 2].map(|i| self.rest(at + i));
+        owner.profile = rows_of(&group[..3])?;
+        if has_gradient {
+            owner.gradient_t_m = self.ranges(at + 3);
+            owner.gradient_rate_t_m_s = (at + 3..at + 8).find_map(|at| self.rate(at));
+            owner.rest_gradient_t_m = Some([3, 4, 5, 6, 7].map(|i| self.rest(at + i)));
+            owner.gradient_profile = rows_of(&group[3..])?;
+        }
+        Some((magnets, n))
+    }
+}
+
+impl Magnet {
+    /// Returns the keys of a magnet in no field.
+    fn describing(span: Span, magnet: &mechanics::Magnet) -> Self {
+        let (at, along) = match span {
+            Span::At(place) => (Some(known(place.fraction())), None),
+            Span::Along(from, to) => (None, Some([known(from), known(to)])),
+        };
+        Self {
+            name: None,
+            at,
+            along,
+            moment_a_m2: Some(magnet.moment.into()),
+            remanence_t: None,
+            volume_m3: None,
+            axis: None,
+            field_of: None,
+            field_t: None,
+            rate_t_s: None,
+            rest_field_t: [0.0; 3],
+            profile: None,
+            gradient_t_m: None,
+            gradient_rate_t_m_s: None,
+            rest_gradient_t_m: None,
+            gradient_profile: None,
+            center_m: [0.0; 3],
+        }
+    }
 }
 
 /// The magnets of the efforts of one field, if each of them has every effort as [`Magnet::in_field`] does.
@@ -555,22 +567,16 @@ fn parts_of(group: &[PoseActuator]) -> Option<Vec<(Span, mechanics::Magnet)>> {
     let magnets = magnets?;
     let center = magnets.first()?.1.center;
     for (component, own) in group.iter().enumerate() {
-        let mut field = Vector3::zeros();
-        let mut gradient = Matrix3::zeros();
-        match component {
-            0..3 => field[component] = 1.0,
-            _ => gradient = unit_gradient(component - 3),
-        }
+        let (field, gradient) = unit_field(component);
         let expected: Vec<_> = (magnets.iter())
-            .map(|(span, magnet)| {
-                let moment = magnet.moment;
+            .map(|&(span, magnet)| {
                 let in_field = mechanics::Magnet {
-                    moment,
                     field,
                     gradient,
                     center,
+                    ..magnet
                 };
-                (*span, OfPose::Magnet(in_field))
+                (span, OfPose::Magnet(in_field))
             })
             .collect();
         if own.parts != expected {
@@ -580,10 +586,12 @@ fn parts_of(group: &[PoseActuator]) -> Option<Vec<(Span, mechanics::Magnet)>> {
     Some(magnets)
 }
 
-/// Times and values of given efforts, if they have rows at the same times: `Some(None)` for constant ones, `None` for others.
-#[expect(clippy::type_complexity, reason = "rows of a table")]
-fn rows_of(group: &[PoseActuator]) -> Option<Option<Vec<(f64, Vec<f64>)>>> {
-    let first = &group.first()?.effort;
+/// Rows of given efforts, times and values, if they are at the same times: `Some(None)` for constant ones, `None` for others.
+#[expect(
+    clippy::option_option,
+    reason = "no rows, and no rows that a scene has"
+)]
+fn rows_of<const N: usize>(group: &[PoseActuator]) -> Option<Option<Vec<[f64; N]>>> {
     if group.iter().all(|own| own.effort.len() <= 1) {
         return Some(None);
     }
@@ -591,10 +599,8 @@ fn rows_of(group: &[PoseActuator]) -> Option<Option<Vec<(f64, Vec<f64>)>>> {
     if !group.iter().all(|own| times(own) == times(&group[0])) {
         return None;
     }
-    let values = |row: usize| group.iter().map(|own| own.effort[row].1).collect();
-    let rows = first
-        .iter()
-        .enumerate()
-        .map(|(row, (t, _))| (*t, values(row)));
-    Some(Some(rows.collect()))
+    let row = |(row, (t, _)): (usize, &(f64, f64))| {
+        std::array::from_fn(|i| i.checked_sub(1).map_or(*t, |i| group[i].effort[row].1))
+    };
+    Some(Some(group[0].effort.iter().enumerate().map(row).collect()))
 }

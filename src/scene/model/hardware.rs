@@ -4,7 +4,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Fraction, NonNegative, Positive, digits, known};
 use super::Scene;
 use crate::control::Hold;
@@ -583,13 +583,9 @@ impl Keys<'_> {
     fn check_winch(&self, section: &str, tendon: &Tendon) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
         if !tendon.is_on_winch() {
-            let of_winch = [
-                ("compliance_1_n", tendon.compliance_1_n.is_some()),
-                ("free_length_m", tendon.free_length_m.get() != 0.0),
-                ("rate_m_s", tendon.rate_m_s.is_some()),
-                ("rest_displacement_m", tendon.rest_displacement_m != 0.0),
-            ];
-            if let Some((name, _)) = of_winch.into_iter().find(|(_, is_given)| *is_given) {
+            let of_winch =
+                given!(tendon: compliance_1_n, free_length_m, rate_m_s, rest_displacement_m);
+            if let Some(name) = given_of(&of_winch).next() {
                 let relation = format!(
                     "{name} describes the tendon of a winch, whose input is displacement_m or displacement_profile"
                 );
@@ -597,19 +593,14 @@ impl Keys<'_> {
             }
             return Ok(());
         }
-        let input = match tendon.displacement_m {
-            Some(_) => "displacement_m",
-            None => "displacement_profile",
+        let [displacement, profile] = given!(tendon: displacement_m, displacement_profile);
+        let input = if displacement.1 {
+            displacement
+        } else {
+            profile
         };
-        let of_tension = [
-            ("tension_n", tendon.tension_n.is_some()),
-            ("rate_n_s", tendon.rate_n_s.is_some()),
-            ("pretension_n", tendon.pretension_n != 0.0),
-            ("profile", tendon.profile.is_some()),
-        ];
-        if let Some((name, _)) = of_tension.into_iter().find(|(_, is_given)| *is_given) {
-            return Err(self.contradiction(&key(input), &key(name)));
-        }
+        let of_tension = given!(tendon: tension_n, rate_n_s, pretension_n, profile);
+        self.relations(section, &of_tension.map(|own| Excludes(input, own)))?;
         if let Some([least, _]) = tendon.displacement_m
             && !least.is_finite()
         {
@@ -618,11 +609,11 @@ impl Keys<'_> {
                 .error_at(&key("displacement_m.0"), message, None)
                 .expecting("expected a finite displacement, negative where it has pulled in"));
         }
-        if tendon.compliance_1_n.is_none() {
-            let relation = "the tension on a winch follows from the stretch of the tendon";
-            return Err(self.missing(&key("compliance_1_n"), relation));
-        }
-        Ok(())
+        let reason = "the tension on a winch follows from the stretch of the tendon";
+        self.relations(
+            section,
+            &[Needs(input, given!(tendon: compliance_1_n), reason)],
+        )
     }
 
     /// Checks that the actuator which another one follows has a control of its own.
@@ -635,14 +626,15 @@ impl Keys<'_> {
         if *gain == 0.0 || !gain.is_finite() {
             return Err(self.out_of_range(&key("follows.gain"), *gain, "number other than 0", ""));
         }
-        if own.effort.range().is_none() {
-            let relation =
-                "an actuator that follows another one has bounds of its own, which may be infinite";
-            return Err(self.missing(&key(own.effort.bounds.0), relation));
-        }
-        if own.effort.lag.is_some() {
-            return Err(self.contradiction(&key("lag_s"), &key("follows")));
-        }
+        let reason =
+            "an actuator that follows another one has bounds of its own, which may be infinite";
+        let (follows, bounds) = (
+            ("follows", true),
+            (own.effort.bounds.0, own.effort.range().is_some()),
+        );
+        let lag = ("lag_s", own.effort.lag.is_some());
+        let rows = [Needs(follows, bounds, reason), Excludes(lag, follows)];
+        self.relations(&format!("{section}.{index}"), &rows)?;
         let leads = |other: &&Common| {
             other.effort.range().is_some() && other.follows.is_none() && other.name() != own.name()
         };
@@ -698,17 +690,15 @@ impl Keys<'_> {
         self.finite_number(&part(rest_key), rest)?;
         let (bounds_key, bounds) = own.bounds;
         let (rate_key, rate) = own.rate;
+        let goes = format!("goes with {bounds_key}, which makes it a control");
+        let lag_goes = format!("lag_s {goes}; a given effort is the one that acts");
+        let is_control = (bounds_key, bounds.is_some());
+        let rows = [
+            Needs((rate_key, rate.is_some()), is_control, &goes),
+            Needs(("lag_s", own.lag.is_some()), is_control, &lag_goes),
+        ];
+        self.relations(&format!("{section}.{index}"), &rows)?;
         let Some([least, most]) = bounds else {
-            if rate.is_some() {
-                let relation = format!("goes with {bounds_key}, which makes it a control");
-                return Err(self.missing(&key(bounds_key), &relation));
-            }
-            if own.lag.is_some() {
-                let relation = format!(
-                    "lag_s goes with {bounds_key}, which makes it a control; a given effort is the one that acts"
-                );
-                return Err(self.missing(&key(bounds_key), &relation));
-            }
             return Ok(());
         };
         if own.winch.is_some() && hold == Some(Hold::Constant) {
@@ -721,10 +711,10 @@ impl Keys<'_> {
             let help = "set control.hold to \"linear\" or \"cubic\", or leave lag_s out";
             return Err((self.source).error_at(&key("lag_s"), message, Some(help.into())));
         }
-        let (profile_key, has_profile) = own.profile;
-        if has_profile {
-            return Err(self.contradiction(&key(profile_key), &key(bounds_key)));
-        }
+        self.relations(
+            &format!("{section}.{index}"),
+            &[Excludes(own.profile, is_control)],
+        )?;
         let fixed = own.component.is_some() && least == most && least.is_finite();
         if !(least < most || fixed) {
             let message = format!("[{}, {}] is no range", digits(least), digits(most));

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, given};
 use super::super::values::digits;
 use super::geometry::wxyz;
 use super::{EndKind, Scene};
@@ -285,7 +285,7 @@ impl Keys<'_> {
     }
 
     fn check_initial_state(&self, initial: &Initial, state: &InitialState) -> Checked {
-        self.alone_in_initial(initial, "initial.state")?;
+        self.alone_in_initial(initial, "state")?;
         let Some(fault) = state.of_task().fault() else {
             return Ok(());
         };
@@ -296,17 +296,7 @@ impl Keys<'_> {
 
     /// Refuses other keys beside a state of all nodes.
     pub(in crate::scene) fn alone_in_initial(&self, initial: &Initial, key: &str) -> Checked {
-        let others = [
-            ("initial.shape", initial.shape != InitialShape::default()),
-            ("initial.velocity_m_s", initial.velocity_m_s != [0.0; 3]),
-            (
-                "initial.angular_velocity_rad_s",
-                initial.angular_velocity_rad_s != [0.0; 3],
-            ),
-        ];
-        match others.iter().find(|(_, given)| *given) {
-            Some((other, _)) => Err(self.contradiction(other, key)),
-            None => Ok(()),
-        }
+        let others = given!(initial: shape, velocity_m_s, angular_velocity_rad_s);
+        self.relations("initial", &others.map(|other| Excludes(other, (key, true))))
     }
 }

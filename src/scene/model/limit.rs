@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Keys, given};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::LoadNode;
 use super::geometry::wxyz;
@@ -156,14 +156,7 @@ impl Limit {
 
     /// Returns these keys, each with whether it is given.
     fn given(&self) -> [(&'static str, bool); 5] {
-        let given = [
-            self.stretch.is_some(),
-            self.curvature_max_1_m.is_some(),
-            self.twist_max_1_m.is_some(),
-            self.speed_max_m_s.is_some(),
-            self.tilt.is_some(),
-        ];
-        std::array::from_fn(|kind| (Self::KINDS[kind].0, given[kind]))
+        given!(self: stretch, curvature_max_1_m, twist_max_1_m, speed_max_m_s, tilt)
     }
 
     /// Name in reports and errors: its own, or that of its kind.
@@ -435,13 +428,9 @@ impl Keys<'_> {
     /// Checks that a section has exactly one body, and its numbers.
     pub(super) fn check_bodies(&self, section: &str, bodies: &Bodies) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
-        let shapes = [
-            ("sphere", bodies.sphere.is_some()),
-            ("capsule", bodies.capsule.is_some()),
-            ("half_space", bodies.half_space.is_some()),
-            ("box", bodies.cuboid.is_some()),
-        ];
-        self.exactly_one(section, &shapes)?;
+        let [sphere, capsule, half_space] = given!(bodies: sphere, capsule, half_space);
+        let cuboid = ("box", bodies.cuboid.is_some());
+        self.exactly_one(section, &[sphere, capsule, half_space, cuboid])?;
         if let Some(sphere) = bodies.sphere {
             self.finite(&key("sphere.center_m"), &sphere.center_m)?;
         }

@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::path::Turns;
-use super::super::keys::{Checked, Keys, LARGEST_COUNT};
+use super::super::keys::{Checked, Keys, LARGEST_COUNT, Needs, given};
 use super::super::values::{self, NonNegative, Number, Positive, known};
 use super::geometry::wxyz;
 use super::{LoadNode, Scene};
@@ -185,20 +185,18 @@ impl Keys<'_> {
         let key = |name: &str| format!("{section}.{name}");
         let circle = track.circle.as_ref().map(Turns::from);
         let eight = track.figure_eight.as_ref().map(Turns::from);
-        let kinds = [
-            ("path_m", !track.path_m.is_empty()),
-            ("circle", circle.is_some()),
-            ("figure_eight", eight.is_some()),
-        ];
+        let kinds = given!(track: path_m, circle, figure_eight);
         let turns = &track.orientations_wxyz;
         if !turns.is_empty() {
             self.table(&key("orientations_wxyz"), turns, "any orientation")?;
             for (point, &[_, w, x, y, z]) in turns.iter().enumerate() {
                 self.nonzero(&key(&format!("orientations_wxyz.{point}")), &[w, x, y, z])?;
             }
-        } else if track.orientation_weight.is_some() {
-            return Err(self.missing(&key("orientations_wxyz"), "goes with orientation_weight"));
         }
+        let [weight, switches, of_turns, orientations] =
+            given!(track: weight, switches, orientation_weight, orientations_wxyz);
+        let reason = "goes with orientation_weight";
+        self.relations(section, &[Needs(of_turns, orientations, reason)])?;
         let goes_somewhere = kinds.iter().any(|(_, given)| *given);
         if !goes_somewhere && turns.is_empty() && track.speed_weight.is_none() {
             let relation = "rows [t, x, y, z], or else give path_csv, circle or figure_eight, or \
@@ -207,12 +205,12 @@ impl Keys<'_> {
         }
         if goes_somewhere {
             self.exactly_one(section, &kinds)?;
-        } else if track.weight.is_some() {
-            return Err(self.missing(&key("path_m"), "goes with weight"));
         }
-        if track.switches && track.path_m.is_empty() {
-            return Err(self.missing(&key("path_m"), "goes with switches"));
-        }
+        let rows = [
+            Needs(weight, ("path_m", goes_somewhere), "goes with weight"),
+            Needs(switches, kinds[0], "goes with switches"),
+        ];
+        self.relations(section, &rows)?;
         if track.switches && track.speed_weight.is_some() {
             let message = "targets that switch have no velocity";
             let help = "leave out switches or speed_weight".into();

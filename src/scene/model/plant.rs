@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::check::MOST_ELEMENTS;
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Keys, given, given_of};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::{Payload, Scene, Section};
 use crate::mechanics::StrainActuator;
@@ -197,17 +197,11 @@ impl Keys<'_> {
             }
             self.finite(&key("offset_m"), &own.offset_m.unwrap_or_default())?;
             self.finite(&key("offset_to_m"), &own.offset_to_m.unwrap_or_default())?;
-            for (name, is_given) in [
-                ("lag_s", own.lag_s.is_some()),
-                ("saturation", own.saturation.is_some()),
-            ] {
-                if is_given && !is_control {
-                    let message = "its effort is given and no command";
-                    let help = format!(
-                        "leave it out, or give the bounds that make [[{section}]] a control"
-                    );
-                    return Err((self.source).error_at(&key(name), message, Some(help)));
-                }
+            if !is_control && let Some(name) = given_of(&given!(own: lag_s, saturation)).next() {
+                let message = "its effort is given and no command";
+                let help =
+                    format!("leave it out, or give the bounds that make [[{section}]] a control");
+                return Err((self.source).error_at(&key(name), message, Some(help)));
             }
             if let Some([least, most]) = own.saturation
                 && !(least <= rest && rest <= most)

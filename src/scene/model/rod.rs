@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::segment::*;
 use super::super::error::DescribeError;
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, given};
 use super::super::materials::{MaterialFigures, MaterialPreset, Shear};
 use super::super::values::{self, Number, PoissonRatio, Positive, digits, known};
 use super::super::{SceneError, SceneSource};
@@ -232,9 +232,8 @@ impl Keys<'_> {
         check_range(rod.accuracy.map(Number::get), self.source)?;
         if rod.segment.is_empty() {
             self.check_parts("rod", &rod.parts())?;
-            if rod.section.is_some() && rod.display_radius_m.is_some() {
-                return Err(self.contradiction("rod.display_radius_m", "rod.section"));
-            }
+            let [radius, section] = given!(rod: display_radius_m, section);
+            self.relations("rod", &[Excludes(radius, section)])?;
         } else {
             self.check_segments(rod)?;
         }

@@ -4,7 +4,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Number, Positive, digits};
 use crate::mechanics::Shape;
 
@@ -205,36 +205,16 @@ impl Keys<'_> {
         if let Some(roll) = section.roll_rad {
             self.finite_number(&key("roll_rad"), roll)?;
         }
-        let [radius, inner] = [
-            ("radius_m", "diameter_m"),
-            ("inner_radius_m", "inner_diameter_m"),
-        ];
-        let circle = [
-            (radius.0, section.radius_m.is_some()),
-            (radius.1, section.diameter_m.is_some()),
-        ];
-        let tapered = [
-            ("radius_base_m", section.radius_base_m.is_some()),
-            ("diameter_base_m", section.diameter_base_m.is_some()),
-            ("radius_tip_m", section.radius_tip_m.is_some()),
-            ("diameter_tip_m", section.diameter_tip_m.is_some()),
-        ];
-        let hole = [
-            (inner.0, section.inner_radius_m.is_some()),
-            (inner.1, section.inner_diameter_m.is_some()),
-        ];
-        let edges = [
-            ("width_m", section.width_m.is_some()),
-            ("height_m", section.height_m.is_some()),
-        ];
-        let foreign: Vec<(&str, bool)> = match section.shape {
-            ShapeKey::Circle => hole.into_iter().chain(edges).collect(),
-            ShapeKey::Ring => tapered.into_iter().chain(edges).collect(),
-            ShapeKey::Rectangle | ShapeKey::Ellipse => {
-                circle.into_iter().chain(tapered).chain(hole).collect()
-            }
+        let circle = given!(section: radius_m, diameter_m);
+        let tapered = given!(section: radius_base_m, diameter_base_m, radius_tip_m, diameter_tip_m);
+        let hole = given!(section: inner_radius_m, inner_diameter_m);
+        let edges = given!(section: width_m, height_m);
+        let foreign = match section.shape {
+            ShapeKey::Circle => [&hole[..], &edges].concat(),
+            ShapeKey::Ring => [&tapered[..], &edges].concat(),
+            ShapeKey::Rectangle | ShapeKey::Ellipse => [&circle[..], &tapered, &hole].concat(),
         };
-        if let Some((quantity, _)) = foreign.into_iter().find(|(_, is_given)| *is_given) {
+        if let Some(quantity) = given_of(&foreign).next() {
             let shape = section.shape.name();
             let has = match section.shape {
                 ShapeKey::Circle => "radius_m, or radius_base_m and radius_tip_m, or diameters",
@@ -248,17 +228,10 @@ impl Keys<'_> {
         match section.shape {
             ShapeKey::Circle => return self.check_circle(name, section),
             ShapeKey::Ring => {
-                for ([one, other], [(_, is_one), (_, is_other)]) in
-                    [([radius.0, radius.1], circle), ([inner.0, inner.1], hole)]
-                {
-                    match (is_one, is_other) {
-                        (true, true) => return Err(self.contradiction(&key(other), &key(one))),
-                        (false, false) => {
-                            let relation = format!("a ring has it, or else {}", key(other));
-                            return Err(self.missing(&key(one), &relation));
-                        }
-                        _ => {}
-                    }
+                for [one, other] in [circle, hole] {
+                    let reason = format!("a ring has it, or else {}", key(other.0));
+                    let neither = Needs(("", !other.1), one, &reason);
+                    self.relations(name, &[Excludes(other, one), neither])?;
                 }
             }
             ShapeKey::Rectangle | ShapeKey::Ellipse => {
@@ -282,11 +255,7 @@ impl Keys<'_> {
         ) = section.shapes()
             && inner_radius >= radius
         {
-            let quantity = if section.inner_radius_m.is_some() {
-                inner.0
-            } else {
-                inner.1
-            };
+            let quantity = given_of(&hole).next().unwrap_or_default();
             let message = format!(
                 "the hole is not smaller than the ring: a radius of {} m in one of {} m",
                 digits(inner_radius),

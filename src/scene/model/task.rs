@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::error::DescribeError;
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Given, Keys, Needs, given};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::geometry::wxyz;
 use super::{EndKind, LoadNode, Scene};
@@ -245,28 +245,16 @@ impl Keys<'_> {
         self.check_enforcement(
             "task",
             task.hard,
-            task.weight.is_some(),
-            (task.tolerance_m.is_some(), task.position_m.is_some()),
-            (task.tolerance_rad, task.orientation_wxyz.is_some()),
+            task.tolerance_rad,
+            given!(task: weight, tolerance_m, position_m, tolerance_rad, orientation_wxyz),
         )?;
-        for (key, is_given) in [
-            ("task.tolerance_m_s", task.tolerance_m_s.is_some()),
-            ("task.tolerance_rad_s", task.tolerance_rad_s.is_some()),
-        ] {
-            if is_given && task.at_rest != AtRest::Tip {
-                return Err(self.contradiction(key, "task.at_rest"));
-            }
-            if is_given && !task.hard {
-                return Err(self.contradiction(key, "task.hard"));
-            }
+        let not_at = |rest: AtRest| ("at_rest", task.at_rest != rest);
+        for tolerance in given!(task: tolerance_m_s, tolerance_rad_s) {
+            let soft = Excludes(tolerance, ("hard", !task.hard));
+            self.relations("task", &[Excludes(tolerance, not_at(AtRest::Tip)), soft])?;
         }
-        for (key, is_given) in [
-            ("task.stays_s", task.stays_s.is_some()),
-            ("task.stays_m", task.stays_m.is_some()),
-        ] {
-            if is_given && task.at_rest != AtRest::Staying {
-                return Err(self.contradiction(key, "task.at_rest"));
-            }
+        for stay in given!(task: stays_s, stays_m) {
+            self.relations("task", &[Excludes(stay, not_at(AtRest::Staying))])?;
         }
         for (index, via) in task.via.iter().enumerate() {
             self.check_via(via, index, task.instant(end), scene)?;
@@ -320,24 +308,21 @@ impl Keys<'_> {
         self.check_enforcement(
             &format!("task.via.{index}"),
             via.hard,
-            via.weight.is_some(),
-            (via.tolerance_m.is_some(), via.position_m.is_some()),
-            (via.tolerance_rad, via.orientation_wxyz.is_some()),
+            via.tolerance_rad,
+            given!(via: weight, tolerance_m, position_m, tolerance_rad, orientation_wxyz),
         )
     }
 
-    /// Checks the enforcement of a goal; `distance` and `angle` have the tolerance of its position and of its orientation, each with
-    /// whether the goal has one.
+    /// Checks the enforcement of a goal.
     fn check_enforcement(
         &self,
         section: &str,
         hard: bool,
-        has_weight: bool,
-        distance: (bool, bool),
-        angle: (Option<Positive<values::Angle>>, bool),
+        angle: Option<Positive<values::Angle>>,
+        [weight, of_position, position, of_orientation, orientation]: [Given; 5],
     ) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
-        if hard && has_weight {
+        if hard && weight.1 {
             let help = format!(
                 "set {} = false to make it a term of the objective",
                 key("hard")
@@ -348,23 +333,10 @@ impl Keys<'_> {
                 Some(help),
             ));
         }
-        let (has_distance, has_position) = distance;
-        let (angle, has_orientation) = angle;
-        for (name, is_given, owner, owned) in [
-            ("tolerance_m", has_distance, "position_m", has_position),
-            (
-                "tolerance_rad",
-                angle.is_some(),
-                "orientation_wxyz",
-                has_orientation,
-            ),
-        ] {
-            if is_given && !owned {
-                return Err(self.missing(&key(owner), &format!("goes with {}", key(name))));
-            }
-            if is_given && !hard {
-                return Err(self.contradiction(&key(name), &key("hard")));
-            }
+        for (tolerance, owner) in [(of_position, position), (of_orientation, orientation)] {
+            let reason = format!("goes with {}", key(tolerance.0));
+            let soft = Excludes(tolerance, ("hard", !hard));
+            self.relations(section, &[Needs(tolerance, owner, &reason), soft])?;
         }
         if let Some(angle) = angle.map(Positive::get)
             && angle >= std::f64::consts::PI

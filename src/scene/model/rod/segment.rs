@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{Material, Parts, Rod};
 use crate::mechanics::SectionProfile;
 use crate::scene::error::DescribeError;
-use crate::scene::keys::{Checked, Keys};
+use crate::scene::keys::{Checked, Excludes, Keys, given};
 use crate::scene::model::{Inertia, Section, ShapeKey, Stiffness, Transverse};
 use crate::scene::values::{self, Number, Positive, digits, known};
 
@@ -171,30 +171,18 @@ impl Rod {
 
 impl Keys<'_> {
     pub(super) fn check_segments(&self, rod: &Rod) -> Checked {
-        for (other, is_given) in [
-            ("rod.stiffness", rod.stiffness.is_some()),
-            ("rod.inertia", rod.inertia.is_some()),
-        ] {
-            if is_given {
-                return Err(self.contradiction(other, "rod.segment"));
-            }
-        }
+        let [stiffness, inertia, segments] = given!(rod: stiffness, inertia, segment);
+        let rows = [Excludes(stiffness, segments), Excludes(inertia, segments)];
+        self.relations("rod", &rows)?;
         let mut roll: Option<(usize, f64)> = None;
         for (index, segment) in rod.segment.iter().enumerate() {
             let name = format!("rod.segment.{index}");
             let key = |part: &str| format!("{name}.{part}");
-            self.exactly_one(
-                &name,
-                &[
-                    ("length_m", segment.length_m.is_some()),
-                    ("fraction", segment.fraction.is_some()),
-                ],
-            )?;
+            self.exactly_one(&name, &given!(segment: length_m, fraction))?;
             let parts = rod.parts_of(segment);
             self.check_parts(&name, &parts)?;
-            if parts.section.is_some() && segment.display_radius_m.is_some() {
-                return Err(self.contradiction(&key("display_radius_m"), &key("section")));
-            }
+            let (radius, section) = (given!(segment: display_radius_m), parts.section.is_some());
+            self.relations(&name, &[Excludes(radius, ("section", section))])?;
             if let Some(reference) = &segment.reference {
                 self.finite(&key("reference.curvature_1_m"), &reference.curvature_1_m)?;
             }
