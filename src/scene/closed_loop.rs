@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use super::error::SceneError;
 use super::model::{
-    self, Computing as ComputingKey, EstimatorKind, Fallback, Mpc, Plant, Scene,
-    Sensor as SensorKeys, TimeStep,
+    self, Computing as ComputingKey, EstimatorKind, Mpc, Plant, Scene, Sensor as SensorKeys,
+    TimeStep,
 };
 use super::section::profile;
 use super::source::SceneSource;
@@ -14,8 +14,8 @@ use super::values::{Instant, Number, Positive, digits, known};
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
-    ActuatorDynamics, Computing, EffortDynamics, Experiment, MpcError, MpcSettings, Sensing,
-    Sensor, SensorChoice, SensorSettings, Transfer, followed, with_long_steps,
+    ActuatorDynamics, EffortDynamics, Experiment, MpcError, Sensing, Sensor, SensorChoice,
+    SensorSettings, Transfer, followed, with_long_steps,
 };
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError};
@@ -46,7 +46,6 @@ const ON_THE_SURFACE: f64 = 0.01;
 const PART_OF_PERIOD: f64 = 0.5;
 const PART_OF_TIME: f64 = 0.25;
 const FEWEST_SAMPLES: f64 = 10.0;
-const BLOCKS: f64 = 10.0;
 
 impl ClosedLoopSetup {
     /// The sensors that an estimator uses.
@@ -156,20 +155,7 @@ impl Scene {
         if due.is_none() {
             task = passing.clone();
         }
-        let settings = MpcSettings {
-            period,
-            horizon,
-            due: due.map(Number::get),
-            block: mpc.block_s.map_or(horizon / BLOCKS, Number::get),
-            equal_blocks: mpc.equal_blocks,
-            jump: mpc.jump.get(),
-            effort: mpc.effort_from,
-            target_weight: mpc.target_weight.get(),
-            limit_price: mpc.limit_price.map(Number::get),
-            iterations: mpc.iterations,
-            deadline: mpc.deadline_s.map(Number::get),
-            ..MpcSettings::receding(horizon)
-        };
+        let settings = mpc.settings(horizon, due.map(Number::get));
         let asked = with_long_steps(&rod, &asked, &settings);
         let blocks = (horizon / settings.block).round().max(1.0) as usize;
         let posed = passing
@@ -207,37 +193,16 @@ impl Scene {
 
         let mut resolved = self.resolved(&arm, &discretization);
         resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
-        let mut objective = self.objective.clone().unwrap_or_default();
-        for (track, discrete) in
-            (objective.track.iter_mut()).zip(&posed.discrete.objective.tracking)
-        {
-            track.take_weights(discrete);
-        }
         let tip = posed.discrete.wrench_actuators().first();
-        objective.force_scale_n = tip.map(|tip| known(tip.force.scale));
-        objective.moment_scale_n_m = tip.map(|tip| known(tip.moment.scale));
-        resolved.objective = Some(objective);
+        resolved.objective = Some(self.resolved_objective(&posed.discrete, tip));
         resolved.mpc = Some(Mpc {
             horizon_s: Some(known(horizon)),
             due_s: due,
             block_s: Some(known(settings.block)),
             duration_s: Some(known(duration)),
             counted_from_s: Some(known(counted_from)),
-            computing_s: match loop_settings.computing {
-                Computing::Fixed(seconds) => Some(known(seconds)),
-                Computing::Instant | Computing::Measured => None,
-            },
-            actuator_delay_s: Some(known(loop_settings.actuator_delay)),
             seed: Some(seed),
-            fallback: self
-                .estimator
-                .is_some()
-                .then(|| Fallback {
-                    patience_s: loop_settings.fallback.patience.map(known),
-                    ..mpc.fallback.clone().unwrap_or_default()
-                })
-                .or_else(|| mpc.fallback.clone()),
-            ..mpc.clone()
+            ..mpc.resolved(&loop_settings, self.estimator.is_some())
         });
         resolved.plant = Some(Plant {
             elements: Some(plant_discretization.elements),

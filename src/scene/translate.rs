@@ -11,7 +11,9 @@ use super::model::{
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, digits, known};
-use crate::control::{Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search};
+use crate::control::{
+    ActuatedNode, Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search,
+};
 use crate::mechanics::rotation::{exp, from_quaternion};
 use crate::mechanics::rows;
 use crate::mechanics::{Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
@@ -277,16 +279,7 @@ impl Scene {
                     definition.tolerance_rad_s = Some(known(spin));
                 }
             }
-            let mut objective = self.objective.clone().unwrap_or_default();
-            for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
-                track.take_weights(tracking);
-            }
-            let tip = problem.actuators.first();
-            resolved.objective = Some(Objective {
-                force_scale_n: tip.map(|tip| known(tip.force.scale)),
-                moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),
-                ..objective
-            });
+            resolved.objective = Some(self.resolved_objective(&problem, problem.actuators.first()));
             resolved.solver = Some(solver.clone());
             resolved
         };
@@ -619,6 +612,23 @@ impl Scene {
 }
 
 impl Scene {
+    /// Returns the objective with the weights that were chosen for a problem, and the scales of the actuator on its tip.
+    pub(super) fn resolved_objective(
+        &self,
+        problem: &OptimalControlProblem,
+        tip: Option<&ActuatedNode>,
+    ) -> Objective {
+        let mut objective = self.objective.clone().unwrap_or_default();
+        for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
+            track.take_weights(tracking);
+        }
+        Objective {
+            force_scale_n: tip.map(|tip| known(tip.force.scale)),
+            moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),
+            ..objective
+        }
+    }
+
     /// Returns the duration and tolerance of the stay at the target; `None` if the arm need not stay.
     pub(crate) fn staying(&self) -> Option<Staying> {
         match self.task.as_ref()?.rest() {

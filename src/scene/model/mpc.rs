@@ -155,7 +155,46 @@ pub struct Fallback {
     pub damping: Positive<values::Factor>,
 }
 
+/// Default number of blocks in the horizon.
+const BLOCKS: f64 = 10.0;
+
 impl Mpc {
+    /// Returns the settings of the controller with this horizon, s, and time at which its task is due, s.
+    pub(in crate::scene) fn settings(&self, horizon: f64, due: Option<f64>) -> MpcSettings {
+        MpcSettings {
+            period: self.period_s.get(),
+            horizon,
+            due,
+            block: self.block_s.map_or(horizon / BLOCKS, Number::get),
+            equal_blocks: self.equal_blocks,
+            jump: self.jump.get(),
+            effort: self.effort_from,
+            target_weight: self.target_weight.get(),
+            limit_price: self.limit_price.map(Number::get),
+            iterations: self.iterations,
+            deadline: self.deadline_s.map(Number::get),
+            ..MpcSettings::receding(horizon)
+        }
+    }
+
+    /// Returns the keys with the times of these settings of the loop, which has an estimator or not.
+    pub(in crate::scene) fn resolved(&self, settings: &LoopSettings, estimates: bool) -> Self {
+        let own = self.fallback.clone();
+        let fallback = || Fallback {
+            patience_s: settings.fallback.patience.map(known),
+            ..own.clone().unwrap_or_default()
+        };
+        Self {
+            computing_s: match settings.computing {
+                mpc::Computing::Fixed(seconds) => Some(known(seconds)),
+                mpc::Computing::Instant | mpc::Computing::Measured => None,
+            },
+            actuator_delay_s: Some(known(settings.actuator_delay)),
+            fallback: estimates.then(fallback).or_else(|| own.clone()),
+            ..self.clone()
+        }
+    }
+
     /// Returns the settings of the loop; `actuator_delay` in s is the delay of the actuators if no key gives another.
     pub(in crate::scene) fn loop_settings(&self, actuator_delay: f64) -> LoopSettings {
         let fallback = self.fallback.clone().unwrap_or_default();
