@@ -971,12 +971,12 @@ fn continuation_arrives() {
         let (scene, source) = Scene::load("reach", &overrides).unwrap();
         scene.optimal_control(&source).unwrap().search.continuation
     };
-    let target = Some(Continuation::Target { stages: 3 });
+    let target = Some(Continuation::Target(3));
     assert_eq!(search(&["solver.continuation={target = 3}"]), target);
     assert_eq!(search(&["solver.continuation.target=3"]), target);
     assert_eq!(
         search(&["solver={continuation = {load = 2}}"]),
-        Some(Continuation::Load { stages: 2 })
+        Some(Continuation::Load(2))
     );
     assert_eq!(search(&[]), None);
 }

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys, LARGEST_COUNT};
 use super::super::values::{self, Positive, known};
-use crate::sqp::{HessianChoice, SqpSettings};
+use crate::control::Continuation;
+use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
 
 /// Settings of the optimizer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,7 +27,7 @@ pub struct Solver {
     /// Second derivatives in the quadratic model.
     pub hessian: HessianChoice,
     /// Variables of the quadratic subproblems.
-    pub qp: Qp,
+    pub qp: QpRoute,
     /// Initial guess.
     pub guess: Guess,
     /// Easier problems that are solved first, each from the solution of the one before. Absent: none.
@@ -34,18 +35,6 @@ pub struct Solver {
     /// Wall-clock time in s from the start of the command, positive. Then all work ends, the check included, and the
     /// best iterate is written; a simulation and a loop write the rows that they have. Absent: no limit.
     pub deadline_s: Option<Positive<values::Duration>>,
-}
-
-/// Variables of the quadratic subproblems; the step is the same.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum Qp {
-    /// Over the controls alone: small and dense.
-    #[default]
-    Condensed,
-    /// Over the controls and the configurations at all time nodes: large and sparse. Explicit steps of the standard model only.
-    Sparse,
 }
 
 /// Initial guess of a solve.
@@ -65,17 +54,6 @@ pub enum Guess {
     Rest,
 }
 
-/// Kind of continuation, and the number of problems, the last one included.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum Continuation {
-    /// The target moves from the initial position of the tip to its own.
-    Target(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
-    /// Gravity and loads grow from nothing.
-    Load(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
-}
-
 impl Default for Solver {
     fn default() -> Solver {
         let settings = SqpSettings::default();
@@ -84,7 +62,7 @@ impl Default for Solver {
             max_iterations: settings.max_iterations,
             saddle_gain: known(settings.saddle_gain),
             hessian: HessianChoice::default(),
-            qp: Qp::default(),
+            qp: QpRoute::default(),
             guess: Guess::default(),
             continuation: None,
             deadline_s: None,
@@ -109,15 +87,12 @@ impl Keys<'_> {
             LARGEST_COUNT,
         )?;
         match solver.continuation {
-            None => {}
-            Some(Continuation::Target(stages)) => {
-                self.count("solver.continuation.target", stages, MOST_STAGES)?;
+            None => Ok(()),
+            Some(Continuation::Target(n)) => {
+                self.count("solver.continuation.target", n, MOST_STAGES)
             }
-            Some(Continuation::Load(stages)) => {
-                self.count("solver.continuation.load", stages, MOST_STAGES)?;
-            }
+            Some(Continuation::Load(n)) => self.count("solver.continuation.load", n, MOST_STAGES),
         }
-        Ok(())
     }
 }
 
