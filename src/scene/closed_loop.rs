@@ -11,6 +11,7 @@ use super::model::{
 use super::section::profile;
 use super::source::SceneSource;
 use super::values::{Instant, Number, Positive, digits, known};
+use crate::control::OptimalControlProblem;
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
@@ -18,7 +19,7 @@ use crate::mpc::{
     SensorSettings, Transfer, followed, with_long_steps,
 };
 use crate::stop::StopSignal;
-use crate::task::{Arm, Discretization, DiscretizeError};
+use crate::task::{Arm, Discretization, DiscretizeError, StartError, Task};
 
 /// A closed loop that a scene describes.
 #[derive(Clone, Debug)]
@@ -102,15 +103,19 @@ impl ClosedLoopSetup {
 }
 
 impl Scene {
-    /// Longest default horizon, s: blocks have to be short beside the paths that the arm follows.
-    fn longest_horizon(&self) -> f64 {
+    /// Returns the horizon, s. Blocks of a default one have to be short beside the paths that the arm follows.
+    fn horizon(&self, mpc: &Mpc, rod: &Rod, stop: &StopSignal) -> Result<f64, StartError> {
+        if let Some(horizon) = mpc.horizon_s {
+            return Ok(horizon.get());
+        }
+        let start = self.start().state(rod, stop)?;
         let follows =
             (self.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
-        if follows {
-            PART_OF_TIME * self.time.end_s.get()
-        } else {
-            f64::INFINITY
-        }
+        let longest = match follows {
+            true => PART_OF_TIME * self.time.end_s.get(),
+            false => f64::INFINITY,
+        };
+        Ok(default_horizon(rod, &start, mpc.period_s.get(), longest))
     }
 
     /// Returns the closed loop that the scene describes; `seed` is that of the noise if the scene has none, and `stop` ends the search for
@@ -138,23 +143,16 @@ impl Scene {
 
         let asked = self.discretization();
         let rod = arm.rod(&asked).map_err(|error| refused(error.into()))?;
-        let horizon = match mpc.horizon_s {
-            Some(horizon) => horizon.get(),
-            None => {
-                let start = (self.start().state(&rod, stop)).map_err(|e| refused(e.into()))?;
-                default_horizon(&rod, &start, period, self.longest_horizon())
-            }
-        };
+        let horizon = (self.horizon(mpc, &rod, stop)).map_err(|error| refused(error.into()))?;
         let due = mpc.due_s.or(self.task.as_ref().and_then(|task| task.at_s));
-        let mut task = self.posed_task_until(source, duration + horizon)?;
-        task.horizon = horizon;
-        // The plan of a controller has no rows for tensions.
-        task.keeps_taut = false;
+        let task = Task {
+            horizon,
+            // The plan of a controller has no rows for tensions.
+            keeps_taut: false,
+            ..self.posed_task_until(source, duration + horizon)?
+        };
         // Where the arm stays is for the controller alone to find out, and only where the task is due.
         let passing = task.clone().stopping();
-        if due.is_none() {
-            task = passing.clone();
-        }
         let settings = mpc.settings(horizon, due.map(Number::get));
         let asked = with_long_steps(&rod, &asked, &settings);
         let blocks = (horizon / settings.block).round().max(1.0) as usize;
@@ -180,9 +178,7 @@ impl Scene {
 
         let seed = mpc.seed.unwrap_or(seed);
         let sensors = self.sensors(source, &model, &found.rod)?;
-        let actuators = (self.plant.as_ref())
-            .and_then(|plant| plant.actuator.as_ref())
-            .map_or_else(ActuatorDynamics::default, model::PlantActuator::dynamics);
+        let actuators = self.actuator_dynamics();
         let mut loop_settings = mpc.loop_settings(actuators.delay);
         if self.estimator.is_some() {
             loop_settings.fallback = (loop_settings.fallback).following(&sensors, period);
@@ -204,13 +200,7 @@ impl Scene {
             seed: Some(seed),
             ..mpc.resolved(&loop_settings, self.estimator.is_some())
         });
-        resolved.plant = Some(Plant {
-            elements: Some(plant_discretization.elements),
-            viscous_1_s: Some(known(plant.viscous_damping)),
-            internal_s: Some(known(plant.internal_damping)),
-            curvature_1_m: Some(plant.rest_curvature.into()),
-            ..self.plant.clone().unwrap_or_default()
-        });
+        resolved.plant = Some(self.resolved_plant(&plant, &plant_discretization));
         resolved.sensor = sensors.iter().map(SensorKeys::describing).collect();
         if let Some(estimator) = &mut resolved.estimator {
             estimator.disturbances = Some(estimator.unknowns(self.tip_kind()));
@@ -218,15 +208,8 @@ impl Scene {
 
         let mut warnings = self.concerns(due, duration);
         warnings.extend(self.sharp_sensors(&sensors, &model));
-        // The controller's problem and the one here have the same weights.
-        for (track, discrete) in
-            (task.cost.tracks.iter_mut()).zip(&posed.discrete.objective.tracking)
-        {
-            track.weight = Some(discrete.weight);
-            track.rotation_weight = Some(discrete.rotation_weight);
-        }
-        task.cost.force_scale = tip.map(|tip| tip.force.scale);
-        task.cost.moment_scale = tip.map(|tip| tip.moment.scale);
+        let task = if due.is_some() { task } else { passing };
+        let task = with_weights_of(task, &posed.discrete);
         let sensing = (self.estimator.as_ref()).map_or(Sensing::Everything, |estimator| {
             estimator.sensing(&sensors, seed, self.tip_kind())
         });
@@ -410,6 +393,24 @@ impl Scene {
         (plant, own)
     }
 
+    fn actuator_dynamics(&self) -> ActuatorDynamics {
+        let own = self
+            .plant
+            .as_ref()
+            .and_then(|plant| plant.actuator.as_ref());
+        own.map_or_else(ActuatorDynamics::default, model::PlantActuator::dynamics)
+    }
+
+    fn resolved_plant(&self, plant: &Arm, discretization: &Discretization) -> Plant {
+        Plant {
+            elements: Some(discretization.elements),
+            viscous_1_s: Some(known(plant.viscous_damping)),
+            internal_s: Some(known(plant.internal_damping)),
+            curvature_1_m: Some(plant.rest_curvature.into()),
+            ..self.plant.clone().unwrap_or_default()
+        }
+    }
+
     /// Returns the dynamics of the plant's actuators, the last `n_poses` of which are on poses: lags are those of the plant, or else of the
     /// model.
     fn plant_efforts(&self, n_poses: usize) -> Vec<EffortDynamics> {
@@ -448,6 +449,18 @@ impl Scene {
         }
         Ok(out)
     }
+}
+
+/// Returns a task with the weights and scales that were chosen for a problem, so that the problem of the controller has the same.
+fn with_weights_of(mut task: Task, problem: &OptimalControlProblem) -> Task {
+    for (track, chosen) in (task.cost.tracks.iter_mut()).zip(&problem.objective.tracking) {
+        track.weight = Some(chosen.weight);
+        track.rotation_weight = Some(chosen.rotation_weight);
+    }
+    let tip = problem.wrench_actuators().first();
+    task.cost.force_scale = tip.map(|tip| tip.force.scale);
+    task.cost.moment_scale = tip.map(|tip| tip.moment.scale);
+    task
 }
 
 /// Returns half of the first natural period about the start, s, at most `longest` and at least ten samples, as a whole number of samples.
