@@ -47,6 +47,9 @@ const ON_THE_SURFACE: f64 = 0.01;
 const PART_OF_PERIOD: f64 = 0.5;
 const PART_OF_TIME: f64 = 0.25;
 const FEWEST_SAMPLES: f64 = 10.0;
+/// Remedy for a plant that cannot be computed with.
+const OF_PLANT: &str =
+    "the arm as it is has the keys of [rod], and in their place those of [plant]";
 
 impl ClosedLoopSetup {
     /// The sensors that an estimator uses.
@@ -130,17 +133,11 @@ impl Scene {
         seed: u32,
         stop: &StopSignal,
     ) -> Result<ClosedLoopSetup, SceneError> {
-        let Some(mpc) = &self.mpc else {
-            let help =
-                "softarm mpc needs it, be it empty; `softarm example mpc-track-circle` shows one";
-            return Err(source.error_at("mpc", "[mpc] is missing", Some(help.into())));
-        };
-        self.refuse_unknown_parts(source)?;
+        let mpc = self.controller(source)?;
         let arm = self.arm(source)?;
         let duration = mpc.duration_s.map_or(self.time.end_s.get(), Number::get);
         let period = mpc.period_s.get();
         let refused = |error| self.discretize_error(source, error);
-
         let asked = self.discretization();
         let rod = arm.rod(&asked).map_err(|error| refused(error.into()))?;
         let horizon = (self.horizon(mpc, &rod, stop)).map_err(|error| refused(error.into()))?;
@@ -169,11 +166,7 @@ impl Scene {
         let efforts = self.plant_efforts(arm.pose_actuators.len());
         let found = passing
             .discretize_until(&plant, &plant_discretization, stop)
-            .map_err(|error| {
-                let help =
-                    "the arm as it is has the keys of [rod], and in their place those of [plant]";
-                source.error_at("plant", error.to_string(), Some(help.into()))
-            })?
+            .map_err(|error| source.error_at("plant", error.to_string(), Some(OF_PLANT.into())))?
             .discrete;
 
         let seed = mpc.seed.unwrap_or(seed);
@@ -271,8 +264,13 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: waypoints, a free duration and cubic blocks.
-    fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
+    /// Returns the keys of the controller; refuses features that it does not support: waypoints, a free duration and cubic blocks.
+    fn controller(&self, source: &SceneSource) -> Result<&Mpc, SceneError> {
+        let Some(mpc) = &self.mpc else {
+            let help =
+                "softarm mpc needs it, be it empty; `softarm example mpc-track-circle` shows one";
+            return Err(source.error_at("mpc", "[mpc] is missing", Some(help.into())));
+        };
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
@@ -298,7 +296,7 @@ impl Scene {
         ];
         match refusals.into_iter().find(|(_, is_there, _, _)| *is_there) {
             Some((key, _, message, help)) => Err(source.error_at(key, message, Some(help.into()))),
-            None => Ok(()),
+            None => Ok(mpc),
         }
     }
 

@@ -203,6 +203,11 @@ impl Default for Fraction {
     }
 }
 
+/// Returns true, the default of some keys.
+pub(super) fn yes() -> bool {
+    true
+}
+
 /// Tells whether a key is as it is without being given.
 pub(super) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()

@@ -41,7 +41,7 @@ pub struct Control {
     pub moment_rate_max_n_m_s: Option<Bound>,
     /// Keeps tendons on winches that are controls taut in a solve, those that are taut at the start and where the arm is held at its
     /// target; default true. Where it is false they may go slack, and a solve may not converge, since a slack tendon does not feel its winch.
-    #[serde(default = "yes", skip_serializing_if = "is_yes")]
+    #[serde(default = "values::yes", skip_serializing_if = "bool::clone")]
     pub keep_taut: bool,
     /// Forces and moments on other nodes than the tip.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -156,18 +156,6 @@ impl Default for Control {
 
 fn twenty() -> usize {
     20
-}
-
-fn yes() -> bool {
-    true
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "the signature that serde asks for"
-)]
-fn is_yes(value: &bool) -> bool {
-    *value
 }
 
 impl Keys<'_> {

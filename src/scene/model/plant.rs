@@ -62,17 +62,13 @@ pub struct PlantHardware {
     /// Place in the section at `to`, in m. Absent: `offset_m` of this table, or the model's if that is absent too.
     pub offset_to_m: Option<[f64; 2]>,
     /// Factor on the effort, of the pretension too: what friction leaves of a tension, or another area of a chamber; positive, default 1.
-    #[serde(default = "one")]
+    #[serde(default = "Positive::<values::Factor>::one")]
     pub effort_factor: Positive<values::Factor>,
     /// Time constant in s of a first-order lag of the effort, not negative. Absent: the model's `lag_s`, or else `plant.actuator.lag_s`.
     pub lag_s: Option<NonNegative<values::Time>>,
     /// Least and largest effort that the actuator reaches, in the unit of the command, before `effort_factor`; `inf` and `-inf` are no
     /// bounds. Absent: unbounded.
     pub saturation: Option<[f64; 2]>,
-}
-
-fn one() -> Positive<values::Factor> {
-    known(1.0)
 }
 
 impl PlantHardware {

@@ -48,7 +48,7 @@ pub struct Task {
     /// `rod.length_m`.
     pub stays_m: Option<Positive<values::Distance>>,
     /// Enforcement of the target: a constraint (true) or a term of the objective (false).
-    #[serde(default = "yes")]
+    #[serde(default = "values::yes")]
     pub hard: bool,
     /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the target by about a
     /// thousandth of the way.
@@ -154,7 +154,7 @@ pub struct Via {
     /// Orientation as a quaternion, scalar first, of any length but zero.
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Enforcement of the waypoint: a constraint (true) or a term of the objective (false).
-    #[serde(default = "yes")]
+    #[serde(default = "values::yes")]
     pub hard: bool,
     /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the waypoint by about a
     /// thousandth of the way.
@@ -171,10 +171,6 @@ impl Task {
     pub fn instant(&self, end_s: f64) -> f64 {
         self.at_s.map_or(end_s, Number::get)
     }
-}
-
-fn yes() -> bool {
-    true
 }
 
 impl Keys<'_> {
