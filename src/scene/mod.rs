@@ -38,7 +38,6 @@ mod materials;
 mod model;
 mod overrides;
 mod reader;
-#[cfg(feature = "schema")]
 mod reference;
 mod refusal;
 mod rows;
@@ -149,8 +148,7 @@ impl Scene {
             .unwrap_or_else(|error| format!("# this scene cannot be written as TOML: {error}\n"))
     }
 
-    /// JSON Schema of the scene file, for editors and other programs; needs the feature `schema`.
-    #[cfg(feature = "schema")]
+    /// JSON Schema of the scene file, for editors and other programs.
     pub fn schema() -> serde_json::Value {
         // A key that may be absent has no default of its own.
         let without_null =
@@ -171,7 +169,6 @@ impl Scene {
 
     /// Returns the reference of the scene file in Markdown: every section and key with type, unit, default and description, in
     /// the words of [`Self::schema`].
-    #[cfg(feature = "schema")]
     #[must_use]
     pub fn reference() -> String {
         reference::page(&Self::schema())

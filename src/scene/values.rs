@@ -213,7 +213,6 @@ pub(super) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
-#[cfg(feature = "schema")]
 impl<R: Range, Q> schemars::JsonSchema for Number<R, Q> {
     fn inline_schema() -> bool {
         true

@@ -1,7 +1,5 @@
 //! Every key of the schema can be given, in the text of a scene and by `--set`, and arrives.
 
-#![cfg(feature = "schema")]
-
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value as Json;

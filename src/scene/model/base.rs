@@ -1,7 +1,6 @@
 //! The two ends of the arm: held, moved or free.
 
 use nalgebra::{Matrix3, Vector3};
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -14,8 +13,7 @@ use crate::mechanics::{self, CubicSpline, EndCondition, LoadFrame, MotionCurve, 
 /// Pose and motion of the first node.
 ///
 /// The arm at rest leaves the base along `direction`, which is the third axis of the base's frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Base {
     /// Condition of the base: clamped, pinned, driven, or free.
@@ -39,12 +37,11 @@ pub struct Base {
 ///
 /// Without a pose, the tip is held where the arm at rest ends. With another pose, the arm starts from its equilibrium there
 /// (`initial.shape = "equilibrium"`).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Tip {
     /// Condition of the tip: clamped, pinned, driven, or free.
-    #[cfg_attr(feature = "schema", schemars(default = "free_tip"))]
+    #[schemars(default = "free_tip")]
     pub kind: EndKind,
     /// Position in m in which the tip is held; for a driven tip, the position from which it moves. Default: where the arm at rest ends.
     pub position_m: Option<[f64; 3]>,
@@ -85,8 +82,7 @@ impl Default for Tip {
 /// orientation at time t is exp(r(t)) times the given one, or with `rotation_frame = "body"` the given one times
 /// exp(r(t)). Rotation vectors of several terms add up. At t = 0 the arm has its shape where a driven base is then, and
 /// moves with it as a rigid body.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BaseMotion {
     /// Constant velocity in m/s. Default: none.
@@ -109,8 +105,7 @@ pub struct BaseMotion {
 }
 
 /// A harmonic motion, amplitude times sin(2π f t + phase) - sin(phase): zero at t = 0.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Oscillation {
     /// Amplitude of the displacement in m. Default: none.
@@ -127,8 +122,7 @@ pub struct Oscillation {
 }
 
 /// Condition of an end.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum EndKind {
     /// Position and orientation are held.

@@ -1,6 +1,5 @@
 //! Contacts: bodies that the arm touches, their keys, the contact of an arm that they mean, and the keys that describe such a contact.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -14,8 +13,7 @@ use crate::mechanics;
 /// the four shapes. A piece as deep as p in the body is pushed out by its share of the force `force_n` (p/`penetration_m`)², its share of the length of
 /// the part that can touch. The arm does not touch itself, nothing sticks, and nothing is grasped; the arm may be led into a body, but a fast one passes
 /// through a thin body between two time steps, and one that is pressed in deeper than its middle.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Contact {
     /// Name in results. Default: "contact" and its number, from 0.

@@ -1,6 +1,5 @@
 //! The controls that the optimizer may choose.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,13 +15,12 @@ use crate::task::{
 
 /// Force and moment on the tip, and wrenches on other nodes, as functions of time on blocks of equal duration. A force
 /// or moment that is not named does not act.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Control {
     /// Number of blocks into which the horizon of the controls is divided, at least 1, default 20.
     #[serde(default = "twenty")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub blocks: usize,
     /// Course of the controls within a block.
     #[serde(default)]
@@ -56,12 +54,11 @@ pub struct Control {
 /// points at equal distances, whose values are controls, and through 0 at both ends. It does not go with
 /// `[task.free_duration]` or with `solver.qp = "sparse"`. If it is the only actuator, give every `[[objective.track]]`
 /// a weight.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Distributed {
     /// Number of points between the ends, 1 to 100.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100)))]
+    #[schemars(range(min = 1, max = 100))]
     pub points: usize,
     /// Largest couple at every point in N m/m, finite. A component with a bound of 0 does not act.
     pub moment_max_n_m_per_m: Bound,
@@ -70,8 +67,7 @@ pub struct Distributed {
 }
 
 /// Weights of the regulator along the solution.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Feedback {
     /// Weight of the energy of a deviation, twice the energy divided by EI/L, on the way and at the end; not negative, default 1.
@@ -94,8 +90,7 @@ impl Default for Feedback {
 }
 
 /// A force (spatial frame) and a moment (the node's body frame) that the optimizer may choose.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Actuator {
     /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
@@ -111,8 +106,7 @@ pub struct Actuator {
 }
 
 /// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative; `inf` bounds nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected a number, which bounds the norm, or [x, y, z], which bounds each component"

@@ -1,6 +1,5 @@
 //! Estimators of a closed loop: their keys, and the unknowns that they estimate.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -11,8 +10,7 @@ use super::base::EndKind;
 use crate::mpc::{Sensing, SensorChoice, SensorSettings, Unknowns};
 
 /// Estimator of the state from sensors.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Estimator {
     /// Method.
@@ -20,7 +18,7 @@ pub struct Estimator {
     /// Number of elements of the estimator's own model, 1 to 5000. The cost of a Kalman filter grows with its third
     /// power. Ten follow a path as well as more; an arm that stands still may be off by the difference of the two
     /// models. Absent: `rod.elements`.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
+    #[schemars(range(min = 1, max = 5000))]
     pub elements: Option<usize>,
     /// Longest time step of the estimator's model; longer ones cost less. The automatic one resolves the three slowest bending
     /// modes; if it is implicit, the arm may also be bent into a circle, so that a thin and stiff one takes hundreds of steps a sample.
@@ -38,8 +36,7 @@ pub struct Estimator {
 }
 
 /// Method of an estimator.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum EstimatorKind {
     /// The true state is known at once; sensors play no part.
@@ -49,8 +46,7 @@ pub enum EstimatorKind {
 }
 
 /// Unknown that an estimator finds besides the state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Unknown {
     /// A force on the tip.

@@ -1,7 +1,6 @@
 //! Magnets in fields, and cables to points in space.
 
 use nalgebra::{Matrix3, Vector3};
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -21,8 +20,7 @@ const GRADIENT: [&str; 5] = ["Gxx", "Gxy", "Gxz", "Gyy", "Gyz"];
 /// A magnet in the arm and the magnetic field in which it is. Its moment m turns with the section; in the field B(x) = B + G (x - center)
 /// the arm has a force G m and a moment m × B there. The components of B are efforts, "NAME Bx", "NAME By" and "NAME Bz" in results: with
 /// `field_t` they are controls, with `profile` they are given, in simulations too; those of G likewise.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Magnet {
     /// Name in results, one for each actuator. Absent: the word magnet with its place in the list, from 0.
@@ -69,8 +67,7 @@ pub struct Magnet {
 
 /// A cable from the arm to a fixed point in space, which pulls the arm toward that point with its tension. With `tension_n` its tension is a
 /// control, with `profile` it is given, in simulations too.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cable {
     /// Name in results, one for each actuator. Absent: the word cable with its place in the list, from 0.

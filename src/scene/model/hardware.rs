@@ -1,6 +1,5 @@
 //! Actuators that are built into the arm: tendons, chambers, muscles.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -32,8 +31,7 @@ macro_rules! actuator {
         more { $($(#[$more_about:meta])* $more:ident: $More:ty,)* }
     ) => {
         $(#[$about])*
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-        #[cfg_attr(feature = "schema", derive(JsonSchema))]
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(deny_unknown_fields)]
         pub struct $Kind {
             #[doc = concat!("Name in results, one for each actuator. Absent: the word ", $section, " with its place in the list, from 0.")]
@@ -317,8 +315,7 @@ actuator! {
 }
 
 /// The actuator whose control drives another one too.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FollowKeys {
     /// Its name: that of a tendon, chamber, muscle or braid whose effort is a control.
@@ -329,8 +326,7 @@ pub struct FollowKeys {
 }
 
 /// A bound on a rate: a number bounds its magnitude, [down, up] has the fastest fall, negative, and the fastest rise.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected a number, which bounds the rate both ways, or [down, up], the fastest fall, negative, and the fastest rise"

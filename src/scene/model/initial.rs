@@ -1,7 +1,6 @@
 //! The state at t = 0: a shape in words or rows, or the end of another result.
 
 use nalgebra::{Matrix3, Vector3};
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -17,8 +16,7 @@ use crate::task::{Start, StartShape};
 ///
 /// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with the velocity
 /// of its base. The end of a result has velocities of its own.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Initial {
     /// Shape that the motion starts from: `"rest"`, the stress-free shape, on which gravity and loads act suddenly;
@@ -42,8 +40,7 @@ pub struct Initial {
 }
 
 /// Shape that a motion starts from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected \"rest\", \"equilibrium\", or rows of numbers"
@@ -56,9 +53,8 @@ pub enum InitialShape {
 }
 
 /// A shape that needs no numbers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(inline))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[schemars(inline)]
 #[serde(rename_all = "kebab-case")]
 pub enum ShapeWord {
     /// The stress-free shape: gravity and loads act suddenly.
@@ -75,8 +71,7 @@ impl Default for InitialShape {
 }
 
 /// State of all nodes of an arm, with one row a node in every table.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InitialState {
     /// Length at rest in m, which must be that of the arm.

@@ -1,7 +1,6 @@
 //! Obstacles, and limits on strains and speeds: their keys, the limits of a task that they mean, and the keys that describe such a limit.
 
 use nalgebra::{Matrix3, Vector3};
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -15,8 +14,7 @@ use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::task;
 
 /// A body that the arm stays clear of, with its own radius around its center line: exactly one of the four shapes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Obstacle {
     /// Name in reports. Default: "obstacle" and its number, from 0.
@@ -43,8 +41,7 @@ pub struct Obstacle {
 }
 
 /// All points within a distance of a center.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sphere {
     /// Center in m.
@@ -54,8 +51,7 @@ pub struct Sphere {
 }
 
 /// All points within a distance of a segment: a cylinder with round ends.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Capsule {
     /// One end of the axis in m.
@@ -67,8 +63,7 @@ pub struct Capsule {
 }
 
 /// All points behind a plane.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HalfSpace {
     /// A point of the plane in m.
@@ -78,8 +73,7 @@ pub struct HalfSpace {
 }
 
 /// A box.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cuboid {
     /// Center in m.
@@ -93,8 +87,7 @@ pub struct Cuboid {
 /// Price of a violation d, in the units of the objective: `linear` times d and `quadratic` times d²/2, per second.
 /// Distances are divided by the length of the arm, curvatures multiplied by it, and speeds divided by length over time
 /// scale; stretch counts as it is. A linear price above the constraint's multiplier enforces the constraint exactly.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Price {
     /// Price of a violation of 1 for a second; not negative, default 0.
@@ -106,8 +99,7 @@ pub struct Price {
 }
 
 /// A limit on the strain of every element, or on the speed or the tilt of a node: exactly one of the five.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Limit {
     /// Name in reports. Default: the key of what is limited.
@@ -132,8 +124,7 @@ pub struct Limit {
 }
 
 /// An angle between an axis of a node and a direction in space.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Tilt {
     /// Axis of the node in its body frame, of any length but zero; [0, 0, 1] is along the arm.

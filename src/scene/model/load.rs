@@ -1,6 +1,5 @@
 //! Loads on the arm: gravity, damping, a payload, given forces and moments.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -10,8 +9,7 @@ use crate::mechanics::{self, LoadFrame, Mesh, NodeInertia};
 use crate::task::{Place, PointLoad};
 
 /// Uniform gravity.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Gravity {
     /// Acceleration in m/s², spatial frame.
@@ -19,8 +17,7 @@ pub struct Gravity {
 }
 
 /// Damping of the motion.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Damping {
     /// Rate α in 1/s, not negative, default 0: the force on every node is -α times mass times velocity, and the moment
@@ -33,8 +30,7 @@ pub struct Damping {
 }
 
 /// A rigid body at the tip, with its center of mass in the last node and its principal axes along the node's.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Payload {
     /// Mass in kg, not negative.
@@ -47,8 +43,7 @@ pub struct Payload {
 
 /// A rigid body on the arm, as a disc, a magnet or a gripper, with its center of mass on the axis of the arm and its
 /// principal axes along those of the section there. `[payload]` is the one at the tip.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
     /// Place on the arm, as a fraction of `rod.length_m` from the base.
@@ -62,8 +57,7 @@ pub struct Body {
 }
 
 /// A prescribed force and moment per rest length on a section of the arm.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DistributedLoad {
     /// Start of the loaded section, as a fraction of `rod.length_m` from the base. Default: 0, the base.
@@ -86,8 +80,7 @@ pub struct DistributedLoad {
 }
 
 /// A prescribed force and moment on one node.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Load {
     /// Node that is loaded: "tip", "base", an index that counts from 0 at the base, or, with a decimal point, the node
@@ -108,8 +101,7 @@ pub struct Load {
 }
 
 /// A node of the rod.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(from = "LoadNodeKey", into = "LoadNodeKey")]
 pub enum LoadNode {
     /// The last node.
@@ -124,23 +116,21 @@ pub enum LoadNode {
 }
 
 /// "tip", "base", the index of a node, from 0 at the base, or with a decimal point a fraction of the arm's length from the base.
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected \"tip\", \"base\", the index of a node, or with a decimal point a fraction of the length"
 )]
-#[cfg_attr(feature = "schema", schemars(rename = "LoadNode"))]
+#[schemars(rename = "LoadNode")]
 enum LoadNodeKey {
     End(RodEnd),
     Index(usize),
     Fraction(Fraction),
 }
 
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-#[cfg_attr(feature = "schema", schemars(inline))]
+#[schemars(inline)]
 enum RodEnd {
     Tip,
     Base,

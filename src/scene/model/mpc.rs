@@ -1,6 +1,5 @@
 //! The controller of a closed loop and its fallback: their keys, and the settings that they mean.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -58,8 +57,7 @@ impl Default for Fallback {
 /// Model-predictive control of an arm, in simulation or, with `softarm mpc --serve`, of a plant in another process. The
 /// rod of the scene is the model of the controller, `[control]` bounds its commands, and `[task]` or
 /// `[[objective.track]]` is its reference.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Mpc {
     /// Time between two samples in s, positive, default 0.01.
@@ -75,7 +73,7 @@ pub struct Mpc {
     pub block_s: Option<Positive<values::Duration>>,
     /// Number of blocks of one length, after which the next ones are twice as long: near decisions are fine, far ones
     /// coarse; at least 1. Absent: all blocks are equal.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub equal_blocks: Option<usize>,
     /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of
     /// `objective.force_scale_n` and `moment_scale_n_m`; not negative, default 100. If the model is coarser than the
@@ -93,7 +91,7 @@ pub struct Mpc {
     /// commands can keep it. With a number, a limit gives way where the cost saved exceeds the price.
     pub limit_price: Option<Positive<values::Weight>>,
     /// Gauss-Newton iterations per sample, at least 1, default 1. They end early if the plan does not change any more.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub iterations: usize,
     /// Time in s from the start of a sample at which its command is due, positive: an iteration other than the first is
     /// not begun if it would end later. Commands then depend on the machine. Absent: all iterations are made.
@@ -120,8 +118,7 @@ pub struct Mpc {
 }
 
 /// Computing time of a command in the loop's own time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Computing {
     /// No time: the command of a sample acts from its beginning.
@@ -135,8 +132,7 @@ pub enum Computing {
 
 /// Commands of samples for which no command can be computed: the plan goes on, then the tip is damped, then the wrench
 /// goes to zero along a ramp, or stays as it is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Fallback {
     /// Largest age in s of an estimate from which the state is still predicted, positive. Absent: the largest `age_s`

@@ -2,7 +2,6 @@
 
 mod path;
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,8 +15,7 @@ use crate::mechanics::{Mesh, RodModel};
 use crate::task::{self, Cost, Problem};
 
 /// Terms that the optimizer minimizes, with their weights.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Objective {
     /// Weight in 1/s of half the squared controls, integrated over time; not negative, default 1. It may be 0 with a
@@ -33,7 +31,7 @@ pub struct Objective {
     pub track: Vec<Track>,
     /// Intervals of the integrals of energy and tracks over the horizon, at least 1, default 100. A loop whose horizon
     /// recedes uses at most two per block.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub samples: usize,
     /// Force in N that counts as 1, positive. Absent: EI/L² of the arm's harmonic mean EI, the force at the tip that bends the whole arm
     /// by an angle of about 1.
@@ -49,8 +47,7 @@ pub struct Objective {
 ///
 /// A scene with `[control]` and a track is an optimal-control problem, with or without a `[task]`; without one, the
 /// horizon ends at `time.end_s`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Track {
     /// Node that follows. Default: "tip".
@@ -93,8 +90,7 @@ pub struct Track {
 
 /// Turns on a circle, from t = 0 for as long as the scene lasts: c + r (cos φ a + sin φ b), φ = 2π t over `turn_s`, where a and b are the
 /// first two axes of the frame whose third one is `normal`, after the shortest rotation from the spatial frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Circle {
     /// Center c in m.
@@ -120,8 +116,7 @@ fn upward() -> [f64; 3] {
 /// Turns on a figure eight, the lemniscate of Gerono, from t = 0 for as long as the scene lasts: c + a (sin φ e₁ + sin φ cos φ e₂), φ = 2π
 /// t over `turn_s`, where e₁ and e₂ are the first two axes of the frame whose third one is `normal`, after the shortest rotation from the
 /// spatial frame. It begins in its center.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FigureEight {
     /// Center c in m.

@@ -1,6 +1,5 @@
 //! The plant of a closed loop, where it differs from the model: its keys, and the arm and actuators that they mean.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,12 +11,11 @@ use crate::mechanics::StrainActuator;
 use crate::mpc::{ActuatorDynamics, EffortDynamics};
 
 /// The arm that the controller acts on, where it differs from the controller's model. Its time step is its own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Plant {
     /// Number of elements, 1 to 5000. Absent: `rod.elements`.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
+    #[schemars(range(min = 1, max = 5000))]
     pub elements: Option<usize>,
     /// Factor on all stiffnesses of the rod, positive, default 1.
     pub stiffness_factor: Positive<values::Factor>,
@@ -51,8 +49,7 @@ pub struct Plant {
 }
 
 /// An actuator in the arm, where it differs from the model's.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlantHardware {
     /// Name of the model's actuator: its `name`, or its kind with its place in the list, such as `tendon 0`.
@@ -113,8 +110,7 @@ impl Plant {
 }
 
 /// Actuators that are late, slow and limited; the limits are norms of the wrench that acts.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PlantActuator {
     /// Time in s until a command has any effect, not negative, default 0.

@@ -2,7 +2,6 @@
 
 mod segment;
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -20,8 +19,7 @@ use crate::task;
 /// A straight or curved rod with a section of some material, or with stiffness and inertia given directly.
 ///
 /// Either `material` and `section`, or `stiffness` and `inertia`, or segments with their own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Rod {
     /// Rest length in m, positive.
@@ -30,7 +28,7 @@ pub struct Rod {
     /// the curvature at rest has a step, at bodies, and where actuators end or are attached; the elements are shared out among the pieces between these places
     /// by length, at least one to each, and are equally long within a piece. Absent: chosen for `accuracy`.
     #[serde(default = "first_elements")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
+    #[schemars(range(min = 1, max = 5000))]
     pub elements: usize,
     /// Largest error of any point of the arm at any time that elements and time step may make, as a fraction of the
     /// length, 1e-8 to 0.1. It stands in the place of `elements` and `time.step_s`, which are then chosen, and does not
@@ -74,8 +72,7 @@ pub(in crate::scene) const FINEST: f64 = 1e-8;
 pub(in crate::scene) const COARSEST: f64 = 0.1;
 
 /// The rotary inertia of the nodes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RotaryInertia {
     /// That of segments if the arm is slender, has a material, and would take more than a second and five times as long
@@ -92,8 +89,7 @@ pub enum RotaryInertia {
 
 /// A homogeneous elastic material: by name, by its figures, or by name with some figures of its own, which take
 /// precedence.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Material {
     /// Name of a material, which supplies the figures below that are not given.
@@ -114,8 +110,7 @@ pub struct Material {
 }
 
 /// The shape in which the rod carries no stress.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Reference {
     /// Curvature about the two transverse axes and twist about the rod's axis, in 1/m, body frame. Default: none.

@@ -1,6 +1,5 @@
 //! The section of the rod: its shape, or its stiffness and inertia.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -11,8 +10,7 @@ use crate::mechanics::Shape;
 /// The section of the rod. A circle has `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`, or their
 /// diameters; a ring has its outer and its inner radius or diameter; a rectangle and an ellipse have `width_m` and
 /// `height_m`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Section {
     /// Shape of the section.
@@ -44,9 +42,8 @@ pub struct Section {
 }
 
 /// The shape of a section.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(rename = "Shape"))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[schemars(rename = "Shape")]
 #[serde(rename_all = "kebab-case")]
 pub enum ShapeKey {
     /// A full circle.
@@ -73,8 +70,7 @@ impl ShapeKey {
 }
 
 /// Stiffness of a section along and about its principal axes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stiffness {
     /// Axial stiffness E A in N, positive.
@@ -91,20 +87,17 @@ pub struct Stiffness {
 }
 
 /// One positive number for both transverse axes of a section, or one for each of them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(inline))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(inline)]
 #[serde(
     untagged,
     expecting = "expected a number for both axes, or [first, second] for each of them"
 )]
 pub enum Transverse {
     /// One for both axes.
-    Both(#[cfg_attr(feature = "schema", schemars(with = "Positive<values::Factor>"))] f64),
+    Both(#[schemars(with = "Positive<values::Factor>")] f64),
     /// One for the first and one for the second axis.
-    Each(
-        #[cfg_attr(feature = "schema", schemars(with = "[Positive<values::Factor>; 2]"))] [f64; 2],
-    ),
+    Each(#[schemars(with = "[Positive<values::Factor>; 2]")] [f64; 2]),
 }
 
 impl Transverse {
@@ -126,8 +119,7 @@ impl Transverse {
 }
 
 /// Inertia of a section, per length of the rod.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Inertia {
     /// Mass per length in kg/m, positive.

@@ -1,6 +1,5 @@
 //! Sensors of a closed loop: their keys, and the quantities that they measure.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,8 +11,7 @@ use crate::mpc::{Quantity, QuantityRow, SensorPreset, SensorSettings};
 /// A sensor with its noise, rate and age; a single one may be written as `[sensor]`. A standard deviation is that of
 /// each of three numbers, and 0 is exact; a quantity without a standard deviation, of its own or by `preset`, is not
 /// measured.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
     /// Usual sensor, which supplies the keys below that are not given.

@@ -1,6 +1,5 @@
 //! Settings of the optimizer: tolerances, quadratic model, initial guesses, continuation and deadline.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -10,8 +9,7 @@ use crate::control::Continuation;
 use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
 
 /// Settings of the optimizer.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Solver {
     /// Largest residual of the optimality conditions at which a solve has converged; positive, default 1e-6.
@@ -19,7 +17,7 @@ pub struct Solver {
     /// Limit on the iterations of all solves of a start together: from every initial guess, of the stages of a
     /// continuation, and at the durations tried for a free final time; at least 1, default 600. A solve that reaches it
     /// ends as `iteration-limit`.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub max_iterations: usize,
     /// Fraction of the objective that passing a saddle must gain; positive, at most 0.1, default 0.01. A saddle with
     /// less to gain is a result, and the certificate says how much is left.
@@ -38,8 +36,7 @@ pub struct Solver {
 }
 
 /// Initial guess of a solve.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Guess {
     /// The arm at rest; then, until a solve converges, detours through static shapes (with obstacles), static shapes on

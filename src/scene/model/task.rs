@@ -1,7 +1,6 @@
 //! The task of the tip: its target, the time, and the waypoints on the way.
 
 use nalgebra::Vector3;
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,8 +15,7 @@ use crate::mechanics::rotation::from_quaternion;
 use crate::task::{self, Hardness, Problem, Rest, Staying, Target, Tolerances};
 
 /// Target of the tip: a position, an orientation, or both.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Task {
     /// Node of the target: `"tip"`, or a fraction of the length, or an index. A tip that is held has no target, so that a task with one
@@ -70,8 +68,7 @@ pub struct Task {
 }
 
 /// The motion of an arm at its target.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(from = "AtRestKey", into = "AtRestKey")]
 pub enum AtRest {
     /// The whole arm comes to rest and stays.
@@ -84,19 +81,17 @@ pub enum AtRest {
 }
 
 /// true, "tip", or false.
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected true, \"tip\" or false")]
-#[cfg_attr(feature = "schema", schemars(rename = "AtRest"))]
+#[schemars(rename = "AtRest")]
 enum AtRestKey {
     Word(TipWord),
     Flag(bool),
 }
 
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-#[cfg_attr(feature = "schema", schemars(inline))]
+#[schemars(inline)]
 enum TipWord {
     Tip,
 }
@@ -123,8 +118,7 @@ impl From<AtRest> for AtRestKey {
 
 /// Free final time. Blocks of the control, waypoints and samples scale with the duration; loads and paths to follow
 /// keep to the clock.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FreeDuration {
     /// Shortest duration in s, positive.
@@ -140,8 +134,7 @@ pub struct FreeDuration {
 }
 
 /// A waypoint: a position, an orientation, or both.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Via {
     /// Time of passage in s, above 0 and before the task's own time. The nearest time node counts.

@@ -1,6 +1,5 @@
 //! Segments of the rod, each with a material, a section and a stress-free curvature of its own.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -13,8 +12,7 @@ use crate::scene::values::{self, Number, Positive, digits, known};
 
 /// A piece of the arm with a material, a section or a stress-free curvature of its own. Segments follow one another from
 /// base to tip and make up the whole arm. An element ends where two of them meet.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Segment {
     /// Length in m, positive; either this or `fraction`.
@@ -37,8 +35,7 @@ pub struct Segment {
 }
 
 /// The shape in which a segment carries no stress.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SegmentReference {
     /// Curvature about the two transverse axes and twist about the arm's axis, in 1/m, body frame.
