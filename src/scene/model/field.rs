@@ -142,52 +142,48 @@ impl Magnet {
         })
     }
 
+    /// Efforts of the components of the field, then of those of its gradient if there is one.
     fn efforts(&self, index: usize, feeling: &[&Self]) -> Vec<PoseEffort> {
-        let n = if self.has_gradient() { 8 } else { 3 };
-        (0..n)
-            .map(|component| {
-                let (in_field, at) = (component < 3, component % 3);
-                let at = if in_field { at } else { component - 3 };
-                let rest_gradient = self.rest_gradient_t_m.unwrap_or_default();
-                let keys = EffortKeys {
-                    section: "magnet",
-                    index,
-                    component: Some(at),
-                    bounds: match in_field {
-                        true => ("field_t", self.field_t.map(|bounds| bounds[at])),
-                        false => ("gradient_t_m", self.gradient_t_m.map(|bounds| bounds[at])),
-                    },
-                    rate: match in_field {
-                        true => ("rate_t_s", self.rate_t_s),
-                        false => ("gradient_rate_t_m_s", self.gradient_rate_t_m_s),
-                    },
-                    rest: match in_field {
-                        true => ("rest_field_t", self.rest_field_t[at]),
-                        false => ("rest_gradient_t_m", rest_gradient[at]),
-                    },
-                    profile: match in_field {
-                        true => ("profile", self.profile.is_some()),
-                        false => ("gradient_profile", self.gradient_profile.is_some()),
-                    },
-                    lag: None,
-                    winch: None,
-                };
-                let rows = match in_field {
-                    true => column(&self.profile, at),
-                    false => column(&self.gradient_profile, at),
-                };
-                let suffix = if in_field { FIELD[at] } else { GRADIENT[at] };
-                PoseEffort {
-                    keys,
-                    name: format!("{} {suffix}", self.name(index)),
-                    unit: if in_field { "T" } else { "T/m" },
-                    parts: (std::iter::once(&self).chain(feeling))
-                        .map(|magnet| (magnet.span(), magnet.in_field(component, self.center_m)))
-                        .collect(),
-                    rows,
-                }
-            })
-            .collect()
+        let keys = |at, bounds, rate, rest, profile| EffortKeys {
+            section: "magnet",
+            index,
+            component: Some(at),
+            bounds,
+            rate,
+            rest,
+            profile,
+            lag: None,
+            winch: None,
+        };
+        let field = (0..3).map(|at| {
+            let bounds = ("field_t", self.field_t.map(|bounds| bounds[at]));
+            let rate = ("rate_t_s", self.rate_t_s);
+            let rest = ("rest_field_t", self.rest_field_t[at]);
+            let profile = ("profile", self.profile.is_some());
+            let rows = column(&self.profile, at);
+            (keys(at, bounds, rate, rest, profile), FIELD[at], "T", rows)
+        });
+        let gradient = (0..5).filter(|_| self.has_gradient()).map(|at| {
+            let bounds = ("gradient_t_m", self.gradient_t_m.map(|bounds| bounds[at]));
+            let rate = ("gradient_rate_t_m_s", self.gradient_rate_t_m_s);
+            let rest = self.rest_gradient_t_m.map_or(0.0, |rest| rest[at]);
+            let rest = ("rest_gradient_t_m", rest);
+            let profile = ("gradient_profile", self.gradient_profile.is_some());
+            let rows = column(&self.gradient_profile, at);
+            let keys = keys(at, bounds, rate, rest, profile);
+            (keys, GRADIENT[at], "T/m", rows)
+        });
+        let all = field.chain(gradient).enumerate();
+        all.map(|(component, (keys, suffix, unit, rows))| PoseEffort {
+            keys,
+            name: format!("{} {suffix}", self.name(index)),
+            unit,
+            parts: (std::iter::once(&self).chain(feeling))
+                .map(|magnet| (magnet.span(), magnet.in_field(component, self.center_m)))
+                .collect(),
+            rows,
+        })
+        .collect()
     }
 }
 

@@ -52,7 +52,10 @@ macro_rules! actuator {
             pub to: Fraction,
             $(#[$bounds_about])*
             pub $bounds: Option<[f64; 2]>,
-            #[doc = concat!("Largest rate of the ", $effort, " in ", $rate_unit, ", or the fastest fall, negative, and the fastest rise. With it the ", $effort, " begins at")]
+            #[doc = concat!(
+                "Largest rate of the ", $effort, " in ", $rate_unit, ", or the fastest fall, negative, and the fastest rise. With it the ",
+                $effort, " begins at"
+            )]
             #[doc = concat!("`", stringify!($rest), "`. Absent: it may jump.")]
             pub $rate: Option<RateBound>,
             $(#[$lag])*
@@ -63,13 +66,17 @@ macro_rules! actuator {
             #[doc = concat!($Effort, $unit, " before the task begins, within the bounds, from which effort is counted. Default: 0.")]
             #[serde(default)]
             pub $rest: f64,
-            #[doc = concat!("Given ", $effort, " over time, as [t in s, ", $effort, $unit, "] with increasing t; linear in between and constant outside. It does not go with")]
+            #[doc = concat!(
+                "Given ", $effort, " over time, as [t in s, ", $effort, $unit,
+                "] with increasing t; linear in between and constant outside. It does not go with"
+            )]
             #[doc = concat!("`", stringify!($bounds), "`.")]
             pub profile: Option<Vec<[f64; 2]>>,
             $($(#[$more_about])* pub $more: $More,)*
         }
 
         impl $Kind {
+            /// Collects the keys that all kinds share.
             fn common(&self, index: usize, density: Density, scale: f64) -> Common<'_> {
                 Common {
                     effort: EffortKeys {
@@ -98,6 +105,7 @@ macro_rules! actuator {
                 }
             }
 
+            /// Returns the section with these keys, and with those of its own in their order.
             fn describing(common: Described, $($own: $Own,)* $($more: $More,)*) -> Self {
                 let Described { name, route, bounds, rate, lag_s, follows, rest, profile } = common;
                 Self {
