@@ -166,6 +166,12 @@ impl<Q> Default for NonNegative<Q> {
     }
 }
 
+impl Default for Positive<Factor> {
+    fn default() -> Self {
+        Self::one()
+    }
+}
+
 impl<R, Q> Serialize for Number<R, Q> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.serialize_f64(self.0)

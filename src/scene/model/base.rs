@@ -13,7 +13,7 @@ use crate::mechanics::{self, CubicSpline, EndCondition, LoadFrame, MotionCurve, 
 /// Pose and motion of the first node.
 ///
 /// The arm at rest leaves the base along `direction`, which is the third axis of the base's frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Base {
     /// Condition of the base: clamped, pinned, driven, or free.
@@ -144,20 +144,6 @@ impl EndKind {
             Self::Pinned => "pinned",
             Self::Driven => "driven",
             Self::Free => "free",
-        }
-    }
-}
-
-impl Default for Base {
-    fn default() -> Base {
-        Base {
-            kind: EndKind::default(),
-            position_m: [0.0; 3],
-            direction: None,
-            roll_rad: None,
-            orientation_wxyz: None,
-            axis: None,
-            motion: None,
         }
     }
 }

@@ -5,13 +5,13 @@ use serde::{Deserialize, Serialize};
 
 use super::super::check::MOST_ELEMENTS;
 use super::super::keys::{Checked, Keys, given, given_of};
-use super::super::values::{self, NonNegative, Number, Positive, digits, known};
+use super::super::values::{self, NonNegative, Number, Positive, digits};
 use super::{Payload, Scene, Section};
 use crate::mechanics::StrainActuator;
 use crate::mpc::{ActuatorDynamics, EffortDynamics};
 
 /// The arm that the controller acts on, where it differs from the controller's model. Its time step is its own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Plant {
     /// Number of elements, 1 to 5000. Absent: `rod.elements`.
@@ -59,7 +59,7 @@ pub struct PlantHardware {
     /// Place in the section at `to`, in m. Absent: `offset_m` of this table, or the model's if that is absent too.
     pub offset_to_m: Option<[f64; 2]>,
     /// Factor on the effort, of the pretension too: what friction leaves of a tension, or another area of a chamber; positive, default 1.
-    #[serde(default = "Positive::<values::Factor>::one")]
+    #[serde(default)]
     pub effort_factor: Positive<values::Factor>,
     /// Time constant in s of a first-order lag of the effort, not negative. Absent: the model's `lag_s`, or else `plant.actuator.lag_s`.
     pub lag_s: Option<NonNegative<values::Time>>,
@@ -125,26 +125,6 @@ pub struct PlantActuator {
     pub force_rate_max_n_s: Option<Positive<values::ForceRate>>,
     /// Fastest change of a moment in N m/s, positive. Absent: unbounded.
     pub moment_rate_max_n_m_s: Option<Positive<values::MomentRate>>,
-}
-
-impl Default for Plant {
-    fn default() -> Self {
-        Self {
-            elements: None,
-            stiffness_factor: known(1.0),
-            density_factor: known(1.0),
-            viscous_1_s: None,
-            internal_s: None,
-            curvature_1_m: None,
-            section: None,
-            payload: None,
-            actuator: None,
-            tendon: Vec::new(),
-            chamber: Vec::new(),
-            muscle: Vec::new(),
-            braid: Vec::new(),
-        }
-    }
 }
 
 impl PlantActuator {

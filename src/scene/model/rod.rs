@@ -105,7 +105,7 @@ pub struct Material {
     /// Density in kg/m³, positive. Absent: that of `preset`.
     pub density_kg_m3: Option<Positive<values::Density>>,
     /// Factor on the shear stiffness G A, for shear that is not uniform over the section; positive, default 1.
-    #[serde(default = "Positive::<values::Factor>::one")]
+    #[serde(default)]
     pub shear_factor: Positive<values::Factor>,
 }
 
