@@ -42,6 +42,8 @@ pub mod part;
 #[doc(hidden)]
 pub mod place;
 #[doc(hidden)]
+pub mod resistance;
+#[doc(hidden)]
 pub mod rod;
 #[doc(hidden)]
 pub mod rod_error;
@@ -95,6 +97,7 @@ pub use pose_actuator::{
     Cable, Magnet, OfPose, PlacedFunction, Pose, PoseActuator, PoseFunction, Posed,
     SharedPoseFunction, Span,
 };
+pub use resistance::Resistance;
 pub use rod::contact::{Contact, Deepest, HOLDS, Pressed, Touch};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,

@@ -21,6 +21,7 @@ use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::ends::{EndCondition, Joint};
 use super::load::{DistributedLoad, Load};
 use super::mesh::Mesh;
+use super::resistance::Resistance;
 use super::rotation::{exp, log_tangent};
 use super::rows;
 use super::time::TimeScheme;
@@ -249,6 +250,11 @@ pub struct Rod {
     /// Lumped inertia of the nodes (trapezoidal rule: each element gives half of its inertia to each end), with the payload at the tip
     /// and the bodies.
     pub nodes: Vec<NodeInertia>,
+    /// Part of the mass of every node at which gravity does not pull, kg: that of the medium which it displaces and carries along. Empty if
+    /// there is none.
+    pub weightless: Vec<f64>,
+    /// What resists the motion of every node; empty if nothing does.
+    pub resistances: Vec<Resistance>,
     /// The share of each element in the inertia of its two ends, without payload and bodies.
     pub element_inertia: Vec<[NodeInertia; 2]>,
     /// The condition at node 0.
@@ -354,6 +360,8 @@ impl Rod {
             mesh,
             elements,
             nodes,
+            weightless: Vec::new(),
+            resistances: Vec::new(),
             element_inertia,
             rotary_inertia: p.rotary_inertia,
             rest_chords,
@@ -563,11 +571,8 @@ impl Rod {
     /// Returns the potential energy of gravity, J: `-Σ m g·x`.
     #[must_use]
     pub fn gravity_energy(&self, positions: &[Vector3<f64>]) -> f64 {
-        -self
-            .nodes
-            .iter()
-            .zip(positions)
-            .map(|(node, x)| node.mass * self.gravity.dot(x))
+        -(positions.iter().enumerate())
+            .map(|(node, x)| self.weight(node).dot(x))
             .sum::<f64>()
     }
 
