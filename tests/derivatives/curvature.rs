@@ -21,14 +21,15 @@ use softarm::mechanics::element::{
 };
 use softarm::mechanics::implicit::IntervalWeights;
 use softarm::mechanics::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
+use softarm::mechanics::resistance::Resistance;
 use softarm::mechanics::rotation::{exp, log, log_tangent, vee};
 use softarm::mechanics::sensitivity::{
     ControlColumns, Sensitivities, adjoint, defects, sensitivities,
 };
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, ControlSignal, FormTerm, Resistance, Rod, RodModel, RodParameters, State,
-    StateForm, Stepper, StrainRule, TimeGrid, Trajectory, Wrench,
+    BaseCondition, ControlSignal, FormTerm, Rod, RodModel, RodParameters, State, StateForm,
+    Stepper, StrainRule, TimeGrid, Trajectory, Wrench,
 };
 
 /// Second difference `w''(0)` of a smooth function, extrapolated once: truncation `step⁴`, rounding `1e-16/step²`.

@@ -8,11 +8,12 @@ use common::{
 };
 use nalgebra::Vector3;
 use softarm::mechanics::linearization::{Motion, RightHandSide};
+use softarm::mechanics::resistance::Resistance;
 use softarm::mechanics::sensitivity::{adjoint, defects, direction};
 use softarm::mechanics::stability::stable_step;
 use softarm::mechanics::{
-    BaseCondition, ControlSignal, Resistance, Rod, RodParameters, State, StateForm, Stepper,
-    TimeGrid, Trajectory,
+    BaseCondition, ControlSignal, Rod, RodParameters, State, StateForm, Stepper, TimeGrid,
+    Trajectory,
 };
 use softarm::verify::ReferenceStepper;
 

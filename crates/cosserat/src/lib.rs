@@ -41,7 +41,6 @@ pub mod nodal_state;
 pub mod part;
 #[doc(hidden)]
 pub mod place;
-#[doc(hidden)]
 pub mod resistance;
 #[doc(hidden)]
 pub mod rod;
@@ -97,7 +96,6 @@ pub use pose_actuator::{
     Cable, Magnet, OfPose, PlacedFunction, Pose, PoseActuator, PoseFunction, Posed,
     SharedPoseFunction, Span,
 };
-pub use resistance::Resistance;
 pub use rod::contact::{Contact, Deepest, HOLDS, Pressed, Touch};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,

@@ -51,11 +51,12 @@ pub use cosserat::{
     Configuration, Contact, ControlSignal, CubicSpline, Deepest, Density, DistributedLoad, Drive,
     EffortLaw, Efforts, EndCondition, Energy, HOLDS, Joint, Load, LoadFrame, Magnet, Material,
     Mesh, MotionCurve, NodalFault, NodalState, NodeInertia, NodeWrenches, OfPose, Oscillation,
-    Place, PlacedFunction, PlacedPoint, Pose, PoseActuator, PoseFunction, Posed, Pressed,
-    Resistance, Rod, RodActuators, RodError, RodModel, RodParameters, RotaryInertia, Route, Scales,
-    Section, SectionProfile, SectionSegment, Shape, SharedActuator, SharedPoseFunction, Span,
-    State, StateView, StepError, StrainActuator, StrainRule, TimeGrid, TimeNode, TimeScheme, Touch,
-    Trajectory, TrajectoryTangent, Winch, Wrench, kinetic_energy, rotation, stable_step,
+    Place, PlacedFunction, PlacedPoint, Pose, PoseActuator, PoseFunction, Posed, Pressed, Rod,
+    RodActuators, RodError, RodModel, RodParameters, RotaryInertia, Route, Scales, Section,
+    SectionProfile, SectionSegment, Shape, SharedActuator, SharedPoseFunction, Span, State,
+    StateView, StepError, StrainActuator, StrainRule, TimeGrid, TimeNode, TimeScheme, Touch,
+    Trajectory, TrajectoryTangent, Winch, Wrench, kinetic_energy, resistance, rotation,
+    stable_step,
 };
 #[doc(hidden)]
 pub use cosserat::{

@@ -6,7 +6,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::kkt::motion::Conditions;
-use mechanics::{Resistance, Rod};
+use mechanics::Rod;
+use mechanics::resistance::Resistance;
 
 /// Cap on Newton's steps for a speed: it converges from above.
 const SPEED_STEPS: usize = 100;
