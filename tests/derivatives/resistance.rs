@@ -34,7 +34,8 @@ fn arm(method: &Method, base: BaseCondition, size: f64) -> (Rod, f64) {
             tangential: 0.02 * size * own.mass / step * node as f64,
         })
         .collect();
-    rod.weightless = rod.nodes.iter().map(|own| 0.7 * own.mass).collect();
+    rod.displaced = rod.nodes.iter().map(|own| 0.4 * own.mass).collect();
+    rod.added = rod.nodes.iter().map(|own| 0.3 * own.mass).collect();
     (rod, step)
 }
 

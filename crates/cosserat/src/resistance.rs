@@ -181,12 +181,13 @@ impl Rod {
         self.resistances.get(node)
     }
 
-    /// Returns the weight of a node, N: that of its mass without the part that weighs nothing in the medium around it.
+    /// Returns the weight of a node in the medium around it, N.
     #[inline]
     #[must_use]
     pub fn weight(&self, node: usize) -> Vector3<f64> {
-        let weightless = self.weightless.get(node).copied().unwrap_or(0.0);
-        self.gravity * (self.nodes[node].mass - weightless)
+        let of = |masses: &[f64]| masses.get(node).copied().unwrap_or(0.0);
+        let lifted = of(&self.displaced) + of(&self.added);
+        self.gravity * (self.nodes[node].mass - lifted)
     }
 }
 

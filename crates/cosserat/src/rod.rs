@@ -250,9 +250,10 @@ pub struct Rod {
     /// Lumped inertia of the nodes (trapezoidal rule: each element gives half of its inertia to each end), with the payload at the tip
     /// and the bodies.
     pub nodes: Vec<NodeInertia>,
-    /// Part of the mass of every node at which gravity does not pull, kg: that of the medium which it displaces and carries along. Empty if
-    /// there is none.
-    pub weightless: Vec<f64>,
+    /// Mass of the medium around the rod that every node displaces, kg, and that lifts it; empty without a medium.
+    pub displaced: Vec<f64>,
+    /// Part of the mass of every node, kg, that is of the medium which moves along with it, and that weighs nothing; empty without a medium.
+    pub added: Vec<f64>,
     /// What resists the motion of every node; empty if nothing does.
     pub resistances: Vec<Resistance>,
     /// The share of each element in the inertia of its two ends, without payload and bodies.
@@ -360,7 +361,8 @@ impl Rod {
             mesh,
             elements,
             nodes,
-            weightless: Vec::new(),
+            displaced: Vec::new(),
+            added: Vec::new(),
             resistances: Vec::new(),
             element_inertia,
             rotary_inertia: p.rotary_inertia,
@@ -532,10 +534,11 @@ impl Rod {
         }
     }
 
-    /// Returns the total mass including the payload, kg.
+    /// Returns the total mass including the payload, kg, without that of a medium that moves along.
     #[must_use]
     pub fn mass(&self) -> f64 {
-        self.nodes.iter().map(|node| node.mass).sum()
+        let all: f64 = self.nodes.iter().map(|node| node.mass).sum();
+        all - self.added.iter().sum::<f64>()
     }
 
     /// Returns the pose of element `q` in a configuration.

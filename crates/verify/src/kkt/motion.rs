@@ -44,7 +44,9 @@ pub(crate) fn energy_gradient(rod: &Rod, x: &[Vector3<f64>], r: &[Matrix3<f64>])
 
 /// Returns the mass of node `q` at which gravity pulls.
 pub(crate) fn weighed(rod: &Rod, q: usize) -> f64 {
-    rod.nodes[q].mass - rod.weightless.get(q).unwrap_or(&0.0)
+    let medium = [&rod.displaced, &rod.added];
+    let lifted = medium.map(|masses| masses.get(q).copied().unwrap_or(0.0));
+    rod.nodes[q].mass - (lifted[0] + lifted[1])
 }
 
 /// Returns the vector of a skew matrix.
