@@ -20,15 +20,7 @@ impl Scene {
         if let Some(tip) = &self.tip {
             keys.check_tip(tip)?;
         }
-        if let Some(gravity) = &self.gravity {
-            keys.finite("gravity.acceleration_m_s2", &gravity.acceleration_m_s2)?;
-        }
-        for (index, load) in self.load.iter().enumerate() {
-            keys.check_load("load", load, index, self.rod.elements)?;
-        }
-        for (index, load) in self.distributed_load.iter().enumerate() {
-            keys.check_distributed_load(load, index)?;
-        }
+        keys.check_loads(self)?;
         if let Some(initial) = &self.initial {
             keys.check_initial(initial, self)?;
         }

@@ -1,14 +1,12 @@
 //! Writes a problem that was posed in a program as a scene.
 
-use nalgebra::Vector3;
-
 use super::error::DescribeError;
 use super::model::geometry::wxyz;
 use super::model::{
-    Base, Body, Contact, Damping, DistributedLoad, EndKind, Gravity, Initial, Limit, Load,
-    Objective, Obstacle, Payload, Reference, Rod, RotaryInertia, Scene, Solver, Time, TimeScheme,
-    TimeStep, Tip, describe_hardware, describe_section, described_control, described_end,
-    described_targets, described_task, describing_poses, integrator, rotary_inertia,
+    Base, Contact, EndKind, Initial, Limit, Objective, Obstacle, Reference, Rod, RotaryInertia,
+    Scene, Solver, Time, TimeScheme, TimeStep, Tip, describe_hardware, describe_section,
+    described_control, described_end, described_targets, described_task, describing_poses,
+    integrator, rotary_inertia,
 };
 use super::values::known;
 use crate::sqp::SqpSettings;
@@ -41,21 +39,6 @@ impl Scene {
         let mut out = Scene {
             base: described_base(arm)?,
             tip: (tip.kind != EndKind::Free).then_some(tip),
-            gravity: (arm.gravity != Vector3::zeros()).then(|| Gravity {
-                acceleration_m_s2: arm.gravity.into(),
-            }),
-            damping: Some(Damping {
-                viscous_1_s: known(arm.viscous_damping),
-                internal_s: known(arm.internal_damping),
-            }),
-            payload: arm.payload.map(Payload::describing),
-            body: arm.bodies.iter().map(Body::describing).collect(),
-            load: (arm.loads.iter())
-                .map(|load| Load::describing(load, mesh))
-                .collect(),
-            distributed_load: (arm.distributed_loads.iter())
-                .map(DistributedLoad::describing)
-                .collect(),
             magnet,
             cable,
             contact: arm.contacts.iter().map(Contact::describing).collect(),
@@ -75,6 +58,7 @@ impl Scene {
             }),
             ..Scene::bare(rod, time)
         };
+        out.describe_loads(arm, mesh);
         describe_hardware(&arm.actuators, &task.efforts, &mut out).ok_or(DescribeError(
             "its arm has an actuator that no section describes, such as a push rod, or actuators in another order than that of their sections",
         ))?;

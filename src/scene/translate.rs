@@ -359,9 +359,8 @@ impl Scene {
         let base_rotation = rolled(self.base.unit_quaternion());
         let tip = self.tip.clone().unwrap_or_default();
         let tip_rotation = tip.unit_quaternion().map(rolled);
+        let straight = Arm::straight(self.rod.length_m.get(), self.section_profile(source)?);
         let mut arm = Arm {
-            length: self.rod.length_m.get(),
-            section: self.section_profile(source)?,
             model: self.rod.model,
             rest_curvature: match reference {
                 Some(reference) if !self.rod.is_curved_by_segments() => {
@@ -393,22 +392,10 @@ impl Scene {
             tip_rotation,
             actuators: self.strain_actuators(),
             pose_actuators: self.pose_actuators(),
-            potentials: Vec::new(),
-            contacts: Vec::new(),
-            gravity: self
-                .gravity
-                .as_ref()
-                .map_or_else(Vector3::zeros, |g| g.acceleration_m_s2.into()),
-            viscous_damping: self.damping.as_ref().map_or(0.0, |d| d.viscous_1_s.get()),
-            internal_damping: self.damping.as_ref().map_or(0.0, |d| d.internal_s.get()),
-            loads: (self.load.iter()).map(|load| load.of_arm(&mesh)).collect(),
-            distributed_loads: (self.distributed_load.iter())
-                .map(model::DistributedLoad::of_arm)
-                .collect(),
-            payload: self.payload.as_ref().map(model::Payload::of_arm),
-            bodies: self.body.iter().map(model::Body::of_arm).collect(),
             radii: self.radii(),
+            ..straight
         };
+        self.put_loads(&mesh, &mut arm);
         if self.contact.is_empty() {
             return Ok(arm);
         }

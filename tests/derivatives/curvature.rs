@@ -14,13 +14,14 @@ use faer::Mat;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use softarm::mechanics::curvature::{
     Multipliers, OwnCurvature, element_curvature, inertia_curvature, load_curvature,
-    stress_curvature,
+    resistance_curvatures, stress_curvature,
 };
 use softarm::mechanics::element::{
     Element, ElementGradient, ElementPose, ElementStrain, IntervalStress,
 };
 use softarm::mechanics::implicit::IntervalWeights;
 use softarm::mechanics::linearization::{AdjointSweep, Motion, RightHandSide, StateTangent};
+use softarm::mechanics::resistance::Resistance;
 use softarm::mechanics::rotation::{exp, log, log_tangent, vee};
 use softarm::mechanics::sensitivity::{
     ControlColumns, Sensitivities, adjoint, defects, sensitivities,
@@ -518,9 +519,12 @@ impl Case {
     fn sweep(&self, trajectory: &Trajectory, n_threads: usize) -> Sensitivities {
         let motion = self.motion();
         let adjoint = adjoint(&motion, trajectory, &self.forms, 1).unwrap();
+        let mut own = self.own.clone();
+        own.extend(resistance_curvatures(&motion, trajectory, &adjoint));
+        own.sort_by_key(|own| own.time_node);
         let multipliers = Multipliers {
             adjoint: &adjoint,
-            own: &self.own,
+            own: &own,
         };
         let sources = self.sources(trajectory);
         sensitivities(
@@ -674,9 +678,17 @@ fn distance(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
 /// difference, extrapolated once, of the adjoint gradient of an outcome of the end and of the way, and it is symmetric.
 #[test]
 fn reduced_curvature_is_the_hessian_of_the_outcome() {
-    for method in exact_methods() {
+    for (method, resists) in exact_methods().flat_map(|own| [(own, false), (own, true)]) {
         for base in bases() {
-            let case = Case::new(method, base.clone(), 70, 4);
+            let mut case = Case::new(method, base.clone(), 70, 4);
+            if resists {
+                case.rod.resistances = (case.rod.nodes.iter())
+                    .map(|own| Resistance {
+                        normal: 3.0 * own.mass,
+                        tangential: own.mass,
+                    })
+                    .collect();
+            }
             let start = case.roll_out(&case.control);
             let curvature = case.sweep_curvature(&start, 1);
             let n = case.blocks.n_columns();
@@ -697,7 +709,7 @@ fn reduced_curvature_is_the_hessian_of_the_outcome() {
                 }
             }
             let error = distance(&curvature, &differences);
-            assert!(error < 1e-7, "{method:?} {base:?}: {error:e}");
+            assert!(error < 1e-7, "{method:?} {base:?} {resists}: {error:e}");
         }
     }
 }

@@ -6,5 +6,6 @@ mod common;
 mod curvature;
 mod derivatives;
 mod feedback;
+mod resistance;
 mod sensitivity;
 mod winches;

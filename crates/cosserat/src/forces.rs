@@ -170,13 +170,8 @@ impl NodalForces {
     }
 
     fn start_with_gravity(&mut self, rod: &Rod) {
-        for ((force, moment), node) in self
-            .forces
-            .iter_mut()
-            .zip(&mut self.moments)
-            .zip(&rod.nodes)
-        {
-            *force = rod.gravity * node.mass;
+        for (node, (force, moment)) in (self.forces.iter_mut().zip(&mut self.moments)).enumerate() {
+            *force = rod.weight(node);
             *moment = Vector3::zeros();
         }
     }

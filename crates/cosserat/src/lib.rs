@@ -41,6 +41,7 @@ pub mod nodal_state;
 pub mod part;
 #[doc(hidden)]
 pub mod place;
+pub mod resistance;
 #[doc(hidden)]
 pub mod rod;
 #[doc(hidden)]

@@ -21,6 +21,7 @@ use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::ends::{EndCondition, Joint};
 use super::load::{DistributedLoad, Load};
 use super::mesh::Mesh;
+use super::resistance::Resistance;
 use super::rotation::{exp, log_tangent};
 use super::rows;
 use super::time::TimeScheme;
@@ -249,6 +250,12 @@ pub struct Rod {
     /// Lumped inertia of the nodes (trapezoidal rule: each element gives half of its inertia to each end), with the payload at the tip
     /// and the bodies.
     pub nodes: Vec<NodeInertia>,
+    /// Mass of the medium around the rod that every node displaces, kg, and that lifts it; empty without a medium.
+    pub displaced: Vec<f64>,
+    /// Part of the mass of every node, kg, that is of the medium which moves along with it, and that weighs nothing; empty without a medium.
+    pub added: Vec<f64>,
+    /// What resists the motion of every node; empty if nothing does.
+    pub resistances: Vec<Resistance>,
     /// The share of each element in the inertia of its two ends, without payload and bodies.
     pub element_inertia: Vec<[NodeInertia; 2]>,
     /// The condition at node 0.
@@ -354,6 +361,9 @@ impl Rod {
             mesh,
             elements,
             nodes,
+            displaced: Vec::new(),
+            added: Vec::new(),
+            resistances: Vec::new(),
             element_inertia,
             rotary_inertia: p.rotary_inertia,
             rest_chords,
@@ -524,10 +534,11 @@ impl Rod {
         }
     }
 
-    /// Returns the total mass including the payload, kg.
+    /// Returns the total mass including the payload, kg, without that of a medium that moves along.
     #[must_use]
     pub fn mass(&self) -> f64 {
-        self.nodes.iter().map(|node| node.mass).sum()
+        let all: f64 = self.nodes.iter().map(|node| node.mass).sum();
+        all - self.added.iter().sum::<f64>()
     }
 
     /// Returns the pose of element `q` in a configuration.
@@ -563,11 +574,8 @@ impl Rod {
     /// Returns the potential energy of gravity, J: `-Σ m g·x`.
     #[must_use]
     pub fn gravity_energy(&self, positions: &[Vector3<f64>]) -> f64 {
-        -self
-            .nodes
-            .iter()
-            .zip(positions)
-            .map(|(node, x)| node.mass * self.gravity.dot(x))
+        -(positions.iter().enumerate())
+            .map(|(node, x)| self.weight(node).dot(x))
             .sum::<f64>()
     }
 

@@ -158,6 +158,71 @@ pub fn load_curvatures(
         .collect()
 }
 
+/// The terms of [resistance](cosserat::resistance), in ascending order of time: of every interval from `k` to `k + 1` and every node
+/// `h/2 (impulse_k λ_k·δ²f(v, R_k) + μ_{k+1}·δ²f(v, R_{k+1})/(1 - a))` along `(δv, ζ_k, ζ_{k+1})`, `v = (x_{k+1} - x_k)/h`.
+#[must_use]
+pub fn resistance_curvatures(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    adjoint: &AdjointSweep,
+) -> Vec<OwnCurvature> {
+    let (rod, h) = (motion.rod, motion.grid.step);
+    let mut out = Vec::new();
+    if rod.resistances.is_empty() {
+        return out;
+    }
+    let multipliers = Multipliers { adjoint, own: &[] };
+    let unit = |at: usize, size: f64| {
+        let mut form = vec![0.0; 6];
+        form[at] = size;
+        form
+    };
+    let zero = || vec![0.0; 6];
+    for k in 0..motion.grid.n_steps {
+        for node in rod.first_free_node()..rod.n_nodes() {
+            let Some(resistance) = rod.resistance(node) else {
+                continue;
+            };
+            let moved = trajectory.positions_at(k + 1)[node] - trajectory.positions_at(k)[node];
+            let mut matrix = Mat::zeros(9, 9);
+            for (end, covector, factor) in [
+                (0, multipliers.at(motion, k, node).0, motion.kick(k).impulse),
+                (
+                    1,
+                    multipliers.arriving(motion, k + 1, node).0,
+                    motion.arriving_impulse(),
+                ),
+            ] {
+                let rotation = &trajectory.rotations_at(k + end)[node];
+                let covector = covector * (0.5 * h * factor);
+                let own = resistance.curvature(&covector, &(moved / h), rotation);
+                let place = |i: usize| if i < 3 { i } else { i + 3 * end };
+                for i in 0..6 {
+                    for j in 0..6 {
+                        matrix[(place(i), place(j))] += own[(i, j)];
+                    }
+                }
+            }
+            let forms = [0, 1, 2].map(|i| unit(i, 1.0 / h)).into_iter();
+            let earlier = [0, 1, 2].map(|i| unit(i, -1.0 / h)).into_iter();
+            out.push(OwnCurvature {
+                time_node: k + 1,
+                rows: (0..6).map(|component| (node, component)).collect(),
+                forms: forms
+                    .chain([zero(), zero(), zero()])
+                    .chain((3..6).map(|i| unit(i, 1.0)))
+                    .collect(),
+                earlier: earlier
+                    .chain((3..6).map(|i| unit(i, 1.0)))
+                    .chain([zero(), zero(), zero()])
+                    .collect(),
+                matrix,
+            });
+        }
+    }
+    out
+}
+
 /// Second derivative of `λ·∇U` in the chart `(dx + δx, R_a exp(ζ̂_a), R_b exp(ζ̂_b))`, where `∇U` is the element's
 /// [gradient](Element::gradient) and `λ = covector` its constant components `(dx; body a; body b)`.
 ///

@@ -104,7 +104,8 @@ pub struct PowerBalance {
     /// Power of the loads and of the drives of the ends, `Σ f·v + τ·ω`, the mean of both ends of the step, with the wrenches that the step
     /// applies there. The work of gravity is part of the energy instead.
     pub external: f64,
-    /// Power of damping: `c Σ |p|²/m + π·J⁻¹π`, the mean of both ends, and `τ Σ l ṡ·C ṡ` with the step's own rate of strain.
+    /// Power of damping: `c Σ |p|²/m + π·J⁻¹π` and that of resistance, `-Σ f·v`, the mean of both ends, and `τ Σ l ṡ·C ṡ` with the step's own
+    /// rate of strain.
     pub dissipated: f64,
     /// Change of the energy over the step, divided by its length.
     pub energy_rate: f64,
@@ -129,7 +130,11 @@ impl PowerBalance {
             .map(|energy| rod.viscous_damping * energy.kinetic)
             .sum();
         let [start, end] = [&before.configuration, &after.configuration];
-        let dissipated = viscous + rod.internal_dissipation(time_step, start, end);
+        let resisted: f64 = ends
+            .iter()
+            .map(|(_, state)| -0.5 * resistance_power(rod, state))
+            .sum();
+        let dissipated = viscous + resisted + rod.internal_dissipation(time_step, start, end);
         let energy_rate = (energies[1].total() - energies[0].total()) / time_step;
         Self {
             external,
@@ -195,7 +200,7 @@ fn viscous_stresses(rod: &Rod, state: &State) -> Vec<IntervalStress> {
 }
 
 /// Returns all forces of the rod on its nodes except viscous damping and the reaction, at the configuration and the velocities of `state`:
-/// elastic and viscous stress, gravity, loads, and the kinetic reaction.
+/// elastic and viscous stress, gravity, loads, resistance, and the kinetic reaction.
 fn forces_of_motion(rod: &Rod, node: &TimeNode, state: &State) -> NodalForces {
     let (x, r) = (
         &state.configuration.positions,
@@ -205,6 +210,9 @@ fn forces_of_motion(rod: &Rod, node: &TimeNode, state: &State) -> NodalForces {
     net.evaluate_elastic(rod, x, r);
     net.add_loads(rod, r, node);
     add_actuators(&mut net, rod, node, state);
+    for (sum, force) in net.forces.iter_mut().zip(resistance_forces(rod, state)) {
+        *sum += force;
+    }
     if rod.internal_damping > 0.0 {
         for (q, stress) in viscous_stresses(rod, state).iter().enumerate() {
             let pose = Rod::element_pose(q, x, r);
@@ -335,6 +343,25 @@ fn drive_power(rod: &Rod, time_step: f64, node: &TimeNode, state: &State) -> f64
 /// A function that returns the wrench on an end.
 type ReactionOf = fn(&Rod, f64, f64, &State, &NodalForces) -> Wrench;
 
+/// Returns the forces of resistance at the velocities of a state, spatial frame, N; empty if nothing resists.
+fn resistance_forces(rod: &Rod, state: &State) -> Vec<Vector3<f64>> {
+    if rod.resistances.is_empty() {
+        return Vec::new();
+    }
+    let [velocity, _] = velocities(rod, state);
+    let turned = state.configuration.rotations.iter();
+    (rod.resistances.iter().zip(&velocity).zip(turned))
+        .map(|((own, v), r)| own.force(v, &r.column(2).into_owned()))
+        .collect()
+}
+
+/// Returns `Σ f·v` of resistance, W; negative.
+fn resistance_power(rod: &Rod, state: &State) -> f64 {
+    let [velocity, _] = velocities(rod, state);
+    let forces = resistance_forces(rod, state);
+    forces.iter().zip(&velocity).map(|(f, v)| f.dot(v)).sum()
+}
+
 /// Returns `Σ f·v + τ·ω` of the loads and of the actuators, `Σ u ẏ`, W.
 fn load_power(rod: &Rod, node: &TimeNode, state: &State) -> f64 {
     let [velocity, spin] = velocities(rod, state);
@@ -364,7 +391,7 @@ pub struct MomentumBalance {
     pub reaction: TotalWrench,
     /// Wrench of gravity and loads.
     pub loads: TotalWrench,
-    /// Viscous damping, `-c Σ p½` and `-c Σ x × p½ + R g`.
+    /// Viscous damping, `-c Σ p½` and `-c Σ x × p½ + R g`, and resistance at the velocities of the step.
     pub damping: TotalWrench,
     /// Change of the momenta over the step, divided by its length.
     pub momentum_rate: TotalWrench,
@@ -386,6 +413,8 @@ impl MomentumBalance {
             for q in 0..rod.n_nodes() {
                 let (p, pi) = (&step.linear[q], &step.angular[end][q]);
                 out.damping.add(-0.5 * rod.viscous_damping, state, q, p, pi);
+                let resisted = step.resistance(rod, q, state);
+                (out.damping).add(0.5, state, q, &resisted, &Vector3::zeros());
             }
             for q in [0, rod.tip()] {
                 if *rod.end_at(q) == EndCondition::Free {
@@ -455,6 +484,14 @@ impl Step {
         }
     }
 
+    /// Returns the force of resistance on node `q` at its velocity during the step and its tangent in a state, N.
+    fn resistance(&self, rod: &Rod, q: usize, state: &State) -> Vector3<f64> {
+        rod.resistances.get(q).map_or_else(Vector3::zeros, |own| {
+            let tangent = state.configuration.rotations[q].column(2).into_owned();
+            own.force(&(self.linear[q] / rod.nodes[q].mass), &tangent)
+        })
+    }
+
     /// Returns the impulse of the constraint on node `q`, the base or the tip, at the start (`end` 0) or the end (1) of the step, at the time
     /// node `node`.
     fn end_impulse(
@@ -483,7 +520,7 @@ impl Step {
         let mut forces = NodalForces::zeros(rod.n_nodes());
         let at = &state.configuration;
         forces.evaluate_at_node(rod, &at.positions, &at.rotations, node);
-        change[0] -= 0.5 * h * forces.forces[q];
+        change[0] -= 0.5 * h * (forces.forces[q] + self.resistance(rod, q, state));
         change[1] -= 0.5 * h * forces.moments[q];
         if let Some(weights) = IntervalWeights::of(rod, h) {
             let element = &rod.elements[beside];
@@ -509,9 +546,8 @@ impl Step {
 
 /// Adds `factor` times gravity, loads, contacts and the wrenches of functions of nodes at a time node.
 fn add_loads(sum: &mut TotalWrench, factor: f64, rod: &Rod, node: &TimeNode, state: &State) {
-    for (q, inertia) in rod.nodes.iter().enumerate() {
-        let weight = rod.gravity * inertia.mass;
-        sum.add(factor, state, q, &weight, &Vector3::zeros());
+    for q in 0..rod.n_nodes() {
+        sum.add(factor, state, q, &rod.weight(q), &Vector3::zeros());
     }
     for load in &rod.loads {
         let wrench = load.wrench_at_node(node, &state.configuration.rotations[load.node]);
@@ -547,7 +583,7 @@ pub struct Diagnostics {
     pub reaction: Wrench,
     /// Wrench that holds or drives the tip, likewise; `None` for a free tip.
     pub tip_reaction: Option<Wrench>,
-    /// Gravity, loads and the reactions; at a jump of a load the mean of both sides.
+    /// Gravity, loads, resistance at the velocities of the state, and the reactions; at a jump of a load the mean of both sides.
     pub external: TotalWrench,
     /// Mean wrench of viscous damping over the step that begins here, `-c Σ p½` and `-c Σ x × p½ + R g`, with the momenta after the kick of
     /// the forces at its start.
@@ -591,6 +627,9 @@ impl Diagnostics {
 
         let mut external = TotalWrench::default();
         add_loads(&mut external, 1.0, rod, &node, state);
+        for (q, force) in resistance_forces(rod, state).iter().enumerate() {
+            external.add(1.0, state, q, force, &Vector3::zeros());
+        }
         external.add(1.0, state, 0, &reaction.force, &reaction.moment);
         let tip_reaction =
             (!rod.has_free_tip()).then(|| tip_reaction(rod, time_step, t, state, &net));

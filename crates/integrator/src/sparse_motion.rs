@@ -69,6 +69,7 @@ impl SparseMotion {
         let rod = motion.rod;
         let is_local = rod.model == RodModel::Standard
             && rod.joints.is_empty()
+            && rod.resistances.is_empty()
             && IntervalWeights::of(rod, motion.grid.step).is_none();
         is_local.then(|| 6 * (rod.n_nodes() - rod.first_free_node()))
     }

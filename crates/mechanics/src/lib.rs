@@ -55,7 +55,8 @@ pub use cosserat::{
     RodActuators, RodError, RodModel, RodParameters, RotaryInertia, Route, Scales, Section,
     SectionProfile, SectionSegment, Shape, SharedActuator, SharedPoseFunction, Span, State,
     StateView, StepError, StrainActuator, StrainRule, TimeGrid, TimeNode, TimeScheme, Touch,
-    Trajectory, TrajectoryTangent, Winch, Wrench, kinetic_energy, rotation, stable_step,
+    Trajectory, TrajectoryTangent, Winch, Wrench, kinetic_energy, resistance, rotation,
+    stable_step,
 };
 #[doc(hidden)]
 pub use cosserat::{

@@ -27,6 +27,7 @@ mod probe;
 #[doc(hidden)]
 pub mod refinement;
 mod replay;
+mod resisted;
 mod samples;
 #[doc(hidden)]
 pub mod second_order;

@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 use super::dual;
 use super::efforts;
 use super::interval;
-use super::kkt::motion::{Conditions, Gradient, applied, kick, momentum_after};
+use super::kkt::motion::{Conditions, Gradient, applied, kick, momentum_after, weighed};
 use control::OptimalControlProblem;
 use mechanics::{ControlSignal, Rod, TimeScheme, Trajectory, Wrench};
 
@@ -84,10 +84,8 @@ impl Conditions<'_> {
         );
         let (decay, weight, impulse) = kick(rod, h, k, n);
         let outside = Gradient {
-            x: rod
-                .nodes
-                .iter()
-                .map(|node| -node.mass * rod.gravity)
+            x: (0..rod.n_nodes())
+                .map(|q| -weighed(rod, q) * rod.gravity)
                 .collect(),
             eta: vec![Vector3::zeros(); rod.n_nodes()],
         };
@@ -106,7 +104,7 @@ impl Conditions<'_> {
             let Wrench { force, moment } = applied[q];
             let after = self.velocity_momentum(k, q);
             let after_angular = momentum_after(&self.turn(k, q), &leaving[q], h);
-            let push = after - before * decay - force * weight;
+            let push = after - before * decay - force * weight - self.resistance(k, q) * impulse;
             let twist = after_angular - before_angular * decay - moment * weight;
             match rod.joint(q) {
                 None => add(q, push, twist),

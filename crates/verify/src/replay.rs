@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 use super::acting;
 use super::efforts;
 use super::interval::{self, Nine, Strained};
+use super::resisted::Resisting;
 use super::stepper::ReferenceStepper;
 use mechanics::rotation::log;
 use mechanics::{
@@ -400,10 +401,21 @@ fn step_work(
     work
 }
 
-/// Returns `h c Σ m |v|² + ω·Jω` with the step's own velocities.
+/// Returns `h c Σ m |v|² + ω·Jω` and the work against resistance, with the step's own velocities.
 fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
+    let resisted: f64 = (rod.first_free_node()..rod.n_nodes())
+        .filter_map(|q| {
+            let law = rod.resistance(q)?;
+            let (dx, _) = displacement(before, after, q);
+            let work = [before, after].map(|state| {
+                let rotation = &state.configuration.rotations[q];
+                Resisting::of(law, &(dx / h), rotation).force.dot(&dx)
+            });
+            Some(-0.5 * (work[0] + work[1]))
+        })
+        .sum();
     if rod.viscous_damping == 0.0 {
-        return 0.0;
+        return resisted;
     }
     let rotary = rod.rotary_at(&before.configuration.positions);
     let sum: f64 = (rod.first_free_node()..rod.n_nodes())
@@ -417,7 +429,7 @@ fn step_dissipation(rod: &Rod, h: f64, before: &State, after: &State) -> f64 {
             node.mass * v.norm_squared() + omega.dot(&rotary[q].component_mul(&omega))
         })
         .sum();
-    h * rod.viscous_damping * sum
+    resisted + h * rod.viscous_damping * sum
 }
 
 /// Returns the largest residual with the step halved divided by the largest one, or 0 if that one is rounding.

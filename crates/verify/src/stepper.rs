@@ -21,6 +21,7 @@ use super::kkt::motion::{
     Gradient, applied, element_spin, energy_gradient, j_d, kinetic_reaction, momentum_after,
     momentum_before, rotary,
 };
+use super::resisted::{Resisting, slowed};
 use mechanics::block_tridiagonal::BlockTridiagonal;
 use mechanics::guards::{
     approach_base, approach_end, check_dilatation, check_fold, check_pressed, not_finite,
@@ -278,14 +279,17 @@ impl<'a> ReferenceStepper<'a> {
         Ok(())
     }
 
-    /// Computes `x⁺ = x + h P/m`.
+    /// Computes `x⁺ = x + h P/m`, with the momenta that resistance leaves.
     fn translate(
         &mut self,
-        interval: &Interval,
+        interval: &mut Interval,
         base: Option<&BaseState>,
     ) -> Result<(), StepError> {
         let (rod, h) = (self.rod, self.clock.step);
         for q in rod.first_free_node()..rod.n_nodes() {
+            let rotation = &self.state.configuration.rotations[q];
+            interval.linear[q] =
+                slowed(rod, q, &interval.linear[q], rotation, self.impulse_weight());
             let x = &mut self.state.configuration.positions[q];
             *x += interval.linear[q] * (h / rod.nodes[q].mass);
             if !x.sum().is_finite() {
@@ -338,6 +342,12 @@ impl<'a> ReferenceStepper<'a> {
             let turn = &interval.turns[q];
             self.state.configuration.rotations[q] *= turn;
             self.state.linear_momentum[q] = interval.linear[q] * (1.0 - a);
+            if let Some(law) = rod.resistance(q) {
+                let velocity = interval.linear[q] / rod.nodes[q].mass;
+                let rotation = &self.state.configuration.rotations[q];
+                let own = Resisting::of(law, &velocity, rotation);
+                self.state.linear_momentum[q] += own.force * (0.5 * self.clock.step);
+            }
             self.state.angular_momentum[q] = turn.tr_mul(&interval.angular[q]) * (1.0 - a);
         }
     }
@@ -407,6 +417,9 @@ impl<'a> ReferenceStepper<'a> {
                         });
                     }
                     interval.linear[q] += equations.pull.x[q];
+                    if let Some(own) = self.resisting(q, &to) {
+                        interval.linear[q] += own.force * self.impulse_weight();
+                    }
                     interval.angular[q] += equations.pull.eta[q];
                     self.state.configuration.positions[q] = to.positions[q];
                 }
@@ -416,7 +429,7 @@ impl<'a> ReferenceStepper<'a> {
                 return Ok(equations.stresses);
             }
             (last, left) = (worst, (node, worst));
-            let Some(correction) = self.correction(stressed, interval, &equations) else {
+            let Some(correction) = self.correction(stressed, interval, &equations, &to) else {
                 break;
             };
             let turned = |change: &Vector6<f64>| Vector3::new(change[3], change[4], change[5]);
@@ -457,6 +470,9 @@ impl<'a> ReferenceStepper<'a> {
                 momentum[0] = momentum[0].max(moved.norm()).max(kicked[0].norm());
                 momentum[1] = momentum[1].max(spun.norm()).max(kicked[1].norm());
                 let mut linear = moved - kicked[0] - pull.x[q];
+                if let Some(own) = self.resisting(q, to) {
+                    linear -= own.force * weight;
+                }
                 let mut angular = spun - kicked[1] - pull.eta[q];
                 if let Some(joint) = rod.joint(q) {
                     linear = Vector3::zeros();
@@ -475,6 +491,14 @@ impl<'a> ReferenceStepper<'a> {
         }
     }
 
+    /// Returns the resistance to node `q` where the interval starts, if it ends in the configuration `to`.
+    fn resisting(&self, q: usize, to: &Configuration) -> Option<Resisting> {
+        let from = &self.state.configuration;
+        let velocity = (to.positions[q] - from.positions[q]) / self.clock.step;
+        let law = self.rod.resistance(q)?;
+        Some(Resisting::of(law, &velocity, &from.rotations[q]))
+    }
+
     /// Returns `(h/2)/(1 + a)`, the weight of forces in the momenta of an interval, s.
     fn impulse_weight(&self) -> f64 {
         let h = self.clock.step;
@@ -489,13 +513,17 @@ impl<'a> ReferenceStepper<'a> {
         stressed: &Stressed,
         interval: &Interval,
         equations: &Equations,
+        to: &Configuration,
     ) -> Option<Vec<Vector6<f64>>> {
         let (rod, h, first) = (self.rod, self.clock.step, self.rod.first_free_node());
         let mut matrix = BlockTridiagonal::zeros(rod.n_nodes() - first);
         for (block, q) in matrix.diagonal.iter_mut().zip(first..) {
             let turn = &interval.turns[q];
             let spin = rotation_slope(turn, &j_d(&rod.nodes[q].rotary)) * turn / h;
-            let mass = Matrix3::from_diagonal_element(rod.nodes[q].mass / h);
+            let mut mass = Matrix3::from_diagonal_element(rod.nodes[q].mass / h);
+            if let Some(own) = self.resisting(q, to) {
+                mass -= own.by_velocity * (self.impulse_weight() / h);
+            }
             block.fixed_view_mut::<3, 3>(0, 0).copy_from(&mass);
             block.fixed_view_mut::<3, 3>(3, 3).copy_from(&spin);
         }

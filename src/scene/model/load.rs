@@ -1,12 +1,14 @@
 //! Loads on the arm: gravity, damping, a payload, given forces and moments.
 
+use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
 use super::super::values::{self, Fraction, NonNegative, Number, digits, known};
+use super::Scene;
 use crate::mechanics::{self, LoadFrame, Mesh, NodeInertia};
-use crate::task::{Place, PointLoad};
+use crate::task::{Arm, Place, PointLoad};
 
 /// Uniform gravity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -189,7 +191,56 @@ impl From<LoadNode> for LoadNodeKey {
     }
 }
 
+impl Scene {
+    /// Puts on the arm what the sections of this module say; nodes are those of `mesh`.
+    pub(in crate::scene) fn put_loads(&self, mesh: &Mesh, arm: &mut Arm) {
+        if let Some(gravity) = &self.gravity {
+            arm.gravity = gravity.acceleration_m_s2.into();
+        }
+        if let Some(damping) = &self.damping {
+            arm.viscous_damping = damping.viscous_1_s.get();
+            arm.internal_damping = damping.internal_s.get();
+        }
+        arm.payload = self.payload.as_ref().map(Payload::of_arm);
+        arm.bodies = self.body.iter().map(Body::of_arm).collect();
+        arm.loads = self.load.iter().map(|load| load.of_arm(mesh)).collect();
+        let distributed = self.distributed_load.iter();
+        arm.distributed_loads = distributed.map(DistributedLoad::of_arm).collect();
+    }
+
+    /// Sets the sections of this module to what they say of an arm.
+    pub(in crate::scene) fn describe_loads(&mut self, arm: &Arm, mesh: &Mesh) {
+        self.gravity = (arm.gravity != Vector3::zeros()).then(|| Gravity {
+            acceleration_m_s2: arm.gravity.into(),
+        });
+        self.damping = Some(Damping {
+            viscous_1_s: known(arm.viscous_damping),
+            internal_s: known(arm.internal_damping),
+        });
+        self.payload = arm.payload.map(Payload::describing);
+        self.body = arm.bodies.iter().map(Body::describing).collect();
+        let loads = arm.loads.iter();
+        self.load = loads.map(|load| Load::describing(load, mesh)).collect();
+        let distributed = arm.distributed_loads.iter();
+        self.distributed_load = distributed.map(DistributedLoad::describing).collect();
+    }
+}
+
 impl Keys<'_> {
+    /// Checks the sections of this module.
+    pub(in crate::scene) fn check_loads(&self, scene: &Scene) -> Checked {
+        if let Some(gravity) = &scene.gravity {
+            self.finite("gravity.acceleration_m_s2", &gravity.acceleration_m_s2)?;
+        }
+        for (index, load) in scene.load.iter().enumerate() {
+            self.check_load("load", load, index, scene.rod.elements)?;
+        }
+        for (index, load) in scene.distributed_load.iter().enumerate() {
+            self.check_distributed_load(load, index)?;
+        }
+        Ok(())
+    }
+
     pub(in crate::scene) fn node(&self, key: &str, node: LoadNode, elements: usize) -> Checked {
         match node {
             LoadNode::Index(node) if node > elements => Err(self
@@ -217,11 +268,7 @@ impl Keys<'_> {
         })
     }
 
-    pub(in crate::scene) fn check_distributed_load(
-        &self,
-        load: &DistributedLoad,
-        index: usize,
-    ) -> Checked {
+    fn check_distributed_load(&self, load: &DistributedLoad, index: usize) -> Checked {
         let key = |name: &str| format!("distributed_load.{index}.{name}");
         let (from, to) = (load.from.get(), load.to.get());
         if to <= from {
@@ -252,7 +299,7 @@ impl Load {
     }
 
     /// The keys of a load.
-    pub(in crate::scene) fn describing(load: &PointLoad, mesh: &Mesh) -> Self {
+    fn describing(load: &PointLoad, mesh: &Mesh) -> Self {
         Self {
             node: LoadNode::of(load.at, mesh),
             force_n: load.force.into(),
@@ -265,7 +312,7 @@ impl Load {
 
 impl DistributedLoad {
     /// The load of an arm.
-    pub(in crate::scene) fn of_arm(&self) -> mechanics::DistributedLoad {
+    fn of_arm(&self) -> mechanics::DistributedLoad {
         mechanics::DistributedLoad {
             from: self.from.get(),
             to: self.to.get(),
@@ -277,7 +324,7 @@ impl DistributedLoad {
     }
 
     /// The keys of a load.
-    pub(in crate::scene) fn describing(load: &mechanics::DistributedLoad) -> Self {
+    fn describing(load: &mechanics::DistributedLoad) -> Self {
         Self {
             from: known(load.from),
             to: known(load.to),
@@ -291,12 +338,12 @@ impl DistributedLoad {
 
 impl Body {
     /// Place and inertia of the body.
-    pub(in crate::scene) fn of_arm(&self) -> (f64, NodeInertia) {
+    fn of_arm(&self) -> (f64, NodeInertia) {
         (self.at.get(), inertia(self.mass_kg, self.inertia_kg_m2))
     }
 
     /// The keys of a body.
-    pub(in crate::scene) fn describing(&(at, body): &(f64, NodeInertia)) -> Self {
+    fn describing(&(at, body): &(f64, NodeInertia)) -> Self {
         let Payload {
             mass_kg,
             inertia_kg_m2,
@@ -326,7 +373,7 @@ impl Payload {
     }
 
     /// The keys of an inertia of the tip.
-    pub(in crate::scene) fn describing(payload: NodeInertia) -> Self {
+    fn describing(payload: NodeInertia) -> Self {
         Self {
             mass_kg: known(payload.mass),
             inertia_kg_m2: <[f64; 3]>::from(payload.rotary).map(known),

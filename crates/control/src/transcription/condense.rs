@@ -7,7 +7,7 @@ use super::{LiftedPoint, MANY_PRODUCTS, Transcription};
 use crate::acting::ControlCurvature;
 use crate::path::{RowCurvature, RowGradient};
 use mechanics::StateForm;
-use mechanics::curvature::Multipliers as StateMultipliers;
+use mechanics::curvature::{Multipliers as StateMultipliers, resistance_curvatures};
 use mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
 use mechanics::sensitivity::{ControlColumns, Sensitivities, adjoint, sensitivities};
 use sqp::{Evaluation, Failure, Linearization, LinearizationRequest, Multipliers};
@@ -160,6 +160,9 @@ impl Transcription<'_> {
             let found = acting.curvature(&motion, trajectory, costates, &self.components);
             own.extend(found.0);
             along_controls = found.1;
+        }
+        if let Some(costates) = costates {
+            own.extend(resistance_curvatures(&motion, &point.trajectory, costates));
         }
         own.sort_by_key(|curvature| curvature.time_node);
         for form in across.iter().flat_map(|curvature| &curvature.forms) {

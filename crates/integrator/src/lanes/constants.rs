@@ -147,9 +147,7 @@ fn node_constants(rod: &Rod, node: usize, h: f64) -> [f64; NODE_ROWS] {
     let NodeInertia { mass, rotary: j } = &rod.nodes[node];
     let mut rows = [0.0; NODE_ROWS];
     rows[MOBILITY] = h / mass;
-    for i in 0..3 {
-        rows[WEIGHT + i] = mass * rod.gravity[i];
-    }
+    rows[WEIGHT..WEIGHT + 3].copy_from_slice(rod.weight(node).as_slice());
     // Three different moments of inertia get an infinite level, so that the node is always turned singly.
     if rod.model == RodModel::Standard {
         rows[GYRATION] = h / j.x;

@@ -9,6 +9,7 @@ mod element;
 mod failure;
 mod impulses;
 mod place;
+mod resisted;
 mod rule;
 mod singly;
 pub mod solved;
@@ -26,6 +27,7 @@ use self::base::{HeldBase, HeldEnd};
 use self::constants::{Constants, HELD_INERTIA};
 use self::element::{Consistent, Dilatation, SectionLaw, Standard};
 use self::place::{BASE, Place, Slots};
+use self::resisted::Departures;
 use self::rule::Rule;
 use self::singly::SingleTurns;
 pub use self::solved::SolverWork;
@@ -77,6 +79,7 @@ pub struct LaneIntegrator<'a> {
     solver: Option<Box<Solver>>,
     /// Present if the rod has actuators.
     active: Option<Box<ActiveLanes>>,
+    departures: Departures,
 }
 
 /// The memory of a [`LaneIntegrator`] without its rod, kept between two motions of the same rod with the same step, so that the second one
@@ -97,6 +100,7 @@ pub struct LaneMemory {
     seating: NodalForces,
     solver: Option<Box<Solver>>,
     active: Option<Box<ActiveLanes>>,
+    departures: Departures,
 }
 
 impl LaneMemory {
@@ -122,6 +126,7 @@ impl LaneMemory {
             seating: self.seating,
             solver: self.solver,
             active: self.active,
+            departures: self.departures,
         };
         integrator.seat(initial, 0);
         integrator
@@ -214,6 +219,7 @@ impl<'a> LaneIntegrator<'a> {
             seating: NodalForces::zeros(rod.n_nodes()),
             solver: Solver::new(rod, slots, clock.step).map(Box::new),
             active: ActiveLanes::new(rod, slots),
+            departures: Departures::default(),
         }
     }
 
@@ -234,6 +240,7 @@ impl<'a> LaneIntegrator<'a> {
             seating: self.seating,
             solver: self.solver,
             active: self.active,
+            departures: self.departures,
         }
     }
 
@@ -503,6 +510,7 @@ impl<'a> LaneIntegrator<'a> {
         self.hold_forces();
         self.put_ends();
 
+        self.depart();
         let mut failure = None;
         let mut sound = true;
         let mut finite = true;
@@ -512,6 +520,10 @@ impl<'a> LaneIntegrator<'a> {
             InertiaRule::Start => &[Part::Turn, Part::ReactAndTranslate, Part::Forces],
             InertiaRule::End => &[Part::Translate, Part::FollowAndTurn, Part::ReactingForces],
         };
+        // The kinetic reaction at the start of a step is known once the nodes have turned.
+        if inertia_rule != InertiaRule::Start {
+            self.slow_kicked();
+        }
         for &part in parts {
             match part {
                 Part::Turn => {}
@@ -542,6 +554,9 @@ impl<'a> LaneIntegrator<'a> {
                 kind: PhantomData,
             };
             let finding = dispatch(self.arch, sweep);
+            if part == Part::ReactAndTranslate {
+                self.slow_moved();
+            }
             failure = singly.failure;
             finite &= finding.finite;
             sound &= finding.resolved && finding.unfolded;
@@ -562,6 +577,7 @@ impl<'a> LaneIntegrator<'a> {
         if base.is_some() || !self.spin.is_empty() {
             self.put_base();
         }
+        self.resist_arrival();
         self.step += 1;
         self.arrive_winches();
         let first = self.rod.first_free_node();

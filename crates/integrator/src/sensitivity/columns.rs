@@ -82,6 +82,20 @@ impl<S: Simd> Columns<'_, S> {
         out
     }
 
+    /// `a + b`, row by row.
+    #[inline(always)]
+    pub fn sum_of<const N: usize, const V: usize>(
+        &self,
+        a: [Wide<S, V>; N],
+        b: [Wide<S, V>; N],
+    ) -> [Wide<S, V>; N] {
+        let mut out = a;
+        for (out, b) in out.iter_mut().zip(b) {
+            *out = self.plus(*out, b);
+        }
+        out
+    }
+
     #[inline(always)]
     pub fn times<const V: usize>(&self, factor: f64, a: Wide<S, V>) -> Wide<S, V> {
         let factor = self.simd.splat_f64s(factor);

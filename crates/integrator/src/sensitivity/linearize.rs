@@ -15,8 +15,8 @@ use super::active::{ActiveTimes, MixedSlopes};
 use super::along::Along;
 use super::dilated::element_drifts;
 use super::step::{
-    ActingKick, LinearizedStep, NodeDrift, StepCurvature, WinchKick, add_reordered, pack_loads,
-    square,
+    ActingKick, LinearizedStep, NodeDrift, ResistedDrift, StepCurvature, WinchKick, add_reordered,
+    pack_loads, square,
 };
 use crate::buffer::Buffer;
 use crate::curvature::{
@@ -659,6 +659,13 @@ impl Group<'_> {
             step.first_free_node = rod.first_free_node();
             step.joints.clone_from(&rod.joints);
             step.element_drifts.clear();
+            step.resisted.clear();
+            if k < *stretch.end() && !rod.resistances.is_empty() {
+                let nodes = 0..rod.n_nodes();
+                let at = (motion, self.along.trajectory);
+                let drifts = nodes.map(|q| ResistedDrift::of(at.0, at.1, (k, q), kick.impulse));
+                step.resisted.extend(drifts);
+            }
             if solved {
                 step.drifts.clear();
             } else {

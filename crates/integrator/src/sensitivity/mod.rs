@@ -56,7 +56,7 @@ pub use self::active::{Covectors, EffortPulls, interval_share};
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;
 pub use self::step::{
-    ElementDrift, LinearizedStep, NodeDrift, NodeSpin, ReactionDrift, SolvedDrift,
+    ElementDrift, LinearizedStep, NodeDrift, NodeSpin, ReactionDrift, ResistedDrift, SolvedDrift,
 };
 pub use self::winches::WinchDrift;
 
@@ -529,6 +529,7 @@ impl Task<'_> {
     fn increment_size(&self) -> usize {
         let rod = self.motion.rod;
         let coupled = rod.model != RodModel::Standard
+            || !rod.resistances.is_empty()
             || IntervalWeights::of(rod, self.motion.grid.step).is_some();
         if coupled {
             rod.n_nodes() * INCREMENT_ROWS * TILE

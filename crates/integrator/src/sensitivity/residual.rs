@@ -99,8 +99,8 @@ pub fn defects_on(
             } else {
                 weight
             };
-            for (q, node) in rod.nodes.iter().enumerate() {
-                forces[q] = rod.gravity * node.mass;
+            for q in 0..n {
+                forces[q] = rod.weight(q);
                 moments[q] = Vector3::zeros();
             }
             let (positions, rotations) = (trajectory.positions_at(k), trajectory.rotations_at(k));
@@ -150,17 +150,27 @@ pub fn defects_on(
             };
             react(InertiaRule::Start, impulse, p);
             let next = trajectory.positions_at(k + 1);
+            let ahead = trajectory.rotations_at(k + 1);
             for q in first..n {
                 let moving = (next[q] - positions[q]) * (rod.nodes[q].mass / h);
                 let row = k * n + q;
-                defects.linear[row] = moving - p[q];
+                // Minus the impulses of the resistance at both ends of the interval.
+                let [leaving, arriving] = rod.resistance(q).map_or_else(Default::default, |own| {
+                    let velocity = (next[q] - positions[q]) / h;
+                    let ends = [(rotations, impulse), (ahead, motion.arriving_impulse())];
+                    ends.map(|(turned, factor)| {
+                        let tangent = turned[q].column(2).into_owned();
+                        own.force(&velocity, &tangent) * (-0.5 * h * factor)
+                    })
+                });
+                defects.linear[row] = moving + leaving - p[q];
                 defects.angular[row] = of(q, 6) - pi[q];
                 if let Some(joint) = rod.joint(q) {
                     defects.linear[row] = Vector3::zeros();
                     defects.angular[row] = joint.turning * defects.angular[row];
                 }
                 probe += (defects.linear[row] + defects.angular[row]).sum();
-                p[q] = moving;
+                p[q] = moving - arriving;
                 pi[q] = of(q, 9);
             }
             react(InertiaRule::End, motion.arriving_impulse(), p);

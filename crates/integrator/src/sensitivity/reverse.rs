@@ -82,7 +82,7 @@ impl ReverseTile {
         if k < self.last {
             let (data, increments) = (&mut self.data, &mut self.increments);
             let n_used = self.n_used;
-            if !step.element_drifts.is_empty() || !step.solve.is_empty() {
+            if step.is_coupled() {
                 let (winches, rows) = (&step.solve.winches, &mut self.winch_rows);
                 arrive_transposed(arch, winches, data, rows);
                 arch.dispatch(CoupledDriftTransposed {
@@ -456,6 +456,15 @@ impl<S: Simd> Columns<'_, S> {
                     self.add_increment(q + end, 0, &reaction.spin[end], energy);
                 }
             }
+            for (node, own) in step.resisted.iter().enumerate().filter(|_| at == 1) {
+                let p: [Wide<S, V>; 3] = self.get(node, 6);
+                let turned = self.product_transposed(&own.arriving_turn, p);
+                self.add(node, 3, -1.0, turned);
+                let increment = self.less(self.increment(node, 0), turned);
+                self.set_increment(node, 0, increment);
+                let taken = self.product_transposed(&own.arriving, p);
+                self.add(node, 6, -1.0, taken);
+            }
             for node in 0..first {
                 self.set_increment(node, 0, [zero; 3]);
             }
@@ -476,6 +485,10 @@ impl<S: Simd> Columns<'_, S> {
                     let x: [Wide<S, V>; 3] = self.get(node, 0);
                     self.add(node, 6, drift.mobility, x);
                 }
+                for (node, own) in step.resisted.iter().enumerate().skip(first) {
+                    let p: [Wide<S, V>; 3] = self.get(node, 6);
+                    self.set(node, 6, self.product_transposed(&own.leaving, p));
+                }
             }
         }
         for (node, drift) in step.drifts.iter().enumerate().skip(first) {
@@ -490,6 +503,12 @@ impl<S: Simd> Columns<'_, S> {
                 3,
                 self.product_transposed(&drift.turn_transposed, zeta),
             );
+        }
+        // The kinetic reaction takes nothing from the covectors of the momenta.
+        for (node, own) in step.resisted.iter().enumerate().skip(first) {
+            let p: [Wide<S, V>; 3] = self.get(node, 6);
+            let taken = self.product_transposed(&own.leaving_turn, p);
+            self.add(node, 3, -1.0, taken);
         }
     }
 
@@ -517,10 +536,16 @@ impl<S: Simd> Columns<'_, S> {
             return;
         };
         let turned = self.product_transposed(&spin.spin, angular);
-        let (x, zeta): ([Wide<S, V>; 3], _) = (self.get(node, 0), self.get(node, 3));
+        let (x, mut zeta): ([Wide<S, V>; 3], [Wide<S, V>; 3]) =
+            (self.get(node, 0), self.get(node, 3));
+        let mut left = linear;
+        if let Some(own) = self.step.resisted.get(node) {
+            left = self.less(left, self.product_transposed(&own.arriving, linear));
+            zeta = self.less(zeta, self.product_transposed(&own.arriving_turn, linear));
+        }
         let mut added = [self.zero(); 6];
         for axis in 0..3 {
-            added[axis] = self.fused(spin.mass_rate, linear[axis], x[axis]);
+            added[axis] = self.fused(spin.mass_rate, left[axis], x[axis]);
             added[3 + axis] = self.plus(zeta[axis], turned[axis]);
         }
         if i > 0 {
@@ -544,7 +569,12 @@ impl<S: Simd> Columns<'_, S> {
                 let after = self.product_transposed(below, self.get(node + 1, 6));
                 right = self.less(right, after);
             }
-            self.set(node, 6, self.product_transposed(&solve.pivots[i], right));
+            let right = self.product_transposed(&solve.pivots[i], right);
+            self.set(node, 6, right);
+            if let Some(own) = self.step.resisted.get(node) {
+                let p = [right[0], right[1], right[2]];
+                self.add(node, 3, -1.0, self.product_transposed(&own.leaving_turn, p));
+            }
         }
         if let Some((ratio, coupling)) = solve.arriving(node) {
             let mut pull: [Wide<S, V>; 9] = self.arriving_pull(node);

@@ -7,9 +7,11 @@ use super::winches::{WinchDrift, finish};
 use crate::curvature::{IntervalCurvature, NodeCurvature};
 use crate::linearization::{LoadDerivative, Motion};
 use cosserat::actuator::ActingDerivative;
+use cosserat::configuration::Trajectory;
 use cosserat::ends::Joint;
 use cosserat::forces::NodalForces;
 use cosserat::forms::NODE_COMPONENTS;
+use cosserat::implicit::IntervalWeights;
 use cosserat::rod::Rod;
 use cosserat::step_error::StepError;
 
@@ -34,6 +36,8 @@ pub struct LinearizedStep {
     pub drifts: Vec<NodeDrift>,
     /// Derivative of the drift along the dilatation of every element; absent if the drift does not depend on it.
     pub element_drifts: Vec<ElementDrift>,
+    /// What resists every node over the drift; empty if nothing does.
+    pub resisted: Vec<ResistedDrift>,
     /// First node that moves.
     pub first_free_node: usize,
     /// Ends whose held motions have no variation.
@@ -54,6 +58,62 @@ pub struct NodeDrift {
     pub theta: [[f64; 3]; 3],
     /// `M`
     pub momentum: [[f64; 3]; 3],
+}
+
+/// [Resistance](cosserat::resistance) to the drift of a node, linearized: it takes from the momentum that leaves, and then from the one that
+/// arrives.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResistedDrift {
+    /// Momentum that leaves after the resistance per momentum before it; where a step is solved for, momentum that is taken per motion,
+    /// kg/s.
+    pub leaving: [[f64; 3]; 3],
+    /// Momentum that is taken where the interval starts, per rotation of the node there.
+    pub leaving_turn: [[f64; 3]; 3],
+    /// Momentum that is taken where it ends, per momentum that leaves.
+    pub arriving: [[f64; 3]; 3],
+    /// The same per rotation of the node there.
+    pub arriving_turn: [[f64; 3]; 3],
+}
+
+impl ResistedDrift {
+    /// Returns the drift of a node from time node `k` on, after a kick with this factor on impulses.
+    pub(super) fn of(
+        motion: &Motion,
+        trajectory: &Trajectory,
+        (k, node): (usize, usize),
+        impulse: f64,
+    ) -> Self {
+        let (rod, h) = (motion.rod, motion.grid.step);
+        let none = [[0.0; 3]; 3];
+        let Some(resistance) = rod.resistance(node) else {
+            return Self {
+                leaving: none,
+                leaving_turn: none,
+                arriving: none,
+                arriving_turn: none,
+            };
+        };
+        let mass = rod.nodes[node].mass;
+        let moved = trajectory.positions_at(k + 1)[node] - trajectory.positions_at(k)[node];
+        let [start, end] =
+            [(k, impulse), (k + 1, motion.arriving_impulse())].map(|(at, factor)| {
+                let slope = resistance.slope(&(moved / h), &trajectory.rotations_at(at)[node]);
+                [slope.velocity, slope.rotation].map(|slope| slope * (0.5 * h * factor))
+            });
+        let leaving = if IntervalWeights::of(rod, h).is_some() {
+            start[0] / h
+        } else {
+            // Symmetric, with eigenvalues of one and more.
+            let taken = Matrix3::identity() + start[0] / mass;
+            taken.try_inverse().unwrap_or_else(Matrix3::zeros)
+        };
+        Self {
+            leaving: square(&leaving),
+            leaving_turn: square(&start[1]),
+            arriving: square(&(end[0] / mass)),
+            arriving_turn: square(&end[1]),
+        }
+    }
 }
 
 /// Derivative of the drift of the two ends of an element along its dilatation `e`, and the kinetic reaction; for the dilatation at the
@@ -149,7 +209,12 @@ impl SolvedDrift {
 
     /// Writes what the drift without winches returns for a column that has momenta alone, six of every node: [`NODE_COMPONENTS`] of every
     /// node, zero before the node `first`.
-    pub(super) fn answer(&self, first: usize, momenta: &[f64], out: &mut [f64]) {
+    pub(super) fn answer(
+        &self,
+        (first, resisted): (usize, &[ResistedDrift]),
+        momenta: &[f64],
+        out: &mut [f64],
+    ) {
         out.fill(0.0);
         let momenta = momenta.as_chunks::<6>().0;
         let out = out.as_chunks_mut::<NODE_COMPONENTS>().0;
@@ -174,6 +239,14 @@ impl SolvedDrift {
             for i in 0..3 {
                 out[node][6 + i] = spin.mass_rate * out[node][i];
                 out[node][9 + i] = (0..3).map(|j| spin.spin[i][j] * out[node][3 + j]).sum();
+            }
+            if let Some(own) = resisted.get(node) {
+                let taken: [f64; 3] = std::array::from_fn(|i| {
+                    let linear = (0..3).map(|j| own.arriving[i][j] * out[node][6 + j]);
+                    let turned = (0..3).map(|j| own.arriving_turn[i][j] * out[node][3 + j]);
+                    linear.chain(turned).sum()
+                });
+                (out[node][6..9].iter_mut().zip(taken)).for_each(|(own, taken)| *own -= taken);
             }
         }
     }
@@ -377,12 +450,17 @@ impl LinearizedStep {
             return Ok(());
         }
         let mut winches = std::mem::take(&mut self.solve.winches);
-        let (solve, first) = (&self.solve, self.first_free_node);
+        let (solve, nodes) = (&self.solve, (self.first_free_node, &self.resisted[..]));
         finish(motion, k, &mut winches, &|momenta, out| {
-            solve.answer(first, momenta, out)
+            solve.answer(nodes, momenta, out)
         })?;
         self.solve.winches = winches;
         Ok(())
+    }
+
+    /// Tells whether the drift of a node needs more than its own momenta: that of others, or a solution.
+    pub(super) fn is_coupled(&self) -> bool {
+        !(self.element_drifts.is_empty() && self.solve.is_empty() && self.resisted.is_empty())
     }
 
     /// Tells whether it is the last of its stretch, which has a kick and no drift.

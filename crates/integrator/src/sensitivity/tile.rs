@@ -9,7 +9,7 @@ use super::arriving::arriving_terms;
 use super::columns::{Columns, Wide, for_all_vectors};
 use super::combined::Combined;
 use super::reduction::Record;
-use super::step::{LinearizedStep, SolvedDrift, hold};
+use super::step::{LinearizedStep, ResistedDrift, SolvedDrift, hold};
 use super::winches::{WinchRows, arrive, leave};
 use super::{INCREMENT_ROWS, TILE, Task, step_flops, visit_efforts};
 use crate::buffer::Buffer;
@@ -223,7 +223,7 @@ impl<'a> Tile<'a> {
         if last {
             self.data[..step.first_free_node * NODE_COMPONENTS * TILE].fill(0.0);
             self.read_forms(k, task);
-        } else if !step.element_drifts.is_empty() || !step.solve.is_empty() {
+        } else if step.is_coupled() {
             self.reach = 0..n_nodes;
             let winches = &step.solve.winches;
             leave(arch, winches, &self.data, &mut self.winch_rows);
@@ -546,6 +546,11 @@ impl<S: Simd> Columns<'_, S> {
         }
         for at in 0..2 {
             if at == 1 {
+                for (node, own) in step.resisted.iter().enumerate().skip(first) {
+                    let (p, zeta): ([Wide<S, V>; 3], _) = (self.get(node, 6), self.get(node, 3));
+                    let p = self.less(p, self.product(&own.leaving_turn, zeta));
+                    self.set(node, 6, self.product(&own.leaving, p));
+                }
                 for (node, drift) in step.drifts.iter().enumerate().skip(first) {
                     let p: [Wide<S, V>; 3] = self.get(node, 6);
                     self.add(node, 0, drift.mobility, p);
@@ -558,6 +563,12 @@ impl<S: Simd> Columns<'_, S> {
                     self.add_increment(q + end, 0, &element.turn[at][end], de);
                     self.add_increment(q + end, 3, &element.spin[at][end], de);
                 }
+            }
+            for (node, own) in step.resisted.iter().enumerate().filter(|_| at == 1) {
+                let zeta: [Wide<S, V>; 3] = self.get(node, 3);
+                let turned = self.product(&step.drifts[node].turn_transposed, zeta);
+                let turned = self.sum_of(turned, self.increment(node, 0));
+                self.take_arriving(own, node, self.get(node, 6), turned);
             }
             for (q, element) in step.element_drifts.iter().enumerate() {
                 let Some(reaction) = element.reaction.as_ref().filter(|r| r.at == at) else {
@@ -591,6 +602,20 @@ impl<S: Simd> Columns<'_, S> {
         }
     }
 
+    /// Takes from the momenta of a node that arrive what resists there, for the momenta `left` that leave and the rotation at the end.
+    #[inline(always)]
+    fn take_arriving<const V: usize>(
+        &mut self,
+        own: &ResistedDrift,
+        node: usize,
+        left: [Wide<S, V>; 3],
+        turned: [Wide<S, V>; 3],
+    ) {
+        let p = self.less(self.get(node, 6), self.product(&own.arriving, left));
+        let p = self.less(p, self.product(&own.arriving_turn, turned));
+        self.set(node, 6, p);
+    }
+
     /// The drift that is solved for, in all vectors of the tile: one after the other at every node, whose matrices are then at hand. With
     /// `u` what the step adds to the configuration, `(D + X) u` are the momenta after the kick.
     #[inline(always)]
@@ -619,6 +644,12 @@ impl<S: Simd> Columns<'_, S> {
             return;
         };
         let mut right: [Wide<S, V>; 6] = self.get(node, 6);
+        if let Some(own) = self.step.resisted.get(node) {
+            let taken = self.product(&own.leaving_turn, self.get(node, 3));
+            for (right, taken) in right.iter_mut().zip(taken) {
+                *right = self.minus(*right, taken);
+            }
+        }
         if i > 0 {
             let before = self.product(&solve.below[i - 1], self.get(node - 1, 6));
             right = self.less(right, before);
@@ -667,6 +698,10 @@ impl<S: Simd> Columns<'_, S> {
         self.set(node, 3, turned);
         self.set(node, 6, linear);
         self.set(node, 9, angular);
+        if let Some(own) = self.step.resisted.get(node) {
+            let left = [0, 1, 2].map(|i| self.times(spin.mass_rate, u[i]));
+            self.take_arriving(own, node, left, turned);
+        }
     }
 
     /// Takes `ratio Xᵀ z` of element `q` from the increments of its ends, of which the second has none yet.

@@ -160,10 +160,7 @@ impl Reader {
                 let loads: Vector3<f64> = (rod.loads.iter().filter(|load| load.node == 0))
                     .map(|load| load.wrench(t, &at.rotations[0]).force)
                     .sum();
-                Reading::Vector(
-                    quantity,
-                    force + rod.gravity * rod.nodes[0].mass + share + loads,
-                )
+                Reading::Vector(quantity, force + rod.weight(0) + share + loads)
             }
             Quantity::BaseMoment => {
                 let [_, moment] = BaseElement::at(rod, state).gradient();

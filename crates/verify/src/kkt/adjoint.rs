@@ -101,12 +101,41 @@ impl Conditions<'_> {
                 link.add_start_of_end(own, &lx, &lr, [&mut earlier_x, &mut earlier_eta]);
                 (link, -0.5 * h * kick(rod, h, k - 1, n).2)
             });
+            for q in first..count {
+                if let Some(own) = self.resisting(k - 1, q, k) {
+                    let pull = 0.5 * h * impulse * lx[q];
+                    let along = own.by_velocity.tr_mul(&pull) / h;
+                    cx[q] += along;
+                    earlier_x[q] -= along;
+                    ceta[q] += own.by_rotation.tr_mul(&pull);
+                }
+            }
+            // Resistance where the interval starts, which depends on its end.
+            let before = kick(rod, h, k - 1, n).2;
+            let resisted: Vec<_> = (0..count)
+                .map(|q| self.resisting(k - 1, q, k - 1).filter(|_| q >= first))
+                .collect();
+            let taken: Vec<Matrix3<f64>> = (resisted.iter())
+                .map(|own| {
+                    let slope = own
+                        .as_ref()
+                        .map_or_else(Matrix3::zeros, |own| own.by_velocity);
+                    -slope.transpose() * (0.5 * before)
+                })
+                .collect();
             // Held motions do not vary.
             hold(&mut cx, &mut ceta);
             let solve_x = |cx: &[Vector3<f64>], lx: &mut [Vector3<f64>]| {
                 for q in first..count {
                     // x: mass (λ_{k-1} - decay λ_k) = covector of x_k.
-                    lx[q] = cx[q] * (h / rod.nodes[q].mass) + next_x[q];
+                    let rate = rod.nodes[q].mass / h;
+                    lx[q] = if resisted[q].is_none() {
+                        cx[q] / rate + next_x[q]
+                    } else {
+                        let matrix = Matrix3::from_diagonal_element(rate) + taken[q];
+                        let solution = matrix.lu().solve(&(cx[q] + next_x[q] * rate));
+                        solution.unwrap_or_else(|| Vector3::repeat(f64::NAN))
+                    };
                 }
             };
             // The multipliers of the rotational rows enter those of x if the inertia follows the end of the interval.
@@ -130,7 +159,12 @@ impl Conditions<'_> {
                 let rhs_x: Vec<_> = (0..count)
                     .map(|q| cx[q] + next_x[q] * (rod.nodes[q].mass / h))
                     .collect();
-                link.solve(h, *factor, &spins, [&rhs_x, &rhs], [&mut lx, &mut lr]);
+                link.solve(
+                    (h, *factor),
+                    (&spins, &taken),
+                    [&rhs_x, &rhs],
+                    [&mut lx, &mut lr],
+                );
                 link.add_start(*factor, &lx, &lr, [&mut earlier_x, &mut earlier_eta]);
                 self.add_interval_efforts(k - 1, k - 1, -*factor, [&lx, &lr], &mut out);
             } else {
@@ -162,7 +196,10 @@ impl Conditions<'_> {
                 solve_x(&cx, &mut lx);
             }
             for q in first..count {
-                earlier_x[q] += (lx[q] - next_x[q]) * (rod.nodes[q].mass / h);
+                earlier_x[q] += (lx[q] - next_x[q]) * (rod.nodes[q].mass / h) + taken[q] * lx[q];
+                if let Some(own) = &resisted[q] {
+                    earlier_eta[q] += own.by_rotation.tr_mul(&lx[q]) * (0.5 * h * before);
+                }
             }
             (cx, ceta) = (earlier_x, earlier_eta);
         }

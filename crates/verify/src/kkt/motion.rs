@@ -36,10 +36,17 @@ pub(crate) fn energy_gradient(rod: &Rod, x: &[Vector3<f64>], r: &[Matrix3<f64>])
         out.eta[q] += moment_a;
         out.eta[q + 1] += moment_b;
     }
-    for (q, node) in rod.nodes.iter().enumerate() {
-        out.x[q] -= node.mass * rod.gravity;
+    for q in 0..rod.n_nodes() {
+        out.x[q] -= weighed(rod, q) * rod.gravity;
     }
     out
+}
+
+/// Returns the mass of node `q` at which gravity pulls.
+pub(crate) fn weighed(rod: &Rod, q: usize) -> f64 {
+    let medium = [&rod.displaced, &rod.added];
+    let lifted = medium.map(|masses| masses.get(q).copied().unwrap_or(0.0));
+    rod.nodes[q].mass - (lifted[0] + lifted[1])
 }
 
 /// Returns the vector of a skew matrix.
@@ -437,8 +444,8 @@ impl Conditions<'_> {
             for q in rod.first_free_node()..rod.n_nodes() {
                 let (before, before_angular) = self.arriving(k, q, arriving.as_ref());
                 let Wrench { force, moment } = applied[q];
-                let after =
-                    decay * before + weight * force + impulse * (self.reaction(k, q) + pulls[q]);
+                let own = self.reaction(k, q) + self.resistance(k, q) + pulls[q];
+                let after = decay * before + weight * force + impulse * own;
                 let after_angular = decay * before_angular + weight * moment + impulse * twists[q];
                 let (after, after_angular) = match rod.joint(q) {
                     None => (after, after_angular),

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use faer::sparse::{SparseColMat, Triplet};
-use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector3};
 
 use super::motion::Conditions;
 use super::spin::Spin;
@@ -162,12 +162,11 @@ impl<'a> StressLink<'a> {
     }
 
     /// Solves for the multipliers at `k - 1`, from the equations along the configuration at `k` of all free nodes together: the momenta
-    /// that leave `k - 1`, and `λ_{k-1}·B_{k-1}ᵀσ`.
+    /// that leave `k - 1`, what resistance has `taken` of them per motion, and `λ_{k-1}·B_{k-1}ᵀσ`.
     pub(super) fn solve(
         &self,
-        h: f64,
-        factor: f64,
-        spins: &[Spin],
+        (h, factor): (f64, f64),
+        (spins, taken): (&[Spin], &[Matrix3<f64>]),
         [rhs_x, rhs_eta]: [&[Vector3<f64>]; 2],
         [lx, lr]: [&mut [Vector3<f64>]; 2],
     ) {
@@ -180,6 +179,7 @@ impl<'a> StressLink<'a> {
             for i in 0..3 {
                 add(at + i, at + i, rod.nodes[q].mass / h);
                 for j in 0..3 {
+                    add(at + i, at + j, taken[q][(i, j)]);
                     add(at + 3 + i, at + 3 + j, spins[q].end_leaving[(j, i)]);
                 }
             }

@@ -19,6 +19,7 @@
 pub mod chain;
 mod coupling;
 mod instant;
+mod resisted;
 mod step;
 mod winches;
 
@@ -70,6 +71,8 @@ pub struct Solver {
     depth: usize,
     /// Number of differences that are stored.
     order: usize,
+    /// Resistances of the nodes, if there are any.
+    resisted: Option<Buffer>,
     /// Blocks of the matrix that is factored.
     equations: Buffer,
     chain: Chain,
@@ -161,6 +164,7 @@ impl Solver {
             differences: buffer(6 * ORDERS),
             depth: 0,
             order: 0,
+            resisted: resisted::rows_of(rod, slots, time_step),
             equations: buffer(EQUATION_ROWS),
             chain: Chain::new(rod.n_nodes() - first),
             winches: WinchFactors::default(),
@@ -178,6 +182,7 @@ impl Solver {
             self.weights = weights;
         }
         self.rounding = Rounding::of(rod, self.weights, time_step);
+        self.resisted = resisted::rows_of(rod, self.slots, time_step);
         write_rates(&mut self.rates, self.slots, rod, time_step);
     }
 
@@ -279,6 +284,7 @@ impl LaneIntegrator<'_> {
             self.aim_base(base, turn);
         }
         self.hold_forces();
+        self.depart();
         let held =
             (self.base.as_ref()).map(|held| std::array::from_fn(|i| held.rows[POSITION + i]));
         let Constants {

@@ -11,6 +11,7 @@ use super::coupling::{ActiveCoupling, SolvedRule};
 use super::instant::{
     INSTANT_ROWS, STRAINED, elastic_stress, framed, instant, interval_stress, next_lane, pose,
 };
+use super::resisted::{self, Resisted};
 use super::winches::Winches;
 use crate::lanes::active::{ActiveBlocks, ActiveLanes};
 use crate::lanes::base::HeldEnd;
@@ -46,9 +47,10 @@ const CORRECTION: usize = 25;
 /// Rows of [`Solver::rates`]: `m/h`, and `J/h`.
 pub const RATE_ROWS: usize = 4;
 
-/// Rows of the matrix: four blocks of an element, row by row, and the spin inertia of a node.
-pub const EQUATION_ROWS: usize = 4 * 36 + 9;
+/// Rows of the matrix: four blocks of an element, row by row, the spin inertia of a node, and what resists it.
+pub const EQUATION_ROWS: usize = RESISTED + resisted::SLOPE_ROWS;
 const SPIN: usize = 4 * 36;
+const RESISTED: usize = SPIN + 9;
 
 /// Backward differences that are kept: the extrapolation is exact for polynomials of one degree less.
 pub const ORDERS: usize = 6;
@@ -362,6 +364,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             instants: [start, end],
             weights,
             scheme,
+            resisted,
             ..
         } = &mut *self.solver;
         let n_lanes = S::F64_LANES;
@@ -399,7 +402,12 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
                 let (p, g) = (node.linear(), node.angular());
                 moving = moving.max(p.dot(p));
                 spinning = spinning.max(g.dot(g));
-                (p - Vec3::load(simd, trial, PUSHED)).store(trial, RESIDUAL);
+                let mut slowed = p - Vec3::load(simd, trial, PUSHED);
+                if let Some(resisted) = resisted {
+                    let frame = Frame::load(simd, &start[i], 0);
+                    slowed = slowed + Resisted::of(resisted, i, &frame, node.moved).impulse(&frame);
+                }
+                slowed.store(trial, RESIDUAL);
                 (g - Vec3::load(simd, trial, SPUN)).store(trial, RESIDUAL + 3);
             }
         }
@@ -523,6 +531,7 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             equations,
             chain,
             winches: winch_factors,
+            resisted,
             ..
         } = &mut *self.solver;
         let active = active_blocks::<S>(self.active, &self.winches);
@@ -564,9 +573,14 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
                         }
                     }
                 }
-                let spin = Moving::<S>::load(simd, &trial[i], &rates[i]).spin_inertia();
-                for (r, row) in spin.rows.iter().enumerate() {
+                let node = Moving::<S>::load(simd, &trial[i], &rates[i]);
+                for (r, row) in node.spin_inertia().rows.iter().enumerate() {
                     row.store(&mut equations[i], SPIN + 3 * r);
+                }
+                if let Some(resisted) = resisted {
+                    let frame = Frame::load(simd, &start[i], 0);
+                    Resisted::of(resisted, i, &frame, node.moved)
+                        .store_slope(&mut equations[i], RESISTED);
                 }
             }
         }
@@ -951,9 +965,12 @@ impl Blocks for Equations<'_> {
         let place = self.slots.place(q);
         let mass_rate = self.rates[self.slots.index(place, RATE_ROWS, 0)];
         let spin = self.slots.index(place, EQUATION_ROWS, SPIN);
+        let resisted = self.slots.index(place, EQUATION_ROWS, RESISTED);
+        let slope = resisted::slope(&self.rows[resisted..], self.slots.n_lanes);
         for i in 0..3 {
             out[i].0[i] = mass_rate;
             for j in 0..3 {
+                out[j].0[i] += slope[i][j];
                 out[3 + j].0[3 + i] = self.rows[spin + (3 * i + j) * self.slots.n_lanes];
             }
         }

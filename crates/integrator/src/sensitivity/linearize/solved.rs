@@ -21,6 +21,7 @@ use crate::lanes::tangent::{LEAST_MARGIN, NodePose, POSE_ROWS, Spin, spin};
 use crate::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::linearization::{Kick, Motion};
 use crate::sensitivity::active::{ActiveTimes, times};
+use crate::sensitivity::step::LinearizedStep;
 use cosserat::block_tridiagonal::{Square, invert, multiply, negate};
 use cosserat::element::{ActiveTangent, Blocks, Elasticity, Stress, TangentRule, stiffness_under};
 use cosserat::ends::Joint;
@@ -390,6 +391,10 @@ impl Group<'_> {
             negate(&mut pivot);
             pivot[0][0] = pivot[0][0] + Mat3::multiple(Lanes::splat(simd, node.mass / h));
             pivot[1][1] = pivot[1][1] + Mat3::load(simd, spins, q * SPIN_ROWS + 9);
+            if !rod.resistances.is_empty() {
+                pivot[0][0] =
+                    pivot[0][0] + taken_by_motion(simd, &mut workspace.out, self.steps, q);
+            }
             if q > 0 {
                 add_blocks(&mut pivot, couplings, q - 1, [1, 1]);
             }
@@ -439,6 +444,27 @@ impl Group<'_> {
         // Zero where it is a number.
         (sum * 0.0).select_below(1.0, zero, one)
     }
+}
+
+/// Momentum that resistance takes from node `q` per motion, of all time nodes.
+#[inline(always)]
+fn taken_by_motion<S: Simd>(
+    simd: S,
+    memory: &mut [f64],
+    steps: &[LinearizedStep],
+    q: usize,
+) -> Mat3<S> {
+    for lane in 0..S::F64_LANES {
+        let step = &steps[lane.min(steps.len() - 1)];
+        let own = step
+            .resisted
+            .get(q)
+            .map_or([[0.0; 3]; 3], |own| own.leaving);
+        for (row, value) in own.as_flattened().iter().enumerate() {
+            memory[row * S::F64_LANES + lane] = *value;
+        }
+    }
+    Mat3::load(simd, rows::<S>(memory), 0)
 }
 
 /// The pose of element `q`, and one where its ends are farther apart than the reach, or no numbers.

@@ -1,0 +1,297 @@
+//! Forces that depend on the velocities of nodes.
+//!
+//! A medium resists a node of velocity `v` and tangent `t = R e3`, with `v_t = (t·v) t` and `v_n = v - v_t`, by
+//!
+//! ```text
+//! f(v, t) = -c_n |v_n| v_n - c_t |v_t| v_t
+//! ```
+//!
+//! (the law of Morison and others, 1950, for a slender cylinder, with the two directions apart as Taylor, 1952, has them). The integrator
+//! gives half of a step's impulse to either end, each with the velocity of the step and the tangent of that end. The half at the start is
+//! solved for, so that a step of any length takes speed away and never turns it around.
+
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+use super::rod::Rod;
+use super::rotation::hat;
+
+/// What resists the motion of a node.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Resistance {
+    /// `c_n`, kg/m: force per square of the speed across the axis.
+    pub normal: f64,
+    /// `c_t`, kg/m: force per square of the speed along it.
+    pub tangential: f64,
+}
+
+/// Derivatives of minus the force.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ResistanceSlope {
+    /// `-∂f/∂v`, kg/s: symmetric, without negative eigenvalues.
+    pub velocity: Matrix3<f64>,
+    /// `-∂f/∂ζ` along the body rotation of the node, N.
+    pub rotation: Matrix3<f64>,
+}
+
+/// Derivative of a tangent along the body rotation of its node.
+fn tangent_slope(rotation: &Matrix3<f64>) -> Matrix3<f64> {
+    -rotation * hat(&Vector3::z())
+}
+
+/// `v/|v|`, and zero of zero.
+fn direction(v: &Vector3<f64>) -> Vector3<f64> {
+    v.try_normalize(0.0).unwrap_or_default()
+}
+
+impl Resistance {
+    /// Returns the force on a node of velocity `v`, m/s, and tangent `t`, N.
+    #[must_use]
+    pub fn force(&self, v: &Vector3<f64>, t: &Vector3<f64>) -> Vector3<f64> {
+        let along = t.dot(v);
+        let across = v - t * along;
+        across * (-self.normal * across.norm()) - t * (self.tangential * along.abs() * along)
+    }
+
+    /// Returns the momentum `p` of a node of mass `m` that has `before` in all once the force has acted for the time `weight`, s:
+    /// `p - weight f(p/m, t) = before`, solved in closed form across and along the axis.
+    #[must_use]
+    pub fn slowed(
+        &self,
+        before: &Vector3<f64>,
+        t: &Vector3<f64>,
+        mass: f64,
+        weight: f64,
+    ) -> Vector3<f64> {
+        let part = |c: f64, size: f64| {
+            let rate = c * weight / (mass * mass);
+            2.0 / (1.0 + (1.0 + 4.0 * rate * size).sqrt())
+        };
+        let along = t.dot(before);
+        let across = before - t * along;
+        across * part(self.normal, across.norm()) + t * (along * part(self.tangential, along.abs()))
+    }
+
+    /// Returns the derivatives of minus the force on a node of velocity `v` and rotation `R`.
+    #[must_use]
+    pub fn slope(&self, v: &Vector3<f64>, rotation: &Matrix3<f64>) -> ResistanceSlope {
+        let t = rotation.column(2).into_owned();
+        let along = t.dot(v);
+        let across = v - t * along;
+        let unit = direction(&across);
+        // Of |n| n along n, and of |s| s along s.
+        let by_across =
+            (Matrix3::identity() + unit * unit.transpose()) * (self.normal * across.norm());
+        let by_along = 2.0 * self.tangential * along.abs();
+        let turned = tangent_slope(rotation);
+        let across_turned = -(turned * along + t * (turned.tr_mul(v)).transpose());
+        let along_turned = turned.tr_mul(v).transpose();
+        ResistanceSlope {
+            velocity: by_across - by_across * t * t.transpose() + t * t.transpose() * by_along,
+            rotation: by_across * across_turned
+                + turned * (self.tangential * along.abs() * along)
+                + t * along_turned * by_along,
+        }
+    }
+
+    /// Returns the second derivative of `λ·f` along `(δv, ζ)` in the chart `v + δv`, `R exp(ζ̂)`; symmetric. Where a part of the velocity
+    /// is zero, that part of the law has none, and counts as zero.
+    #[must_use]
+    pub fn curvature(
+        &self,
+        covector: &Vector3<f64>,
+        v: &Vector3<f64>,
+        rotation: &Matrix3<f64>,
+    ) -> SMatrix<f64, 6, 6> {
+        let t = rotation.column(2).into_owned();
+        let along = t.dot(v);
+        let across = v - t * along;
+        let unit = direction(&across);
+        let turned = tangent_slope(rotation);
+        // First derivatives of `n` and of `s` along (δv, ζ).
+        let mut of_across = SMatrix::<f64, 3, 6>::zeros();
+        (of_across.fixed_columns_mut::<3>(0)).copy_from(&(Matrix3::identity() - t * t.transpose()));
+        (of_across.fixed_columns_mut::<3>(3))
+            .copy_from(&-(turned * along + t * turned.tr_mul(v).transpose()));
+        let mut of_along = SMatrix::<f64, 6, 1>::zeros();
+        of_along.fixed_rows_mut::<3>(0).copy_from(&t);
+        (of_along.fixed_rows_mut::<3>(3)).copy_from(&turned.tr_mul(v));
+        let mut of_lever = SMatrix::<f64, 6, 1>::zeros();
+        (of_lever.fixed_rows_mut::<3>(3)).copy_from(&turned.tr_mul(covector));
+        // The second derivatives of `u·t` for a constant vector `u`.
+        let of_tangent = |u: &Vector3<f64>| {
+            let u = rotation.tr_mul(u);
+            let mut out = Matrix3::from_diagonal_element(-u.z);
+            for i in 0..3 {
+                out[(i, 2)] += 0.5 * u[i];
+                out[(2, i)] += 0.5 * u[i];
+            }
+            out
+        };
+        let with_rotation = |out: &mut SMatrix<f64, 6, 6>, m: &Matrix3<f64>| {
+            let mut part = out.fixed_view_mut::<3, 3>(3, 3);
+            part += m;
+        };
+        // Those of `s = t·v`, whose factor is a constant.
+        let of_speed = |out: &mut SMatrix<f64, 6, 6>, factor: f64| {
+            for (row, column, block) in [(0, 3, turned), (3, 0, turned.transpose())] {
+                let mut part = out.fixed_view_mut::<3, 3>(row, column);
+                part += block * factor;
+            }
+            with_rotation(out, &(of_tangent(v) * factor));
+        };
+        let mut out = SMatrix::<f64, 6, 6>::zeros();
+
+        // `-c_n λ·(|n| n)`: the curvature of the law, then its slope `w` on that of `n = v - (t·v) t`.
+        let law = unit * covector.transpose()
+            + covector * unit.transpose()
+            + (Matrix3::identity() - unit * unit.transpose()) * covector.dot(&unit);
+        if across != Vector3::zeros() {
+            out -= of_across.transpose() * law * of_across * self.normal;
+        }
+        let w = (covector + unit * unit.dot(covector)) * (across.norm() * self.normal);
+        let mut lever = SMatrix::<f64, 6, 1>::zeros();
+        (lever.fixed_rows_mut::<3>(3)).copy_from(&turned.tr_mul(&w));
+        out += lever * of_along.transpose() + of_along * lever.transpose();
+        of_speed(&mut out, w.dot(&t));
+        with_rotation(&mut out, &(of_tangent(&w) * along));
+
+        // `-c_t |s| s (λ·t)`.
+        let slope = 2.0 * self.tangential * along.abs();
+        let pulled = covector.dot(&t);
+        let sign = if along == 0.0 { 0.0 } else { along.signum() };
+        out -= of_along * of_along.transpose() * (2.0 * self.tangential * sign * pulled);
+        out -= (of_lever * of_along.transpose() + of_along * of_lever.transpose()) * slope;
+        of_speed(&mut out, -slope * pulled);
+        with_rotation(
+            &mut out,
+            &(of_tangent(covector) * (-self.tangential * along.abs() * along)),
+        );
+        0.5 * (out + out.transpose())
+    }
+}
+
+impl Rod {
+    /// Returns what resists the motion of a node; `None` of a held one, whose motion it does not change.
+    #[inline]
+    #[must_use]
+    pub fn resistance(&self, node: usize) -> Option<&Resistance> {
+        if node < self.first_free_node() || self.joint(node).is_some() {
+            return None;
+        }
+        self.resistances.get(node)
+    }
+
+    /// Returns the weight of a node in the medium around it, N.
+    #[inline]
+    #[must_use]
+    pub fn weight(&self, node: usize) -> Vector3<f64> {
+        let of = |masses: &[f64]| masses.get(node).copied().unwrap_or(0.0);
+        let lifted = of(&self.displaced) + of(&self.added);
+        self.gravity * (self.nodes[node].mass - lifted)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rotation::exp;
+
+    const LAW: Resistance = Resistance {
+        normal: 0.7,
+        tangential: 0.2,
+    };
+
+    fn cases() -> Vec<(Vector3<f64>, Matrix3<f64>)> {
+        let r = exp(&Vector3::new(0.4, -0.9, 0.3));
+        let t = r.column(2).into_owned();
+        vec![
+            (Vector3::new(0.3, -0.2, 0.9), r),
+            (
+                Vector3::new(-3.0, 2.0, 0.1),
+                exp(&Vector3::new(2.0, 0.1, -1.0)),
+            ),
+            (t * 0.4, r),
+            (Vector3::zeros(), r),
+        ]
+    }
+
+    /// The force opposes the motion, and has no part in the other direction where the velocity has none.
+    #[test]
+    fn resistance_takes_energy_away() {
+        for (v, r) in cases() {
+            let t = r.column(2).into_owned();
+            assert!(LAW.force(&v, &t).dot(&v) <= 0.0);
+        }
+        let z = Vector3::z();
+        let x = Vector3::x();
+        for (of, c) in [(z, LAW.tangential), (x, LAW.normal)] {
+            assert!((LAW.force(&(of * -3.0), &z) - of * (9.0 * c)).norm() < 1e-14);
+        }
+    }
+
+    /// The closed form solves its equation, from no weight to one that stops the node at once, and never turns a motion around.
+    #[test]
+    fn slowed_momentum_solves_the_equation() {
+        for (p, r) in cases() {
+            let t = r.column(2).into_owned();
+            for weight in [0.0, 1e-9, 1.0, 1e9] {
+                let mass = 0.3;
+                let after = LAW.slowed(&p, &t, mass, weight);
+                let back = after - LAW.force(&(after / mass), &t) * weight;
+                // A heavy resistance magnifies the rounding of a part that is zero to the square root.
+                assert!((back - p).norm() <= 1e-10 * p.norm(), "{weight}");
+                assert!(after.dot(&p) >= 0.0 && after.norm() <= p.norm() * (1.0 + 1e-15));
+            }
+        }
+    }
+
+    /// Central differences of the force along velocity and rotation.
+    #[test]
+    fn slopes_are_derivatives() {
+        for (v, r) in cases().into_iter().take(3) {
+            let slope = LAW.slope(&v, &r);
+            // Without speed across, the difference of its square is `h`.
+            let h = 1e-7;
+            for i in 0..3 {
+                let e = Vector3::ith(i, h);
+                let at = |v: Vector3<f64>, z: Vector3<f64>| {
+                    LAW.force(&v, &(r * exp(&z)).column(2).into_owned())
+                };
+                let zero = Vector3::zeros();
+                let by_v = (at(v + e, zero) - at(v - e, zero)) / (2.0 * h);
+                let by_z = (at(v, e) - at(v, -e)) / (2.0 * h);
+                assert!((by_v + slope.velocity.column(i)).norm() < 1e-6 * v.norm());
+                assert!((by_z + slope.rotation.column(i)).norm() < 1e-6 * v.norm());
+            }
+        }
+    }
+
+    /// Central differences of the slopes; the second derivative in the chart is the symmetric part of that of the left-trivialized slope.
+    #[test]
+    fn curvature_is_the_derivative_of_slopes() {
+        let covector = Vector3::new(0.8, 0.5, -1.1);
+        for (v, r) in cases().into_iter().take(2) {
+            let found = LAW.curvature(&covector, &v, &r);
+            let h = 1e-5;
+            let mut expected = SMatrix::<f64, 6, 6>::zeros();
+            for i in 0..6 {
+                let slope = |sign: f64| {
+                    let (mut v, mut z) = (v, Vector3::zeros());
+                    if i < 3 {
+                        v[i] += sign * h;
+                    } else {
+                        z[i - 3] = sign * h;
+                    }
+                    let at = LAW.slope(&v, &(r * exp(&z)));
+                    let parts = [at.velocity.tr_mul(&covector), at.rotation.tr_mul(&covector)];
+                    SMatrix::<f64, 6, 1>::from_iterator(parts.iter().flatten().map(|x| -x))
+                };
+                let column = (slope(1.0) - slope(-1.0)) / (2.0 * h);
+                expected.set_column(i, &column);
+            }
+            let symmetric = (expected + expected.transpose()) * 0.5;
+            assert!((found - symmetric).norm() < 1e-8 * found.norm());
+            assert_eq!(found, found.transpose());
+        }
+    }
+}
