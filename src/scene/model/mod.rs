@@ -1,4 +1,5 @@
-//! The sections and keys of a scene. Doc comments are the descriptions in the JSON Schema.
+//! The sections and keys of a scene. Doc comments are the descriptions in the JSON Schema; a key that is `None` is not written, since TOML has no
+//! null.
 
 mod base;
 mod contact;
