@@ -62,6 +62,9 @@ pub struct Scene {
     /// Damping. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<Damping>,
+    /// Fluid around the arm: drag, buoyancy and added mass. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fluid: Option<Fluid>,
     /// A rigid body at the tip. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub payload: Option<Payload>,
@@ -147,6 +150,7 @@ impl Scene {
             tip: None,
             gravity: None,
             damping: None,
+            fluid: None,
             payload: None,
             body: Vec::new(),
             load: Vec::new(),
