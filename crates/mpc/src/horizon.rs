@@ -117,6 +117,16 @@ fn efforts_along(order: &ControlOrder, n_nodes: usize, grid: TimeGrid) -> Option
     })
 }
 
+/// Returns the motion that stays in its first configuration.
+fn resting(start: &State, grid: TimeGrid) -> Trajectory {
+    let n_nodes = start.configuration.positions.len();
+    let mut trajectory = Trajectory::with_capacity(n_nodes, grid.n_steps + 1);
+    for _ in 0..=grid.n_steps {
+        trajectory.push(&start.configuration);
+    }
+    trajectory
+}
+
 /// Returns the indices and shapes of the obstacles among the limits of a problem.
 fn obstacles(problem: &OptimalControlProblem) -> Vec<(usize, Shape)> {
     (problem.path.iter().enumerate())
@@ -252,10 +262,7 @@ impl Horizon {
             on_strains,
             of_poses,
         } = Drivers::of(&problem, &components);
-        let mut trajectory = Trajectory::with_capacity(n_nodes, grid.n_steps + 1);
-        for _ in 0..=grid.n_steps {
-            trajectory.push(&start.configuration);
-        }
+        let trajectory = resting(&start, grid);
         let rows = {
             let whole = evaluated(&problem, &trajectory, grid, &start);
             Rows::new(&problem, &whole.states, weight, price, n_states)
