@@ -3,7 +3,7 @@
 use faer::Mat;
 
 use super::rows::{Columns, CostRow, Gathered, describe};
-use super::{LiftedPoint, MANY_PRODUCTS, Transcription};
+use super::{LiftedPoint, Transcription};
 use crate::acting::ControlCurvature;
 use crate::path::{RowCurvature, RowGradient};
 use mechanics::StateForm;
@@ -12,6 +12,10 @@ use mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
 use mechanics::sensitivity::{ControlColumns, Sensitivities, adjoint, sensitivities};
 use sqp::{Evaluation, Failure, Linearization, LinearizationRequest, Multipliers};
 use stop::{LARGE, StopSignal};
+
+/// Number of products from which a Gauss-Newton Hessian takes more than some hundredths of a second, so that it is computed where a stop
+/// signal can leave it behind. The result is the same.
+const MANY_PRODUCTS: usize = 100_000_000;
 
 impl Transcription<'_> {
     /// Returns the total derivative of `J + yᵀ c + zᵀ h` along the variables, at a point that obeys its dynamics, by one adjoint sweep.
