@@ -58,8 +58,7 @@ fn answer(found: &SceneCheck, scene: &Scene, console: &Console) {
         summary,
         rod,
         duration,
-        distance,
-        own_units,
+        ..
     } = found;
     let say = |word: &str, text: &str| console.say(&entry(word, text));
     let payload = if summary.payload_kg > 0.0 {
@@ -104,6 +103,31 @@ fn answer(found: &SceneCheck, scene: &Scene, console: &Console) {
             &format!("{on_nodes} on nodes, {along} along the arm"),
         );
     }
+    say_actuators(found, console);
+    say("steps", &steps_in_words(summary));
+    if let Some(cost) = &summary.solve_cost {
+        let time = SolveTime {
+            iteration: cost.iteration_s,
+            check: cost.check_s,
+            has_rows: (summary.optimal_control.as_ref()).is_some_and(|size| size.path_rows > 0),
+        };
+        say("solve", &time_in_words(&time, summary.memory_bytes as f64));
+    }
+    if let Some(closed_loop) = &summary.closed_loop {
+        say_loop(closed_loop, console);
+    }
+}
+
+/// Prints what the controls are, and what they need to hold the arm at its target.
+fn say_actuators(found: &SceneCheck, console: &Console) {
+    let SceneCheck {
+        summary,
+        rod,
+        distance,
+        own_units,
+        ..
+    } = found;
+    let say = |word: &str, text: &str| console.say(&entry(word, text));
     let acting = |actuator: &&ActuatorSummary| {
         [&actuator.force, &actuator.moment]
             .iter()
@@ -119,17 +143,7 @@ fn answer(found: &SceneCheck, scene: &Scene, console: &Console) {
         } else {
             format!("node {}", actuator.node)
         };
-        let mut parts = Vec::new();
-        if actuator.force != NO_WRENCH {
-            parts.push(format!("force in space {}", actuator.force));
-        }
-        if actuator.moment != NO_WRENCH {
-            parts.push(format!("moment in body frame {}", actuator.moment));
-        }
-        if parts.is_empty() {
-            parts.push("neither force nor moment".into());
-        }
-        say(&node, &parts.join("; "));
+        say(&node, &wrench_in_words(actuator));
     }
     if on_nodes.len() > WRENCHES_SHOWN {
         let more = on_nodes.len() - WRENCHES_SHOWN;
@@ -150,6 +164,23 @@ fn answer(found: &SceneCheck, scene: &Scene, console: &Console) {
         let away = distance.map_or_else(String::new, |d| format!("{} away; ", quantity(d, "m")));
         say("target", &(away + &held_by(need, own_units)));
     }
+}
+
+fn wrench_in_words(actuator: &ActuatorSummary) -> String {
+    let mut parts = Vec::new();
+    if actuator.force != NO_WRENCH {
+        parts.push(format!("force in space {}", actuator.force));
+    }
+    if actuator.moment != NO_WRENCH {
+        parts.push(format!("moment in body frame {}", actuator.moment));
+    }
+    if parts.is_empty() {
+        parts.push("neither force nor moment".into());
+    }
+    parts.join("; ")
+}
+
+fn steps_in_words(summary: &CheckSummary) -> String {
     let chosen = if summary.integrator_is_chosen {
         let cost = &summary.cost;
         format!(
@@ -160,26 +191,12 @@ fn answer(found: &SceneCheck, scene: &Scene, console: &Console) {
     } else {
         String::new()
     };
-    say(
-        "steps",
-        &format!(
-            "{} of {}, {}{chosen}",
-            summary.steps,
-            quantity(summary.step_s, "s"),
-            summary.integrator
-        ),
-    );
-    if let Some(cost) = &summary.solve_cost {
-        let time = SolveTime {
-            iteration: cost.iteration_s,
-            check: cost.check_s,
-            has_rows: (summary.optimal_control.as_ref()).is_some_and(|size| size.path_rows > 0),
-        };
-        say("solve", &time_in_words(&time, summary.memory_bytes as f64));
-    }
-    if let Some(closed_loop) = &summary.closed_loop {
-        say_loop(closed_loop, console);
-    }
+    format!(
+        "{} of {}, {}{chosen}",
+        summary.steps,
+        quantity(summary.step_s, "s"),
+        summary.integrator
+    )
 }
 
 fn rest_in_words(rest: &RestSummary, rod: &Rod) -> String {

@@ -202,10 +202,6 @@ fn tell(
     console: &Console,
 ) {
     let say = |word: &str, text: &str| console.say(&entry(word, text));
-    let point = |x: [f64; 3]| {
-        let [x, y, z] = x.map(digits);
-        format!("[{x}, {y}, {z}] m")
-    };
     let error = summary.refined_space_m.map_or_else(
         || "twice the elements have another equilibrium or none".to_string(),
         |error| format!("elements put a node up to {} off", quantity(error, "m")),
@@ -214,7 +210,7 @@ fn tell(
         "tip",
         &format!(
             "{}, {} from where it is unloaded; {error}",
-            point(summary.tip.position_m),
+            place_in_words(summary.tip.position_m),
             quantity(summary.tip_displacement_m, "m")
         ),
     );
@@ -237,8 +233,64 @@ fn tell(
             ),
         );
     }
+    say("rests", &stability_in_words(summary));
+    if let Some(place) = summary.goes_to_m {
+        let place = place_in_words(place);
+        say(
+            "",
+            &match summary.goes_to_node {
+                Some(node) if node != found.rod.tip() => {
+                    format!("pushed a little, its node {node} goes to {place}")
+                }
+                _ => format!("pushed a little, its tip goes to {place}"),
+            },
+        );
+    }
+    if summary.left_saddles > 0 {
+        say(
+            "",
+            &format!(
+                "unstable equilibria that it left on its way here: {}, each to a side of less energy; of two equal sides it took the one along the \
+                 base's first axis",
+                summary.left_saddles
+            ),
+        );
+    }
+    let buckling = &summary.buckling;
+    say("loads", &buckling_in_words(summary, options));
+    if buckling.from_factor > 0.0 {
+        say(
+            "",
+            "between its ends the arm may have several stable shapes; of those that it found this one has the least energy",
+        );
+    }
+    if let Some(jump) = found.sweep.iter().find(|point| point.jumped) {
+        console.warn(&format!(
+            "at load factor {} the sweep continues on another equilibrium, because the {} factor",
+            digits(jump.factor),
+            if jump.factor < buckling.from_factor {
+                "next one ends at a larger"
+            } else {
+                "previous one ends at a smaller"
+            }
+        ));
+    }
+    if let Some(cut) = &summary.sweep_cut {
+        console.warn(&format!(
+            "the sweep ends at load factor {}: {cut}",
+            digits(summary.sweep.last().map_or(0.0, |point| point.factor))
+        ));
+    }
+}
+
+fn place_in_words(x: [f64; 3]) -> String {
+    let [x, y, z] = x.map(digits);
+    format!("[{x}, {y}, {z}] m")
+}
+
+fn stability_in_words(summary: &EquilibriumSummary) -> String {
     let stability = &summary.stability;
-    let words = match (stability.growth_rate_1_s, stability.first_frequency_hz) {
+    match (stability.growth_rate_1_s, stability.first_frequency_hz) {
         (Some(rate), _) => format!(
             "UNSTABLE: deviations grow e-fold in {}{}",
             quantity(rate.recip(), "s"),
@@ -255,31 +307,12 @@ fn tell(
                 ))
         ),
         (None, None) => "neutral: nothing brings the arm back, and nothing grows".to_string(),
-    };
-    say("rests", &words);
-    if let Some(place) = summary.goes_to_m {
-        say(
-            "",
-            &match summary.goes_to_node {
-                Some(node) if node != found.rod.tip() => {
-                    format!("pushed a little, its node {node} goes to {}", point(place))
-                }
-                _ => format!("pushed a little, its tip goes to {}", point(place)),
-            },
-        );
     }
-    if summary.left_saddles > 0 {
-        say(
-            "",
-            &format!(
-                "unstable equilibria that it left on its way here: {}, each to a side of less energy; of two equal sides it took the one along the \
-                 base's first axis",
-                summary.left_saddles
-            ),
-        );
-    }
+}
+
+fn buckling_in_words(summary: &EquilibriumSummary, options: &StaticsOptions) -> String {
     let buckling = &summary.buckling;
-    let words = match (buckling.factor, buckling.how, buckling.why) {
+    match (buckling.factor, buckling.how, buckling.why) {
         (Some(factor), how, _) => format!(
             "at load factor {} it {} ({} vary)",
             digits(factor),
@@ -304,29 +337,5 @@ fn tell(
                 _ => "",
             }
         ),
-    };
-    say("loads", &words);
-    if buckling.from_factor > 0.0 {
-        say(
-            "",
-            "between its ends the arm may have several stable shapes; of those that it found this one has the least energy",
-        );
-    }
-    if let Some(jump) = found.sweep.iter().find(|point| point.jumped) {
-        console.warn(&format!(
-            "at load factor {} the sweep continues on another equilibrium, because the {} factor",
-            digits(jump.factor),
-            if jump.factor < buckling.from_factor {
-                "next one ends at a larger"
-            } else {
-                "previous one ends at a smaller"
-            }
-        ));
-    }
-    if let Some(cut) = &summary.sweep_cut {
-        console.warn(&format!(
-            "the sweep ends at load factor {}: {cut}",
-            digits(summary.sweep.last().map_or(0.0, |point| point.factor))
-        ));
     }
 }

@@ -186,6 +186,20 @@ fn conclude(summary: &FitSummary, console: &Console) {
     if let Some(words) = unexplained(summary) {
         console.warn(&words);
     }
+    say_parameters(summary, console);
+    say_cases(summary, console);
+    let good = summary.status == "converged";
+    console.verdict(
+        good,
+        &format!(
+            "{} after {} iterations, {:.1} s",
+            summary.status, summary.iterations, summary.wall_s
+        ),
+    );
+}
+
+/// Prints the estimates with their errors, and what the data cannot tell.
+fn say_parameters(summary: &FitSummary, console: &Console) {
     for own in &summary.parameters {
         let error = own.standard_error.map_or_else(
             || "the data cannot tell it alone".into(),
@@ -245,6 +259,10 @@ fn conclude(summary: &FitSummary, console: &Console) {
             }
         }
     }
+}
+
+/// Prints how far places and orientations are off.
+fn say_cases(summary: &FitSummary, console: &Console) {
     let known = |value: Option<f64>, unit: &str| {
         value.map_or_else(|| "-".into(), |value| quantity(value, unit))
     };
@@ -287,12 +305,4 @@ fn conclude(summary: &FitSummary, console: &Console) {
             known(summary.sigma_rad, "rad")
         ));
     }
-    let good = summary.status == "converged";
-    console.verdict(
-        good,
-        &format!(
-            "{} after {} iterations, {:.1} s",
-            summary.status, summary.iterations, summary.wall_s
-        ),
-    );
 }

@@ -241,29 +241,10 @@ fn label(contender: Contender) -> &'static str {
 }
 
 fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
-    let times = |name: &str, p: &Percentiles| {
-        console.say(&format!(
-            "  {name:9} {:8.3} {:8.3} {:8.3} {:8.3} ms",
-            1e3 * p.p50,
-            1e3 * p.p95,
-            1e3 * p.p99,
-            1e3 * p.max
-        ));
-    };
     for peak in summary.limits.iter().filter(|peak| peak.violated) {
         console.say(&format!("VIOLATED: {}", peak.words()));
     }
-    console.say(&format!(
-        "{} samples, {} overruns of {} ms, {:.1} times real time; a sample takes (p50, p95, p99, longest)",
-        summary.samples,
-        summary.overruns,
-        1e3 * summary.period_s,
-        summary.real_time_factor
-    ));
-    times("whole", &summary.sample_s);
-    times("estimate", &summary.estimate_s);
-    times("feedback", &summary.feedback_s);
-    times("prepare", &summary.prepare_s);
+    say_times(summary, console);
     for peak in &summary.limits {
         let amount = format!("{:.3e} {}", peak.excess.abs(), peak.unit);
         let verdict = if peak.excess > 0.0 {
@@ -287,6 +268,53 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
             "  {n} samples without a command of their own: {cause}"
         ));
     }
+    say_errors(setup, summary, console);
+    for sentence in &summary.advice {
+        console.warn(sentence);
+    }
+    let needed = setup.experiment.mpc.period;
+    if summary.sample_s.p99 > needed {
+        let most = if summary.estimate_s.p50 > 0.5 * summary.sample_s.p50 {
+            "most of it the estimator's: a smaller estimator.elements, a longer estimator.step_s, "
+        } else {
+            ""
+        };
+        console.warn(&format!(
+            "one sample in a hundred takes more than the period, {} ms here: {most}fewer elements, a shorter mpc.horizon_s, longer blocks, or a \
+             longer mpc.period_s",
+            1e3 * needed
+        ));
+    }
+    let report = Path::new(&summary.directory).join("report.html");
+    console.say(&format!("report: {}", report.display()));
+}
+
+/// Prints how long samples and their parts took.
+fn say_times(summary: &MpcSummary, console: &Console) {
+    let times = |name: &str, p: &Percentiles| {
+        console.say(&format!(
+            "  {name:9} {:8.3} {:8.3} {:8.3} {:8.3} ms",
+            1e3 * p.p50,
+            1e3 * p.p95,
+            1e3 * p.p99,
+            1e3 * p.max
+        ));
+    };
+    console.say(&format!(
+        "{} samples, {} overruns of {} ms, {:.1} times real time; a sample takes (p50, p95, p99, longest)",
+        summary.samples,
+        summary.overruns,
+        1e3 * summary.period_s,
+        summary.real_time_factor
+    ));
+    times("whole", &summary.sample_s);
+    times("estimate", &summary.estimate_s);
+    times("feedback", &summary.feedback_s);
+    times("prepare", &summary.prepare_s);
+}
+
+/// Prints the errors of the loop beside those of its baselines.
+fn say_errors(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
     let who = followed(setup);
     console.say(&format!(
         "distance of {who} from its reference, from {} s on, in % of the length",
@@ -322,22 +350,4 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
         }
         line(own, turn, 1.0, summary.status);
     }
-    for sentence in &summary.advice {
-        console.warn(sentence);
-    }
-    let needed = setup.experiment.mpc.period;
-    if summary.sample_s.p99 > needed {
-        let most = if summary.estimate_s.p50 > 0.5 * summary.sample_s.p50 {
-            "most of it the estimator's: a smaller estimator.elements, a longer estimator.step_s, "
-        } else {
-            ""
-        };
-        console.warn(&format!(
-            "one sample in a hundred takes more than the period, {} ms here: {most}fewer elements, a shorter mpc.horizon_s, longer blocks, or a \
-             longer mpc.period_s",
-            1e3 * needed
-        ));
-    }
-    let report = Path::new(&summary.directory).join("report.html");
-    console.say(&format!("report: {}", report.display()));
 }

@@ -58,23 +58,9 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     for warning in warnings(&scene, &described.problem.rod, described.problem.grid.step) {
         console.warn(&warning);
     }
-    let mut not_held = None;
-    if scene.stays() && described.problem.stay.is_none() {
-        let why = match holding(&described.problem) {
-            Ok(Holding::NotFound { why }) => {
-                let nearest = match &why {
-                    NotFound::Bounds { nearest } => nearest.as_ref(),
-                    _ => None,
-                };
-                format!(": {why}{}", nearest_in_words(&described.problem, nearest))
-            }
-            _ => String::new(),
-        };
-        let words = format!(
-            "task.at_rest: nothing was found that holds the arm at its target, so that the tip only stops for an instant{why}"
-        );
-        console.warn(&words);
-        not_held = Some(words);
+    let not_held = not_held(&scene, &described.problem);
+    if let Some(words) = &not_held {
+        console.warn(words);
     }
     let mut previous = None;
     if let Some(directory) = arguments.from.as_deref() {
@@ -158,6 +144,26 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         console.say(&accuracy.why);
     }
     Ok(exit_code(&solution, &examined))
+}
+
+/// Returns the reason why the tip of an arm that should stay at its target only stops there for an instant.
+fn not_held(scene: &Scene, problem: &OptimalControlProblem) -> Option<String> {
+    if !scene.stays() || problem.stay.is_some() {
+        return None;
+    }
+    let why = match holding(problem) {
+        Ok(Holding::NotFound { why }) => {
+            let nearest = match &why {
+                NotFound::Bounds { nearest } => nearest.as_ref(),
+                _ => None,
+            };
+            format!(": {why}{}", nearest_in_words(problem, nearest))
+        }
+        _ => String::new(),
+    };
+    Some(format!(
+        "task.at_rest: nothing was found that holds the arm at its target, so that the tip only stops for an instant{why}"
+    ))
 }
 
 /// Solves a problem from all starts, checks what they find, and tells on the way.

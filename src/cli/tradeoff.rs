@@ -12,7 +12,7 @@ use super::progress::within_budget;
 use super::{Global, Outcome, SceneAndOut, exit, scene_name};
 use crate::output::replace::{Own, Writer};
 use crate::output::summary::{SCHEMA_VERSION, TOOL};
-use crate::output::{ResultKind, RunDirectory, read_text};
+use crate::output::{OutputError, ResultDirectory, ResultKind, RunDirectory, read_text};
 use crate::scene::{Scene, SceneSource};
 use crate::stop::{Stop, StopSignal};
 use crate::tradeoff::page::{
@@ -88,111 +88,43 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     };
     let directory = RunDirectory::open(&target, ResultKind::Tradeoff)?;
     let mut journal = Journal::begin(directory.path(), &scene.to_toml(), &earlier.points)?;
-    let known = earlier.points.clone();
 
-    console.say(&format!(
-        "{}: at most {:e} of the length, within {:.0} s",
-        Subject::of(&scene).words(),
-        arguments.tolerance,
-        arguments.budget.as_secs_f64()
-    ));
-    if arguments.resume {
-        let count = earlier.points.len();
-        console.say(&format!("{count} points are there already"));
-    }
-    let mut usual = None;
-    let bar = within_budget(arguments.budget, console);
-    let mut tell = |news: News| match news {
-        News::Words(words) => bar.suspend(|| console.say(&words)),
-        News::Point(point, own) => {
-            if !known.iter().any(|known| known.setting == point.setting) {
-                journal.note(point);
-            }
-            bar.suspend(|| {
-                usual.get_or_insert_with(|| {
-                    console.say("      time     error  setting");
-                    own.clone()
-                });
-                console.say(&row(point, own));
-                console.event("point", point);
-            });
-            bar.inc(1);
-        }
-    };
-    let found = Sweep {
+    let task = SweepTask {
+        arguments,
         scene: &scene,
         source: &source,
-        tolerance: arguments.tolerance,
-        budget: arguments.budget,
-        known: earlier.points,
-        known_reference: earlier.reference,
         stop: &stop,
-        tell: &mut tell,
-    }
-    .run();
-    bar.finish_and_clear();
-    let found = match found {
-        Ok(found) => found,
+        console,
+    };
+    task.announce(&earlier);
+    let (found, usual) = match task.sweep(earlier, &mut journal) {
+        Ok(swept) => swept,
         Err(error) => {
             directory.remove()?;
-            return Err(refused(&scene, &source, error, &stop));
+            return Err(error);
         }
     };
-    let Some(usual) = usual else {
-        directory.remove()?;
-        let words = "nothing was run: a larger --budget";
-        return Err(stop
-            .raised()
-            .map_or_else(|| CliError::Directory(words.into()), CliError::Stopped));
-    };
-
-    let recommended = found.recommended.as_ref().map(|recommended| {
-        let step = (recommended.point.setting.step_over_automatic != 1.0)
-            .then_some(recommended.point.step_s);
-        recommended.point.setting.applied(&scene, step)
-    });
-    let sentence = sentence(&found, &usual);
-    let short_name = scene_name(name);
-    let summarize = |directory: &Path| TradeoffSummary {
-        schema_version: SCHEMA_VERSION,
-        tool: TOOL,
-        command: "tradeoff",
-        scene: &short_name,
-        status: status(&found, stop.raised()),
-        budget_s: arguments.budget.as_secs_f64(),
-        wall_s: started.elapsed().as_secs_f64(),
+    let result = SweepResult {
+        task: &task,
+        started,
+        name: scene_name(name),
+        recommended: recommended_scene(&found, &scene),
+        sentence: sentence(&found, &usual),
+        svg: picture(&found, &usual).ok(),
         found: &found,
         usual: &usual,
-        directory: directory.display().to_string(),
     };
-    let svg = picture(&found, &usual);
-    let written = directory.publish_or_rescue(|result| {
-        let summary = summarize(result.place());
-        result.write_text("scene.toml", &scene.to_toml())?;
-        write_points(&result.path().join("points.csv"), &found.points)?;
-        if let Some(recommended) = &recommended {
-            result.write_text("recommended.toml", &recommended.to_toml())?;
-        }
-        if let Ok(svg) = &svg {
-            result.write_text("front.svg", svg)?;
-        }
-        let drawn = svg.as_deref().unwrap_or_default();
-        result.write_text(
-            "report.html",
-            &page(&short_name, &found, &usual, &sentence, drawn)?,
-        )?;
-        result.write_json("summary.json", &summary)
-    });
-    conclude(&found, &usual, &sentence, console);
+    let written = directory.publish_or_rescue(|folder| result.write(folder));
+    conclude(&found, &usual, &result.sentence, console);
     if let Ok(directory) = &written {
         console.say(&format!(
             "report: {}",
             directory.join("report.html").display()
         ));
     }
-    console.summary(&summarize(&target));
+    console.summary(&result.summary(&target));
     written?;
-    if let (Some(place), Some(recommended)) = (&applied, &recommended) {
+    if let (Some(place), Some(recommended)) = (&applied, &result.recommended) {
         let text = source.text_with(recommended).unwrap_or_else(|| {
             console.warn(
                 "the text of the scene cannot be kept: every key is written out, without comments",
@@ -205,21 +137,159 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
             place.path.display()
         ));
     }
-    Ok(match (stop.raised(), &found.recommended) {
-        (Some(stop), _) => {
-            console.always(&format!(
-                "{stop}; the points so far are written, and --resume continues the sweep"
-            ));
-            exit::STOPPED
+    Ok(result.exit_code())
+}
+
+/// What is swept, until when, and who is told.
+struct SweepTask<'a> {
+    arguments: &'a TradeoffArguments,
+    scene: &'a Scene,
+    source: &'a SceneSource,
+    stop: &'a StopSignal,
+    console: &'a Console,
+}
+
+impl SweepTask<'_> {
+    fn announce(&self, earlier: &Earlier) {
+        self.console.say(&format!(
+            "{}: at most {:e} of the length, within {:.0} s",
+            Subject::of(self.scene).words(),
+            self.arguments.tolerance,
+            self.arguments.budget.as_secs_f64()
+        ));
+        if self.arguments.resume {
+            let count = earlier.points.len();
+            self.console
+                .say(&format!("{count} points are there already"));
         }
-        (None, Some(recommended)) if recommended.checked => exit::DONE,
-        (None, _) => {
-            if console.is_quiet() {
-                console.always(&sentence);
+    }
+
+    /// Returns what the sweep found, and the setting of the scene itself; every new point is told, and noted in the journal.
+    fn sweep(
+        &self,
+        earlier: Earlier,
+        journal: &mut Journal,
+    ) -> Result<(Tradeoff, Setting), CliError> {
+        let console = self.console;
+        let known = earlier.points.clone();
+        let mut usual = None;
+        let bar = within_budget(self.arguments.budget, console);
+        let mut tell = |news: News| match news {
+            News::Words(words) => bar.suspend(|| console.say(&words)),
+            News::Point(point, own) => {
+                if !known.iter().any(|known| known.setting == point.setting) {
+                    journal.note(point);
+                }
+                bar.suspend(|| {
+                    usual.get_or_insert_with(|| {
+                        console.say("      time     error  setting");
+                        own.clone()
+                    });
+                    console.say(&row(point, own));
+                    console.event("point", point);
+                });
+                bar.inc(1);
             }
-            exit::NOT_CONVERGED
+        };
+        let found = Sweep {
+            scene: self.scene,
+            source: self.source,
+            tolerance: self.arguments.tolerance,
+            budget: self.arguments.budget,
+            known: earlier.points,
+            known_reference: earlier.reference,
+            stop: self.stop,
+            tell: &mut tell,
         }
-    })
+        .run();
+        bar.finish_and_clear();
+        let found = found.map_err(|error| refused(self.scene, self.source, error, self.stop))?;
+        match (usual, self.stop.raised()) {
+            (Some(usual), _) => Ok((found, usual)),
+            (None, Some(stop)) => Err(CliError::Stopped(stop)),
+            (None, None) => {
+                let words = "nothing was run: a larger --budget";
+                Err(CliError::Directory(words.into()))
+            }
+        }
+    }
+}
+
+/// Returns the scene with the recommended setting, if there is one.
+fn recommended_scene(found: &Tradeoff, scene: &Scene) -> Option<Scene> {
+    let point = &found.recommended.as_ref()?.point;
+    let step = (point.setting.step_over_automatic != 1.0).then_some(point.step_s);
+    Some(point.setting.applied(scene, step))
+}
+
+/// The result of a sweep.
+struct SweepResult<'a> {
+    task: &'a SweepTask<'a>,
+    started: Instant,
+    /// Name of the scene.
+    name: String,
+    found: &'a Tradeoff,
+    /// The setting of the scene itself.
+    usual: &'a Setting,
+    /// The scene with the recommended setting.
+    recommended: Option<Scene>,
+    sentence: String,
+    svg: Option<String>,
+}
+
+impl SweepResult<'_> {
+    fn summary(&self, directory: &Path) -> TradeoffSummary<'_> {
+        TradeoffSummary {
+            schema_version: SCHEMA_VERSION,
+            tool: TOOL,
+            command: "tradeoff",
+            scene: &self.name,
+            status: status(self.found, self.task.stop.raised()),
+            budget_s: self.task.arguments.budget.as_secs_f64(),
+            wall_s: self.started.elapsed().as_secs_f64(),
+            found: self.found,
+            usual: self.usual,
+            directory: directory.display().to_string(),
+        }
+    }
+
+    fn write(&self, folder: &ResultDirectory) -> Result<(), OutputError> {
+        let summary = self.summary(folder.place());
+        folder.write_text("scene.toml", &self.task.scene.to_toml())?;
+        write_points(&folder.path().join("points.csv"), &self.found.points)?;
+        if let Some(recommended) = &self.recommended {
+            folder.write_text("recommended.toml", &recommended.to_toml())?;
+        }
+        if let Some(svg) = &self.svg {
+            folder.write_text("front.svg", svg)?;
+        }
+        let drawn = self.svg.as_deref().unwrap_or_default();
+        folder.write_text(
+            "report.html",
+            &page(&self.name, self.found, self.usual, &self.sentence, drawn)?,
+        )?;
+        folder.write_json("summary.json", &summary)
+    }
+
+    /// Returns the code of the end of the program, and says why where it is not that of a checked recommendation.
+    fn exit_code(&self) -> u8 {
+        let console = self.task.console;
+        match (self.task.stop.raised(), &self.found.recommended) {
+            (Some(stop), _) => {
+                console.always(&format!(
+                    "{stop}; the points so far are written, and --resume continues the sweep"
+                ));
+                exit::STOPPED
+            }
+            (None, Some(recommended)) if recommended.checked => exit::DONE,
+            (None, _) => {
+                if console.is_quiet() {
+                    console.always(&self.sentence);
+                }
+                exit::NOT_CONVERGED
+            }
+        }
+    }
 }
 
 fn refused(scene: &Scene, source: &SceneSource, error: SweepError, stop: &StopSignal) -> CliError {

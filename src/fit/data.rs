@@ -170,81 +170,128 @@ pub fn read(path: &Path) -> Result<(Data, Vec<Case>), String> {
             path.display()
         )
     })?;
-    let refuse = |words: String| Err(format!("{}: {words}", path.display()));
-    if !(data.sigma_m > 0.0 && data.sigma_m.is_finite()) {
-        return refuse(format!(
-            "sigma_m = {}: give the standard deviation of a coordinate in m, above 0",
-            data.sigma_m
-        ));
-    }
-    if let Some(sigma) = data.sigma_rad
-        && !(sigma > 0.0 && sigma.is_finite())
-    {
-        return refuse(format!(
-            "sigma_rad = {sigma}: give the standard deviation of an orientation about an axis in rad, above 0"
-        ));
-    }
-    for (index, marker) in data.marker.iter().enumerate() {
-        let known = data.marker[..index]
-            .iter()
-            .any(|own| own.name == marker.name);
-        if known
-            || !(0.0..=1.0).contains(&marker.at)
-            || marker.offset_m.iter().any(|x| !x.is_finite())
-        {
-            return refuse(format!(
-                "marker {:?} at {}: give every marker a name of its own, a place from 0 to 1, and a finite offset",
-                marker.name, marker.at
-            ));
-        }
-    }
-    let marker_of = |name: &str| {
-        let found = data.marker.iter().position(|marker| marker.name == name);
-        found.ok_or_else(|| {
-            let names: Vec<_> = data.marker.iter().map(|marker| &marker.name).collect();
-            format!(
-                "{}: there is no marker {name:?}; those of the file are {names:?}",
-                path.display()
-            )
-        })
-    };
+    let file = File { path, data: &data };
+    file.check()?;
     let mut cases = Vec::new();
     for (index, shape) in data.shape.iter().enumerate() {
+        cases.push(file.shape_case(index, shape)?);
+    }
+    for recording in &data.recording {
+        cases.push(file.recording_case(recording)?);
+    }
+    if !cases
+        .iter()
+        .any(|case| !case.held_out && !case.sights.is_empty())
+    {
+        return Err(file.refused(
+            "nothing was measured: give [[shape]] or [[recording]] with positions of markers",
+        ));
+    }
+    let mut sights = cases.iter().flat_map(|case| &case.sights);
+    if data.sigma_rad.is_none() && sights.any(|sight| sight.orientation.is_some()) {
+        return Err(file.refused(
+            "there are orientations and no sigma_rad: give their standard deviation about an axis in rad",
+        ));
+    }
+    Ok((data, cases))
+}
+
+/// A file of measurements, before its cases are read.
+struct File<'a> {
+    path: &'a Path,
+    data: &'a Data,
+}
+
+impl File<'_> {
+    fn refused(&self, words: &str) -> String {
+        format!("{}: {words}", self.path.display())
+    }
+
+    /// Checks standard deviations and markers.
+    fn check(&self) -> Result<(), String> {
+        let data = self.data;
+        if !(data.sigma_m > 0.0 && data.sigma_m.is_finite()) {
+            return Err(self.refused(&format!(
+                "sigma_m = {}: give the standard deviation of a coordinate in m, above 0",
+                data.sigma_m
+            )));
+        }
+        if let Some(sigma) = data.sigma_rad
+            && !(sigma > 0.0 && sigma.is_finite())
+        {
+            return Err(self.refused(&format!(
+                "sigma_rad = {sigma}: give the standard deviation of an orientation about an axis in rad, above 0"
+            )));
+        }
+        for (index, marker) in data.marker.iter().enumerate() {
+            let known = data.marker[..index]
+                .iter()
+                .any(|own| own.name == marker.name);
+            if known
+                || !(0.0..=1.0).contains(&marker.at)
+                || marker.offset_m.iter().any(|x| !x.is_finite())
+            {
+                return Err(self.refused(&format!(
+                    "marker {:?} at {}: give every marker a name of its own, a place from 0 to 1, and a finite offset",
+                    marker.name, marker.at
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the index of the marker of this name.
+    fn marker(&self, name: &str) -> Result<usize, String> {
+        let markers = &self.data.marker;
+        let found = markers.iter().position(|marker| marker.name == name);
+        found.ok_or_else(|| {
+            let names: Vec<_> = markers.iter().map(|marker| &marker.name).collect();
+            self.refused(&format!(
+                "there is no marker {name:?}; those of the file are {names:?}"
+            ))
+        })
+    }
+
+    fn shape_case(&self, index: usize, shape: &Shape) -> Result<Case, String> {
         let name = (shape.name.clone()).unwrap_or_else(|| format!("shape {}", index + 1));
         let mut sights = Vec::new();
         let seen = (shape.positions_m.keys()).chain(shape.orientations_wxyz.keys());
         for marker in seen.collect::<std::collections::BTreeSet<_>>() {
             let position = shape.positions_m.get(marker).map(|x| Vector3::from(*x));
             if position.is_some_and(|x| x.iter().any(|x| !x.is_finite())) {
-                return refuse(format!("{name}: the position of {marker:?} is not finite"));
+                return Err(
+                    self.refused(&format!("{name}: the position of {marker:?} is not finite"))
+                );
             }
             let wxyz = shape.orientations_wxyz.get(marker);
             let orientation = wxyz.and_then(|wxyz| rotation(*wxyz));
             if wxyz.is_some() && orientation.is_none() {
-                return refuse(format!(
+                return Err(self.refused(&format!(
                     "{name}: the orientation of {marker:?} is no quaternion of length one"
-                ));
+                )));
             }
             sights.push(Sight {
-                marker: marker_of(marker)?,
+                marker: self.marker(marker)?,
                 time: 0.0,
                 position,
                 orientation,
             });
         }
-        cases.push(Case {
+        Ok(Case {
             name,
             set: shape.set.clone(),
             is_static: true,
             held_out: shape.held_out,
             gaps: 0,
             sights,
-        });
+        })
     }
-    for recording in &data.recording {
-        let table = path.parent().unwrap_or(Path::new("")).join(&recording.csv);
-        let (sights, gaps) = rows(&table, data.sigma_m, &marker_of)?;
-        cases.push(Case {
+
+    fn recording_case(&self, recording: &Recording) -> Result<Case, String> {
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let table = folder.join(&recording.csv);
+        let (sights, gaps) = rows(&table, self.data.sigma_m, &|name| self.marker(name))?;
+        Ok(Case {
             name: recording
                 .name
                 .clone()
@@ -254,25 +301,8 @@ pub fn read(path: &Path) -> Result<(Data, Vec<Case>), String> {
             held_out: recording.held_out,
             gaps,
             sights,
-        });
+        })
     }
-    if !cases
-        .iter()
-        .any(|case| !case.held_out && !case.sights.is_empty())
-    {
-        return refuse(
-            "nothing was measured: give [[shape]] or [[recording]] with positions of markers"
-                .into(),
-        );
-    }
-    let mut sights = cases.iter().flat_map(|case| &case.sights);
-    if data.sigma_rad.is_none() && sights.any(|sight| sight.orientation.is_some()) {
-        return refuse(
-            "there are orientations and no sigma_rad: give their standard deviation about an axis in rad"
-                .into(),
-        );
-    }
-    Ok((data, cases))
 }
 
 fn text_of(path: &Path) -> Result<String, String> {
@@ -337,113 +367,22 @@ fn rows(
         .comment(Some(b'#'))
         .trim(csv::Trim::All)
         .from_reader(text.as_bytes());
-    let at = |line: u64, words: String| format!("{}, line {line}: {words}", path.display());
-    let heads = (reader.headers().map_err(|error| at(1, error.to_string()))?).clone();
-    let column = |name: &str| heads.iter().position(|head| head == name);
-    let Some(time) = column("t_s") else {
-        return Err(at(1, "there is no column t_s".into()));
-    };
-    let mut markers: Vec<Columns> = Vec::new();
-    for (index, head) in heads.iter().enumerate().filter(|(index, _)| *index != time) {
-        let Some((name, ends)) =
-            (PARTS.iter()).find_map(|ends| Some((head.strip_suffix(ends[0])?, *ends)))
-        else {
-            if PARTS
-                .iter()
-                .copied()
-                .flatten()
-                .any(|end| head.ends_with(end))
-            {
-                continue;
-            }
-            return Err(at(
-                1,
-                format!(
-                    "{head:?} is no column; expected t_s, NAME_x_m, NAME_y_m, NAME_z_m, and NAME_qw, NAME_qx, NAME_qy, NAME_qz"
-                ),
-            ));
-        };
-        let mut columns = vec![index];
-        for end in &ends[1..] {
-            let other = format!("{name}{end}");
-            let place = column(&other);
-            columns.push(place.ok_or_else(|| at(1, format!("{head:?} without {other:?}")))?);
-        }
-        let marker = marker_of(name)?;
-        let place = markers
-            .iter()
-            .position(|own: &Columns| own.marker == marker);
-        let place = place.unwrap_or_else(|| {
-            markers.push(Columns {
-                marker,
-                ..Columns::default()
-            });
-            markers.len() - 1
-        });
-        match columns[..] {
-            [x, y, z] => markers[place].position = Some([x, y, z]),
-            [w, x, y, z] => markers[place].orientation = Some([w, x, y, z]),
-            _ => {}
-        }
-    }
+    let names = reader.headers().map_err(|error| at(path, 1, error))?;
+    let head = Head::of(path, names.clone(), marker_of)?;
     let mut sights = Vec::new();
     let mut gaps = 0;
     let mut before = f64::NEG_INFINITY;
     for record in reader.records() {
         let record = record.map_err(|error| format!("{}: {error}", path.display()))?;
-        let line = record.position().map_or(0, csv::Position::line);
-        let number = |index: usize| -> Result<f64, String> {
-            let cell = record.get(index).unwrap_or_default();
-            (cell.parse().ok().filter(|number: &f64| number.is_finite())).ok_or_else(|| {
-                at(
-                    line,
-                    format!("{cell:?} under {:?} is no number", &heads[index]),
-                )
-            })
+        let row = Row {
+            line: record.position().map_or(0, csv::Position::line),
+            head: &head,
+            record,
         };
-        let t = number(time)?;
-        if !(t >= 0.0 && t > before) {
-            return Err(at(
-                line,
-                format!("t_s = {t}: expected times from 0 s on that grow"),
-            ));
-        }
-        if t > LATEST {
-            return Err(at(
-                line,
-                format!(
-                    "t_s = {t}: times count from the start of the scene, in seconds; subtract the time of the clock at which the motion began"
-                ),
-            ));
-        }
-        before = t;
-        let is_missing = |index: usize| {
-            let cell = record.get(index).unwrap_or_default();
-            MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word))
-        };
-        let seen = |columns: &[usize]| columns.iter().any(|&index| !is_missing(index));
-        for own in &markers {
-            let mut sight = Sight {
-                marker: own.marker,
-                time: t,
-                position: None,
-                orientation: None,
-            };
-            if let Some(columns) = own.position.filter(|columns| seen(columns)) {
-                let [x, y, z] = columns.map(number);
-                sight.position = Some(Vector3::new(x?, y?, z?));
-            }
-            if let Some(columns) = own.orientation.filter(|columns| seen(columns)) {
-                let [w, x, y, z] = columns.map(number);
-                let found = rotation([w?, x?, y?, z?]).ok_or_else(|| {
-                    let head = &heads[columns[0]];
-                    at(
-                        line,
-                        format!("{head:?} and the next are no quaternion of length one; leave the cells of a gap empty"),
-                    )
-                })?;
-                sight.orientation = Some(found);
-            }
+        let time = row.time(before)?;
+        before = time;
+        for own in &head.markers {
+            let sight = row.sight(own, time)?;
             gaps += usize::from(own.position.is_some() && sight.position.is_none())
                 + usize::from(own.orientation.is_some() && sight.orientation.is_none());
             if sight.position.is_some() || sight.orientation.is_some() {
@@ -451,7 +390,156 @@ fn rows(
             }
         }
     }
-    refuse_zeros(&markers, &sights, sigma)
+    refuse_zeros(&head.markers, &sights, sigma)
         .map_err(|(t, words)| format!("{}, t_s = {t}: {words}", path.display()))?;
     Ok((sights, gaps))
+}
+
+/// Returns a complaint about a line of a table.
+fn at(path: &Path, line: u64, words: impl std::fmt::Display) -> String {
+    format!("{}, line {line}: {words}", path.display())
+}
+
+/// The columns of the table of a recording.
+struct Head<'a> {
+    path: &'a Path,
+    names: csv::StringRecord,
+    /// Column of the time.
+    time: usize,
+    markers: Vec<Columns>,
+}
+
+impl<'a> Head<'a> {
+    fn of(
+        path: &'a Path,
+        names: csv::StringRecord,
+        marker_of: &dyn Fn(&str) -> Result<usize, String>,
+    ) -> Result<Self, String> {
+        let refused = |words: String| at(path, 1, words);
+        let column = |name: &str| names.iter().position(|head| head == name);
+        let Some(time) = column("t_s") else {
+            return Err(refused("there is no column t_s".into()));
+        };
+        let mut markers: Vec<Columns> = Vec::new();
+        for (index, head) in names.iter().enumerate().filter(|(index, _)| *index != time) {
+            let Some((name, ends)) =
+                (PARTS.iter()).find_map(|ends| Some((head.strip_suffix(ends[0])?, *ends)))
+            else {
+                if PARTS
+                    .iter()
+                    .copied()
+                    .flatten()
+                    .any(|end| head.ends_with(end))
+                {
+                    continue;
+                }
+                return Err(refused(format!(
+                    "{head:?} is no column; expected t_s, NAME_x_m, NAME_y_m, NAME_z_m, and NAME_qw, NAME_qx, NAME_qy, NAME_qz"
+                )));
+            };
+            let mut columns = vec![index];
+            for end in &ends[1..] {
+                let other = format!("{name}{end}");
+                let place = column(&other);
+                columns.push(place.ok_or_else(|| refused(format!("{head:?} without {other:?}")))?);
+            }
+            let marker = marker_of(name)?;
+            let place = markers
+                .iter()
+                .position(|own: &Columns| own.marker == marker);
+            let place = place.unwrap_or_else(|| {
+                markers.push(Columns {
+                    marker,
+                    ..Columns::default()
+                });
+                markers.len() - 1
+            });
+            match columns[..] {
+                [x, y, z] => markers[place].position = Some([x, y, z]),
+                [w, x, y, z] => markers[place].orientation = Some([w, x, y, z]),
+                _ => {}
+            }
+        }
+        Ok(Self {
+            path,
+            names,
+            time,
+            markers,
+        })
+    }
+}
+
+/// A row of the table of a recording.
+struct Row<'a> {
+    head: &'a Head<'a>,
+    record: csv::StringRecord,
+    line: u64,
+}
+
+impl Row<'_> {
+    fn refused(&self, words: String) -> String {
+        at(self.head.path, self.line, words)
+    }
+
+    fn cell(&self, index: usize) -> &str {
+        self.record.get(index).unwrap_or_default()
+    }
+
+    fn number(&self, index: usize) -> Result<f64, String> {
+        let cell = self.cell(index);
+        (cell.parse().ok().filter(|number: &f64| number.is_finite())).ok_or_else(|| {
+            self.refused(format!(
+                "{cell:?} under {:?} is no number",
+                &self.head.names[index]
+            ))
+        })
+    }
+
+    /// Tells whether any of these columns has a cell that was seen.
+    fn has(&self, columns: &[usize]) -> bool {
+        let is_missing = |index: usize| {
+            let cell = self.cell(index);
+            MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word))
+        };
+        columns.iter().any(|&index| !is_missing(index))
+    }
+
+    /// Returns the time, s, which is later than that of the row before.
+    fn time(&self, before: f64) -> Result<f64, String> {
+        let t = self.number(self.head.time)?;
+        if !(t >= 0.0 && t > before) {
+            return Err(self.refused(format!("t_s = {t}: expected times from 0 s on that grow")));
+        }
+        if t > LATEST {
+            return Err(self.refused(format!(
+                "t_s = {t}: times count from the start of the scene, in seconds; subtract the time of the clock at which the motion began"
+            )));
+        }
+        Ok(t)
+    }
+
+    /// Returns the pose of a marker at the time of the row, as far as it was seen.
+    fn sight(&self, own: &Columns, time: f64) -> Result<Sight, String> {
+        let mut sight = Sight {
+            marker: own.marker,
+            time,
+            position: None,
+            orientation: None,
+        };
+        if let Some(columns) = own.position.filter(|columns| self.has(columns)) {
+            let [x, y, z] = columns.map(|index| self.number(index));
+            sight.position = Some(Vector3::new(x?, y?, z?));
+        }
+        if let Some(columns) = own.orientation.filter(|columns| self.has(columns)) {
+            let [w, x, y, z] = columns.map(|index| self.number(index));
+            let found = rotation([w?, x?, y?, z?]).ok_or_else(|| {
+                let head = &self.head.names[columns[0]];
+                self.refused(format!(
+                    "{head:?} and the next are no quaternion of length one; leave the cells of a gap empty"
+                ))
+            })?;
+            sight.orientation = Some(found);
+        }
+        Ok(sight)
+    }
 }

@@ -189,6 +189,88 @@ struct Free {
 }
 
 impl Free {
+    /// Returns the number of this key, as the data describe it; `own` are the entries of the scene, and `tables` those of the cases.
+    fn of(
+        key: &str,
+        described: Option<&data::Free>,
+        own: &toml::Table,
+        tables: &[toml::Table],
+    ) -> Result<Self, FitError> {
+        let refuse = |words: String| Err(FitError::Data(words));
+        let times = described.map_or(&[][..], |free| &free.times);
+        for path in times {
+            if !tables
+                .iter()
+                .chain([own])
+                .any(|table| number(table, path).is_some())
+            {
+                return refuse(format!(
+                    "{path}, of which {key} is a factor, has no number in this scene"
+                ));
+            }
+        }
+        let given = described.and_then(|free| free.start).or_else(|| {
+            if times.is_empty() {
+                number(own, key)
+            } else {
+                Some(1.0)
+            }
+        });
+        let Some(start) = given else {
+            return refuse(format!(
+                "{key} has no number in this scene; give the key of a number, or its start in [[free]] of the data"
+            ));
+        };
+        let part = |of: fn(&data::Free) -> Option<f64>| described.and_then(of);
+        let is_positive = start > 0.0;
+        let bounds = [
+            part(|free| free.lower).unwrap_or(if is_positive {
+                1e-3 * start
+            } else {
+                f64::NEG_INFINITY
+            }),
+            part(|free| free.upper).unwrap_or(if is_positive {
+                1e3 * start
+            } else {
+                f64::INFINITY
+            }),
+        ];
+        let prior = match [part(|free| free.prior), part(|free| free.prior_sigma)] {
+            [Some(prior), Some(sigma)] if sigma > 0.0 && (prior + sigma).is_finite() => {
+                Some([prior, sigma])
+            }
+            [None, None] => None,
+            _ => {
+                return refuse(format!(
+                    "{key}: a prior has a value and a standard deviation above 0, prior and prior_sigma"
+                ));
+            }
+        };
+        let width = bounds[1] - bounds[0];
+        let scale = if start != 0.0 {
+            start.abs()
+        } else if let Some([_, sigma]) = prior {
+            sigma
+        } else if width.is_finite() {
+            width
+        } else {
+            1.0
+        };
+        Ok(Self {
+            key: key.into(),
+            times: times.to_vec(),
+            start,
+            scale,
+            bounds,
+            prior,
+        })
+    }
+
+    /// Returns the dotted paths of its key and of the numbers that it multiplies.
+    fn paths(&self) -> Vec<String> {
+        [&[self.key.clone()][..], &self.times].concat()
+    }
+
     fn scaled_bounds(&self) -> [f64; 2] {
         self.bounds.map(|bound| bound / self.scale)
     }
@@ -235,87 +317,23 @@ fn parameters(
     let mut out: Vec<Free> = Vec::new();
     for key in keys {
         let described = data.free.iter().find(|free| free.key == key);
-        let times = described.map_or(&[][..], |free| &free.times);
-        for path in times {
-            if !tables
-                .iter()
-                .chain([own])
-                .any(|table| number(table, path).is_some())
-            {
-                return refuse(format!(
-                    "{path}, of which {key} is a factor, has no number in this scene"
-                ));
-            }
-        }
-        let given = described.and_then(|free| free.start).or_else(|| {
-            if times.is_empty() {
-                number(own, key)
-            } else {
-                Some(1.0)
-            }
-        });
-        let Some(start) = given else {
-            return refuse(format!(
-                "{key} has no number in this scene; give the key of a number, or its start in [[free]] of the data"
-            ));
-        };
-        let part = |of: fn(&data::Free) -> Option<f64>| described.and_then(of);
-        let bounds = [
-            part(|free| free.lower).unwrap_or(if start > 0.0 {
-                1e-3 * start
-            } else {
-                f64::NEG_INFINITY
-            }),
-            part(|free| free.upper).unwrap_or(if start > 0.0 {
-                1e3 * start
-            } else {
-                f64::INFINITY
-            }),
-        ];
-        let prior = match [part(|free| free.prior), part(|free| free.prior_sigma)] {
-            [Some(prior), Some(sigma)] if sigma > 0.0 && (prior + sigma).is_finite() => {
-                Some([prior, sigma])
-            }
-            [None, None] => None,
-            _ => {
-                return refuse(format!(
-                    "{key}: a prior has a value and a standard deviation above 0, prior and prior_sigma"
-                ));
-            }
-        };
-        let paths = |free: &Free| [&[free.key.clone()][..], &free.times].concat();
-        let taken: Vec<String> = out.iter().flat_map(paths).collect();
-        let new = [&[key.to_string()][..], times].concat();
+        let free = Free::of(key, described, own, tables)?;
+        let taken: Vec<String> = out.iter().flat_map(Free::paths).collect();
+        let new = free.paths();
         if let Some(path) = (new.iter().enumerate())
             .find(|(i, path)| taken.contains(path) || new[..*i].contains(path))
             .map(|(_, path)| path)
         {
             return refuse(format!("{path} is free twice"));
         }
+        let (start, bounds) = (free.start, free.bounds);
         if !(start.is_finite() && bounds[0] <= start && start <= bounds[1] && bounds[0] < bounds[1])
         {
             return refuse(format!(
                 "{key} starts at {start}, outside of its bounds {bounds:?}"
             ));
         }
-        let width = bounds[1] - bounds[0];
-        let scale = if start != 0.0 {
-            start.abs()
-        } else if let Some([_, sigma]) = prior {
-            sigma
-        } else if width.is_finite() {
-            width
-        } else {
-            1.0
-        };
-        out.push(Free {
-            key: key.into(),
-            times: times.to_vec(),
-            start,
-            scale,
-            bounds,
-            prior,
-        });
+        out.push(free);
     }
     Ok(out)
 }

@@ -5,7 +5,7 @@ use std::ops::Range;
 use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
 
-use super::data::Case;
+use super::data::{Case, Sight};
 use super::explained::{Explanation, explanation};
 use super::least_squares::{Minimum, weigh};
 use super::{FitError, Model, Pose, Steps};
@@ -162,6 +162,20 @@ struct Squares {
 }
 
 impl Squares {
+    fn of(rows: &[ResidualRow]) -> Self {
+        let mut out = Self::default();
+        for row in rows {
+            for (sum, value) in [
+                (&mut out.places, row.off_m),
+                (&mut out.angles, row.turned()),
+            ] {
+                sum.0 += value.map_or(0.0, |value| value * value);
+                sum.1 += usize::from(value.is_some());
+            }
+        }
+        out
+    }
+
     fn add(&mut self, other: &Self) {
         for (own, other) in [
             (&mut self.places, other.places),
@@ -178,6 +192,96 @@ impl Squares {
     }
 }
 
+/// Residuals from which a place or an orientation is an outlier.
+#[derive(Clone, Copy)]
+struct Outlier {
+    /// Distance, m.
+    off: f64,
+    /// Angle, rad.
+    turn: f64,
+}
+
+impl Outlier {
+    fn row(self, model: &Model, case: &Case, sight: &Sight, pose: &Pose) -> ResidualRow {
+        let off_m = pose.off(sight).map(|off| off.norm());
+        let turn = pose.turn(sight);
+        let [x_m, y_m, z_m] = [0, 1, 2].map(|i| sight.position.map(|x| x[i]));
+        let [turn_x_rad, turn_y_rad, turn_z_rad] = [0, 1, 2].map(|i| turn.map(|turn| turn[i]));
+        ResidualRow {
+            case: case.name.clone(),
+            marker: model.markers[sight.marker].name.clone(),
+            t_s: sight.time,
+            x_m,
+            y_m,
+            z_m,
+            predicted_x_m: pose.place.x,
+            predicted_y_m: pose.place.y,
+            predicted_z_m: pose.place.z,
+            off_m,
+            outlier: off_m.is_some_and(|off| off > self.off)
+                || turn.is_some_and(|turn| turn.norm() > self.turn),
+            turn_x_rad,
+            turn_y_rad,
+            turn_z_rad,
+        }
+    }
+}
+
+/// Residuals of all cases.
+#[derive(Default)]
+struct Seen {
+    rows: Vec<ResidualRow>,
+    exchanged: Vec<Exchanged>,
+    cases: Vec<CaseSummary>,
+    fitted: Squares,
+    held_out: Squares,
+}
+
+impl Seen {
+    /// Returns the residuals of predicted poses; `normal` is the normal matrix of the fit.
+    fn of(
+        model: &Model,
+        found: &Minimum,
+        normal: &DMatrix<f64>,
+        predicted: &[Vec<Pose>],
+        outlier: Outlier,
+    ) -> Self {
+        let mut out = Self::default();
+        let mut first = 0;
+        for (case, poses) in model.cases.iter().zip(predicted) {
+            let own: Vec<ResidualRow> = (case.sights.iter().zip(poses))
+                .map(|(sight, pose)| outlier.row(model, case, sight, pose))
+                .collect();
+            out.exchanged.extend(exchanged(&own, outlier.off));
+            let n = if case.held_out { 0 } else { 3 * case.n_seen() };
+            let squares = Squares::of(&own);
+            let [rms_m, rms_rad] = squares.rms();
+            out.cases.push(CaseSummary {
+                name: case.name.clone(),
+                at_rest: case.is_static,
+                held_out: case.held_out,
+                gaps: case.gaps,
+                places: own.len(),
+                rms_m,
+                rms_rad,
+                left_out_rms_m: (!case.held_out)
+                    .then(|| left_out(model, case, found, normal, first..first + n))
+                    .flatten(),
+                outliers: own.iter().filter(|row| row.outlier).count(),
+            });
+            first += n;
+            let sum = if case.held_out {
+                &mut out.held_out
+            } else {
+                &mut out.fitted
+            };
+            sum.add(&squares);
+            out.rows.extend(own);
+        }
+        out
+    }
+}
+
 /// Describes a minimum, and every place that was seen.
 ///
 /// # Errors
@@ -188,15 +292,9 @@ pub(super) fn summary(
     predicted: &[Vec<Pose>],
     steps: &Steps,
 ) -> Result<(FitSummary, Vec<ResidualRow>), FitError> {
-    let free = model.parameters;
-    let n = free.len();
     let weighted = weigh(&found.jacobian, &found.weights);
     let normal = weighted.transpose() * &found.jacobian;
-    let chi: f64 = (found.residuals.iter().zip(found.weights.iter()))
-        .map(|(r, w)| w * r * r)
-        .sum();
-    let freedom = found.residuals.len().saturating_sub(n).max(1);
-    let scatter = (chi / freedom as f64).sqrt();
+    let scatter = scatter(found, model.parameters.len());
     let undetermined = undetermined(model, found, scatter);
     let inverse = (undetermined.iter())
         .all(|own| own.standard_error.is_some())
@@ -204,107 +302,16 @@ pub(super) fn summary(
         .flatten();
     let assumed = model.assumptions(found, inverse.as_ref(), steps)?;
     let explanation = explanation(model, found, inverse.as_ref(), assumed);
-    let error = |i: usize| {
-        (inverse.as_ref()).map(|inverse| inverse[(i, i)].max(0.0).sqrt() * free[i].scale)
+    let sigma = &model.sigma;
+    let outlier = Outlier {
+        off: OUTLIER * scatter * sigma.place,
+        turn: OUTLIER * scatter * sigma.angle,
     };
-    let parameters = (free.iter().enumerate())
-        .map(|(i, own)| {
-            let value = found.at[i] * own.scale;
-            Parameter {
-                key: own.key.clone(),
-                times: own.times.clone(),
-                start: own.start,
-                value,
-                standard_error: error(i).map(|error| error * scatter * explanation.widened_by),
-                standard_error_of_noise: error(i),
-                at_bound: own
-                    .bounds
-                    .iter()
-                    .any(|bound| (value - bound).abs() <= 1e-9 * own.scale),
-            }
-        })
-        .collect();
-    let correlations = inverse.as_ref().map_or_else(Vec::new, |inverse| {
-        let root = |i: usize| inverse[(i, i)].max(f64::MIN_POSITIVE).sqrt();
-        (0..n)
-            .map(|i| {
-                (0..n)
-                    .map(|j| inverse[(i, j)] / (root(i) * root(j)))
-                    .collect()
-            })
-            .collect()
-    });
-    let [limit, limit_rad] =
-        [model.sigma.place, model.sigma.angle].map(|sigma| OUTLIER * scatter * sigma);
-    let mut seen: Vec<ResidualRow> = Vec::new();
-    let mut exchanges = Vec::new();
-    let mut cases = Vec::new();
-    let (mut fitted, mut held) = (Squares::default(), Squares::default());
-    let mut row = 0;
-    for (case, poses) in model.cases.iter().zip(predicted) {
-        let first = seen.len();
-        for (sight, pose) in case.sights.iter().zip(poses) {
-            let off_m = pose.off(sight).map(|off| off.norm());
-            let turn = pose.turn(sight);
-            let [x_m, y_m, z_m] = [0, 1, 2].map(|i| sight.position.map(|x| x[i]));
-            let [turn_x_rad, turn_y_rad, turn_z_rad] = [0, 1, 2].map(|i| turn.map(|turn| turn[i]));
-            seen.push(ResidualRow {
-                case: case.name.clone(),
-                marker: model.markers[sight.marker].name.clone(),
-                t_s: sight.time,
-                x_m,
-                y_m,
-                z_m,
-                predicted_x_m: pose.place.x,
-                predicted_y_m: pose.place.y,
-                predicted_z_m: pose.place.z,
-                off_m,
-                outlier: off_m.is_some_and(|off| off > limit)
-                    || turn.is_some_and(|turn| turn.norm() > limit_rad),
-                turn_x_rad,
-                turn_y_rad,
-                turn_z_rad,
-            });
-        }
-        let own = &seen[first..];
-        exchanges.extend(exchanged(own, limit));
-        let mut squares = Squares::default();
-        for seen in own {
-            for (sum, value) in [
-                (&mut squares.places, seen.off_m),
-                (&mut squares.angles, seen.turned()),
-            ] {
-                sum.0 += value.map_or(0.0, |value| value * value);
-                sum.1 += usize::from(value.is_some());
-            }
-        }
-        let rows = if case.held_out { 0 } else { 3 * case.n_seen() };
-        let [rms_m, rms_rad] = squares.rms();
-        cases.push(CaseSummary {
-            name: case.name.clone(),
-            at_rest: case.is_static,
-            held_out: case.held_out,
-            gaps: case.gaps,
-            places: own.len(),
-            rms_m,
-            rms_rad,
-            left_out_rms_m: (!case.held_out)
-                .then(|| left_out(model, case, found, &normal, row..row + rows))
-                .flatten(),
-            outliers: own.iter().filter(|seen| seen.outlier).count(),
-        });
-        row += rows;
-        let sum = if case.held_out {
-            &mut held
-        } else {
-            &mut fitted
-        };
-        sum.add(&squares);
-    }
-    let has_angles = seen.iter().any(|seen| seen.turned().is_some());
+    let seen = Seen::of(model, found, &normal, predicted, outlier);
+    let has_angles = seen.rows.iter().any(|row| row.turned().is_some());
     let of_angles = |value: f64| has_angles.then_some(value);
-    let [rms_m, rms_rad] = fitted.rms();
-    let [held_out_rms_m, held_out_rms_rad] = held.rms();
+    let [rms_m, rms_rad] = seen.fitted.rms();
+    let [held_out_rms_m, held_out_rms_rad] = seen.held_out.rms();
     let summary = FitSummary {
         schema_version: SCHEMA_VERSION,
         tool: TOOL,
@@ -319,23 +326,74 @@ pub(super) fn summary(
         wall_s: 0.0,
         rms_m,
         held_out_rms_m,
-        sigma_m: model.sigma.place,
-        scatter_m: scatter * model.sigma.place,
-        outliers_beyond_m: limit,
+        sigma_m: sigma.place,
+        scatter_m: scatter * sigma.place,
+        outliers_beyond_m: outlier.off,
         rms_rad,
         held_out_rms_rad,
-        sigma_rad: of_angles(model.sigma.angle),
-        scatter_rad: of_angles(scatter * model.sigma.angle),
-        outliers_beyond_rad: of_angles(limit_rad),
+        sigma_rad: of_angles(sigma.angle),
+        scatter_rad: of_angles(scatter * sigma.angle),
+        outliers_beyond_rad: of_angles(outlier.turn),
+        parameters: parameters(model, found, inverse.as_ref(), scatter, &explanation),
         explanation,
-        parameters,
-        correlations,
+        correlations: inverse.as_ref().map_or_else(Vec::new, correlations),
         undetermined,
-        exchanged: exchanges,
-        cases,
+        exchanged: seen.exchanged,
+        cases: seen.cases,
         directory: String::new(),
     };
-    Ok((summary, seen))
+    Ok((summary, seen.rows))
+}
+
+/// Returns the root of the mean square of the weighted residuals, by their degrees of freedom, as a multiple of the standard deviation of
+/// the measurements.
+fn scatter(found: &Minimum, n_parameters: usize) -> f64 {
+    let chi: f64 = (found.residuals.iter().zip(found.weights.iter()))
+        .map(|(r, w)| w * r * r)
+        .sum();
+    let freedom = found.residuals.len().saturating_sub(n_parameters).max(1);
+    (chi / freedom as f64).sqrt()
+}
+
+/// Returns the estimates with their standard errors; `inverse` is that of the normal matrix, if it has one.
+fn parameters(
+    model: &Model,
+    found: &Minimum,
+    inverse: Option<&DMatrix<f64>>,
+    scatter: f64,
+    explanation: &Explanation,
+) -> Vec<Parameter> {
+    (model.parameters.iter().enumerate())
+        .map(|(i, own)| {
+            let value = found.at[i] * own.scale;
+            let error = inverse.map(|inverse| inverse[(i, i)].max(0.0).sqrt() * own.scale);
+            Parameter {
+                key: own.key.clone(),
+                times: own.times.clone(),
+                start: own.start,
+                value,
+                standard_error: error.map(|error| error * scatter * explanation.widened_by),
+                standard_error_of_noise: error,
+                at_bound: own
+                    .bounds
+                    .iter()
+                    .any(|bound| (value - bound).abs() <= 1e-9 * own.scale),
+            }
+        })
+        .collect()
+}
+
+/// Returns the correlations of the estimates, row by row, from the inverse of the normal matrix.
+fn correlations(inverse: &DMatrix<f64>) -> Vec<Vec<f64>> {
+    let n = inverse.nrows();
+    let root = |i: usize| inverse[(i, i)].max(f64::MIN_POSITIVE).sqrt();
+    (0..n)
+        .map(|i| {
+            (0..n)
+                .map(|j| inverse[(i, j)] / (root(i) * root(j)))
+                .collect()
+        })
+        .collect()
 }
 
 /// Returns the root of the mean square of the distances of a case, m, under the estimates without its rows, to first order.

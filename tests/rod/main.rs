@@ -10,6 +10,7 @@ mod discrete_action;
 mod discrete_mechanics;
 mod ends;
 mod extremes;
+mod fluid;
 mod implicit;
 mod lanes;
 mod load_jumps;

@@ -11,6 +11,7 @@ mod continued;
 mod export;
 mod files;
 mod fit;
+mod fluid;
 mod hardware;
 mod mpc_verb;
 mod outcomes;

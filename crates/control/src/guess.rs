@@ -136,6 +136,146 @@ struct Leg {
     springs: usize,
 }
 
+impl Leg {
+    /// Returns the equilibrium under the springs that pull the tip to the end of the leg at time `t` (s), with the last spring; from
+    /// another shape on, by soft springs on the way of a turn.
+    fn pulled(
+        &self,
+        problem: &OptimalControlProblem,
+        before: &Configuration,
+        t: f64,
+    ) -> Result<(Configuration, NodeSpring), GuessError> {
+        let rod = &problem.rod;
+        let scales = &rod.scales;
+        let tip = problem.goal_node();
+        let mut shape = before.clone();
+        let mut spring = NodeSpring::default();
+        let mut turns: Vec<_> = self.rotation.map_or_else(
+            || vec![None],
+            |to| {
+                let way = quarter_turns(&shape.rotations[tip], &to, self.longer);
+                way.into_iter().map(Some).collect()
+            },
+        );
+        let last = turns.pop().flatten();
+        let soft = (turns.into_iter())
+            .flat_map(|to| SPRINGS[..SOFT_SPRINGS].iter().map(move |k| (to, *k)));
+        for (rotation, stiffness) in soft.chain(SPRINGS[..self.springs].iter().map(|k| (last, *k)))
+        {
+            spring = NodeSpring {
+                node: tip,
+                position: (self.position).map(|to| (to, stiffness * scales.force / scales.length)),
+                rotation: rotation.map(|to| (to, stiffness * scales.moment)),
+            };
+            shape = nearby_equilibrium_until(rod, &shape, t, &spring, &problem.stop)?;
+        }
+        Ok((shape, spring))
+    }
+}
+
+/// Returns the legs from the start, by a detour, to the goals and the rows of long turns, in the order of their ends.
+fn legs(problem: &OptimalControlProblem, detour: Option<&Vector3<f64>>) -> Vec<Leg> {
+    let mut legs = goal_legs(problem);
+    for track in long_turns(problem) {
+        legs.extend(turning_legs(track, problem.grid.duration()));
+    }
+    legs.sort_by(|a, b| a.end.total_cmp(&b.end));
+    legs.dedup_by(|later, earlier| later.end == earlier.end);
+    // From an earlier orientation, the tip turns the shorter way.
+    let first = legs.iter().position(|leg| leg.rotation.is_some());
+    for leg in legs.iter_mut().skip(first.map_or(0, |first| first + 1)) {
+        leg.longer = false;
+    }
+    if let (Some(position), Some(first)) = (detour, legs.first()) {
+        let end = 0.5 * first.end;
+        legs.insert(
+            0,
+            Leg {
+                end,
+                position: Some(*position),
+                rotation: None,
+                longer: false,
+                springs: SOFT_SPRINGS,
+            },
+        );
+    }
+    legs
+}
+
+/// Returns the legs to the goals of the node that should arrive; goals at one time share a leg.
+fn goal_legs(problem: &OptimalControlProblem) -> Vec<Leg> {
+    let tip = problem.goal_node();
+    let last = problem.grid.n_steps as f64;
+    let longer = longer_ways(problem);
+    let mut goals: Vec<(&Goal, bool)> = (problem.goals.iter().zip(longer))
+        .filter(|(goal, _)| {
+            goal.node == tip && (goal.position.is_some() || goal.rotation.is_some())
+        })
+        .collect();
+    goals.sort_by_key(|(goal, _)| goal.time_node);
+    let mut legs: Vec<Leg> = Vec::new();
+    for (goal, longer) in goals {
+        let end = goal.time_node as f64 / last;
+        if legs.last().is_none_or(|leg| leg.end < end) {
+            legs.push(Leg {
+                end,
+                springs: SPRINGS.len(),
+                ..Leg::default()
+            });
+        }
+        if let Some(leg) = legs.last_mut() {
+            leg.position = leg.position.or(goal.position);
+            if leg.rotation.is_none() {
+                (leg.rotation, leg.longer) = (goal.rotation, longer);
+            }
+        }
+    }
+    legs
+}
+
+impl Waypoint {
+    /// Returns the shape at the end of a leg that begins with another shape.
+    fn after(
+        problem: &OptimalControlProblem,
+        before: &Configuration,
+        leg: &Leg,
+    ) -> Result<Self, GuessError> {
+        let rod = &problem.rod;
+        let tip = problem.goal_node();
+        let t = if rod.has_driven_tip() {
+            problem.grid.duration()
+        } else {
+            0.0
+        };
+        let (shape, spring) = leg.pulled(problem, before, t)?;
+        // Where no wrench acts on the tip, the other actuators hold it at a goal, in another shape. A detour need not be reached.
+        let pushes = problem.actuated_components().iter().any(|component| {
+            let actuator = problem.wrench_actuators().get(component.actuator);
+            actuator.is_some_and(|actuator| actuator.node == tip)
+        });
+        let to = (leg.position, leg.rotation);
+        if !pushes
+            && leg.springs == SPRINGS.len()
+            && let Some((shape, hold)) = held_at(problem, tip, to, t, &shape)
+        {
+            return Ok(Self { shape, hold });
+        }
+        let pull = spring.wrench(&shape.positions[tip], &shape.rotations[tip]);
+        let n_wrenches = problem.wrench_actuators().len();
+        let hold = (problem.actuators.iter().enumerate()).map(|(a, actuator)| {
+            if a < n_wrenches && actuator.node == tip {
+                pull
+            } else {
+                Wrench::default()
+            }
+        });
+        Ok(Self {
+            hold: hold.collect(),
+            shape,
+        })
+    }
+}
+
 /// Returns the legs to the rows of a tracked orientation within the horizon; rows more than a quarter turn apart get legs between them.
 fn turning_legs(track: &Tracking, horizon: f64) -> Vec<Leg> {
     let mut times: Vec<f64> = track.rotations.iter().map(|row| row.0).collect();
@@ -178,128 +318,28 @@ impl StaticPath {
         detour: Option<&Vector3<f64>>,
     ) -> Result<Self, GuessError> {
         let rod = &problem.rod;
-        let tip = problem.goal_node();
         let horizon = problem.grid.duration();
-        let last = problem.grid.n_steps as f64;
-        let mut legs: Vec<Leg> = Vec::new();
-        let longer = longer_ways(problem);
-        let mut goals: Vec<(&Goal, bool)> = (problem.goals.iter().zip(longer))
-            .filter(|(goal, _)| {
-                goal.node == tip && (goal.position.is_some() || goal.rotation.is_some())
-            })
-            .collect();
-        goals.sort_by_key(|(goal, _)| goal.time_node);
-        for (goal, longer) in goals {
-            let end = goal.time_node as f64 / last;
-            if legs.last().is_none_or(|leg| leg.end < end) {
-                legs.push(Leg {
-                    end,
-                    springs: SPRINGS.len(),
-                    ..Leg::default()
-                });
-            }
-            if let Some(leg) = legs.last_mut() {
-                leg.position = leg.position.or(goal.position);
-                if leg.rotation.is_none() {
-                    (leg.rotation, leg.longer) = (goal.rotation, longer);
-                }
-            }
-        }
-        for track in long_turns(problem) {
-            legs.extend(turning_legs(track, horizon));
-        }
-        legs.sort_by(|a, b| a.end.total_cmp(&b.end));
-        legs.dedup_by(|later, earlier| later.end == earlier.end);
-        // From an earlier orientation, the tip turns the shorter way.
-        let first = legs.iter().position(|leg| leg.rotation.is_some());
-        for leg in legs.iter_mut().skip(first.map_or(0, |first| first + 1)) {
-            leg.longer = false;
-        }
-        if let (Some(position), Some(first)) = (detour, legs.first()) {
-            let end = 0.5 * first.end;
-            legs.insert(
-                0,
-                Leg {
-                    end,
-                    position: Some(*position),
-                    rotation: None,
-                    longer: false,
-                    springs: SOFT_SPRINGS,
-                },
-            );
-        }
-        let scales = &rod.scales;
-        let t = if rod.has_driven_tip() { horizon } else { 0.0 };
         let mut shape = rod.carried(problem.initial.configuration.clone(), horizon);
-        let nothing = vec![Wrench::default(); problem.actuators.len()];
         let mut path = Self {
             waypoints: vec![Waypoint {
                 shape: shape.clone(),
-                hold: nothing.clone(),
+                hold: vec![Wrench::default(); problem.actuators.len()],
             }],
             ends: Vec::new(),
         };
-        for leg in legs {
-            if let (Some(stay), true) = (&problem.stay, leg.end == 1.0) {
-                path.waypoints.push(Waypoint {
+        for leg in legs(problem, detour) {
+            let waypoint = match &problem.stay {
+                Some(stay) if leg.end == 1.0 => Waypoint {
                     shape: stay.shape.clone(),
                     hold: stay.wrenches.clone(),
-                });
-                path.ends.push(leg.end);
-                continue;
-            }
-            let mut spring = NodeSpring::default();
-            let mut turns: Vec<_> = leg.rotation.map_or_else(
-                || vec![None],
-                |to| {
-                    let way = quarter_turns(&shape.rotations[tip], &to, leg.longer);
-                    way.into_iter().map(Some).collect()
                 },
-            );
-            let last = turns.pop().flatten();
-            let soft = (turns.into_iter())
-                .flat_map(|to| SPRINGS[..SOFT_SPRINGS].iter().map(move |k| (to, *k)));
-            for (rotation, stiffness) in
-                soft.chain(SPRINGS[..leg.springs].iter().map(|k| (last, *k)))
-            {
-                spring = NodeSpring {
-                    node: tip,
-                    position: (leg.position)
-                        .map(|to| (to, stiffness * scales.force / scales.length)),
-                    rotation: rotation.map(|to| (to, stiffness * scales.moment)),
-                };
-                shape = nearby_equilibrium_until(rod, &shape, t, &spring, &problem.stop)?;
-            }
-            // Where no wrench acts on the tip, the other actuators hold it at a goal, in another shape. A detour need not be reached.
-            let pushes = problem.actuated_components().iter().any(|component| {
-                let actuator = problem.wrench_actuators().get(component.actuator);
-                actuator.is_some_and(|actuator| actuator.node == tip)
-            });
-            let to = (leg.position, leg.rotation);
-            if !pushes
-                && leg.springs == SPRINGS.len()
-                && let Some((held, hold)) = held_at(problem, tip, to, t, &shape)
-            {
-                shape = held.clone();
-                path.waypoints.push(Waypoint { shape: held, hold });
-                path.ends.push(leg.end);
-                continue;
-            }
-            let pull = spring.wrench(&shape.positions[tip], &shape.rotations[tip]);
-            let hold = (problem.actuators.iter().zip(&nothing).enumerate()).map(
-                |(a, (actuator, nothing))| {
-                    let is_wrench = a < problem.wrench_actuators().len();
-                    if is_wrench && actuator.node == tip {
-                        pull
-                    } else {
-                        *nothing
-                    }
-                },
-            );
-            path.waypoints.push(Waypoint {
-                hold: hold.collect(),
-                shape: shape.clone(),
-            });
+                _ => {
+                    let waypoint = Waypoint::after(problem, &shape, &leg)?;
+                    shape.clone_from(&waypoint.shape);
+                    waypoint
+                }
+            };
+            path.waypoints.push(waypoint);
             path.ends.push(leg.end);
         }
         Ok(path)

@@ -336,167 +336,227 @@ fn staged(
     n_threads: usize,
     observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
 ) -> Result<Option<Staged>, GuessError> {
-    let Start {
-        first,
-        tried_rest,
-        journal,
-        is_held,
-    } = start;
-    if let Some(durations) = DurationSearch::new(problem, settings, n_threads, journal) {
+    if let Some(durations) = DurationSearch::new(problem, settings, n_threads, start.journal) {
         return timed(problem, settings, search, start, n_threads, durations);
     }
-    let stages = match search.continuation {
-        Some(Continuation::Target(stages) | Continuation::Load(stages)) => stages.max(1),
-        None => 1,
-    };
-    let mut warm: Option<Vec<Wrench>> = match first {
-        First::Previous(previous) => Some(previous.to_vec()),
-        First::Guess(_) | First::Detour(_) => None,
-    };
-    let kinked = problem;
-    let mut from = "previous";
-    let mut settings = settings.clone();
     // A slack tendon does not feel its winch, and a step that is too long for a taut one goes unnoticed: at first tendons push. Where all of
     // them stay taut, the motion is the same.
     let smooth = problem.smooth();
-    let is_smooth = matches!(smooth, Cow::Owned(_));
-    let problem = &*smooth;
-    for stage in 1..=stages {
-        let easier;
-        let here = match search.continuation {
-            Some(continuation) if stage < stages => {
-                easier = eased(problem, continuation, stage as f64 / stages as f64);
-                &easier
-            }
-            _ => problem,
-        };
-        let point = match warm.as_ref().map(|warm| simulated(here, warm)) {
-            Some(Ok(point)) => point,
-            // Before the first stage there is a solution only if the solve begins with one.
-            Some(Err(error)) if stage == 1 => return Err(error.into()),
-            _ => {
-                let (guess, detour) = match first {
-                    First::Guess(guess) => (guess, None),
-                    First::Detour(number) => {
-                        (Guess::StaticPath, Some(detour(here, search.seed, number)))
-                    }
-                    First::Previous(_) => (Guess::StaticPath, None),
-                };
-                let by_tensions = match first {
-                    First::Guess(_) if search.continuation.is_none() => {
-                        by_tensions(kinked, here, &mut settings, n_threads, journal, observer)?
-                    }
-                    _ => None,
-                };
-                let (point, used) = match by_tensions {
-                    Some(point) => (point, guess),
-                    None => first_point(here, guess, detour.as_ref())?,
-                };
-                if used == Guess::Rest && tried_rest {
-                    return Ok(None);
-                }
-                from = if detour.is_some() && used == Guess::StaticPath {
-                    "detour"
-                } else {
-                    used.name()
-                };
-                point
-            }
-        };
-        // A stopped solve is not evaluated: that takes as long as a simulation, and the caller evaluates the point where it is reported.
-        if let Some(stop) = problem.stop.raised() {
-            return Ok(Some(Staged {
-                from,
-                time_scale: 1.0,
-                outcome: SqpOutcome::without_start(point, SqpStatus::Stopped(stop)),
-                before: Vec::new(),
-            }));
-        }
-        let program = Transcription::new(here, n_threads);
-        let mut name = from.to_string();
-        if stages > 1 {
-            name += &format!(", stage {stage} of {stages}");
-        }
-        if is_held {
-            name += &format!(", duration held at {:.4} s", here.grid.duration());
-        }
-        journal.begin(name);
-        let mut outcome = solve(&program, point, &settings, &mut |row| observer(row));
-        journal.end_as(&outcome.status);
-        settings.max_iterations = (settings.max_iterations).saturating_sub(iterations(&outcome));
-        let mut stopped = matches!(outcome.status, SqpStatus::Stopped(_));
-        if let (true, Some(stop)) = (stage < stages, problem.stop.raised()) {
-            outcome.status = SqpStatus::Stopped(stop);
-            stopped = true;
-        }
-        if is_smooth && stage == stages && !stopped {
-            let program = Transcription::new(kinked, n_threads);
-            // Where all tendons are taut, both laws are the same one.
-            let is_done = outcome.status == SqpStatus::Converged
-                && (program.evaluate(&outcome.point))
-                    .is_ok_and(|there| there.defect <= settings.tolerance);
-            if !is_done {
-                journal.begin(format!("{from}, with tendons that do not push"));
-                let controls = kinked.wrenches(&outcome.point.variables);
-                let start = match outcome.status {
-                    SqpStatus::Converged => outcome.point,
-                    // A tendon that pushes somewhere has led to states that the arm does not have.
-                    _ => match simulated(kinked, &controls) {
-                        Ok(mut point) => {
-                            point.variables = outcome.point.variables;
-                            point
-                        }
-                        Err(_) => outcome.point,
-                    },
-                };
-                outcome = solve(&program, start, &settings, &mut |row| observer(row));
-                journal.end_as(&outcome.status);
-            }
-        }
-        if stage == stages || stopped {
-            return Ok(Some(Staged {
-                from,
-                time_scale: 1.0,
-                outcome,
-                before: Vec::new(),
-            }));
-        }
-        // The solution of a failed stage is not used for the next one.
-        warm = (outcome.status == SqpStatus::Converged)
-            .then(|| here.wrenches(&outcome.point.variables));
-    }
-    unreachable!("the last stage returns")
+    let stages = Stages {
+        kinked: problem,
+        is_smooth: matches!(smooth, Cow::Owned(_)),
+        smooth: &smooth,
+        search,
+        start,
+        n_threads,
+        observer,
+        settings: settings.clone(),
+        from: "previous",
+    };
+    stages.solve()
 }
 
-/// Returns a first point of a problem with winches: the displacements that follow from a solution in which the
-/// [tensions](super::tensions) of their tendons are the controls, and the motion under them. `None` without winches, where that solve does
-/// not converge, or where the motion breaks down.
-///
-/// # Errors
-/// [`GuessError`] where that solve has no initial guess.
-fn by_tensions(
-    problem: &OptimalControlProblem,
-    smooth: &OptimalControlProblem,
-    settings: &mut SqpSettings,
+/// A solve with its easier problems first.
+struct Stages<'a> {
+    /// The problem; below it, the same one with tendons that push, if they can be slack.
+    kinked: &'a OptimalControlProblem,
+    smooth: &'a OptimalControlProblem,
+    is_smooth: bool,
+    search: &'a Search,
+    start: Start<'a>,
     n_threads: usize,
-    journal: &Journal,
-    observer: &dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
-) -> Result<Option<LiftedPoint>, GuessError> {
-    let Some(winches) = Winches::of(problem) else {
-        return Ok(None);
-    };
-    let twin = winches.by_tensions();
-    let (point, used) = first_point(&twin, Guess::StaticPath, None)?;
-    journal.begin(format!("{}, by tensions", used.name()));
-    let program = Transcription::new(&twin, n_threads);
-    let outcome = solve(&program, point, settings, &mut |row| observer(row));
-    journal.end_as(&outcome.status);
-    settings.max_iterations = (settings.max_iterations).saturating_sub(iterations(&outcome));
-    if outcome.status != SqpStatus::Converged {
-        return Ok(None);
+    observer: &'a dyn Fn(&IterationRecord) -> ControlFlow<Stop>,
+    /// Settings with the iterations that are left.
+    settings: SqpSettings,
+    /// Name of the initial guess.
+    from: &'static str,
+}
+
+impl<'a> Stages<'a> {
+    fn solve(mut self) -> Result<Option<Staged>, GuessError> {
+        let mut warm: Option<Vec<Wrench>> = match self.start.first {
+            First::Previous(previous) => Some(previous.to_vec()),
+            First::Guess(_) | First::Detour(_) => None,
+        };
+        let stop = &self.smooth.stop;
+        let n_stages = self.n_stages();
+        for stage in 1..=n_stages {
+            let here = self.problem_of(stage);
+            let point = match warm.as_ref().map(|warm| simulated(&here, warm)) {
+                Some(Ok(point)) => point,
+                // Before the first stage there is a solution only if the solve begins with one.
+                Some(Err(error)) if stage == 1 => return Err(error.into()),
+                _ => match self.guessed(&here)? {
+                    Some(point) => point,
+                    None => return Ok(None),
+                },
+            };
+            // A stopped solve is not evaluated: that takes as long as a simulation, and the caller evaluates the point where it is reported.
+            if let Some(stop) = stop.raised() {
+                let outcome = SqpOutcome::without_start(point, SqpStatus::Stopped(stop));
+                return Ok(Some(self.ended(outcome)));
+            }
+            let program = Transcription::new(&here, self.n_threads);
+            let mut outcome = self.run(&program, self.name_of(stage, &here), point);
+            let is_last = stage == n_stages;
+            let mut stopped = matches!(outcome.status, SqpStatus::Stopped(_));
+            if let (false, Some(stop)) = (is_last, stop.raised()) {
+                outcome.status = SqpStatus::Stopped(stop);
+                stopped = true;
+            }
+            if self.is_smooth && is_last && !stopped {
+                outcome = self.without_pushing(outcome);
+            }
+            if is_last || stopped {
+                return Ok(Some(self.ended(outcome)));
+            }
+            // The solution of a failed stage is not used for the next one.
+            warm = (outcome.status == SqpStatus::Converged)
+                .then(|| here.wrenches(&outcome.point.variables));
+        }
+        unreachable!("the last stage returns")
     }
-    let reeled = winches.reeled(&twin, &outcome.point);
-    Ok(simulated(smooth, &reeled).ok())
+
+    fn n_stages(&self) -> usize {
+        match self.search.continuation {
+            Some(Continuation::Target(stages) | Continuation::Load(stages)) => stages.max(1),
+            None => 1,
+        }
+    }
+
+    /// Returns the problem of a stage, counted from 1.
+    fn problem_of(&self, stage: usize) -> Cow<'a, OptimalControlProblem> {
+        let n_stages = self.n_stages();
+        match self.search.continuation {
+            Some(continuation) if stage < n_stages => {
+                let part = stage as f64 / n_stages as f64;
+                Cow::Owned(eased(self.smooth, continuation, part))
+            }
+            _ => Cow::Borrowed(self.smooth),
+        }
+    }
+
+    /// Returns the name of a stage in the journal.
+    fn name_of(&self, stage: usize, here: &OptimalControlProblem) -> String {
+        let mut name = self.from.to_string();
+        let n_stages = self.n_stages();
+        if n_stages > 1 {
+            name += &format!(", stage {stage} of {n_stages}");
+        }
+        if self.start.is_held {
+            name += &format!(", duration held at {:.4} s", here.grid.duration());
+        }
+        name
+    }
+
+    /// Returns the initial guess of a stage that does not begin with the solution of the one before. `None` if it is rest, which was tried
+    /// already.
+    fn guessed(&mut self, here: &OptimalControlProblem) -> Result<Option<LiftedPoint>, GuessError> {
+        let first = self.start.first;
+        let (guess, detour) = match first {
+            First::Guess(guess) => (guess, None),
+            First::Detour(number) => (
+                Guess::StaticPath,
+                Some(detour(here, self.search.seed, number)),
+            ),
+            First::Previous(_) => (Guess::StaticPath, None),
+        };
+        let by_tensions = match first {
+            First::Guess(_) if self.search.continuation.is_none() => self.by_tensions(here)?,
+            _ => None,
+        };
+        let (point, used) = match by_tensions {
+            Some(point) => (point, guess),
+            None => first_point(here, guess, detour.as_ref())?,
+        };
+        if used == Guess::Rest && self.start.tried_rest {
+            return Ok(None);
+        }
+        self.from = if detour.is_some() && used == Guess::StaticPath {
+            "detour"
+        } else {
+            used.name()
+        };
+        Ok(Some(point))
+    }
+
+    /// Returns a first point of a problem with winches: the displacements that follow from a solution in which the
+    /// [tensions](super::tensions) of their tendons are the controls, and the motion under them. `None` without winches, where that solve
+    /// does not converge, or where the motion breaks down.
+    ///
+    /// # Errors
+    /// [`GuessError`] where that solve has no initial guess.
+    fn by_tensions(
+        &mut self,
+        here: &OptimalControlProblem,
+    ) -> Result<Option<LiftedPoint>, GuessError> {
+        let Some(winches) = Winches::of(self.kinked) else {
+            return Ok(None);
+        };
+        let twin = winches.by_tensions();
+        let (point, used) = first_point(&twin, Guess::StaticPath, None)?;
+        let program = Transcription::new(&twin, self.n_threads);
+        let outcome = self.run(&program, format!("{}, by tensions", used.name()), point);
+        if outcome.status != SqpStatus::Converged {
+            return Ok(None);
+        }
+        let reeled = winches.reeled(&twin, &outcome.point);
+        Ok(simulated(here, &reeled).ok())
+    }
+
+    /// Returns the solution with tendons that do not push, from the one in which they may; where all tendons are taut, both laws are the
+    /// same one.
+    fn without_pushing(&mut self, outcome: SqpOutcome<LiftedPoint>) -> SqpOutcome<LiftedPoint> {
+        let kinked = self.kinked;
+        let program = Transcription::new(kinked, self.n_threads);
+        let is_done = outcome.status == SqpStatus::Converged
+            && (program.evaluate(&outcome.point))
+                .is_ok_and(|there| there.defect <= self.settings.tolerance);
+        if is_done {
+            return outcome;
+        }
+        let controls = kinked.wrenches(&outcome.point.variables);
+        let start = match outcome.status {
+            SqpStatus::Converged => outcome.point,
+            // A tendon that pushes somewhere has led to states that the arm does not have.
+            _ => match simulated(kinked, &controls) {
+                Ok(mut point) => {
+                    point.variables = outcome.point.variables;
+                    point
+                }
+                Err(_) => outcome.point,
+            },
+        };
+        let name = format!("{}, with tendons that do not push", self.from);
+        self.run(&program, name, start)
+    }
+
+    /// Solves a program under a name in the journal, and counts its iterations.
+    fn run(
+        &mut self,
+        program: &Transcription,
+        name: String,
+        point: LiftedPoint,
+    ) -> SqpOutcome<LiftedPoint> {
+        let journal = self.start.journal;
+        journal.begin(name);
+        let outcome = solve(program, point, &self.settings, &mut |row| {
+            (self.observer)(row)
+        });
+        journal.end_as(&outcome.status);
+        let left = &mut self.settings.max_iterations;
+        *left = left.saturating_sub(iterations(&outcome));
+        outcome
+    }
+
+    fn ended(&self, outcome: SqpOutcome<LiftedPoint>) -> Staged {
+        Staged {
+            from: self.from,
+            time_scale: 1.0,
+            outcome,
+            before: Vec::new(),
+        }
+    }
 }
 
 /// Searches over a free duration; several starts begin with several durations.

@@ -10,10 +10,14 @@
 //! gives half of a step's impulse to either end, each with the velocity of the step and the tangent of that end. The half at the start is
 //! solved for, so that a step of any length takes speed away and never turns it around.
 
+use std::f64::consts::PI;
+
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-use super::rod::Rod;
+use super::mesh::Mesh;
+use super::rod::{Rod, RodError, require};
 use super::rotation::hat;
+use super::rows;
 
 /// What resists the motion of a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -22,6 +26,83 @@ pub struct Resistance {
     pub normal: f64,
     /// `c_t`, kg/m: force per square of the speed along it.
     pub tangential: f64,
+}
+
+/// A fluid at rest around the rod, which is taken for a slender circular cylinder of its radius `r` at every place.
+///
+/// Per rest length it resists by `ρ r (C_n |v_n| v_n + π C_t |v_t| v_t)`, it lifts by the weight of the fluid that the rod displaces,
+/// `ρ π r²`, and it moves along with the mass `C_a ρ π r²` (Morison and others 1950; Taylor 1952). The mass that moves along counts in all
+/// directions: along its own axis a slender arm moves less of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fluid {
+    /// `ρ`, kg/m³.
+    pub density: f64,
+    /// `C_n`, drag across the axis.
+    pub normal_drag: f64,
+    /// `C_t`, drag along the axis.
+    pub tangential_drag: f64,
+    /// `C_a`, added mass.
+    pub added_mass: f64,
+}
+
+/// What a fluid does to a node.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Immersed {
+    pub resistance: Resistance,
+    /// Mass of the fluid that the node displaces, kg.
+    pub displaced: f64,
+    /// Mass of the fluid that moves along, kg.
+    pub added: f64,
+}
+
+impl Fluid {
+    /// Checks the numbers, and that the rod has a radius.
+    pub(super) fn check(&self, radii: &[(f64, f64)]) -> Result<(), RodError> {
+        let positive = |x: f64| x > 0.0;
+        require("fluid density", self.density, positive, "positive")?;
+        let numbers = [self.normal_drag, self.tangential_drag, self.added_mass];
+        let names = [
+            "fluid normal_drag",
+            "fluid tangential_drag",
+            "fluid added_mass",
+        ];
+        for (name, number) in names.into_iter().zip(numbers) {
+            require(name, number, |x| x >= 0.0, "not negative")?;
+        }
+        let thinnest = radii.iter().map(|row| row.1).fold(f64::INFINITY, f64::min);
+        let thinnest = if radii.is_empty() { 0.0 } else { thinnest };
+        let expected = "positive: a fluid acts on the surface of the rod";
+        require("radius of the rod", thinnest, positive, expected)
+    }
+
+    /// Returns what the fluid does to every node of a rod of this length, m, whose radius is given in rows: a node has its halves of the
+    /// elements beside it, each by Simpson's rule, which is exact where the radius is linear.
+    pub(super) fn on_nodes(&self, radii: &[(f64, f64)], mesh: &Mesh, length: f64) -> Vec<Immersed> {
+        let mut out = vec![Immersed::default(); mesh.n_elements() + 1];
+        for q in 0..mesh.n_elements() {
+            let start = mesh.along(q, 0.0);
+            let share = mesh.length(q, 1.0);
+            for end in 0..2 {
+                let from = start + 0.5 * share * end as f64;
+                // Within the element, at whose ends the radius may have steps.
+                let radius = [
+                    rows::sides(radii, from).map_or(0.0, |sides| sides[1]),
+                    rows::mean(radii, from, from + 0.5 * share).unwrap_or(0.0),
+                    rows::sides(radii, from + 0.5 * share).map_or(0.0, |sides| sides[0]),
+                ];
+                let [a, b, c] = radius;
+                let l = 0.5 * share * length;
+                let first = l * (a + 4.0 * b + c) / 6.0;
+                let second = l * (a * a + 4.0 * b * b + c * c) / 6.0;
+                let own = &mut out[q + end];
+                own.resistance.normal += self.density * self.normal_drag * first;
+                own.resistance.tangential += self.density * PI * self.tangential_drag * first;
+                own.displaced += self.density * PI * second;
+                own.added += self.added_mass * self.density * PI * second;
+            }
+        }
+        out
+    }
 }
 
 /// Derivatives of minus the force.

@@ -21,7 +21,7 @@ use super::element::{Element, ElementPose, ElementStrain, StrainRule};
 use super::ends::{EndCondition, Joint};
 use super::load::{DistributedLoad, Load};
 use super::mesh::Mesh;
-use super::resistance::Resistance;
+use super::resistance::{Fluid, Resistance};
 use super::rotation::{exp, log_tangent};
 use super::rows;
 use super::time::TimeScheme;
@@ -120,6 +120,8 @@ pub struct RodParameters {
     pub pose_actuators: Vec<PoseActuator>,
     /// Potentials of nodes that have no effort, J.
     pub potentials: Vec<(Span, OfPose)>,
+    /// Fluid around the rod.
+    pub fluid: Option<Fluid>,
     /// Bodies that the rod touches.
     pub contacts: Vec<Contact>,
     /// Radius along the rod, at which it touches, as rows of a fraction of the length and a radius in m, with steps where two rows have the
@@ -164,6 +166,7 @@ impl RodParameters {
             actuators: Vec::new(),
             pose_actuators: Vec::new(),
             potentials: Vec::new(),
+            fluid: None,
             contacts: Vec::new(),
             radii: Vec::new(),
             payload: None,
@@ -320,6 +323,14 @@ impl Rod {
             nodes[node].mass += body.mass;
             nodes[node].rotary += body.rotary;
         }
+        let mut immersed = Vec::new();
+        if let Some(fluid) = &p.fluid {
+            fluid.check(&p.radii)?;
+            immersed = fluid.on_nodes(&p.radii, &mesh, p.length);
+        }
+        for (node, own) in nodes.iter_mut().zip(&immersed) {
+            node.mass += own.added;
+        }
         let tip_reference = (
             p.tip_position.unwrap_or(rest.positions[k]),
             p.tip_rotation.unwrap_or(rest.rotations[k]),
@@ -361,9 +372,9 @@ impl Rod {
             mesh,
             elements,
             nodes,
-            displaced: Vec::new(),
-            added: Vec::new(),
-            resistances: Vec::new(),
+            displaced: immersed.iter().map(|own| own.displaced).collect(),
+            added: immersed.iter().map(|own| own.added).collect(),
+            resistances: immersed.iter().map(|own| own.resistance).collect(),
             element_inertia,
             rotary_inertia: p.rotary_inertia,
             rest_chords,

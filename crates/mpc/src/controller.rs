@@ -2,6 +2,7 @@
 
 mod bounds;
 mod changes;
+mod creation;
 mod effort;
 mod issued;
 mod outlet;
@@ -16,8 +17,8 @@ pub use self::effort::followed;
 pub use self::issued::Issued;
 use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
+use self::steps::Divided;
 pub use self::steps::with_long_steps;
-use self::steps::{Divided, period_and_horizon};
 use super::command::Command;
 use super::error::MpcError;
 use super::estimator::Motions;
@@ -31,7 +32,7 @@ use control::{ControlKind, NamedControl};
 use mechanics::linearization::StateTangent;
 use mechanics::{Drive, Rod, State, StepError, Wrench};
 use stop::StopSignal;
-use task::{Arm, Discretization, DiscretizeError, Rest, Task, Track};
+use task::{Arm, Discretization, Task};
 
 /// Times and results of one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,22 +120,7 @@ pub(super) enum Aim {
     Stay,
 }
 
-/// Factor on the weight of a held target, relative to a followed path: a default of the target, which a track of the scene's own with
-/// another `objective.track.weight` replaces (decision 71). A buckled arm has several equilibria; effort is measured from one of them, and
-/// a larger weight keeps the tip at its target nevertheless. A tip whose orientation is prescribed too has one shape, and its loop with
-/// this factor would be less robust against a wrong stiffness.
-const HELD_NEARER: f64 = 10.0;
-/// Cap on the samples of paths in a block of a receding horizon, each of which needs a sweep: a plan that is linear in a block cannot tell
-/// more than its two ends.
-const SAMPLES_A_BLOCK: usize = 2;
-/// Number of blocks over which a change costs as much as the effort, if the task has no price of rates: the default of `objective.rate` of
-/// a receding loop, `4 effort block²`. Without any, errors of the model in fast waves make commands oscillate between their bounds
-/// (decision 50).
-const BLOCKS_A_CHANGE: f64 = 2.0;
-
 impl Controller {
-    /// Cap on the iterations before the first sample, for which nothing waits yet.
-    const FIRST: usize = 50;
     /// Change of the scaled coefficients of a plan, which are of order 1, below which iterations end: far below what an actuator resolves,
     /// and far above rounding.
     const SETTLED: f64 = 1e-9;
@@ -179,174 +165,6 @@ impl Controller {
             stop.check()?;
         }
         made
-    }
-
-    fn make(
-        arm: &Arm,
-        task: &Task,
-        discretization: &Discretization,
-        settings: &MpcSettings,
-        stop: &StopSignal,
-    ) -> Result<Self, MpcError> {
-        settings.check()?;
-        let knots = Knots::new(
-            discretization.hold,
-            settings.block,
-            settings.equal_blocks,
-            settings.horizon,
-        )?;
-        let blocks = knots.blocks(settings.horizon);
-        let model = arm.rod(discretization).map_err(DiscretizeError::from)?;
-        let mut cut = Discretization {
-            blocks,
-            ..with_long_steps(&model, discretization, settings)
-        };
-        if settings.due.is_none() {
-            // More samples cannot be told apart by a plan, and each one needs a sweep.
-            cut.samples = cut.samples.min(SAMPLES_A_BLOCK * blocks);
-        }
-        let mut task = match settings.due {
-            Some(_) => task.clone(),
-            None => task.clone().stopping(),
-        };
-        task.horizon = settings.horizon;
-        let n_tracks = task.cost.tracks.len();
-        for target in &mut task.targets {
-            target.time = None;
-            // A target with a weight needs no default tolerance.
-            target.tolerances.speed.get_or_insert(0.0);
-            target.tolerances.spin.get_or_insert(0.0);
-            // On a receding horizon, a target at the end could be put off for ever, and rest there would never come.
-            if settings.due.is_none() {
-                target.rest = Rest::Passing;
-                let place = target.position.take().map(|place| (0.0, place));
-                let turn = target.rotation.take().map(|rotation| (0.0, rotation));
-                task.cost.tracks.push(Track {
-                    at: target.at,
-                    path: place.into_iter().collect(),
-                    rotations: turn.into_iter().collect(),
-                    ..Track::default()
-                });
-            }
-        }
-        (task.targets).retain(|target| {
-            target.position.is_some() || target.rotation.is_some() || target.rest != Rest::Passing
-        });
-        // Only the steps of this discretization are used, not the wrench that holds the arm.
-        let chosen = (task.clone().stopping())
-            .discretize_until(arm, &cut, stop)?
-            .discrete;
-        let [in_period, in_horizon] =
-            period_and_horizon(chosen.grid.step, chosen.rod.scheme, settings);
-        cut.step = Some(in_horizon.step);
-        let mut problem = task.discretize_until(arm, &cut, stop)?.discrete;
-        for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
-            if held.rotations.is_empty() {
-                held.weight *= HELD_NEARER;
-            }
-        }
-        problem.grid.step = in_horizon.step;
-        problem.grid.n_steps = in_horizon.n;
-        for goal in &mut problem.goals {
-            goal.time_node = problem.grid.n_steps;
-        }
-        let mut weights = [problem.objective.effort, problem.objective.rate];
-        if settings.due.is_none() && weights[1] == 0.0 {
-            weights[1] = weights[0] * (BLOCKS_A_CHANGE * settings.block).powi(2);
-        }
-        let horizon = Horizon::new(
-            problem,
-            knots.clone(),
-            settings.target_weight,
-            settings.limit_price,
-        )?;
-        let (n, n_components) = (horizon.n_variables(), horizon.components.len());
-        let n_nodes = horizon.problem.rod.n_nodes();
-        let nodes = horizon.actuated_nodes();
-        let is_driven = horizon.problem.efforts.is_some();
-        let n_efforts = if is_driven {
-            horizon.problem.rod.actuators.len()
-        } else {
-            0
-        };
-        let lags: Vec<f64> = (horizon.components.iter())
-            .map(|component| horizon.problem.channel(component).lag)
-            .collect();
-        let has_lags = lags.iter().any(|lag| *lag > 0.0);
-        let mut lags_of_efforts = vec![0.0; if has_lags { n_efforts } else { 0 }];
-        for (driven, component) in horizon.problem.driven_components() {
-            if let Some(lag) = lags_of_efforts.get_mut(driven.actuator) {
-                *lag = horizon.problem.channel(&component).lag;
-            }
-        }
-        // Bound and rate of every coefficient; where there is a lag, a bound at either end of the block before it.
-        let n_rows = if has_lags { 3 * n } else { 2 * n };
-        let state = horizon.start.clone();
-        let mut controller = Self {
-            subproblem: Subproblem::new(n, n_rows, horizon.n_limit_rows()),
-            plan: vec![0.0; n],
-            before: vec![0.0; n],
-            trusted: vec![0.0; n],
-            expected: f64::INFINITY,
-            negligible: horizon.negligible_cost(),
-            before_knots: knots,
-            weights,
-            acting: vec![0.0; n_components],
-            outlet: Outlet::new(settings.start, settings.period, lags),
-            planned: None,
-            from_acting: Vec::with_capacity(n_components),
-            inside: vec![0.0; n],
-            cancelling: vec![0.0; n_components],
-            holding: None,
-            disturbing: Wrench::default(),
-            stiffness: 1.0,
-            free: vec![0.0; n],
-            deviation: StateTangent::zeros(n_nodes),
-            gradient: vec![0.0; n],
-            offsets: vec![0.0; n_rows],
-            change: vec![0.0; n],
-            command: Command {
-                start: settings.start,
-                end: settings.start + settings.period,
-                from: vec![Wrench::default(); nodes.len()],
-                to: vec![Wrench::default(); nodes.len()],
-                nodes,
-                efforts_from: vec![0.0; n_efforts],
-                efforts_to: vec![0.0; n_efforts],
-                efforts_acting: vec![0.0; lags_of_efforts.len()],
-                lags: lags_of_efforts,
-            },
-            prediction: Motions::new(&horizon.problem.rod, in_period.step, horizon.parameters()),
-            state,
-            in_period,
-            wrenches: [(); 2].map(|()| horizon.order.none()),
-            acts: false,
-            record: SampleRecord {
-                iterations: 0,
-                feedback_s: 0.0,
-                prepare_s: 0.0,
-                predicted_cost: 0.0,
-                change: 0.0,
-                subproblem: SubproblemEnd {
-                    iterations: 0,
-                    converged: true,
-                },
-                violation: 0.0,
-                breaks_limit: false,
-            },
-            settings: *settings,
-            horizon,
-        };
-        controller.horizon.stop = stop.clone();
-        controller.count_from_holding();
-        stop.check()?;
-        controller.horizon.place(settings.start, settings.due);
-        controller
-            .before_knots
-            .place(settings.start, controller.horizon.grid.time(0));
-        controller.settle(Self::FIRST)?;
-        controller.horizon.stop = StopSignal::default();
-        Ok(controller)
     }
 
     /// Returns the rod of the model.

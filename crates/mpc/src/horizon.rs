@@ -88,6 +88,88 @@ pub(super) fn driven(problem: &OptimalControlProblem) -> &[usize] {
     (problem.efforts.as_ref()).map_or(&[], |efforts| &efforts.actuators)
 }
 
+/// Refuses goals and durations that the controller does not know.
+fn refuse_unsupported(problem: &OptimalControlProblem) -> Result<(), MpcError> {
+    let has_tolerance = |goal: &Goal| matches!(goal.enforcement, Enforcement::Within { .. });
+    if problem.goals.iter().any(has_tolerance) {
+        return Err(MpcError::Unsupported(
+            "the controller's targets are soft; leave out tolerances of targets",
+        ));
+    }
+    if problem.duration.is_some() {
+        return Err(MpcError::Unsupported(
+            "the controller knows a fixed duration; leave out free_duration",
+        ));
+    }
+    Ok(())
+}
+
+/// Returns the memory for the efforts of a plan along a motion; `None` without actuators of the arm.
+fn efforts_along(order: &ControlOrder, n_nodes: usize, grid: TimeGrid) -> Option<ControlSignal> {
+    let n_carriers = order.n_wrenches() - n_nodes;
+    order.efforts.as_ref().map(|own| ControlSignal {
+        wrenches: vec![Wrench::default(); n_carriers * (grid.n_steps + 1)],
+        efforts: Some(Efforts {
+            first: 0,
+            ..own.clone()
+        }),
+        ..ControlSignal::default()
+    })
+}
+
+/// Returns the motion that stays in its first configuration.
+fn resting(start: &State, grid: TimeGrid) -> Trajectory {
+    let n_nodes = start.configuration.positions.len();
+    let mut trajectory = Trajectory::with_capacity(n_nodes, grid.n_steps + 1);
+    for _ in 0..=grid.n_steps {
+        trajectory.push(&start.configuration);
+    }
+    trajectory
+}
+
+/// Returns the indices and shapes of the obstacles among the limits of a problem.
+fn obstacles(problem: &OptimalControlProblem) -> Vec<(usize, Shape)> {
+    (problem.path.iter().enumerate())
+        .filter_map(|(index, path)| match &path.limit {
+            PathLimit::Clearance { shape, .. } => Some((index, *shape)),
+            _ => None,
+        })
+        .collect()
+}
+
+/// The components of a plan that drive actuators in the arm.
+#[derive(Default)]
+struct Drivers {
+    /// Components that drive actuators on strains, with the effort for one unit; below it, these actuators.
+    of_efforts: Vec<(usize, f64)>,
+    on_strains: Vec<usize>,
+    /// Components that drive actuators on poses, likewise, each with the index of a function of its actuator.
+    of_poses: Vec<((usize, f64), usize)>,
+}
+
+impl Drivers {
+    fn of(problem: &OptimalControlProblem, components: &[Component]) -> Self {
+        let mut out = Self::default();
+        for (index, &actuator) in driven(problem).iter().enumerate() {
+            let driver = components.iter().enumerate().find_map(|(at, component)| {
+                let (_, gain) = problem.driven_by(component).find(|own| own.0 == index)?;
+                Some((at, gain))
+            });
+            let Some(driver) = driver else {
+                continue;
+            };
+            if actuator < problem.rod.actuators.strains().len() {
+                out.of_efforts.push(driver);
+                out.on_strains.push(actuator);
+            }
+            let functions = problem.rod.actuators.functions().iter().enumerate();
+            let own = functions.filter(|(_, own)| own.actuator == Some(actuator));
+            (out.of_poses).extend(own.map(|(function, _)| (driver, function)));
+        }
+        out
+    }
+}
+
 /// The model, at the plan and the start for which it was last prepared.
 #[derive(Debug)]
 pub(super) struct Horizon {
@@ -152,17 +234,7 @@ impl Horizon {
         weight: f64,
         price: Option<f64>,
     ) -> Result<Self, MpcError> {
-        let has_tolerance = |goal: &Goal| matches!(goal.enforcement, Enforcement::Within { .. });
-        if problem.goals.iter().any(has_tolerance) {
-            return Err(MpcError::Unsupported(
-                "the controller's targets are soft; leave out tolerances of targets",
-            ));
-        }
-        if problem.duration.is_some() {
-            return Err(MpcError::Unsupported(
-                "the controller knows a fixed duration; leave out free_duration",
-            ));
-        }
+        refuse_unsupported(&problem)?;
         // The rows of a plan depend on states alone.
         (problem.path).retain(|path| !path.limit.depends_on_inputs());
         let model = Arc::clone(&problem.rod);
@@ -184,36 +256,13 @@ impl Horizon {
         let start = problem.initial.clone();
         let n_nodes = problem.rod.n_nodes();
         let order = ControlOrder::on_all(&problem.rod);
-        let n_carriers = order.n_wrenches() - n_nodes;
-        let efforts = order.efforts.as_ref().map(|own| ControlSignal {
-            wrenches: vec![Wrench::default(); n_carriers * (grid.n_steps + 1)],
-            efforts: Some(Efforts {
-                first: 0,
-                ..own.clone()
-            }),
-            ..ControlSignal::default()
-        });
-        let (mut of_efforts, mut on_strains, mut of_poses) = (Vec::new(), Vec::new(), Vec::new());
-        for (index, &actuator) in driven(&problem).iter().enumerate() {
-            let driver = components.iter().enumerate().find_map(|(at, component)| {
-                let (_, gain) = problem.driven_by(component).find(|own| own.0 == index)?;
-                Some((at, gain))
-            });
-            let Some((at, gain)) = driver else {
-                continue;
-            };
-            if actuator < problem.rod.actuators.strains().len() {
-                of_efforts.push((at, gain));
-                on_strains.push(actuator);
-            }
-            let functions = problem.rod.actuators.functions().iter().enumerate();
-            let own = functions.filter(|(_, own)| own.actuator == Some(actuator));
-            of_poses.extend(own.map(|(function, _)| ((at, gain), function)));
-        }
-        let mut trajectory = Trajectory::with_capacity(n_nodes, grid.n_steps + 1);
-        for _ in 0..=grid.n_steps {
-            trajectory.push(&start.configuration);
-        }
+        let efforts = efforts_along(&order, n_nodes, grid);
+        let Drivers {
+            of_efforts,
+            on_strains,
+            of_poses,
+        } = Drivers::of(&problem, &components);
+        let trajectory = resting(&start, grid);
         let rows = {
             let whole = evaluated(&problem, &trajectory, grid, &start);
             Rows::new(&problem, &whole.states, weight, price, n_states)
@@ -257,12 +306,7 @@ impl Horizon {
             of_poses,
             model,
             stop: StopSignal::default(),
-            obstacles: (problem.path.iter().enumerate())
-                .filter_map(|(index, path)| match &path.limit {
-                    PathLimit::Clearance { shape, .. } => Some((index, *shape)),
-                    _ => None,
-                })
-                .collect(),
+            obstacles: obstacles(&problem),
             parameters: Disturbance::NONE.parameters(),
             delay: 0.0,
             trajectory,

@@ -6,6 +6,7 @@ use super::discretization::Discretization;
 pub use mechanics::Place;
 use mechanics::equilibrium::{EquilibriumError, NodeSpring, static_equilibrium_until};
 use mechanics::place::{carry, locate};
+use mechanics::resistance::Fluid;
 use mechanics::rod::append_element;
 use mechanics::rotation::{from_direction, log, log_tangent, quaternion, wxyz};
 use mechanics::rows;
@@ -77,6 +78,8 @@ pub struct Arm {
     pub pose_actuators: Vec<PoseActuator>,
     /// Potentials of places of the arm that have no effort, J.
     pub potentials: Vec<(Span, OfPose)>,
+    /// Fluid around the arm, whose surface is at [`Self::radii`].
+    pub fluid: Option<Fluid>,
     /// Bodies that the arm touches, its surface at [`Self::radii`].
     pub contacts: Vec<Contact>,
     /// A rigid body at the tip, with its center of mass there and its principal axes along the tip's.
@@ -122,6 +125,7 @@ impl Arm {
             actuators: Vec::new(),
             pose_actuators: Vec::new(),
             potentials: Vec::new(),
+            fluid: None,
             contacts: Vec::new(),
             payload: None,
             bodies: Vec::new(),
@@ -226,6 +230,7 @@ impl Arm {
             actuators: self.actuators.clone(),
             pose_actuators: self.pose_actuators.clone(),
             potentials: self.potentials.clone(),
+            fluid: self.fluid,
             contacts: self.contacts.clone(),
             radii: self.radii.clone(),
             payload: self.payload,

@@ -2,28 +2,24 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Matrix3, Vector3};
-
 use super::arm::Arm;
 use super::contradictions::check_contradictions;
-use super::definition::{Hardness, Rest, Staying, Target, Task};
+use super::definition::{Rest, Staying, Task};
 use super::discretization::Discretization;
 use super::effort::{self, EffortControl};
-use super::error::{DiscretizeError, Obstruction};
+use super::error::DiscretizeError;
+use super::goals::check_goals;
 use super::own;
 use super::prediction::{Work, automatic_scheme, prefers_segments};
 use super::staying::stay;
+use super::taut::{allow_slack, keep_taut};
 use super::tracking::default_weights;
 use control::{
-    ActuatedNode, ControlGrid, Enforcement, Goal, GoalPart, Objective, OptimalControlProblem,
-    PathConstraint, PathEnforcement, PathLimit, RodView, Stay, Tracking,
+    ActuatedNode, ControlGrid, Objective, OptimalControlProblem, PathConstraint, PathEnforcement,
+    PathLimit, RodView, Tracking,
 };
-use mechanics::rotation::log;
 use mechanics::stability::{automatic_step, stable_step};
-use mechanics::{
-    Configuration, NodeWrenches, Rod, RodError, RodModel, RotaryInertia, State, TimeGrid,
-    TimeScheme, Trajectory,
-};
+use mechanics::{Rod, RodError, RodModel, RotaryInertia, State, TimeGrid, TimeScheme, Trajectory};
 use stop::StopSignal;
 use verify::{CheckError, CheckLimits, ForwardCheck, Solution, Variant, forward_check};
 
@@ -36,9 +32,7 @@ const MOST_VARIABLES: usize = 2000;
 const MOST_SAMPLES: usize = 1000;
 /// Penetration of an obstacle that counts as touching, divided by the rod's length; likewise for other scaled quantities, which are
 /// rounded.
-const START_TOLERANCE: f64 = 1e-9;
-/// Weight of a soft goal, divided by that of a track that holds its place for the horizon: the goal is missed by ten times as much.
-const OF_A_TRACK: f64 = 0.1;
+pub(super) const START_TOLERANCE: f64 = 1e-9;
 /// Largest number of states of a solve; with more, the trajectory alone would not fit in memory.
 const MOST_STORED_STATES: f64 = 5e7;
 
@@ -165,89 +159,9 @@ impl Task {
         let discretization = &self.scheme_of_winches(arm, discretization);
         let (chosen, rod) = arm.choose(discretization, longest, work)?;
         let grid = self.grid(&rod, chosen.step, blocks)?;
-        let n_steps = grid.n_steps as f64;
-        if !(n_steps * rod.n_nodes() as f64 <= MOST_STORED_STATES) {
-            return Err(DiscretizeError::TooManyStates {
-                n_steps,
-                step: grid.step,
-                n_nodes: rod.n_nodes(),
-            });
-        }
-        let initial = self.start.state(&rod, stop)?;
-        let control = ControlGrid::new(chosen.hold, blocks, grid.n_steps, grid.step).ok_or(
-            DiscretizeError::TooManyBlocks {
-                blocks,
-                n_steps: grid.n_steps,
-            },
-        )?;
-        let actuators = self.actuators(&rod);
-        let default_weights =
-            default_weights(self.cost.effort, &rod, &actuators, !self.efforts.is_empty());
-        let (carriers, acting) = own::acting(&self.own_actuators, actuators.len(), &rod, &initial)?;
-        let mut actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
-        let (carriers, efforts) =
-            effort::efforts(&self.efforts, actuators.len(), chosen.hold, &rod)?;
-        actuators.extend(carriers);
-        // A rate of samples is counted on the longest duration, so that it does not depend on where the search begins.
-        let samples_on = match self.free_duration {
-            None => grid,
-            Some(free) => TimeGrid {
-                step: free.longest / n_steps,
-                ..grid
-            },
-        };
-        let radii = arm.radii_at_nodes(&rod.mesh);
-        let path = self.path_constraints(&rod, &radii, &samples_on);
-        let mut discrete = OptimalControlProblem {
-            stop: stop.clone(),
-            radii,
-            goals: (self.targets.iter())
-                .flat_map(|target| self.goals(target, arm, &rod, &grid, default_weights))
-                .collect(),
-            stay: None,
-            path,
-            duration: self.free_duration,
-            objective: Objective {
-                effort: self.cost.effort,
-                rate: self.cost.rate,
-                energy: self.cost.energy,
-                tracking: (self.cost.tracks.iter())
-                    .map(|track| Tracking {
-                        node: track.at.node(&rod.mesh),
-                        path: track.path.clone(),
-                        weight: track.weight.unwrap_or(default_weights[0]),
-                        rotations: track.rotations.clone(),
-                        rotation_weight: track.rotation_weight.unwrap_or(default_weights[1]),
-                        speed_weight: track.speed_weight,
-                        from: track.from,
-                    })
-                    .collect(),
-                terms: self.cost.terms.clone(),
-                samples: chosen.samples,
-            },
-            grid,
-            initial,
-            control,
-            actuators,
-            acting,
-            efforts,
-            rod: Arc::new(rod),
-        };
-        // Explicit steps are too many for rows at all of them.
-        let tendons = if self.keeps_taut && discrete.rod.scheme == TimeScheme::Implicit {
-            taut_tendons(&discrete)
-        } else {
-            Vec::new()
-        };
-        if !tendons.is_empty() {
-            // Neither a first coefficient nor a state at the start is chosen.
-            let time_nodes = (1..=discrete.grid.n_steps).collect();
-            discrete.path.push(PathConstraint {
-                name: TAUT.into(),
-                limit: PathLimit::Taut { tendons },
-                time_nodes,
-                enforcement: PathEnforcement::Hard,
-            });
+        let mut discrete = self.unchecked(arm, &chosen, rod, grid, stop)?;
+        if self.keeps_taut {
+            keep_taut(&mut discrete);
         }
         check_start(&discrete)?;
         check_goals(&discrete)?;
@@ -260,14 +174,7 @@ impl Task {
             let Some(stay) = stay(&discrete, staying, arm.length)? else {
                 return (self.clone().stopping()).discretize_until(arm, discretization, stop);
             };
-            // What holds the target may leave tendons slack.
-            let slack = slack_tendons(&discrete, &stay);
-            for path in &mut discrete.path {
-                if let PathLimit::Taut { tendons } = &mut path.limit {
-                    tendons.retain(|(actuator, _)| !slack.contains(actuator));
-                }
-            }
-            (discrete.path).retain(|path| path.limit.n_items(&discrete.rod) > 0);
+            allow_slack(&mut discrete, &stay);
             discrete.stay = Some(Arc::new(stay));
         }
         let n_variables = discrete.n_variables();
@@ -287,6 +194,83 @@ impl Task {
             },
             discrete,
         })
+    }
+
+    /// Returns the discrete problem on a rod and a grid, from its initial state: without the limit that keeps tendons taut, without a stay
+    /// at the end, and before goals and limits are compared.
+    fn unchecked(
+        &self,
+        arm: &Arm,
+        chosen: &Discretization,
+        rod: Rod,
+        grid: TimeGrid,
+        stop: &StopSignal,
+    ) -> Result<OptimalControlProblem, DiscretizeError> {
+        check_n_states(&rod, &grid)?;
+        let initial = self.start.state(&rod, stop)?;
+        let control = ControlGrid::new(chosen.hold, chosen.blocks, grid.n_steps, grid.step).ok_or(
+            DiscretizeError::TooManyBlocks {
+                blocks: chosen.blocks,
+                n_steps: grid.n_steps,
+            },
+        )?;
+        let actuators = self.actuators(&rod);
+        let default_weights =
+            default_weights(self.cost.effort, &rod, &actuators, !self.efforts.is_empty());
+        let (carriers, acting) = own::acting(&self.own_actuators, actuators.len(), &rod, &initial)?;
+        let mut actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
+        let (carriers, efforts) =
+            effort::efforts(&self.efforts, actuators.len(), chosen.hold, &rod)?;
+        actuators.extend(carriers);
+        // A rate of samples is counted on the longest duration, so that it does not depend on where the search begins.
+        let samples_on = match self.free_duration {
+            None => grid,
+            Some(free) => TimeGrid {
+                step: free.longest / grid.n_steps as f64,
+                ..grid
+            },
+        };
+        let radii = arm.radii_at_nodes(&rod.mesh);
+        Ok(OptimalControlProblem {
+            stop: stop.clone(),
+            goals: (self.targets.iter())
+                .flat_map(|target| self.goals(target, arm, &rod, &grid, default_weights))
+                .collect(),
+            stay: None,
+            path: self.path_constraints(&rod, &radii, &samples_on),
+            radii,
+            duration: self.free_duration,
+            objective: self.objective(&rod, default_weights, chosen.samples),
+            grid,
+            initial,
+            control,
+            actuators,
+            acting,
+            efforts,
+            rod: Arc::new(rod),
+        })
+    }
+
+    fn objective(&self, rod: &Rod, default_weights: [f64; 2], samples: usize) -> Objective {
+        let cost = &self.cost;
+        Objective {
+            effort: cost.effort,
+            rate: cost.rate,
+            energy: cost.energy,
+            tracking: (cost.tracks.iter())
+                .map(|track| Tracking {
+                    node: track.at.node(&rod.mesh),
+                    path: track.path.clone(),
+                    weight: track.weight.unwrap_or(default_weights[0]),
+                    rotations: track.rotations.clone(),
+                    rotation_weight: track.rotation_weight.unwrap_or(default_weights[1]),
+                    speed_weight: track.speed_weight,
+                    from: track.from,
+                })
+                .collect(),
+            terms: cost.terms.clone(),
+            samples,
+        }
     }
 
     /// Returns a discretization with implicit steps where its scheme is open and tendons on winches should stay taut: a row for every tendon
@@ -469,54 +453,6 @@ impl Task {
             .unwrap_or(rod.scales.moment * rod.scales.length)
     }
 
-    /// Returns the discrete goals of a target. A position, an orientation or a rest with a tolerance becomes a goal of its own.
-    ///
-    /// Weights of tracks count per second; times the horizon, they give the default weight of a soft goal.
-    fn goals(
-        &self,
-        target: &Target,
-        arm: &Arm,
-        rod: &Rod,
-        grid: &TimeGrid,
-        default_weights: [f64; 2],
-    ) -> Vec<Goal> {
-        let time_node = target.time.map_or(grid.n_steps, |time| {
-            ((time / grid.step).round() as usize).clamp(1, grid.n_steps)
-        });
-        let exact = Goal {
-            name: target.name.clone(),
-            node: target.at.node(&rod.mesh),
-            time_node,
-            position: target.position,
-            rotation: target.rotation,
-            at_rest: target.rest == Rest::Instant,
-            enforcement: match target.hardness {
-                Hardness::Hard => Enforcement::Hard,
-                Hardness::Soft { weight } => Enforcement::Soft {
-                    weight: weight.unwrap_or_else(|| {
-                        let [place, turn] =
-                            default_weights.map(|weight| OF_A_TRACK * weight * self.horizon);
-                        if target.position.is_some() {
-                            place
-                        } else {
-                            turn
-                        }
-                    }),
-                },
-            },
-        };
-        if target.hardness != Hardness::Hard {
-            return vec![exact];
-        }
-        let tolerances = &target.tolerances;
-        let [speed, spin] = if exact.at_rest {
-            tolerances.rest(arm.length, self.horizon)
-        } else {
-            [0.0; 2]
-        };
-        with_tolerances(exact, tolerances.distance, tolerances.angle, [speed, spin])
-    }
-
     fn path_constraints(&self, rod: &Rod, radii: &[f64], grid: &TimeGrid) -> Vec<PathConstraint> {
         let time_nodes = |rate: Option<f64>| -> Vec<usize> {
             let stride = rate.map_or_else(
@@ -628,105 +564,17 @@ fn grid(
     Ok(TimeGrid::covering(end, step, multiple))
 }
 
-/// Splits a goal into goals with tolerances. `distance` and `angle` are met exactly if they are `None`, and the speed and the angular speed
-/// of rest if they are zero.
-fn with_tolerances(
-    goal: Goal,
-    distance: Option<f64>,
-    angle: Option<f64>,
-    [speed, spin]: [f64; 2],
-) -> Vec<Goal> {
-    let mut exact = goal.clone();
-    let mut near = Goal {
-        position: None,
-        rotation: None,
-        at_rest: false,
-        enforcement: Enforcement::Within {
-            distance: distance.unwrap_or(0.0),
-            angle: angle.unwrap_or(0.0),
-            speed,
-            spin,
-        },
-        ..goal
-    };
-    if distance.is_some() {
-        near.position = exact.position.take();
+/// Refuses a motion whose states would not fit in memory.
+fn check_n_states(rod: &Rod, grid: &TimeGrid) -> Result<(), DiscretizeError> {
+    let n_steps = grid.n_steps as f64;
+    if !(n_steps * rod.n_nodes() as f64 <= MOST_STORED_STATES) {
+        return Err(DiscretizeError::TooManyStates {
+            n_steps,
+            step: grid.step,
+            n_nodes: rod.n_nodes(),
+        });
     }
-    if angle.is_some() {
-        near.rotation = exact.rotation.take();
-    }
-    if speed > 0.0 || spin > 0.0 {
-        near.at_rest = std::mem::take(&mut exact.at_rest);
-    }
-    [near, exact]
-        .into_iter()
-        .filter(|goal| goal.position.is_some() || goal.rotation.is_some() || goal.at_rest)
-        .collect()
-}
-
-/// Name of the limit that keeps tendons of winches taut.
-pub(crate) const TAUT: &str = "tension of winches";
-/// Least tension of a tendon that should stay taut, as a fraction of the one that bends the arm by a radian, and least stretch beyond its
-/// length without tension, divided by the length of the arm: what a solve leaves unmet, 1e-8 of the length, does not make such a tendon
-/// slack, and the arm moves by half a hundredth of its length at most. Both are choices.
-const LEAST_TENSION: f64 = 5e-3;
-const LEAST_STRETCH: f64 = 1e-7;
-
-/// Returns the tendons of winches that are controls and are taut at the start, with their least tensions, N.
-fn taut_tendons(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
-    let rod = &problem.rod;
-    let Configuration {
-        positions,
-        rotations,
-    } = &problem.initial.configuration;
-    let coordinates = rod.actuator_coordinates(positions, rotations);
-    let inputs = rod.actuators.efforts(problem.grid.start);
-    let driven = problem.efforts.iter().flat_map(|own| &own.actuators);
-    driven
-        .filter_map(|&actuator| {
-            let input = inputs[actuator];
-            let own = rod.actuators.iter().nth(actuator)?.winch?;
-            let length = own.outside - rod.actuators.at_rest()[actuator] + input;
-            let stretched = LEAST_STRETCH * rod.scales.length / (own.compliance * length);
-            let bends = effort::bending_tension(rod, actuator).unwrap_or(0.0);
-            let least = f64::max(LEAST_TENSION * bends, stretched);
-            let law = rod.actuators.law(actuator, input, coordinates[actuator]);
-            (law.effort > least).then_some((actuator, least))
-        })
-        .collect()
-}
-
-/// Returns the tendons that should stay taut and have less than their least tension where the arm is held.
-fn slack_tendons(problem: &OptimalControlProblem, stay: &Stay) -> Vec<usize> {
-    let mut end = Trajectory::with_capacity(problem.rod.n_nodes(), 1);
-    end.push(&stay.shape);
-    let rod_view = RodView {
-        rod: &problem.rod,
-        radii: &problem.radii,
-        trajectory: &end,
-        grid: problem.grid,
-    };
-    let mut out = Vec::new();
-    for path in &problem.path {
-        let PathLimit::Taut { tendons } = &path.limit else {
-            continue;
-        };
-        for (item, &(actuator, _)) in tendons.iter().enumerate() {
-            let control = NodeWrenches {
-                wrenches: &stay.wrenches,
-                efforts: problem.efforts.as_ref(),
-                ..NodeWrenches::NONE
-            };
-            let mut inputs = vec![0.0; problem.rod.actuators.len()];
-            control.add_efforts(&mut inputs);
-            let slope = path.limit.along_input(&problem.rod, item);
-            let own = slope.map_or(0.0, |(at, slope)| inputs[at] * slope);
-            if path.limit.value(&rod_view, 0, item) + own > START_TOLERANCE {
-                out.push(actuator);
-            }
-        }
-    }
-    out
+    Ok(())
 }
 
 /// Refuses a problem whose arm violates a hard limit at the start, where no control can act.
@@ -772,104 +620,4 @@ fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
         });
     }
     Ok(())
-}
-
-/// Refuses hard goals that leave no room for each other, for the obstacles, or for the condition at the base.
-fn check_goals(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
-    let rod = &problem.rod;
-    let rounding = START_TOLERANCE * rod.scales.length;
-    let hard: Vec<(&Goal, [f64; 2])> = (problem.goals.iter())
-        .filter_map(|goal| match goal.enforcement {
-            Enforcement::Hard => Some((goal, [rounding, START_TOLERANCE])),
-            Enforcement::Within {
-                distance, angle, ..
-            } => Some((goal, [distance, angle])),
-            Enforcement::Soft { .. } => None,
-        })
-        .collect();
-    for (at, &(goal, [distance, angle])) in hard.iter().enumerate() {
-        let time = problem.grid.time(goal.time_node);
-        let refuse = |part: GoalPart, amount: f64, why: String, with: Obstruction| {
-            Err(DiscretizeError::GoalConflict {
-                goal: goal.name.clone(),
-                part,
-                amount,
-                why,
-                time,
-                with,
-            })
-        };
-        for &(other, [other_distance, other_angle]) in &hard[..at] {
-            if (goal.node, goal.time_node) != (other.node, other.time_node) {
-                continue;
-            }
-            let why = format!(
-                "away from where {} has node {} at the same step",
-                other.name, goal.node
-            );
-            let off = separation(&goal.position, &other.position);
-            if off > distance + other_distance {
-                return refuse(GoalPart::Position, off, why, Obstruction::Goal);
-            }
-            let off = turn(&goal.rotation, &other.rotation);
-            if off > angle + other_angle {
-                return refuse(GoalPart::Orientation, off, why, Obstruction::Goal);
-            }
-        }
-        let joint = rod.joint(goal.node);
-        if goal.node < rod.first_free_node() || joint.is_some() {
-            let (position, rotation) = match rod.driven_end(goal.node, time) {
-                Some(end) => (end.position, end.rotation),
-                None => {
-                    let start = &problem.initial.configuration;
-                    (start.positions[goal.node], start.rotations[goal.node])
-                }
-            };
-            let why = format!("away from where node {} is held", goal.node);
-            let off = separation(&goal.position, &Some(position));
-            if off > distance {
-                return refuse(GoalPart::Position, off, why, Obstruction::Base);
-            }
-            let off = turn(&goal.rotation, &Some(rotation));
-            if off > angle && joint.is_none_or(|joint| !joint.turns()) {
-                return refuse(GoalPart::Orientation, off, why, Obstruction::Base);
-            }
-        }
-        let Some(position) = &goal.position else {
-            continue;
-        };
-        let radius = problem.radii.get(goal.node).copied().unwrap_or(0.0);
-        for constraint in &problem.path {
-            if let PathLimit::Clearance {
-                shape,
-                velocity,
-                margin,
-                ..
-            } = &constraint.limit
-                && constraint.enforcement == PathEnforcement::Hard
-            {
-                let seen = position - velocity * problem.grid.time(goal.time_node);
-                let depth = radius + margin - shape.distance(&seen).value;
-                if depth > distance {
-                    let why = format!(
-                        "too near to \"{}\" for node {}, whose radius is {radius:.3e} m",
-                        constraint.name, goal.node
-                    );
-                    return refuse(GoalPart::Position, depth, why, Obstruction::Obstacle);
-                }
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Returns the distance between two places, m; 0 if one of them is not given.
-fn separation(a: &Option<Vector3<f64>>, b: &Option<Vector3<f64>>) -> f64 {
-    a.zip(*b).map_or(0.0, |(a, b)| (a - b).norm())
-}
-
-/// Returns the angle between two orientations, rad; 0 if one of them is not given.
-fn turn(a: &Option<Matrix3<f64>>, b: &Option<Matrix3<f64>>) -> f64 {
-    a.zip(*b)
-        .map_or(0.0, |(a, b)| log(&(a.transpose() * b)).norm())
 }

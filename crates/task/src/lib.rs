@@ -29,11 +29,13 @@ mod discretize;
 mod distributed;
 mod effort;
 mod error;
+mod goals;
 mod own;
 #[doc(hidden)]
 pub mod prediction;
 #[doc(hidden)]
 pub mod staying;
+mod taut;
 mod tracking;
 
 pub use arm::{Arm, Place, PointLoad, Start, StartError, StartShape};

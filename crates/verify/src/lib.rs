@@ -9,6 +9,7 @@
 mod acting;
 mod bodies;
 mod contact;
+mod criteria;
 mod dual;
 mod duration;
 #[doc(hidden)]
@@ -42,6 +43,8 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 pub use self::contact::ContactCheck;
+use self::criteria::criteria;
+pub use self::criteria::{CheckItem, CheckLimits};
 use self::growth::Growth;
 use self::kkt::KktPart;
 use self::momentum::MomentumBalance;
@@ -54,158 +57,11 @@ pub use self::solution::{Solution, SolutionError, SolutionMultipliers};
 pub use self::standing::HeldGrowth;
 pub use self::stay::StayReplay;
 pub use self::stepper::ReferenceStepper;
-use control::{Enforcement, Goal, GoalPart, OptimalControlProblem, Stay};
+use control::{Enforcement, Goal, OptimalControlProblem};
 use mechanics::rotation::log;
-use mechanics::{ControlSignal, Rod, RodError, State, StepError, StrainRule, TimeGrid, Trajectory};
-use sqp::{KktResidual, SADDLE_GAIN, SqpSettings};
+use mechanics::{ControlSignal, Rod, RodError, State, StepError, TimeGrid, Trajectory};
+use sqp::KktResidual;
 use stop::Stop;
-
-/// Fraction of the limit of the energy residual below which the residual need not fall with the step.
-const SMALL_ENERGY: f64 = 0.1;
-
-/// Largest acceptable values; all of them are reported beside the values that were found.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CheckLimits {
-    /// Scaled KKT residuals.
-    pub kkt: f64,
-    /// Distance between the solution and its replay on the same grid, divided by the length of the rod.
-    pub same_grid: f64,
-    /// Derivative of the Lagrangian along a free duration, divided by its largest term.
-    pub duration: f64,
-    /// Estimated discretization error in time, and in space, divided by the length.
-    pub refined: f64,
-    /// Tip error of the replay against a hard target, divided by the length (rad for the orientation).
-    pub tip: f64,
-    /// Speed and angular speed of the tip of the finest rod at the end, divided by the highest ones before, beyond the tolerance of the
-    /// goal. The turning of a single node contains the shortest waves, so that it converges last.
-    pub rest: [f64; 2],
-    /// Energy residual divided by the energy that passed through.
-    pub energy: f64,
-    /// Largest energy residual with the step halved, divided by the largest one: 1/4 for a method of second order, 1/2 for first, 1 for
-    /// none. Not applied to a residual below a tenth of its limit.
-    pub energy_halving: f64,
-    /// Violation of a path constraint between nodes and samples, divided by the radius of obstacle and arm, or by the limit.
-    pub between: f64,
-    /// Possible gain at a saddle, divided by the objective.
-    pub saddle_gain: f64,
-}
-
-impl CheckLimits {
-    /// Returns the limits for a solution of these settings: those of optimality are proportional to the solver's tolerance, up to
-    /// [`Self::LOOSEST_KKT`].
-    #[must_use]
-    pub fn of(settings: &SqpSettings) -> Self {
-        let limits = Self::default();
-        Self {
-            kkt: settings.tolerance.clamp(limits.kkt, Self::LOOSEST_KKT),
-            saddle_gain: settings.saddle_gain,
-            ..limits
-        }
-    }
-
-    /// Upper limit of the residuals of a stationary point, for any tolerance of a scene.
-    pub const LOOSEST_KKT: f64 = 1e-3;
-}
-
-impl Default for CheckLimits {
-    fn default() -> Self {
-        Self {
-            kkt: 1e-6,
-            same_grid: 1e-9,
-            duration: 1e-5,
-            refined: 0.02,
-            tip: 1e-4,
-            rest: [0.2, 0.5],
-            energy: 0.02,
-            energy_halving: 0.8,
-            between: 0.01,
-            saddle_gain: SADDLE_GAIN,
-        }
-    }
-}
-
-/// One line of the certificate.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CheckItem {
-    /// Short name, as in the summary.
-    pub name: &'static str,
-    /// The value that was found, in `unit`.
-    pub value: f64,
-    /// The largest value that is acceptable, in `unit`.
-    pub limit: f64,
-    /// Unit of both; empty for pure numbers.
-    pub unit: &'static str,
-    /// The meaning of the criterion, in a sentence.
-    #[serde(skip)]
-    pub meaning: &'static str,
-}
-
-impl CheckItem {
-    /// Returns the factor by which a grid of second order must be finer for the error to be within two thirds of its limit; at least two,
-    /// since another grid has another solution.
-    fn refinement(&self) -> f64 {
-        (1.5 * self.value / self.limit).sqrt().clamp(2.0, 100.0)
-    }
-
-    /// Returns a remedy for the failed criterion, in the keys of the problem's scene.
-    #[must_use]
-    pub fn remedy(&self, problem: &OptimalControlProblem) -> String {
-        let fixed = match self.name {
-            "refined_space_m" if problem.rod.strain_rule == StrainRule::Trapezoidal => {
-                "use rod.strain = \"helical\", or more rod.elements"
-            }
-            // The place where the wrench holds the arm changes with the elements.
-            "refined_space_m" | "stays_m" | "refined_speed_m_s" | "refined_spin_rad_s" => {
-                let elements = problem.rod.n_elements() as f64 * self.refinement();
-                return format!("set rod.elements = {}", elements.ceil());
-            }
-            "refined_time_m" | "energy" | "energy_halving" => {
-                let step = problem.grid.step / self.refinement();
-                return format!("set time.step_s = {step:.2e}");
-            }
-            name if name.starts_with("kkt.") => {
-                return format!(
-                    "solve again, with a smaller solver.tolerance; where that changes nothing it is rounding, of a stiff arm: solver.tolerance = \
-                     {:.0e} asks for what numbers of 16 digits can tell",
-                    2.0 * self.value
-                );
-            }
-            "stays_growth_1_s" => {
-                "shorten task.stays_s, lower control.moment_max_n_m, or give the arm damping: moments that turn with the arm feed its motions"
-            }
-            "stiffer_contact_m" => {
-                let factor = self.limit / (1.5 * self.value);
-                return format!(
-                    "multiply every penetration_m of [[contact]] by {factor:.2}, unless the bodies are as soft as that"
-                );
-            }
-            "contact_through" => {
-                "the arm passes through a body, or may: give its [[contact]] a smaller penetration_m, or a larger force_n"
-            }
-            "momentum" => "the motion is not one of this rod: the files do not belong together",
-            "second_order" => "solve again from elsewhere: --starts N, or another solver.guess",
-            "same_grid_m" | "same_grid_rad" => {
-                "the files were changed, or the motion is so unstable that it cannot be replayed"
-            }
-            "between_samples" => {
-                "use a shorter time.step_s, more rod.elements, or a higher rate_hz of what is limited"
-            }
-            "controls.csv" | "trajectory.npz" | "summary.json" | "feedback.npz" => {
-                "the file was changed, or belongs to another solution: solve again"
-            }
-            _ => "solve again, with a smaller solver.tolerance",
-        };
-        fixed.into()
-    }
-}
-
-impl CheckItem {
-    /// Tells whether the value is within its limit; NaN is not.
-    #[must_use]
-    pub fn holds(&self) -> bool {
-        self.value <= self.limit
-    }
-}
 
 /// The certificate of a solution. It serializes to the object `check` of a summary, but for verdicts.
 #[derive(Clone, Debug, Serialize)]
@@ -490,57 +346,13 @@ pub fn forward_check(
         &solution.multipliers,
     );
     problem.stop.check()?;
-    let run = |factor: usize, which| {
-        let grid = refined_grid(problem.grid, factor);
-        let control = refined_signal(problem, factor, &problem.rod, solution);
-        let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
-        let (rod, initial) = (&problem.rod, problem.initial.clone());
-        let simulation = match which {
-            ReplayKind::SameGrid => Simulation::reference(rod, grid, initial),
-            _ => Simulation::fast(rod, grid, initial),
-        };
-        account(
-            rod,
-            grid,
-            simulation,
-            &control,
-            // Under the model `consistent`, steps belong together in pairs.
-            2 * factor,
-            &problem.stop,
-            &mut |state| {
-                if factor == 1 {
-                    trajectory.push(&state.configuration);
-                }
-            },
-        )
-        .map(|accounts| Replay {
-            trajectory,
-            ..accounts
-        })
-        .map_err(|source| CheckError::Replay { which, source })
-    };
-    let mut same = run(1, ReplayKind::SameGrid)?;
+    let mut same = replay_on(problem, solution, 1, ReplayKind::SameGrid)?;
     let control = hold::signal(problem, 1, solution.coefficients);
-    let same_grid = largest_of(
-        (solution
-            .trajectory
-            .positions
-            .iter()
-            .zip(&same.trajectory.positions))
-        .map(|(a, b)| (a - b).norm()),
-    );
-    let same_grid_turn = largest_of(
-        (solution
-            .trajectory
-            .rotations
-            .iter()
-            .zip(&same.trajectory.rotations))
-        .map(|(a, b)| (a - b).norm()),
-    );
+    let [same_grid, same_grid_turn] = distances(solution.trajectory, &same.trajectory);
     let strains = PeakStrains::of(&problem.rod, &same.trajectory, &problem.stop);
     let momentum = MomentumBalance::of(problem, &same.trajectory, &control);
     problem.stop.check()?;
-    let half = run(2, ReplayKind::ShorterSteps)?;
+    let half = replay_on(problem, solution, 2, ReplayKind::ShorterSteps)?;
     let mut contact = contact::examine(problem, variant, solution, &same.trajectory, &half.end)?;
     // This trajectory is as large as the solution's, and not needed any more.
     same.trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
@@ -579,7 +391,7 @@ pub fn forward_check(
         items: Vec::new(),
     };
     measure_tip(problem, &mut check);
-    check.items = items(problem, &check, limits);
+    check.items = criteria(problem, &check, limits);
     if let Some(found) = duration::examine(problem, solution)? {
         check.items.push(CheckItem {
             name: "duration",
@@ -590,6 +402,52 @@ pub fn forward_check(
         });
     }
     Ok(check)
+}
+
+/// Replays a solution on its grid, whose trajectory is kept, or on one whose steps are `factor` times shorter.
+fn replay_on(
+    problem: &OptimalControlProblem,
+    solution: &Solution,
+    factor: usize,
+    which: ReplayKind,
+) -> Result<Replay, CheckError> {
+    let grid = refined_grid(problem.grid, factor);
+    let control = refined_signal(problem, factor, &problem.rod, solution);
+    let mut trajectory = Trajectory::with_capacity(problem.rod.n_nodes(), 0);
+    let (rod, initial) = (&problem.rod, problem.initial.clone());
+    let simulation = match which {
+        ReplayKind::SameGrid => Simulation::reference(rod, grid, initial),
+        _ => Simulation::fast(rod, grid, initial),
+    };
+    account(
+        rod,
+        grid,
+        simulation,
+        &control,
+        // Under the model `consistent`, steps belong together in pairs.
+        2 * factor,
+        &problem.stop,
+        &mut |state| {
+            if factor == 1 {
+                trajectory.push(&state.configuration);
+            }
+        },
+    )
+    .map(|accounts| Replay {
+        trajectory,
+        ..accounts
+    })
+    .map_err(|source| CheckError::Replay { which, source })
+}
+
+/// Returns the largest distance of any node at any time between two motions, m, and the largest one of rotation matrices.
+fn distances(a: &Trajectory, b: &Trajectory) -> [f64; 2] {
+    let places = a.positions.iter().zip(&b.positions);
+    let turns = a.rotations.iter().zip(&b.rotations);
+    [
+        largest_of(places.map(|(a, b)| (a - b).norm())),
+        largest_of(turns.map(|(a, b)| (a - b).norm())),
+    ]
 }
 
 /// Returns the controls on a grid whose steps are `factor` times shorter, and on the nodes of a rod with a whole multiple of the elements.
@@ -646,231 +504,4 @@ fn measure_tip(problem: &OptimalControlProblem, check: &mut ForwardCheck) {
     check.tip_spin = end.angular_momentum[tip]
         .component_div(&problem.rod.nodes[tip].rotary)
         .norm();
-}
-
-fn items(
-    problem: &OptimalControlProblem,
-    check: &ForwardCheck,
-    limits: &CheckLimits,
-) -> Vec<CheckItem> {
-    let length = problem.rod.scales.length;
-    let item = |name, value, limit, unit, meaning| CheckItem {
-        name,
-        value,
-        limit,
-        unit,
-        meaning,
-    };
-    let mut items = vec![
-        item(
-            "kkt.stationarity",
-            check.kkt.stationarity,
-            limits.kkt,
-            "",
-            "gradient of the Lagrangian, recomputed from the energy itself, divided by its largest term",
-        ),
-        item(
-            "kkt.feasibility",
-            check.kkt.feasibility,
-            limits.kkt,
-            "",
-            "equations of motion (77), (81), target and bounds, recomputed, scaled",
-        ),
-        item(
-            "kkt.complementarity",
-            check.kkt.complementarity,
-            limits.kkt,
-            "",
-            "slack of a bound times its multiplier, scaled",
-        ),
-        item(
-            "same_grid_m",
-            check.same_grid,
-            limits.same_grid * length,
-            "m",
-            "largest distance of any node at any time from the forward simulation of the controls",
-        ),
-        item(
-            "same_grid_rad",
-            check.same_grid_turn,
-            // Rotation of an element with this distance at one end.
-            limits.same_grid * problem.rod.n_elements() as f64,
-            "",
-            "largest distance of any rotation at any time from that of the forward simulation",
-        ),
-        item(
-            "refined_time_m",
-            check.refined_time,
-            limits.refined * length,
-            "m",
-            "estimated error of any node at any time from the time step (step halved)",
-        ),
-        item(
-            "refined_space_m",
-            check.refined_space,
-            limits.refined * length,
-            "m",
-            "estimated error of any node at any time from the elements (elements doubled)",
-        ),
-        item(
-            "energy",
-            check.energy.relative_residual,
-            limits.energy,
-            "",
-            "work in minus change of energy minus dissipation, divided by the energy that passed through",
-        ),
-        item(
-            "energy_halving",
-            check.energy.halving_ratio_largest,
-            limits.energy_halving,
-            "",
-            "largest energy residual with the step halved, divided by the largest one: 1/4 for a method of second order",
-        ),
-        item(
-            "momentum",
-            check.momentum.over_rounding,
-            1.0,
-            "",
-            "impulse in minus change of linear and angular momentum over any step, divided by the effect of rounding",
-        ),
-    ];
-    if !problem.rod.model.has_potential() {
-        // Without a potential there is no energy to balance.
-        items.retain(|item| !item.name.starts_with("energy"));
-    }
-    if check.energy.relative_residual <= SMALL_ENERGY * limits.energy {
-        // As small as this it may be what the shortest waves do, which shorter steps only resolve.
-        items.retain(|item| item.name != "energy_halving");
-    }
-    if let Some(between) = (check.between.iter())
-        .map(|between| between.excess.max(0.0) / between.reference)
-        .reduce(|a, b| {
-            if a.is_nan() || b.is_nan() {
-                f64::NAN
-            } else {
-                a.max(b)
-            }
-        })
-    {
-        items.push(item(
-            "between_samples",
-            between,
-            limits.between,
-            "",
-            "largest violation of a path constraint anywhere on the finest replay, divided by the radius or by the limit",
-        ));
-    }
-    if let Some(contact) = &check.contact {
-        items.push(item(
-            "stiffer_contact_m",
-            contact.stiffer_m,
-            contact::SHOWN * limits.refined * length,
-            "m",
-            "distance of the tip at the end from that with twice the stiffness of all contacts: at most 0.29 of what bodies that are not rigid change",
-        ));
-    }
-    if let Some(contact) = &check.contact {
-        items.push(item(
-            "contact_through",
-            contact.through,
-            contact::HELD,
-            "",
-            "largest depth in a body, anywhere along the arm and at any time, divided by the one from which on the arm is pushed out on the other side",
-        ));
-    }
-    let allowed = |enforcement: &Enforcement, angle: bool| match enforcement {
-        Enforcement::Hard => Some(0.0),
-        Enforcement::Within {
-            distance,
-            angle: largest,
-            ..
-        } => Some(if angle { *largest } else { *distance }),
-        Enforcement::Soft { .. } => None,
-    };
-    if let Some((_, enforcement)) = last_goal(problem, |goal| goal.position)
-        && let Some(tolerance) = allowed(&enforcement, false)
-    {
-        items.push(item(
-            "tip_error_m",
-            check.tip_error,
-            tolerance + limits.tip * length,
-            "m",
-            "distance of the simulated tip from the target",
-        ));
-    }
-    if let Some((_, enforcement)) = last_goal(problem, |goal| goal.rotation)
-        && let Some(tolerance) = allowed(&enforcement, true)
-    {
-        items.push(item(
-            "tip_angle_rad",
-            check.tip_angle,
-            tolerance + limits.tip,
-            "rad",
-            "angle between the simulated tip and the target orientation",
-        ));
-    }
-    if let (Some(held), Some(stay)) = (&check.stays, &problem.stay) {
-        let tolerance = last_goal(problem, |goal| goal.position)
-            .and_then(|(_, enforcement)| allowed(&enforcement, false));
-        items.push(item(
-            "stays_m",
-            held.tip_error,
-            stay.distance + tolerance.unwrap_or(0.0),
-            "m",
-            "largest distance of the tip from the target after the task, with the last wrench held, on a finer grid",
-        ));
-        if problem.rod.is_held() {
-            items.push(item(
-                "stays_growth_1_s",
-                check.held.map_or(f64::NAN, |held| held.rate()),
-                Stay::ROOM.ln() / stay.seconds,
-                "1/s",
-                "rate at which small deviations from the held equilibrium grow on this grid or on a finer one, all motions counted; at its limit              they double over the stay",
-            ));
-        }
-    }
-    let at_rest = last_goal(problem, |goal| goal.at_rest.then_some(()));
-    if let Some((_, enforcement)) = at_rest
-        && !matches!(enforcement, Enforcement::Soft { .. })
-    {
-        let [speed, spin] = match enforcement {
-            Enforcement::Within { speed, spin, .. } => [speed, spin],
-            Enforcement::Hard | Enforcement::Soft { .. } => [0.0; 2],
-        };
-        let speed = speed + limits.tip * problem.goal_scale(GoalPart::Velocity);
-        items.push(item(
-            "tip_speed_m_s",
-            check.tip_speed,
-            speed,
-            "m/s",
-            "speed of the simulated tip at the end",
-        ));
-        let spin = spin + limits.tip * problem.goal_scale(GoalPart::AngularVelocity);
-        items.push(item(
-            "tip_spin_rad_s",
-            check.tip_spin,
-            spin,
-            "rad/s",
-            "angular speed of the simulated tip at the end",
-        ));
-        // An arm that stays is followed after the task instead.
-        if problem.stay.is_none() {
-            let tip = &check.finest_tip;
-            items.push(item(
-                "refined_speed_m_s",
-                tip.speed,
-                speed + limits.rest[0] * tip.highest_speed,
-                "m/s",
-                "speed of the tip at the end on a finer grid, where it should stop",
-            ));
-            items.push(item(
-                "refined_spin_rad_s",
-                tip.spin,
-                spin + limits.rest[1] * tip.highest_spin,
-                "rad/s",
-                "angular speed of the tip at the end on a finer grid, where it should stop",
-            ));
-        }
-    }
-    items
 }

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys};
-use super::super::values::{self, Fraction, NonNegative, Number, digits, known};
+use super::super::values::{self, Fraction, NonNegative, Number, Positive, digits, known};
 use super::Scene;
 use crate::mechanics::{self, LoadFrame, Mesh, NodeInertia};
 use crate::task::{Arm, Place, PointLoad};
@@ -29,6 +29,42 @@ pub struct Damping {
     /// Kelvin-Voigt time β in s, not negative, default 0: the stress has a term β times stiffness times rate of strain.
     /// A mode of angular frequency ω then has the damping ratio βω/2.
     pub internal_s: NonNegative<values::Time>,
+}
+
+/// A fluid at rest around the whole arm, which counts as a slender circular cylinder of its radius r at every place. Per
+/// length it resists by density times r times (C_n times the square of the speed across the axis plus π times C_t times
+/// that of the speed along it), each against its own part of the velocity; under gravity it lifts the arm by the weight
+/// of the fluid in its place.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Fluid {
+    /// Density in kg/m³: 1000 for water.
+    pub density_kg_m3: Positive<values::Density>,
+    /// C_n, not negative: drag across the axis. Default: 1.2, that of a smooth cylinder at Reynolds numbers from 10³ to
+    /// 10⁵.
+    #[serde(default = "Fluid::normal_drag")]
+    pub normal_drag: NonNegative<values::Factor>,
+    /// C_t, not negative: drag along the axis. Default: 0.01, that of a smooth skin.
+    #[serde(default = "Fluid::tangential_drag")]
+    pub tangential_drag: NonNegative<values::Factor>,
+    /// Mass of the fluid that the arm moves along, in masses of the fluid in its place, not negative, in all directions
+    /// alike. Default: 1, that of a circular cylinder across its axis.
+    #[serde(default = "Fluid::added_mass")]
+    pub added_mass: NonNegative<values::Factor>,
+}
+
+impl Fluid {
+    fn normal_drag() -> NonNegative<values::Factor> {
+        known(1.2)
+    }
+
+    fn tangential_drag() -> NonNegative<values::Factor> {
+        known(0.01)
+    }
+
+    fn added_mass() -> NonNegative<values::Factor> {
+        known(1.0)
+    }
 }
 
 /// A rigid body at the tip, with its center of mass in the last node and its principal axes along the node's.
@@ -201,6 +237,15 @@ impl Scene {
             arm.viscous_damping = damping.viscous_1_s.get();
             arm.internal_damping = damping.internal_s.get();
         }
+        arm.fluid = self
+            .fluid
+            .as_ref()
+            .map(|fluid| mechanics::resistance::Fluid {
+                density: fluid.density_kg_m3.get(),
+                normal_drag: fluid.normal_drag.get(),
+                tangential_drag: fluid.tangential_drag.get(),
+                added_mass: fluid.added_mass.get(),
+            });
         arm.payload = self.payload.as_ref().map(Payload::of_arm);
         arm.bodies = self.body.iter().map(Body::of_arm).collect();
         arm.loads = self.load.iter().map(|load| load.of_arm(mesh)).collect();
@@ -217,6 +262,12 @@ impl Scene {
             viscous_1_s: known(arm.viscous_damping),
             internal_s: known(arm.internal_damping),
         });
+        self.fluid = arm.fluid.map(|fluid| Fluid {
+            density_kg_m3: known(fluid.density),
+            normal_drag: known(fluid.normal_drag),
+            tangential_drag: known(fluid.tangential_drag),
+            added_mass: known(fluid.added_mass),
+        });
         self.payload = arm.payload.map(Payload::describing);
         self.body = arm.bodies.iter().map(Body::describing).collect();
         let loads = arm.loads.iter();
@@ -231,6 +282,11 @@ impl Keys<'_> {
     pub(in crate::scene) fn check_loads(&self, scene: &Scene) -> Checked {
         if let Some(gravity) = &scene.gravity {
             self.finite("gravity.acceleration_m_s2", &gravity.acceleration_m_s2)?;
+        }
+        if scene.fluid.is_some() && scene.radii().is_empty() {
+            let relation =
+                "a fluid acts on the surface of the arm, which this section does not tell";
+            return Err(self.missing("rod.display_radius_m", relation));
         }
         for (index, load) in scene.load.iter().enumerate() {
             self.check_load("load", load, index, scene.rod.elements)?;

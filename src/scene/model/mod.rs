@@ -58,6 +58,9 @@ pub struct Scene {
     pub gravity: Option<Gravity>,
     /// Damping. Absent: none.
     pub damping: Option<Damping>,
+    /// Fluid around the arm: drag, buoyancy and added mass. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fluid: Option<Fluid>,
     /// A rigid body at the tip. Absent: none.
     pub payload: Option<Payload>,
     /// Rigid bodies on the arm. An element ends at each of them.
@@ -133,6 +136,7 @@ impl Scene {
             tip: None,
             gravity: None,
             damping: None,
+            fluid: None,
             payload: None,
             body: Vec::new(),
             load: Vec::new(),

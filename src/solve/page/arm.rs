@@ -62,6 +62,7 @@ pub(super) fn arm(arm: &Arm, rod: &Rod, known: [usize; 2]) -> Value {
         "gravity_direction": triple(arm.gravity / weight),
         "viscous_damping": arm.viscous_damping,
         "internal_damping": arm.internal_damping,
+        "fluid": arm.fluid.map(|own| [own.density, own.normal_drag, own.tangential_drag, own.added_mass]),
         "loads": points.collect::<Vec<_>>(),
         "distributed_loads": distributed.collect::<Vec<_>>(),
     })

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::{FRAMES, ROWS, arrows};
-use crate::mechanics::{Density, OfPose, PlacedFunction, Rod, SAME_PLACE, StrainActuator};
+use crate::mechanics::{Density, Drive, OfPose, PlacedFunction, Rod, SAME_PLACE, StrainActuator};
 use crate::output::{Columns, MotionRecord, ReportArrow, ReportRoute};
 use crate::solve::efforts::shape_of;
 use crate::task::EffortControl;
@@ -61,100 +61,161 @@ pub(super) fn shown(
     let ends: Vec<f64> = t.first().into_iter().chain(t.last()).copied().collect();
     columns.insert("effort_t".into(), t);
     columns.insert("effort_ends".into(), ends.clone());
-    let mut routes = Vec::new();
-    // Kinds in the order of their first actuators, with these and with the bounds of their efforts.
-    let mut groups: Vec<(Kind, Vec<Value>, Vec<f64>)> = Vec::new();
+    let mut routes: Vec<ReportRoute> = Vec::new();
+    // In the order of their first actuators.
+    let mut groups: Vec<Group> = Vec::new();
     for (index, drive) in rod.actuators.iter().enumerate() {
-        let strain = rod.actuators.strains().get(index);
-        let functions: Vec<&PlacedFunction> = (rod.actuators.functions().iter())
-            .filter(|own| own.actuator == Some(index))
-            .collect();
+        let own = ShownActuator::of(rod, index, drive, largest[index]);
         let column = |rows: &[Vec<f64>]| rows.iter().map(|row| row[index]).collect::<Vec<f64>>();
         let curve = column(&curves);
         let bound = (controls.iter())
             .find_map(|c| (c.actuator == index && drive.winch.is_none()).then_some(c.bounds));
-        let most = largest[index];
-        // In words an effort that does not count is none.
-        let told = |effort: f64| if is_slack(effort, most) { 0.0 } else { effort };
-        let kind = match strain {
-            Some(own) => kind(own.density),
-            None => kind_of_pose(&functions, drive.unit),
-        };
-        let known = groups.iter().position(|(own, ..)| *own == kind);
-        let at = known.unwrap_or(groups.len());
-        if known.is_none() {
-            groups.push((kind, Vec::new(), Vec::new()));
-        }
-        let (_, members, limits) = &mut groups[at];
-        let slack = curve
-            .iter()
-            .filter(|effort| !is_magnet(&functions) && is_slack(**effort, most))
-            .count();
-        members.push(json!({
-            "name": drive.name,
-            "column": format!("effort_{index}"),
-            "color": COLORS[members.len() % COLORS.len()],
-            "route": strain.map(|own| json!({
-                "from": own.route.from,
-                "to": own.route.to,
-                "offset": own.route.offset_from,
-                "offset_to": own.route.offset_to,
-                "turns": own.route.turns,
-            })),
-            "poses": poses(rod, &functions),
-            "bounds": bound,
-            "least": told(curve.iter().copied().fold(f64::INFINITY, f64::min)),
-            "most": told(curve.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
-            "slack": slack as f64 / curve.len().max(1) as f64,
-            "last": told(curve.last().copied().unwrap_or(0.0)),
-        }));
-        for limit in bound
-            .into_iter()
-            .flatten()
-            .filter(|limit| limit.is_finite())
-        {
-            if !limits.contains(&limit) {
-                limits.push(limit);
-            }
-        }
-        columns.insert(format!("effort_{index}"), curve);
-        let efforts = column(&frames);
-        routes.extend(match strain {
-            Some(own) => Some(route(rod, own, most, efforts)),
-            None => pose_route(&functions, &drive.name, most, efforts)
-                // The components of a field belong to one magnet.
-                .filter(|route| {
-                    !routes
-                        .iter()
-                        .any(|own: &ReportRoute| own.is_same_magnet(route))
-                }),
+        let kind = own.kind();
+        let known = groups.iter().position(|group| group.kind == kind);
+        let at = known.unwrap_or_else(|| {
+            groups.push(Group {
+                kind,
+                members: Vec::new(),
+                limits: Vec::new(),
+            });
+            groups.len() - 1
         });
+        groups[at].add(&own, bound, &curve);
+        columns.insert(own.column(), curve);
+        routes.extend(own.line(column(&frames), &routes));
     }
-    let groups = groups
-        .into_iter()
-        .enumerate()
-        .map(|(group, (kind, members, limits))| {
-            let limits: Vec<Value> = (limits.iter().enumerate())
-                .map(|(i, limit)| {
-                    let column = format!("effort_bound_{group}_{i}");
-                    columns.insert(column.clone(), vec![*limit; ends.len()]);
-                    json!({ "column": column, "value": limit })
-                })
-                .collect();
-            json!({
-                "word": kind.word,
-                "title": kind.title,
-                "unit": kind.unit,
-                "members": members,
-                "bounds": limits,
-            })
-        });
+    let groups = (groups.into_iter().enumerate())
+        .map(|(number, group)| group.facts(number, ends.len(), &mut columns));
     let groups = groups.collect();
     Shown {
         routes,
         groups,
         columns,
         arrows: arrows::fields(rod, record, efforts),
+    }
+}
+
+/// An actuator of a rod.
+struct ShownActuator<'a> {
+    rod: &'a Rod,
+    index: usize,
+    drive: &'a Drive,
+    /// The actuator if it acts on strains, or else its functions of poses.
+    strain: Option<&'a StrainActuator>,
+    functions: Vec<&'a PlacedFunction>,
+    /// Largest effort.
+    largest: f64,
+}
+
+impl<'a> ShownActuator<'a> {
+    fn of(rod: &'a Rod, index: usize, drive: &'a Drive, largest: f64) -> Self {
+        Self {
+            rod,
+            index,
+            drive,
+            strain: rod.actuators.strains().get(index),
+            functions: (rod.actuators.functions().iter())
+                .filter(|own| own.actuator == Some(index))
+                .collect(),
+            largest,
+        }
+    }
+
+    fn kind(&self) -> Kind {
+        match self.strain {
+            Some(own) => kind(own.density),
+            None => kind_of_pose(&self.functions, self.drive.unit),
+        }
+    }
+
+    /// Returns the name of the column of its efforts.
+    fn column(&self) -> String {
+        format!("effort_{}", self.index)
+    }
+
+    /// Returns its facts for a template; `curve` are its efforts.
+    fn facts(&self, color: &str, bound: Option<[f64; 2]>, curve: &[f64]) -> Value {
+        // In words an effort that does not count is none.
+        let told = |effort: f64| {
+            if is_slack(effort, self.largest) {
+                0.0
+            } else {
+                effort
+            }
+        };
+        let slack = curve
+            .iter()
+            .filter(|effort| !is_magnet(&self.functions) && is_slack(**effort, self.largest))
+            .count();
+        json!({
+            "name": self.drive.name,
+            "column": self.column(),
+            "color": color,
+            "route": self.strain.map(|own| json!({
+                "from": own.route.from,
+                "to": own.route.to,
+                "offset": own.route.offset_from,
+                "offset_to": own.route.offset_to,
+                "turns": own.route.turns,
+            })),
+            "poses": poses(self.rod, &self.functions),
+            "bounds": bound,
+            "least": told(curve.iter().copied().fold(f64::INFINITY, f64::min)),
+            "most": told(curve.iter().copied().fold(f64::NEG_INFINITY, f64::max)),
+            "slack": slack as f64 / curve.len().max(1) as f64,
+            "last": told(curve.last().copied().unwrap_or(0.0)),
+        })
+    }
+
+    /// Returns its line in the picture, if there is one that is not among `others`.
+    fn line(&self, efforts: Vec<f64>, others: &[ReportRoute]) -> Option<ReportRoute> {
+        match self.strain {
+            Some(own) => Some(route(self.rod, own, self.largest, efforts)),
+            None => pose_route(&self.functions, &self.drive.name, self.largest, efforts)
+                // The components of a field belong to one magnet.
+                .filter(|route| !others.iter().any(|own| own.is_same_magnet(route))),
+        }
+    }
+}
+
+/// The actuators of a kind, for a template, and the bounds of their efforts.
+struct Group {
+    kind: Kind,
+    members: Vec<Value>,
+    limits: Vec<f64>,
+}
+
+impl Group {
+    fn add(&mut self, own: &ShownActuator, bound: Option<[f64; 2]>, curve: &[f64]) {
+        let color = COLORS[self.members.len() % COLORS.len()];
+        self.members.push(own.facts(color, bound, curve));
+        for limit in bound
+            .into_iter()
+            .flatten()
+            .filter(|limit| limit.is_finite())
+        {
+            if !self.limits.contains(&limit) {
+                self.limits.push(limit);
+            }
+        }
+    }
+
+    /// Returns the facts of the group of this number; every bound becomes a column of `n_ends` equal numbers.
+    fn facts(self, number: usize, n_ends: usize, columns: &mut Columns) -> Value {
+        let limits: Vec<Value> = (self.limits.iter().enumerate())
+            .map(|(i, limit)| {
+                let column = format!("effort_bound_{number}_{i}");
+                columns.insert(column.clone(), vec![*limit; n_ends]);
+                json!({ "column": column, "value": limit })
+            })
+            .collect();
+        json!({
+            "word": self.kind.word,
+            "title": self.kind.title,
+            "unit": self.kind.unit,
+            "members": self.members,
+            "bounds": limits,
+        })
     }
 }
 

@@ -22,12 +22,12 @@ use super::causes::{MOST_ELEMENTS, stands_by_symmetry};
 use crate::control::{Bound, Channel, OptimalControlProblem, named_axes};
 use crate::mechanics::stability::stable_step;
 use crate::mechanics::vibration::{SmallMotions, weight_number};
-use crate::mechanics::{NodeSpring, Place, Rod, nearby_equilibrium_until};
-use crate::memory::{of_simulation, of_solve};
+use crate::mechanics::{NodeSpring, Place, Rod, TimeGrid, nearby_equilibrium_until};
+use crate::memory::{Estimate, of_simulation, of_solve};
 use crate::output::quantity::{digits, quantity};
 use crate::output::summary::{
-    ActuatorSummary, CheckSummary, MaterialSummary, RestSummary, SCHEMA_VERSION, ScalesSummary,
-    SolveCost, StaticNeedSummary,
+    ActuatorSummary, CheckSummary, MaterialSummary, OutputSize, ProblemSize, RestSummary,
+    SCHEMA_VERSION, ScalesSummary, SolveCost, StaticNeedSummary,
 };
 use crate::scene::{Scene, SceneError, SceneSource, TimeScheme as TimeSchemeKey};
 use crate::stop::StopSignal;
@@ -69,8 +69,6 @@ pub(crate) fn check_scene(
     until: &dyn Fn(Duration) -> StopSignal,
 ) -> Result<SceneCheck, SceneError> {
     let mut concerns = Vec::new();
-    let mut plan = None;
-    let mut by_symmetry = None;
     let tracks = (scene.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
     // Controls without anything that is wanted play no part, as in a simulation.
     let is_wanted = scene.task.is_some() || scene.has_controls() && (scene.mpc.is_some() || tracks);
@@ -80,67 +78,15 @@ pub(crate) fn check_scene(
                 .into(),
         );
     }
-    let (rod, grid, size, output, memory) = if is_wanted {
-        // Whether the arm can stay at its target is a verdict here, and no reason to refuse the scene.
-        let setup = scene.passing().optimal_control(source)?;
-        let size = problem_size(&setup.problem);
-        let time = SolveTime::of_problem(&setup.problem);
-        concerns.extend(shorter(&setup, &time));
-        plan = Some(Plan {
-            actuators: actuators(&setup.problem),
-            need: need(&setup.problem, scene.staying(), setup.arm.length),
-            cost: SolveCost {
-                iteration_s: time.iteration,
-                iterations: time.iterations(),
-                check_s: time.check,
-                total_s: time.range(),
-            },
-            distance: distance(&setup.problem),
-            own_units: (setup.problem.acting.iter())
-                .map(|acting| ControlUnit {
-                    unit: acting.actuator.named_controls().1.to_string(),
-                    name: None,
-                })
-                .chain(setup.problem.driven().map(|(actuator, _)| ControlUnit {
-                    unit: actuator.input_unit().to_string(),
-                    name: Some(actuator.name.clone()),
-                }))
-                .collect(),
-        });
-        concerns.extend(begins_inside(
-            &setup.problem.rod,
-            &setup.problem.initial.configuration,
-        ));
-        let memory = of_solve(&setup, 1, n_threads);
-        (
-            setup.problem.rod,
-            setup.problem.grid,
-            Some(size),
-            None,
-            memory,
-        )
+    let run = if is_wanted {
+        Run::of_task(scene, source, n_threads)?
     } else {
-        let setup = scene.simulation(source)?;
-        let output = output_size(&setup);
-        concerns.extend(size_warning(&output));
-        concerns.extend(begins_inside(&setup.rod, &setup.initial.configuration));
-        by_symmetry = stands_by_symmetry(&setup.rod, &setup.initial, setup.grid.duration());
-        let memory = of_simulation(&setup);
-        (Arc::new(setup.rod), setup.grid, None, Some(output), memory)
+        Run::of_simulation(scene, source)?
     };
-    let need = plan.as_ref().and_then(|plan| plan.need.as_ref());
-    if let (Some(need), true) = (need, scene.stays())
-        && need.verdict != WITHIN
-    {
-        let then = match need.verdict {
-            NOT_FOUND => "nothing is known to hold; in a solve the tip only stops for an instant",
-            _ => "nothing within the bounds holds; a solve refuses that",
-        };
-        concerns.push(format!(
-            "task.at_rest: the arm should stay at its target, which {then}: move the target, raise the bounds, allow a moment, or set \
-             at_rest = \"tip\""
-        ));
-    }
+    let (rod, grid) = (run.rod, run.grid);
+    concerns.extend(run.concerns);
+    let need = run.plan.as_ref().and_then(|plan| plan.need.as_ref());
+    concerns.extend(need.filter(|_| scene.stays()).and_then(not_held));
     concerns.splice(0..0, warnings(scene, &rod, grid.step));
     let closed_loop = closed_loop::summarize(scene, source, until)?.map(|(summary, more)| {
         concerns.extend(more);
@@ -148,9 +94,9 @@ pub(crate) fn check_scene(
     });
     let (at_rest, loose) = at_rest(&rod);
     concerns.extend(loose);
-    concerns.extend(topples(&at_rest, &rod).or(by_symmetry));
-    let distance = plan.as_ref().and_then(|plan| plan.distance);
-    let (actuators, static_need, solve_cost, own_units) = plan
+    concerns.extend(topples(&at_rest, &rod).or(run.by_symmetry));
+    let distance = run.plan.as_ref().and_then(|plan| plan.distance);
+    let (actuators, static_need, solve_cost, own_units) = (run.plan)
         .map_or((Vec::new(), None, None, Vec::new()), |plan| {
             (plan.actuators, plan.need, Some(plan.cost), plan.own_units)
         });
@@ -170,30 +116,15 @@ pub(crate) fn check_scene(
         step_s: grid.step,
         steps: grid.n_steps,
         locking_ratio: rod.locking_ratio(),
-        scales: ScalesSummary {
-            length_m: rod.scales.length,
-            force_n: rod.scales.force,
-            moment_n_m: rod.scales.moment,
-            time_s: rod.scales.time,
-        },
-        optimal_control: size,
-        output,
-        memory_bytes: memory.total() as u64,
+        scales: scales(&rod),
+        optimal_control: run.size,
+        output: run.output,
+        memory_bytes: run.memory.total() as u64,
         payload_kg: scene
             .payload
             .as_ref()
             .map_or(0.0, |payload| payload.mass_kg.get()),
-        material: (scene.rod.material.as_ref())
-            .and_then(|material| material.preset)
-            .map(|preset| {
-                let figures = preset.figures();
-                MaterialSummary {
-                    name: figures.name,
-                    youngs_modulus_pa: figures.youngs_modulus_pa,
-                    range_pa: figures.range_pa,
-                    source: figures.source,
-                }
-            }),
+        material: material(scene),
         at_rest,
         actuators,
         static_need,
@@ -211,6 +142,71 @@ pub(crate) fn check_scene(
     })
 }
 
+/// What a solve or a simulation of a scene would run, and what is of concern about it.
+struct Run {
+    rod: Arc<Rod>,
+    grid: TimeGrid,
+    /// Size of the optimal-control problem; `None` for a simulation.
+    size: Option<ProblemSize>,
+    /// Size of the output of a simulation.
+    output: Option<OutputSize>,
+    memory: Estimate,
+    /// `None` for a simulation.
+    plan: Option<Plan>,
+    /// How a simulated arm stands by symmetry alone, in words.
+    by_symmetry: Option<String>,
+    concerns: Vec<String>,
+}
+
+impl Run {
+    fn of_task(scene: &Scene, source: &SceneSource, n_threads: usize) -> Result<Self, SceneError> {
+        // Whether the arm can stay at its target is a verdict here, and no reason to refuse the scene.
+        let setup = scene.passing().optimal_control(source)?;
+        let problem = &setup.problem;
+        let time = SolveTime::of_problem(problem);
+        Ok(Self {
+            size: Some(problem_size(problem)),
+            output: None,
+            memory: of_solve(&setup, 1, n_threads),
+            concerns: shorter(&setup, &time)
+                .into_iter()
+                .chain(begins_inside(&problem.rod, &problem.initial.configuration))
+                .collect(),
+            plan: Some(Plan {
+                actuators: actuators(problem),
+                need: need(problem, scene.staying(), setup.arm.length),
+                cost: SolveCost {
+                    iteration_s: time.iteration,
+                    iterations: time.iterations(),
+                    check_s: time.check,
+                    total_s: time.range(),
+                },
+                distance: distance(problem),
+                own_units: own_units(problem),
+            }),
+            by_symmetry: None,
+            grid: problem.grid,
+            rod: setup.problem.rod,
+        })
+    }
+
+    fn of_simulation(scene: &Scene, source: &SceneSource) -> Result<Self, SceneError> {
+        let setup = scene.simulation(source)?;
+        let output = output_size(&setup);
+        let inside = begins_inside(&setup.rod, &setup.initial.configuration);
+        Ok(Self {
+            size: None,
+            concerns: size_warning(&output).into_iter().chain(inside).collect(),
+            output: Some(output),
+            memory: of_simulation(&setup),
+            plan: None,
+            by_symmetry: stands_by_symmetry(&setup.rod, &setup.initial, setup.grid.duration()),
+            grid: setup.grid,
+            rod: Arc::new(setup.rod),
+        })
+    }
+}
+
 /// Data of the actuators and of the predicted time of a solve.
 struct Plan {
     actuators: Vec<ActuatorSummary>,
@@ -220,6 +216,53 @@ struct Plan {
     distance: Option<f64>,
     /// Units of the controls of actuators that are no wrenches.
     own_units: Vec<ControlUnit>,
+}
+
+/// Returns the units of the controls of actuators of one's own, and of those in the arm.
+fn own_units(problem: &OptimalControlProblem) -> Vec<ControlUnit> {
+    (problem.acting.iter())
+        .map(|acting| ControlUnit {
+            unit: acting.actuator.named_controls().1.to_string(),
+            name: None,
+        })
+        .chain(problem.driven().map(|(actuator, _)| ControlUnit {
+            unit: actuator.input_unit().to_string(),
+            name: Some(actuator.name.clone()),
+        }))
+        .collect()
+}
+
+/// Returns the concern about an arm that should stay at its target and that nothing holds there.
+fn not_held(need: &StaticNeedSummary) -> Option<String> {
+    let then = match need.verdict {
+        WITHIN => return None,
+        NOT_FOUND => "nothing is known to hold; in a solve the tip only stops for an instant",
+        _ => "nothing within the bounds holds; a solve refuses that",
+    };
+    Some(format!(
+        "task.at_rest: the arm should stay at its target, which {then}: move the target, raise the bounds, allow a moment, or set \
+         at_rest = \"tip\""
+    ))
+}
+
+fn scales(rod: &Rod) -> ScalesSummary {
+    ScalesSummary {
+        length_m: rod.scales.length,
+        force_n: rod.scales.force,
+        moment_n_m: rod.scales.moment,
+        time_s: rod.scales.time,
+    }
+}
+
+/// Returns the material that the scene names, with its figures.
+fn material(scene: &Scene) -> Option<MaterialSummary> {
+    let figures = scene.rod.material.as_ref()?.preset?.figures();
+    Some(MaterialSummary {
+        name: figures.name,
+        youngs_modulus_pa: figures.youngs_modulus_pa,
+        range_pa: figures.range_pa,
+        source: figures.source,
+    })
 }
 
 /// The arm under gravity, with its payload and without loads; and the motions that nothing holds, in words.

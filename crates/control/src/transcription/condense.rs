@@ -3,7 +3,7 @@
 use faer::Mat;
 
 use super::rows::{Columns, CostRow, Gathered, describe};
-use super::{LiftedPoint, MANY_PRODUCTS, Transcription};
+use super::{LiftedPoint, Transcription};
 use crate::acting::ControlCurvature;
 use crate::path::{RowCurvature, RowGradient};
 use mechanics::StateForm;
@@ -12,6 +12,10 @@ use mechanics::linearization::{AdjointSweep, Defects, Motion, RightHandSide};
 use mechanics::sensitivity::{ControlColumns, Sensitivities, adjoint, sensitivities};
 use sqp::{Evaluation, Failure, Linearization, LinearizationRequest, Multipliers};
 use stop::{LARGE, StopSignal};
+
+/// Number of products from which a Gauss-Newton Hessian takes more than some hundredths of a second, so that it is computed where a stop
+/// signal can leave it behind. The result is the same.
+const MANY_PRODUCTS: usize = 100_000_000;
 
 impl Transcription<'_> {
     /// Returns the total derivative of `J + yᵀ c + zᵀ h` along the variables, at a point that obeys its dynamics, by one adjoint sweep.
@@ -130,7 +134,6 @@ impl Transcription<'_> {
             ..self.problem.motion()
         };
         let rod_view = self.rod_view(point);
-        let n_goals = self.goal_rows.len();
         let mut gathered = Gathered::default();
         for gradient in self.goal_gradients(&point.trajectory) {
             gathered.push(gradient);
@@ -203,9 +206,11 @@ impl Transcription<'_> {
             .stop
             .check()
             .map_err(|stop| describe(stop.into()))?;
-        let linearization = self.assemble(
-            point, evaluation, request, &costs, n_goals, &values, &responses, found,
-        );
+        let rows = RowValues {
+            along_controls: values,
+            responses,
+        };
+        let linearization = self.assemble(point, evaluation, request, &costs, &rows, found);
         self.problem
             .stop
             .check()
@@ -246,23 +251,64 @@ impl Transcription<'_> {
         out
     }
 
-    /// Assembles the condensed linearization from the values of all rows along the controls and along the response to the defects.
-    #[expect(clippy::too_many_arguments, reason = "the parts of one linearization")]
-    pub(super) fn assemble(
+    /// Assembles the condensed linearization.
+    fn assemble(
         &self,
         point: &LiftedPoint,
         evaluation: &Evaluation<Defects>,
         request: &LinearizationRequest,
         costs: &[CostRow],
-        n_goals: usize,
-        values: &Mat<f64>,
-        responses: &Mat<f64>,
+        rows: &RowValues,
         found: Sensitivities,
     ) -> Linearization {
-        let (n, n_controls) = (point.variables.len(), self.n_controls);
+        let n = point.variables.len();
+        let n_goals = self.goal_rows.len();
+        let offset = (evaluation.constraints.iter().enumerate())
+            .map(|(i, c)| c + rows.responses[(i, 0)])
+            .collect();
+        let inequality_offset = (request.rows.iter().enumerate())
+            .map(|(i, &row)| evaluation.inequalities[row] + rows.responses[(n_goals + i, 0)])
+            .collect();
+        let first_cost = n_goals + request.rows.len();
+        let objective = self.objective(point, costs, rows, first_cost);
+        // Adds the effect of the defects through the curvature of cost and Lagrangian.
+        let mut model_gradient: Vec<f64> = (objective.gradient.iter())
+            .zip(&objective.of_defects)
+            .map(|(g, e)| g + e)
+            .collect();
+        if let Some(sources) = &found.curvature_sources {
+            for (j, g) in model_gradient.iter_mut().enumerate().take(self.n_controls) {
+                *g += sources[(j, 0)];
+            }
+        }
+        let curvature = found.curvature.map(|controls| {
+            Mat::from_fn(n, n, |i, j| {
+                if i < self.n_controls && j < self.n_controls {
+                    controls[(i, j)]
+                } else {
+                    0.0
+                }
+            })
+        });
+        Linearization {
+            gradient: objective.gradient,
+            model_gradient,
+            defect_slope: objective.defect_slope,
+            gauss_newton: objective.gauss_newton,
+            curvature,
+            jacobian: self.jacobian(&rows.along_controls, n),
+            offset,
+            rows: request.rows.to_vec(),
+            inequality_jacobian: self.inequality_jacobian(request, &rows.along_controls, n),
+            inequality_offset,
+        }
+    }
+
+    /// Returns the derivative of the constraints along all `n` variables from that along the controls.
+    fn jacobian(&self, values: &Mat<f64>, n: usize) -> Mat<f64> {
         let shortfall = self.relaxation.as_ref().map(|_| n - 1);
-        let jacobian = Mat::from_fn(n_goals, n, |i, j| {
-            if j < n_controls {
+        Mat::from_fn(self.goal_rows.len(), n, |i, j| {
+            if j < self.n_controls {
                 values[(i, j)]
             } else if shortfall == Some(j) {
                 self.relaxed_constraint(i)
@@ -271,13 +317,20 @@ impl Transcription<'_> {
             } else {
                 0.0
             }
-        });
-        let offset = (evaluation.constraints.iter().enumerate())
-            .map(|(i, c)| c + responses[(i, 0)])
-            .collect();
-        let n_path = request.rows.len();
-        let mut inequality_jacobian = Mat::from_fn(n_path, n, |i, j| {
-            if j < n_controls {
+        })
+    }
+
+    /// Returns the derivative of the requested inequalities along all `n` variables from that along the controls.
+    fn inequality_jacobian(
+        &self,
+        request: &LinearizationRequest,
+        values: &Mat<f64>,
+        n: usize,
+    ) -> Mat<f64> {
+        let shortfall = self.relaxation.as_ref().map(|_| n - 1);
+        let n_goals = self.goal_rows.len();
+        let mut jacobian = Mat::from_fn(request.rows.len(), n, |i, j| {
+            if j < self.n_controls {
                 values[(n_goals + i, j)]
             } else if shortfall == Some(j) {
                 self.relaxed_inequality(request.rows[i])
@@ -287,26 +340,35 @@ impl Transcription<'_> {
         });
         for (i, &row) in request.rows.iter().enumerate() {
             for (column, slope) in self.path_columns(row) {
-                inequality_jacobian[(i, column)] += slope;
+                jacobian[(i, column)] += slope;
             }
         }
-        let inequality_offset = (request.rows.iter().enumerate())
-            .map(|(i, &row)| evaluation.inequalities[row] + responses[(n_goals + i, 0)])
-            .collect();
+        jacobian
+    }
+
+    /// Returns the model of the objective: that of the controls, and that of the costs, whose values begin at `first_cost`.
+    fn objective(
+        &self,
+        point: &LiftedPoint,
+        costs: &[CostRow],
+        rows: &RowValues,
+        first_cost: usize,
+    ) -> ObjectiveModel {
+        let n = point.variables.len();
+        let n_controls = self.n_controls;
         let (_, mut gradient) = self.control_cost.value(&point.variables);
         let mut gauss_newton = self.control_cost.hessian().clone();
-        let first_cost = n_goals + n_path;
         let mut defect_slope = 0.0;
-        let mut model_extra = vec![0.0; n];
+        let mut of_defects = vec![0.0; n];
         if !costs.is_empty() {
-            let rows = values.subrows(first_cost, costs.len());
+            let values = rows.along_controls.subrows(first_cost, costs.len());
             let square = if costs.len() * n * n < MANY_PRODUCTS {
-                rows.transpose() * rows
+                values.transpose() * values
             } else {
-                let (own, stop) = (rows.to_owned(), &self.problem.stop);
+                let (own, stop) = (values.to_owned(), &self.problem.stop);
                 // The caller discards the result after a stop.
                 stop.unless_raised(LARGE, move || own.transpose() * &own)
-                    .unwrap_or_else(|_| Mat::zeros(rows.ncols(), rows.ncols()))
+                    .unwrap_or_else(|_| Mat::zeros(values.ncols(), values.ncols()))
             };
             for j in 0..n_controls {
                 for i in 0..n_controls {
@@ -314,47 +376,38 @@ impl Transcription<'_> {
                 }
             }
             for (i, cost) in costs.iter().enumerate() {
-                let answer = responses[(first_cost + i, 0)];
+                let answer = rows.responses[(first_cost + i, 0)];
                 defect_slope += cost.residual * answer;
                 for j in 0..n_controls {
-                    gradient[j] += rows[(i, j)] * cost.residual;
-                    model_extra[j] += rows[(i, j)] * answer;
+                    gradient[j] += values[(i, j)] * cost.residual;
+                    of_defects[j] += values[(i, j)] * answer;
                 }
             }
         }
-        // Adds the effect of the defects through the curvature of cost and Lagrangian.
-        let mut model_gradient: Vec<f64> = gradient
-            .iter()
-            .zip(&model_extra)
-            .map(|(g, e)| g + e)
-            .collect();
-        if let Some(sources) = &found.curvature_sources {
-            for (j, g) in model_gradient.iter_mut().enumerate().take(n_controls) {
-                *g += sources[(j, 0)];
-            }
-        }
-        let curvature = found.curvature.map(|controls| {
-            Mat::from_fn(n, n, |i, j| {
-                if i < n_controls && j < n_controls {
-                    controls[(i, j)]
-                } else {
-                    0.0
-                }
-            })
-        });
-        Linearization {
+        ObjectiveModel {
             gradient,
-            model_gradient,
-            defect_slope,
             gauss_newton,
-            curvature,
-            jacobian,
-            offset,
-            rows: request.rows.to_vec(),
-            inequality_jacobian,
-            inequality_offset,
+            defect_slope,
+            of_defects,
         }
     }
+}
+
+/// The values of all rows, of goals, of the requested inequalities and of costs.
+struct RowValues {
+    along_controls: Mat<f64>,
+    /// Along the response to the defects, in one column.
+    responses: Mat<f64>,
+}
+
+/// First and second derivatives of the objective, by Gauss and Newton.
+struct ObjectiveModel {
+    gradient: Vec<f64>,
+    gauss_newton: Mat<f64>,
+    /// Change of the objective by the response to the defects.
+    defect_slope: f64,
+    /// What this response adds to the gradient.
+    of_defects: Vec<f64>,
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {

@@ -66,7 +66,12 @@ impl LaneIntegrator<'_> {
             let place = self.slots.place(node);
             let mass = rod.nodes[node].mass;
             let from = self.departures.positions[node];
-            let before = (self.get(place, POSITION) - from) * (mass / h);
+            // Without rounding by the distance from the origin, unless damping has taken all of the momentum.
+            let before = if decay == 0.0 {
+                (self.get(place, POSITION) - from) * (mass / h)
+            } else {
+                self.get(place, LINEAR_MOMENTUM) / decay
+            };
             let tangent = &self.departures.tangents[node];
             let after = resistance.slowed(&before, tangent, mass, weight);
             self.set(place, POSITION, &(from + after * (h / mass)));

@@ -11,7 +11,8 @@ use mechanics::{
     static_equilibrium,
 };
 use task::{
-    ChannelLimits, Cost, EffortControl, Limit, PathLimit, Place, Target, Track, WrenchActuator,
+    ChannelLimits, Cost, EffortControl, Limit, PathLimit, Place, Rest, Target, Track,
+    WrenchActuator,
 };
 
 /// A bent arm at rest whose tip is to stay where it is: residuals and plan are zero, so that the Gauss-Newton model is exact to first

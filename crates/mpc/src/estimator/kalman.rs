@@ -1,5 +1,8 @@
 //! An extended Kalman filter on the full state, in the tangent of the integrator.
 
+mod acting;
+mod settings;
+
 use faer::Mat;
 use nalgebra::Vector3;
 
@@ -11,12 +14,11 @@ use mechanics::forms::NODE_COMPONENTS;
 use mechanics::linearization::{Motion, StateTangent};
 use mechanics::rotation::orthonormalized;
 use mechanics::sensitivity::RepeatedForward;
-use mechanics::stability::automatic_step;
 use mechanics::strain_coordinates::{ShapeTransport, shape_difference};
-use mechanics::{
-    Configuration, ControlSignal, EnergyNorm, Rod, State, TimeGrid, Trajectory, Wrench,
-};
+use mechanics::{Configuration, ControlSignal, EnergyNorm, Rod, State, TimeGrid, Trajectory};
 
+use self::acting::Acting;
+pub use self::settings::{KalmanSettings, RandomWalk};
 use super::comparison::Comparison;
 use super::covariance::Covariance;
 use super::gate::Gate;
@@ -27,145 +29,8 @@ use super::readings::{self, Layout};
 use super::slow::SlowPart;
 use super::unknown_forces::UnknownForces;
 use super::{Disturbance, Estimate, EstimateError, Estimator, Innovation, Parameter};
-use super::{check_start, check_time, setting};
+use super::{check_start, check_time};
 
-/// A quantity whose components change as random walks.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RandomWalk {
-    /// Standard deviation at the start, in the unit of the quantity.
-    pub initial: f64,
-    /// Standard deviation of its change within one second; 0 for a constant.
-    pub change: f64,
-}
-
-/// Settings of a [`KalmanFilter`]. A disturbance that is `None` is not estimated.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct KalmanSettings {
-    /// Uncertainty of the state at the start, as a standard deviation of the tip's position, m. Every mode of motion has the same energy,
-    /// that of a cantilever with this deflection of its tip: the covariance is `3 EI/L³ σ²` times the inverse of the Hessian of the energy.
-    pub initial: f64,
-    /// Strength of unknown forces, as the standard deviation of the tip's position that they cause within one second, m: white noise in
-    /// time on the momenta, mostly smooth along the arm. A mode of frequency `ν` gains `3 EI/L³ σ² ((ω₁/ν)² + 0.1)`, with `ω₁` the
-    /// frequency of the first bending mode.
-    pub change: f64,
-    /// Force at the tip, N.
-    pub tip_force: Option<RandomWalk>,
-    /// Moment at the tip, N m.
-    pub tip_moment: Option<RandomWalk>,
-    /// Distributed force, N/m.
-    pub distributed: Option<RandomWalk>,
-    /// Factor on the elastic moduli. Estimates are limited to 0.1 to 1.6, where the explicit scheme with the automatic step is stable.
-    pub stiffness: Option<RandomWalk>,
-    /// Mass at the tip beyond the model's, kg. The payload is limited to between nothing and ten times the mass of the arm.
-    pub payload: Option<RandomWalk>,
-    /// Viscous damping beyond the model's, 1/s. The damping is limited to between none and 50 divided by the time scale of the arm, `L²
-    /// sqrt(ρA/EI)`.
-    pub viscous: Option<RandomWalk>,
-    /// Time of the internal damping beyond the model's, s; only for a model with implicit steps. The damping time is limited to between
-    /// zero and a tenth of the time scale of the arm.
-    pub internal: Option<RandomWalk>,
-    /// Delay of commands beyond their known delay, s. It is limited to a tenth of the time scale of the arm.
-    pub delay: Option<RandomWalk>,
-    /// Tells whether impossible signals are refused: those whose squared innovation, normalized by the covariance that the filter expects,
-    /// exceeds that of all but one in 10⁹ (chi-square, three degrees of freedom; Bar-Shalom, Li and Kirubarajan 2001, section 5.4). If
-    /// recent signals are all farther off than expected, by their median (Hampel 1974), the model is wrong, and the threshold is multiplied
-    /// by as much. A signal that is refused three consecutive times is accepted afterwards: then the estimate is wrong.
-    pub refuses: bool,
-    /// Tells whether sensors are taken to be no more exact than the elements of the model, as an arm that is not the model demands
-    /// (decision 116).
-    pub model_error: bool,
-    /// Longest time step of the model, s.
-    pub longest_step: f64,
-}
-
-impl KalmanSettings {
-    /// Returns settings that estimate the state only: the tip is within a twentieth of the length at the start, and unknown forces deflect
-    /// it by 3 thousandths within a second, which is about the error of ten elements for a swinging arm.
-    #[must_use]
-    pub fn of(model: &Rod) -> Self {
-        Self {
-            initial: INITIAL * model.scales.length,
-            change: CHANGE * model.scales.length / model.scales.time.sqrt(),
-            tip_force: None,
-            tip_moment: None,
-            distributed: None,
-            stiffness: None,
-            payload: None,
-            viscous: None,
-            internal: None,
-            delay: None,
-            refuses: false,
-            model_error: false,
-            longest_step: automatic_step(model),
-        }
-    }
-
-    /// Returns the random walks of tip force, tip moment and distributed force.
-    fn wrench_walks(&self) -> [Option<RandomWalk>; 3] {
-        [self.tip_force, self.tip_moment, self.distributed]
-    }
-
-    /// Returns the random walks of [`Parameter::ALL`].
-    fn parameter_walks(&self) -> [Option<RandomWalk>; N_PARAMETERS] {
-        [
-            self.stiffness,
-            self.payload,
-            self.viscous,
-            self.internal,
-            self.delay,
-        ]
-    }
-
-    /// Refuses unknowns that change no motion because the tip is held.
-    fn check_tip(&self, model: &Rod) -> Result<(), MpcError> {
-        let tip = model.joint(model.tip());
-        if tip.is_some() && (self.tip_force.is_some() || self.payload.is_some()) {
-            return Err(MpcError::Unsupported(
-                "neither a force nor a mass on a tip that is held moves the arm, so that no filter finds them; leave tip_force and payload out, \
-                 and take distributed for what pushes",
-            ));
-        }
-        if tip.is_some_and(|joint| !joint.turns()) && self.tip_moment.is_some() {
-            return Err(MpcError::Unsupported(
-                "no moment on a clamped or driven tip moves the arm, so that no filter finds it; leave tip_moment out",
-            ));
-        }
-        Ok(())
-    }
-
-    fn check(&self) -> Result<(), MpcError> {
-        let at_least_zero =
-            |name, value: f64| setting(name, value, value >= 0.0, "a finite number of at least 0");
-        let positive =
-            |name, value: f64| setting(name, value, value > 0.0, "a positive finite number");
-        positive("longest_step", self.longest_step)?;
-        positive("initial", self.initial)?;
-        at_least_zero("change", self.change)?;
-        let names = [
-            "tip_force",
-            "tip_moment",
-            "distributed",
-            "stiffness",
-            "payload",
-            "viscous",
-            "internal",
-            "delay",
-        ];
-        let walks = (self.wrench_walks().into_iter()).chain(self.parameter_walks());
-        for (name, walk) in names.into_iter().zip(walks) {
-            if let Some(walk) = walk {
-                at_least_zero(name, walk.initial)?;
-                at_least_zero(name, walk.change)?;
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Default standard deviations of the tip's distance at the start and of the deflection that unknown forces cause within the time scale of
-/// the arm, divided by the length, which [`KalmanSettings::initial`] and [`KalmanSettings::change`] expose.
-const INITIAL: f64 = 0.05;
-const CHANGE: f64 = 0.003;
 /// Change of a parameter, in its unit, in central differences of two motions. Their relative error is the square of it, 1e-8, and rounding
 /// adds 1e-12 of a motion that repeats its initial errors.
 const PARAMETER_CHANGE: f64 = 1e-4;
@@ -756,73 +621,6 @@ impl Estimator for KalmanFilter {
         }
         self.write_deviation();
         Ok(())
-    }
-}
-
-/// The present command, the end of the one before, and the present command shifted by a delay.
-#[derive(Debug, Default)]
-struct Acting {
-    command: Command,
-    /// Wrenches at the end of the command before, on the nodes of this one, and its efforts there.
-    before: Vec<Wrench>,
-    efforts_before: Vec<f64>,
-    later: Command,
-}
-
-impl Acting {
-    /// Stores a command that acts; it may be the present one again.
-    fn take(&mut self, command: &Command) {
-        let own = &mut self.command;
-        (own.start, own.end) = (command.start, command.end);
-        if own == command {
-            return;
-        }
-        self.before.clear();
-        for (node, from) in command.nodes.iter().zip(&command.from) {
-            let at = own.nodes.iter().position(|other| other == node);
-            self.before.push(at.map_or(*from, |at| own.to[at]));
-        }
-        let is_first = own.efforts_to.len() != command.efforts_from.len();
-        let before = if is_first {
-            &command.efforts_from
-        } else {
-            &own.efforts_to
-        };
-        self.efforts_before.clone_from(before);
-        own.clone_from(command);
-    }
-
-    /// Returns the command shifted by `delay` (s), from `start` (s) on until its end: reduced by its change meanwhile. A jump from the end
-    /// of the command before counts as if it were spread over the command, with the same impulse.
-    fn later(&mut self, start: f64, delay: f64) -> &Command {
-        let (begin, end) = (self.command.start, self.command.end);
-        let part = if start < end {
-            delay / (end - begin)
-        } else {
-            0.0
-        };
-        let (own, out) = (&self.command, &mut self.later);
-        out.clone_from(own);
-        for (i, before) in self.efforts_before.iter().enumerate() {
-            if let Some(&lag) = own.lags.get(i).filter(|lag| **lag > 0.0) {
-                // The course u(t - delay), which has no jump.
-                let off = own.efforts_acting[i] - own.efforts_from[i];
-                out.efforts_acting[i] = own.efforts_from[i] + off * (delay / lag).exp();
-                continue;
-            }
-            let change = (own.efforts_to[i] - before) * part;
-            out.efforts_from[i] -= change;
-            out.efforts_to[i] -= change;
-        }
-        for (i, before) in self.before.iter().enumerate() {
-            let force = (own.to[i].force - before.force) * part;
-            let moment = (own.to[i].moment - before.moment) * part;
-            for wrench in [&mut out.from[i], &mut out.to[i]] {
-                wrench.force -= force;
-                wrench.moment -= moment;
-            }
-        }
-        out
     }
 }
 

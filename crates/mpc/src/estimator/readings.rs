@@ -183,135 +183,27 @@ impl Reader {
         terms: &mut Terms,
     ) {
         let (q, s) = locate(&self.nodes, place);
-        let mut add = |node: usize, part: usize, matrix: &Matrix3<f64>| {
-            if let Some(base) = layout.node(node) {
-                let columns = matrix.column_iter().enumerate();
-                terms.extend(columns.map(|(i, column)| (base + part + i, column.into())));
-            }
-        };
         let ends = [(q, 1.0 - s), (q + 1, s)];
-        if let (Quantity::Position, Some(d)) = (quantity, in_section(offset)) {
-            let lever = -pose(&state.configuration, q, s).1 * hat(&d);
-            match s {
-                0.0 | 1.0 => add(if s == 0.0 { q } else { q + 1 }, ROTATION, &lever),
-                _ => {
-                    let [a, b] = Helix::at(state, q).rotation(s);
-                    add(q, ROTATION, &(lever * a));
-                    add(q + 1, ROTATION, &(lever * b));
-                }
-            }
-        }
+        let mut out = Derivative {
+            rod,
+            state,
+            layout,
+            terms,
+        };
         match quantity {
-            Quantity::Position | Quantity::Rotation if s == 0.0 || s == 1.0 => {
-                let part = if quantity == Quantity::Position {
-                    POSITION
-                } else {
-                    ROTATION
-                };
-                add(if s == 0.0 { q } else { q + 1 }, part, &Matrix3::identity());
-            }
             Quantity::Position => {
-                let helix = Helix::at(state, q);
-                let [dx, a, b] = helix.position(s);
-                add(q, POSITION, &(Matrix3::identity() - dx));
-                add(q, ROTATION, &a);
-                add(q + 1, POSITION, &dx);
-                add(q + 1, ROTATION, &b);
-            }
-            Quantity::Rotation => {
-                let [a, b] = Helix::at(state, q).rotation(s);
-                add(q, ROTATION, &a);
-                add(q + 1, ROTATION, &b);
-            }
-            Quantity::Velocity => {
-                for (node, weight) in ends.into_iter().filter(|(_, weight)| *weight > 0.0) {
-                    let per_momentum = weight / rod.nodes[node].mass;
-                    add(node, LINEAR, &Matrix3::from_diagonal_element(per_momentum));
+                if let Some(d) = in_section(offset) {
+                    out.lever(q, s, &d);
                 }
-                let payload = layout.parameter(Parameter::Payload);
-                let tip = ends.into_iter().find(|(node, _)| *node == rod.tip());
-                if let (Some(at), Some((node, weight))) = (payload, tip) {
-                    let mass = rod.nodes[node].mass;
-                    terms.push((at, state.linear_momentum[node] * (-weight / (mass * mass))));
-                }
+                out.position(q, s);
             }
-            Quantity::AngularVelocity => {
-                for (node, weight) in ends.into_iter().filter(|(_, weight)| *weight > 0.0) {
-                    let per_momentum = rod.nodes[node].rotary.map(|j| weight / j);
-                    add(node, ANGULAR, &Matrix3::from_diagonal(&per_momentum));
-                }
-            }
-            Quantity::Curvature => {
-                let rotations = &state.configuration.rotations;
-                for (q, weight) in self.elements(place) {
-                    let psi = log(&rotations[q].tr_mul(&rotations[q + 1]));
-                    let slope = log_tangent(&psi) * (weight / rod.elements[q].length);
-                    add(q, ROTATION, &-slope);
-                    add(q + 1, ROTATION, &slope.transpose());
-                }
-            }
-            Quantity::Strain => {
-                for (q, weight) in self.elements(place) {
-                    let Fibre(_, slope) = Fibre::at(rod, state, q, offset);
-                    let mut add = |node, part, sign: f64, at: usize| {
-                        let mut matrix = Matrix3::zeros();
-                        matrix.set_row(0, &(slope.fixed_columns::<3>(at) * (sign * weight)));
-                        add(node, part, &matrix);
-                    };
-                    add(q, POSITION, -1.0, 0);
-                    add(q + 1, POSITION, 1.0, 0);
-                    add(q, ROTATION, 1.0, 3);
-                    add(q + 1, ROTATION, 1.0, 6);
-                }
-            }
+            Quantity::Rotation => out.rotation(q, s),
+            Quantity::Velocity => out.velocity(ends),
+            Quantity::AngularVelocity => out.angular_velocity(ends),
+            Quantity::Curvature => out.curvature(self.elements(place)),
+            Quantity::Strain => out.strain(self.elements(place), offset),
             Quantity::BaseForce | Quantity::BaseMoment => {
-                let element = BaseElement::at(rod, state);
-                // Rows of `(F, M_a)`, and their sign.
-                let (row, sign) = if quantity == Quantity::BaseForce {
-                    (0, 1.0)
-                } else {
-                    (3, -1.0)
-                };
-                let (pose, rate) = element.derivatives();
-                let block = |m: &SMatrix<f64, 9, 9>, column: usize| -> Matrix3<f64> {
-                    m.fixed_view::<3, 3>(row, column) * sign
-                };
-                add(0, POSITION, &-block(&pose, 0));
-                add(0, ROTATION, &block(&pose, 3));
-                add(1, POSITION, &block(&pose, 0));
-                add(1, ROTATION, &block(&pose, 6));
-                if let Some(rate) = rate {
-                    let [a, b] = [&rod.nodes[0], &rod.nodes[1]];
-                    let over = |m: Matrix3<f64>, rotary: &Vector3<f64>| {
-                        m * Matrix3::from_diagonal(&rotary.map(|j| 1.0 / j))
-                    };
-                    add(0, LINEAR, &(-block(&rate, 0) / a.mass));
-                    add(0, ANGULAR, &over(block(&rate, 3), &a.rotary));
-                    add(1, LINEAR, &(block(&rate, 0) / b.mass));
-                    add(1, ANGULAR, &over(block(&rate, 6), &b.rotary));
-                }
-                if let Some(at) = layout.parameter(Parameter::Stiffness) {
-                    let [force, moment] = element.gradient();
-                    let own = if quantity == Quantity::BaseForce {
-                        force
-                    } else {
-                        -moment
-                    };
-                    terms.push((at, own / disturbance.stiffness));
-                }
-                if let Some(at) = layout.parameter(Parameter::Internal) {
-                    let [force, moment] = element.per_damping_time(&rate_of(rod, state));
-                    let own = if quantity == Quantity::BaseForce {
-                        force
-                    } else {
-                        -moment
-                    };
-                    terms.push((at, own));
-                }
-                if let (Some(at), Quantity::BaseForce) = (layout.distributed, quantity) {
-                    let share = 0.5 * rod.elements[0].length;
-                    terms.extend((0..3).map(|i| (at + i, Vector3::ith(i, share))));
-                }
+                out.base(quantity == Quantity::BaseForce, disturbance);
             }
         }
     }
@@ -325,6 +217,160 @@ impl Reader {
         let q = after.clamp(1, self.middles.len() - 1) - 1;
         let s = (place - self.middles[q]) / (self.middles[q + 1] - self.middles[q]);
         [(q, 1.0 - s), (q + 1, s)]
+    }
+}
+
+/// The derivative of a reading, to which its parts add their terms. A part of an element is at the fraction `s` from node `q` on.
+struct Derivative<'a> {
+    rod: &'a Rod,
+    state: &'a State,
+    layout: &'a Layout,
+    terms: &'a mut Terms,
+}
+
+impl Derivative<'_> {
+    /// Adds the derivative along three components of a node, if it is free.
+    fn add(&mut self, node: usize, part: usize, matrix: &Matrix3<f64>) {
+        if let Some(base) = self.layout.node(node) {
+            let columns = matrix.column_iter().enumerate();
+            (self.terms).extend(columns.map(|(i, column)| (base + part + i, column.into())));
+        }
+    }
+
+    /// Adds what a position at an offset `d` in the section has from the rotation.
+    fn lever(&mut self, q: usize, s: f64, d: &Vector3<f64>) {
+        let lever = -pose(&self.state.configuration, q, s).1 * hat(d);
+        if let Some(node) = node_at(q, s) {
+            self.add(node, ROTATION, &lever);
+            return;
+        }
+        let [a, b] = Helix::at(self.state, q).rotation(s);
+        self.add(q, ROTATION, &(lever * a));
+        self.add(q + 1, ROTATION, &(lever * b));
+    }
+
+    fn position(&mut self, q: usize, s: f64) {
+        if let Some(node) = node_at(q, s) {
+            self.add(node, POSITION, &Matrix3::identity());
+            return;
+        }
+        let [dx, a, b] = Helix::at(self.state, q).position(s);
+        self.add(q, POSITION, &(Matrix3::identity() - dx));
+        self.add(q, ROTATION, &a);
+        self.add(q + 1, POSITION, &dx);
+        self.add(q + 1, ROTATION, &b);
+    }
+
+    fn rotation(&mut self, q: usize, s: f64) {
+        if let Some(node) = node_at(q, s) {
+            self.add(node, ROTATION, &Matrix3::identity());
+            return;
+        }
+        let [a, b] = Helix::at(self.state, q).rotation(s);
+        self.add(q, ROTATION, &a);
+        self.add(q + 1, ROTATION, &b);
+    }
+
+    /// Adds the terms of a velocity that is interpolated between two nodes with their weights.
+    fn velocity(&mut self, ends: [(usize, f64); 2]) {
+        let rod = self.rod;
+        for (node, weight) in ends.into_iter().filter(|(_, weight)| *weight > 0.0) {
+            let per_momentum = weight / rod.nodes[node].mass;
+            self.add(node, LINEAR, &Matrix3::from_diagonal_element(per_momentum));
+        }
+        let payload = self.layout.parameter(Parameter::Payload);
+        let tip = ends.into_iter().find(|(node, _)| *node == rod.tip());
+        if let (Some(at), Some((node, weight))) = (payload, tip) {
+            let mass = rod.nodes[node].mass;
+            let momentum = self.state.linear_momentum[node];
+            (self.terms).push((at, momentum * (-weight / (mass * mass))));
+        }
+    }
+
+    fn angular_velocity(&mut self, ends: [(usize, f64); 2]) {
+        for (node, weight) in ends.into_iter().filter(|(_, weight)| *weight > 0.0) {
+            let per_momentum = self.rod.nodes[node].rotary.map(|j| weight / j);
+            self.add(node, ANGULAR, &Matrix3::from_diagonal(&per_momentum));
+        }
+    }
+
+    /// Adds the terms of a curvature that is interpolated between elements with their weights.
+    fn curvature(&mut self, elements: [(usize, f64); 2]) {
+        let rotations = &self.state.configuration.rotations;
+        for (q, weight) in elements {
+            let psi = log(&rotations[q].tr_mul(&rotations[q + 1]));
+            let slope = log_tangent(&psi) * (weight / self.rod.elements[q].length);
+            self.add(q, ROTATION, &-slope);
+            self.add(q + 1, ROTATION, &slope.transpose());
+        }
+    }
+
+    /// Adds the terms of the strain of a fibre that is interpolated between elements with their weights.
+    fn strain(&mut self, elements: [(usize, f64); 2], offset: [f64; 2]) {
+        for (q, weight) in elements {
+            let Fibre(_, slope) = Fibre::at(self.rod, self.state, q, offset);
+            let mut add = |node, part, sign: f64, at: usize| {
+                let mut matrix = Matrix3::zeros();
+                matrix.set_row(0, &(slope.fixed_columns::<3>(at) * (sign * weight)));
+                self.add(node, part, &matrix);
+            };
+            add(q, POSITION, -1.0, 0);
+            add(q + 1, POSITION, 1.0, 0);
+            add(q, ROTATION, 1.0, 3);
+            add(q + 1, ROTATION, 1.0, 6);
+        }
+    }
+
+    /// Adds the terms of the force at the base, or of the moment there.
+    fn base(&mut self, is_force: bool, disturbance: &Disturbance) {
+        let (rod, layout) = (self.rod, self.layout);
+        let element = BaseElement::at(rod, self.state);
+        self.base_along_state(&element, is_force);
+        let part = |[force, moment]: [Vector3<f64>; 2]| if is_force { force } else { -moment };
+        if let Some(at) = layout.parameter(Parameter::Stiffness) {
+            let own = part(element.gradient());
+            self.terms.push((at, own / disturbance.stiffness));
+        }
+        if let Some(at) = layout.parameter(Parameter::Internal) {
+            let own = part(element.per_damping_time(&rate_of(rod, self.state)));
+            self.terms.push((at, own));
+        }
+        if let (Some(at), true) = (layout.distributed, is_force) {
+            let share = 0.5 * rod.elements[0].length;
+            (self.terms).extend((0..3).map(|i| (at + i, Vector3::ith(i, share))));
+        }
+    }
+
+    fn base_along_state(&mut self, element: &BaseElement, is_force: bool) {
+        // Rows of `(F, M_a)`, and their sign.
+        let (row, sign) = if is_force { (0, 1.0) } else { (3, -1.0) };
+        let block = |m: &SMatrix<f64, 9, 9>, column: usize| -> Matrix3<f64> {
+            m.fixed_view::<3, 3>(row, column) * sign
+        };
+        let (pose, rate) = element.derivatives();
+        self.add(0, POSITION, &-block(&pose, 0));
+        self.add(0, ROTATION, &block(&pose, 3));
+        self.add(1, POSITION, &block(&pose, 0));
+        self.add(1, ROTATION, &block(&pose, 6));
+        if let Some(rate) = rate {
+            let [a, b] = [&self.rod.nodes[0], &self.rod.nodes[1]];
+            let over = |m: Matrix3<f64>, rotary: &Vector3<f64>| {
+                m * Matrix3::from_diagonal(&rotary.map(|j| 1.0 / j))
+            };
+            self.add(0, LINEAR, &(-block(&rate, 0) / a.mass));
+            self.add(0, ANGULAR, &over(block(&rate, 3), &a.rotary));
+            self.add(1, LINEAR, &(block(&rate, 0) / b.mass));
+            self.add(1, ANGULAR, &over(block(&rate, 6), &b.rotary));
+        }
+    }
+}
+
+/// Returns the node at a place, if there is one.
+fn node_at(q: usize, s: f64) -> Option<usize> {
+    if s == 0.0 {
+        Some(q)
+    } else {
+        (s == 1.0).then_some(q + 1)
     }
 }
 

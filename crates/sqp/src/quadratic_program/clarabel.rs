@@ -5,8 +5,8 @@ use std::io::{Read as _, Seek as _};
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
-    DefaultSettingsBuilder, DefaultSolver, IPSolver, NonnegativeConeT, SecondOrderConeT,
-    SolverJSONReadWrite as _, SolverStatus, SupportedConeT, ZeroConeT,
+    DefaultSettings, DefaultSettingsBuilder, DefaultSolver, IPSolver, NonnegativeConeT,
+    SecondOrderConeT, SolverJSONReadWrite as _, SolverStatus, SupportedConeT, ZeroConeT,
 };
 use faer::Mat;
 
@@ -74,6 +74,42 @@ impl Attempt {
             refinement_gain: 1.2,
         }
     }
+
+    /// Returns Clarabel's settings.
+    fn settings(&self) -> Result<DefaultSettings<f64>, QpError> {
+        DefaultSettingsBuilder::default()
+            .verbose(false)
+            .presolve_enable(false)
+            .max_threads(1)
+            .tol_gap_abs(self.tolerance)
+            .tol_gap_rel(self.tolerance)
+            .tol_feas(self.tolerance)
+            .reduced_tol_gap_abs(self.reduced)
+            .reduced_tol_gap_rel(self.reduced)
+            .reduced_tol_feas(self.reduced)
+            .static_regularization_constant(self.regularization)
+            .iterative_refinement_max_iter(self.refinements)
+            .iterative_refinement_stop_ratio(self.refinement_gain)
+            .build()
+            .map_err(|error| QpError::refused(error.to_string()))
+    }
+
+    /// Tells whether Clarabel ended with a finite solution that is good enough.
+    fn accepts(&self, solver: &DefaultSolver<f64>) -> bool {
+        let (solution, info) = (&solver.solution, &solver.info);
+        let usable = match solution.status {
+            SolverStatus::Solved | SolverStatus::AlmostSolved => true,
+            // Clarabel stops a step after its best point, whose residuals may be good enough.
+            SolverStatus::InsufficientProgress => {
+                info.res_primal <= self.reduced
+                    && info.res_dual <= self.reduced
+                    && info.gap_rel.min(info.gap_abs) <= self.reduced
+            }
+            _ => false,
+        };
+        let finite = solution.x.iter().chain(&solution.z).all(|x| x.is_finite());
+        usable && finite
+    }
 }
 
 impl QuadraticProgram<'_> {
@@ -123,21 +159,7 @@ impl QuadraticProgram<'_> {
             places,
             inequalities,
         } = rows;
-        let settings = DefaultSettingsBuilder::default()
-            .verbose(false)
-            .presolve_enable(false)
-            .max_threads(1)
-            .tol_gap_abs(attempt.tolerance)
-            .tol_gap_rel(attempt.tolerance)
-            .tol_feas(attempt.tolerance)
-            .reduced_tol_gap_abs(attempt.reduced)
-            .reduced_tol_gap_rel(attempt.reduced)
-            .reduced_tol_feas(attempt.reduced)
-            .static_regularization_constant(attempt.regularization)
-            .iterative_refinement_max_iter(attempt.refinements)
-            .iterative_refinement_stop_ratio(attempt.refinement_gain)
-            .build()
-            .map_err(|error| QpError::refused(error.to_string()))?;
+        let settings = attempt.settings()?;
         let stop = self.stop.cloned().unwrap_or_default();
         let signal = stop.clone();
         // Clarabel reads the signal between its iterations; one iteration, and the setting up, may take long with many rows or states.
@@ -151,20 +173,8 @@ impl QuadraticProgram<'_> {
             Ok::<_, QpError>(solver)
         })??;
         stop.check()?;
-        let solution = &solver.solution;
-        let info = &solver.info;
-        let usable = match solution.status {
-            SolverStatus::Solved | SolverStatus::AlmostSolved => true,
-            // Clarabel stops a step after its best point, whose residuals may be good enough.
-            SolverStatus::InsufficientProgress => {
-                info.res_primal <= attempt.reduced
-                    && info.res_dual <= attempt.reduced
-                    && info.gap_rel.min(info.gap_abs) <= attempt.reduced
-            }
-            _ => false,
-        };
-        let finite = solution.x.iter().chain(&solution.z).all(|x| x.is_finite());
-        if !(usable && finite) {
+        let (solution, info) = (&solver.solution, &solver.info);
+        if !attempt.accepts(&solver) {
             return Err(QpError::Status {
                 status: format!(
                     "{} (primal residual {:.1e}, dual residual {:.1e}, relative gap {:.1e})",
@@ -351,19 +361,73 @@ impl Slacks {
 impl Assembly {
     /// Assembles the columns `δ`, `s⁺`, `s⁻`, `t` of the working set and, on the sparse route, those of the states.
     fn of(qp: &QuadraticProgram, working: &[usize], slacks: &Slacks) -> Self {
+        let mut growing = GrowingAssembly::new(qp, slacks);
+        growing.add_constraints();
+        growing.add_sets_without_interior();
+        growing.add_states();
+        growing.end_equations();
+        growing.add_signs_of_slacks();
+        let inequalities = growing.rows.count();
+        growing.add_inequalities(working, slacks);
+        growing.add_intervals_and_half_spaces();
+        growing.end_inequalities();
+        growing.add_balls();
+        growing.add_trust_region();
+        let (matrix, right) = growing.rows.finish();
+        Self {
+            matrix,
+            right,
+            cones: growing.cones,
+            places: growing.places,
+            inequalities,
+        }
+    }
+}
+
+/// An assembly to which rows are added: equations, then inequalities, then second-order cones.
+struct GrowingAssembly<'a> {
+    qp: &'a QuadraticProgram<'a>,
+    /// Numbers of variables, of constraints, and of the slacks of both.
+    n: usize,
+    m: usize,
+    n_slacks: usize,
+    rows: Rows,
+    n_equations: usize,
+    cones: Vec<SupportedConeT<f64>>,
+    places: Vec<Place>,
+}
+
+impl<'a> GrowingAssembly<'a> {
+    fn new(qp: &'a QuadraticProgram<'a>, slacks: &Slacks) -> Self {
         let (n, m) = (qp.gradient.len(), qp.offset.len());
         let n_slacks = 2 * m + slacks.prices.len();
-        let first_state = n + n_slacks;
         let n_kept = (qp.states.as_ref()).map_or(0, |kept| kept.linearization.n_states);
-        let mut rows = Rows::new(first_state + n_kept);
-        let mut places = vec![
-            Place {
-                row: 0,
-                is_equation: false
-            };
-            qp.sets.len()
-        ];
-        let mut cones: Vec<SupportedConeT<f64>> = Vec::new();
+        Self {
+            qp,
+            n,
+            m,
+            n_slacks,
+            rows: Rows::new(n + n_slacks + n_kept),
+            n_equations: 0,
+            cones: Vec::new(),
+            places: vec![
+                Place {
+                    row: 0,
+                    is_equation: false
+                };
+                qp.sets.len()
+            ],
+        }
+    }
+
+    /// Returns the first column of the states.
+    fn first_state(&self) -> usize {
+        self.n + self.n_slacks
+    }
+
+    fn add_constraints(&mut self) {
+        let (n, m, first_state) = (self.n, self.m, self.first_state());
+        let (qp, rows) = (self.qp, &mut self.rows);
         for i in 0..m {
             rows.put(n + i, -1.0);
             rows.put(n + m + i, 1.0);
@@ -373,39 +437,60 @@ impl Assembly {
             }
             rows.end(-qp.offset[i]);
         }
-        for (set, place) in qp.sets.iter().zip(&mut places) {
+    }
+
+    fn add_sets_without_interior(&mut self) {
+        for (set, place) in self.qp.sets.iter().zip(&mut self.places) {
             if set.is_equation() {
                 *place = Place {
-                    row: rows.count(),
+                    row: self.rows.count(),
                     is_equation: true,
                 };
-                rows.equations(set, qp.variables);
+                self.rows.equations(set, self.qp.variables);
             }
         }
-        if let Some(kept) = &qp.states {
+    }
+
+    fn add_states(&mut self) {
+        let first_state = self.first_state();
+        if let Some(kept) = &self.qp.states {
             for row in &kept.linearization.equations {
-                rows.with_states(row, first_state);
-                rows.end(0.0);
+                self.rows.with_states(row, first_state);
+                self.rows.end(0.0);
             }
         }
-        let n_equations = rows.count();
-        if n_equations > 0 {
-            cones.push(ZeroConeT(n_equations));
+    }
+
+    fn end_equations(&mut self) {
+        self.n_equations = self.rows.count();
+        if self.n_equations > 0 {
+            self.cones.push(ZeroConeT(self.n_equations));
         }
-        for i in 0..n_slacks {
-            rows.put(n + i, -1.0);
-            rows.end(0.0);
+    }
+
+    fn add_signs_of_slacks(&mut self) {
+        for i in 0..self.n_slacks {
+            self.rows.put(self.n + i, -1.0);
+            self.rows.end(0.0);
         }
-        let inequalities = rows.count();
+    }
+
+    fn add_inequalities(&mut self, working: &[usize], slacks: &Slacks) {
+        let (first_soft, first_state) = (self.n + 2 * self.m, self.first_state());
+        let (qp, rows) = (self.qp, &mut self.rows);
         for (&at, slack) in working.iter().zip(&slacks.of_row) {
-            rows.put(n + 2 * m + slack, -1.0);
+            rows.put(first_soft + slack, -1.0);
             match &qp.states {
                 None => rows.dense(qp.inequalities.jacobian, at),
                 Some(kept) => rows.with_states(&kept.linearization.inequalities[at], first_state),
             }
             rows.end(-qp.inequalities.offset[at]);
         }
-        for (set, place) in qp.sets.iter().zip(&mut places) {
+    }
+
+    fn add_intervals_and_half_spaces(&mut self) {
+        let (qp, rows) = (self.qp, &mut self.rows);
+        for (set, place) in qp.sets.iter().zip(&mut self.places) {
             let row = rows.count();
             match set {
                 _ if place.is_equation => continue,
@@ -427,10 +512,18 @@ impl Assembly {
             }
             place.row = row;
         }
-        if rows.count() > n_equations {
-            cones.push(NonnegativeConeT(rows.count() - n_equations));
+    }
+
+    fn end_inequalities(&mut self) {
+        let n_inequalities = self.rows.count() - self.n_equations;
+        if n_inequalities > 0 {
+            self.cones.push(NonnegativeConeT(n_inequalities));
         }
-        for (set, place) in qp.sets.iter().zip(&mut places) {
+    }
+
+    fn add_balls(&mut self) {
+        let (qp, rows) = (self.qp, &mut self.rows);
+        for (set, place) in qp.sets.iter().zip(&mut self.places) {
             if let ConvexSet::Ball {
                 rows: directions,
                 radius,
@@ -443,24 +536,21 @@ impl Assembly {
                     rows.sparse(direction, -1.0);
                     rows.end(along(direction, qp.variables));
                 }
-                cones.push(SecondOrderConeT(directions.len() + 1));
+                self.cones.push(SecondOrderConeT(directions.len() + 1));
             }
         }
+    }
+
+    fn add_trust_region(&mut self) {
+        let qp = self.qp;
         if qp.trust_radius.is_finite() {
-            rows.end(qp.trust_radius);
-            for index in (0..n).filter(|index| qp.unlimited.binary_search(index).is_err()) {
-                rows.put(index, -1.0);
-                rows.end(0.0);
+            self.rows.end(qp.trust_radius);
+            for index in (0..self.n).filter(|index| qp.unlimited.binary_search(index).is_err()) {
+                self.rows.put(index, -1.0);
+                self.rows.end(0.0);
             }
-            cones.push(SecondOrderConeT(n - qp.unlimited.len() + 1));
-        }
-        let (matrix, right) = rows.finish();
-        Self {
-            matrix,
-            right,
-            cones,
-            places,
-            inequalities,
+            let size = self.n - qp.unlimited.len() + 1;
+            self.cones.push(SecondOrderConeT(size));
         }
     }
 }

@@ -59,6 +59,149 @@ enum Clue {
     Multiplier,
 }
 
+/// What a solution tells about the active set of a program.
+struct Evidence<'a> {
+    qp: &'a QuadraticProgram<'a>,
+    solution: &'a QpSolution,
+    clue: Clue,
+    /// Unit of multipliers. Slacks are in the units of the rows, which are scaled to about one.
+    unit: f64,
+}
+
+impl<'a> Evidence<'a> {
+    fn of(qp: &'a QuadraticProgram<'a>, solution: &'a QpSolution, clue: Clue) -> Self {
+        let multipliers = &solution.multipliers;
+        let largest = |values: &[f64]| infinity_norm(values);
+        let unit = (multipliers.normals.iter().map(|normal| largest(normal)))
+            .fold(largest(&multipliers.inequalities), f64::max)
+            .max(largest(qp.gradient))
+            .max(f64::MIN_POSITIVE);
+        Self {
+            qp,
+            solution,
+            clue,
+            unit,
+        }
+    }
+
+    /// Tells whether a row with this multiplier and this slack holds with equality.
+    fn holds(&self, multiplier: f64, slack: f64) -> bool {
+        match self.clue {
+            Clue::Slack => multiplier / self.unit > slack,
+            Clue::Multiplier => multiplier / self.unit > NEGLIGIBLE,
+        }
+    }
+
+    /// Tells whether a group's slack is positive: it exceeds what its multipliers lack to the elastic weight.
+    fn is_open(&self, slack: f64, multiplier: f64) -> bool {
+        matches!(self.clue, Clue::Slack)
+            && slack > (self.qp.elastic_weight - multiplier).max(0.0) / self.unit
+    }
+
+    /// Returns the constraints that hold, and those with a positive slack, with its sign.
+    fn constraints(&self) -> (Vec<Active>, Vec<(usize, f64)>) {
+        let mut active = Vec::new();
+        let mut given_up = Vec::new();
+        let of_constraints = self.qp.constraints_along(&self.solution.change);
+        for (i, (c, y)) in of_constraints
+            .iter()
+            .zip(&self.solution.multipliers.constraints)
+            .enumerate()
+        {
+            if self.is_open(c.abs(), y * c.signum()) {
+                given_up.push((i, c.signum()));
+            } else {
+                active.push(Active::Constraint(i));
+            }
+        }
+        (active, given_up)
+    }
+
+    /// Returns the groups of hard rows whose slack is positive.
+    fn slack_groups(&self) -> Vec<usize> {
+        let rows = &self.qp.inequalities;
+        let total = |group: usize| -> f64 {
+            let of_group = (0..rows.groups.len())
+                .filter(|&at| rows.softness[at] == Softness::Hard && rows.groups[at] == group);
+            of_group
+                .map(|at| self.solution.multipliers.inequalities[at])
+                .sum()
+        };
+        (self.solution.slacks.iter())
+            .filter(|&(group, slack)| self.is_open(*slack, total(*group)))
+            .map(|(group, _)| *group)
+            .collect()
+    }
+
+    /// Returns the inequalities that hold with equality, and the violated soft ones with their prices.
+    fn inequalities(&self, slack_groups: &[usize]) -> (Vec<Active>, Vec<(usize, f64, f64)>) {
+        let (rows, solution) = (&self.qp.inequalities, self.solution);
+        let mut active = Vec::new();
+        let mut paid = Vec::new();
+        let mut values = rows.along(&solution.change);
+        for (at, value) in values.iter_mut().enumerate() {
+            if open_slack(rows, slack_groups, at).is_some() {
+                *value -= solution.slacks[&rows.groups[at]];
+            }
+        }
+        for &at in &solution.working {
+            let z = solution.multipliers.inequalities[at];
+            match rows.softness[at] {
+                Softness::Soft { linear, quadratic } if self.holds(linear.max(z), -values[at]) => {
+                    // The row is violated, or at its limit with a multiplier below its price.
+                    let left = linear + quadratic * values[at].max(0.0) - z;
+                    let is_paid = match self.clue {
+                        Clue::Slack => values[at] > 0.0 && left <= values[at] * self.unit,
+                        Clue::Multiplier => z >= linear * (1.0 - NEGLIGIBLE),
+                    };
+                    if is_paid {
+                        paid.push((at, linear, quadratic));
+                    } else if self.holds(z, -values[at]) {
+                        active.push(Active::Inequality(at));
+                    }
+                }
+                Softness::Soft { .. } => {}
+                Softness::Hard if self.holds(z, -values[at]) => {
+                    active.push(Active::Inequality(at));
+                }
+                Softness::Hard => {}
+            }
+        }
+        (active, paid)
+    }
+
+    /// Returns the sets on whose boundary the variables are; `there` are these.
+    fn sets(&self, there: &[f64]) -> Vec<Active> {
+        let mut active = Vec::new();
+        let normals = &self.solution.multipliers.normals;
+        for (at, (set, normal)) in self.qp.sets.iter().zip(normals).enumerate() {
+            match set {
+                ConvexSet::Ball { rows, radius } if *radius <= 0.0 => {
+                    active.extend((0..rows.len()).map(|row| Active::Center(at, row)));
+                }
+                ConvexSet::Interval { lower, upper, .. } if lower == upper => {
+                    active.push(Active::Set(at));
+                }
+                _ => {
+                    let room = match set {
+                        // The side of the interval to which the multiplier belongs.
+                        ConvexSet::Interval {
+                            index,
+                            lower,
+                            upper,
+                        } if normal[0] < 0.0 => there[*index] - lower.min(*upper),
+                        _ => -set.violation(there),
+                    };
+                    if self.holds(norm(normal), room.max(0.0)) {
+                        active.push(Active::Set(at));
+                    }
+                }
+            }
+        }
+        active
+    }
+}
+
 /// The optimality conditions as equations for a given active set.
 struct Conditions<'a> {
     qp: &'a QuadraticProgram<'a>,
@@ -155,121 +298,17 @@ pub(super) fn as_expected(qp: &QuadraticProgram, expected: &Multipliers) -> Opti
 
 impl<'a> Conditions<'a> {
     fn of(qp: &'a QuadraticProgram<'a>, solution: &QpSolution, clue: Clue) -> Self {
-        let multipliers = &solution.multipliers;
-        let largest = |values: &[f64]| infinity_norm(values);
-        // Unit of multipliers. Slacks are in the units of the rows, which are scaled to about one.
-        let unit = (multipliers.normals.iter().map(|normal| largest(normal)))
-            .fold(largest(&multipliers.inequalities), f64::max)
-            .max(largest(qp.gradient))
-            .max(f64::MIN_POSITIVE);
-        let holds = |multiplier: f64, slack: f64| match clue {
-            Clue::Slack => multiplier / unit > slack,
-            Clue::Multiplier => multiplier / unit > NEGLIGIBLE,
-        };
-        // A group's slack is positive if it exceeds what its multipliers lack to the elastic weight.
-        let is_open = |slack: f64, multiplier: f64| {
-            matches!(clue, Clue::Slack) && slack > (qp.elastic_weight - multiplier).max(0.0) / unit
-        };
-        let mut active = Vec::new();
-        let mut given_up = Vec::new();
-        let of_constraints = qp.constraints_along(&solution.change);
-        for (i, (c, y)) in of_constraints
-            .iter()
-            .zip(&multipliers.constraints)
-            .enumerate()
-        {
-            if is_open(c.abs(), y * c.signum()) {
-                given_up.push((i, c.signum()));
-            } else {
-                active.push(Active::Constraint(i));
-            }
-        }
-        let mut paid = Vec::new();
-        let rows = &qp.inequalities;
-        let total = |group: usize| -> f64 {
-            let of_group = (0..rows.groups.len())
-                .filter(|&at| rows.softness[at] == Softness::Hard && rows.groups[at] == group);
-            of_group.map(|at| multipliers.inequalities[at]).sum()
-        };
-        let slack_groups: Vec<usize> = (solution.slacks.iter())
-            .filter(|&(group, slack)| is_open(*slack, total(*group)))
-            .map(|(group, _)| *group)
-            .collect();
-        let mut values = rows.along(&solution.change);
-        for (at, value) in values.iter_mut().enumerate() {
-            if open_slack(rows, &slack_groups, at).is_some() {
-                *value -= solution.slacks[&rows.groups[at]];
-            }
-        }
-        for &at in &solution.working {
-            let z = multipliers.inequalities[at];
-            match rows.softness[at] {
-                Softness::Soft { linear, quadratic } if holds(linear.max(z), -values[at]) => {
-                    // The row is violated, or at its limit with a multiplier below its price.
-                    let left = linear + quadratic * values[at].max(0.0) - z;
-                    let is_paid = match clue {
-                        Clue::Slack => values[at] > 0.0 && left <= values[at] * unit,
-                        Clue::Multiplier => z >= linear * (1.0 - NEGLIGIBLE),
-                    };
-                    if is_paid {
-                        paid.push((at, linear, quadratic));
-                    } else if holds(z, -values[at]) {
-                        active.push(Active::Inequality(at));
-                    }
-                }
-                Softness::Soft { .. } => {}
-                Softness::Hard if holds(z, -values[at]) => active.push(Active::Inequality(at)),
-                Softness::Hard => {}
-            }
-        }
-        let there = moved(qp.variables, &solution.change);
-        for (at, (set, normal)) in qp.sets.iter().zip(&multipliers.normals).enumerate() {
-            match set {
-                ConvexSet::Ball { rows, radius } if *radius <= 0.0 => {
-                    active.extend((0..rows.len()).map(|row| Active::Center(at, row)));
-                }
-                ConvexSet::Interval { lower, upper, .. } if lower == upper => {
-                    active.push(Active::Set(at));
-                }
-                _ => {
-                    let room = match set {
-                        // The side of the interval to which the multiplier belongs.
-                        ConvexSet::Interval {
-                            index,
-                            lower,
-                            upper,
-                        } if normal[0] < 0.0 => there[*index] - lower.min(*upper),
-                        _ => -set.violation(&there),
-                    };
-                    if holds(norm(normal), room.max(0.0)) {
-                        active.push(Active::Set(at));
-                    }
-                }
-            }
-        }
-        let n = qp.gradient.len();
-        let size = n + slack_groups.len();
-        let mut hessian = Mat::zeros(size, size);
-        hessian.submatrix_mut(0, 0, n, n).copy_from(qp.hessian);
-        let mut gradient = qp.gradient.to_vec();
-        for &(at, linear, quadratic) in &paid {
-            for j in 0..n {
-                let d = rows.jacobian[(at, j)];
-                gradient[j] += (linear + quadratic * rows.offset[at]) * d;
-                for i in 0..n {
-                    hessian[(i, j)] += quadratic * rows.jacobian[(at, i)] * d;
-                }
-            }
-        }
-        for &(i, sign) in &given_up {
-            for (j, g) in gradient.iter_mut().enumerate() {
-                *g += sign * qp.elastic_weight * qp.jacobian[(i, j)];
-            }
-        }
-        gradient.resize(size, qp.elastic_weight);
+        let evidence = Evidence::of(qp, solution, clue);
+        let (mut active, given_up) = evidence.constraints();
+        let slack_groups = evidence.slack_groups();
+        let (rows, paid) = evidence.inequalities(&slack_groups);
+        active.extend(rows);
+        let before = moved(qp.variables, &solution.change);
+        active.extend(evidence.sets(&before));
+        let (hessian, gradient) = objective(qp, slack_groups.len(), &paid, &given_up);
         Self {
             qp,
-            before: there,
+            before,
             active,
             paid,
             given_up,
@@ -532,6 +571,38 @@ impl<'a> Conditions<'a> {
     }
 }
 
+/// Returns Hessian and gradient of the objective along `δ` and `n_slacks` slacks, with the penalties of violated soft rows `paid` and the
+/// prices of constraints that are `given_up`.
+fn objective(
+    qp: &QuadraticProgram,
+    n_slacks: usize,
+    paid: &[(usize, f64, f64)],
+    given_up: &[(usize, f64)],
+) -> (Mat<f64>, Vec<f64>) {
+    let rows = &qp.inequalities;
+    let n = qp.gradient.len();
+    let size = n + n_slacks;
+    let mut hessian = Mat::zeros(size, size);
+    hessian.submatrix_mut(0, 0, n, n).copy_from(qp.hessian);
+    let mut gradient = qp.gradient.to_vec();
+    for &(at, linear, quadratic) in paid {
+        for j in 0..n {
+            let d = rows.jacobian[(at, j)];
+            gradient[j] += (linear + quadratic * rows.offset[at]) * d;
+            for i in 0..n {
+                hessian[(i, j)] += quadratic * rows.jacobian[(at, i)] * d;
+            }
+        }
+    }
+    for &(i, sign) in given_up {
+        for (j, g) in gradient.iter_mut().enumerate() {
+            *g += sign * qp.elastic_weight * qp.jacobian[(i, j)];
+        }
+    }
+    gradient.resize(size, qp.elastic_weight);
+    (hessian, gradient)
+}
+
 /// Returns the position, among the groups with positive slack, of the group of a hard row.
 fn open_slack(rows: &LinearInequalities, slack_groups: &[usize], at: usize) -> Option<usize> {
     let group = rows.groups[at];
@@ -545,172 +616,4 @@ fn moved(variables: &[f64], change: &[f64]) -> Vec<f64> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::program::affine;
-
-    /// Problems with all kinds of sets and rows at once, half of them with rows whose violation is cheaper than the elastic weight: the
-    /// conditions hold to rounding where Clarabel ends orders of magnitude above, and multipliers of balls point outward exactly.
-    #[test]
-    fn conditions_hold_to_rounding() {
-        const N: usize = 9;
-        let mut rng = fastrand::Rng::with_seed(11);
-        let mut number = move || 2.0 * rng.f64() - 1.0;
-        let (mut polished, mut expected, mut slack) = (0, 0, 0);
-        for round in 0..80 {
-            let elastic_weight = if round % 2 == 0 { 1e4 } else { 0.7 };
-            let root = Mat::from_fn(N, N, |_, _| number());
-            let mut hessian = root.transpose() * &root;
-            for i in 0..N {
-                hessian[(i, i)] += 0.1;
-            }
-            let gradient: Vec<f64> = (0..N).map(|_| 10.0 * number()).collect();
-            let jacobian = Mat::from_fn(2, N, |_, _| number());
-            let rows = Mat::from_fn(4, N, |_, _| number());
-            let softness = [
-                Softness::Hard,
-                Softness::Hard,
-                Softness::Soft {
-                    linear: 0.3,
-                    quadratic: 2.0,
-                },
-                Softness::Soft {
-                    linear: 100.0,
-                    quadratic: 0.0,
-                },
-            ];
-            let sets = [
-                ConvexSet::ball([0, 1, 2], 0.4),
-                ConvexSet::ball([3, 4], 0.5),
-                ConvexSet::Interval {
-                    index: 5,
-                    lower: -0.2,
-                    upper: 0.3,
-                },
-                ConvexSet::HalfSpace {
-                    direction: vec![(6, 1.0), (7, -2.0)],
-                    limit: 0.2,
-                },
-            ];
-            let qp = QuadraticProgram {
-                hessian: &hessian,
-                gradient: &gradient,
-                jacobian: &jacobian,
-                offset: &[0.1 * number(), 0.1 * number()],
-                inequalities: LinearInequalities {
-                    jacobian: &rows,
-                    offset: &[0.1, -0.1, 0.2, 0.1],
-                    softness: &softness,
-                    groups: &[0, round % 4 / 2, 2, 3],
-                    first: &[],
-                },
-                variables: &[0.1; N],
-                sets: &sets,
-                elastic_weight,
-                trust_radius: f64::INFINITY,
-                unlimited: &[],
-                row_tolerance: 1e-9,
-                stop: None,
-                states: None,
-                expected: None,
-            };
-            let solution = qp.solve().expect("solvable");
-            slack += usize::from(solution.slack > 1e-3);
-            // From a point near the solution, slightly wrong multipliers give the active set as well; multipliers of zero do not.
-            let way: Vec<f64> = solution.change.iter().map(|d| 0.98 * d).collect();
-            let moved_gradient = affine(&gradient, &hessian, &way);
-            let moved_offset = affine(qp.offset, &jacobian, &way);
-            let moved_rows = affine(qp.inequalities.offset, &rows, &way);
-            let nearer = QuadraticProgram {
-                gradient: &moved_gradient,
-                offset: &moved_offset,
-                inequalities: LinearInequalities {
-                    offset: &moved_rows,
-                    ..qp.inequalities
-                },
-                variables: &moved(qp.variables, &way),
-                ..qp.clone()
-            };
-            let mut near = solution.multipliers.clone();
-            near.constraints.iter_mut().for_each(|y| *y *= 1.1);
-            near.normals.iter_mut().flatten().for_each(|z| *z *= 0.9);
-            if let Some(again) = as_expected(&nearer, &near)
-                && elastic_weight > 1.0
-            {
-                let apart = (again.change.iter().zip(&way).zip(&solution.change))
-                    .fold(0.0, |m: f64, ((a, b), c)| m.max((a + b - c).abs()));
-                assert!(apart < 1e-9, "{apart:e}");
-                assert_eq!(again.iterations, 0);
-                expected += 1;
-            }
-            let mut none = near;
-            none.inequalities.fill(0.0);
-            none.normals.iter_mut().for_each(|normal| normal.fill(0.0));
-            let active = solution.multipliers.inequalities.iter().any(|z| *z > 1e-3);
-            assert!(elastic_weight < 1.0 || !active || as_expected(&nearer, &none).is_none());
-            let multipliers = &solution.multipliers;
-            let there = moved(qp.variables, &solution.change);
-            let mut rest = gradient.clone();
-            for (i, r) in rest.iter_mut().enumerate() {
-                *r += (0..N)
-                    .map(|j| hessian[(i, j)] * solution.change[j])
-                    .sum::<f64>();
-                *r += (0..2)
-                    .map(|k| jacobian[(k, i)] * multipliers.constraints[k])
-                    .sum::<f64>();
-                *r += (0..4)
-                    .map(|k| rows[(k, i)] * multipliers.inequalities[k])
-                    .sum::<f64>();
-            }
-            for (set, normal) in sets.iter().zip(&multipliers.normals) {
-                match set {
-                    ConvexSet::Ball { rows, .. } => {
-                        let inside: Vec<f64> = rows.iter().map(|row| along(row, &there)).collect();
-                        let outward: f64 = inside.iter().zip(normal).map(|(u, z)| u * z).sum();
-                        let lost = norm(&inside) * norm(normal) - outward;
-                        assert!(lost <= 1e-13, "{lost:e}");
-                        for (row, z) in rows.iter().zip(normal) {
-                            rest[row[0].0] += z;
-                        }
-                    }
-                    ConvexSet::Interval { index, .. } => rest[*index] += normal[0],
-                    ConvexSet::HalfSpace { direction, .. } => {
-                        for &(index, c) in direction {
-                            rest[index] += c * normal[0];
-                        }
-                    }
-                }
-            }
-            // A slack is positive where multipliers add up to its price, and then it is the whole violation.
-            let values = affine(qp.offset, &jacobian, &solution.change);
-            let mut missing = 0.0;
-            for (value, y) in values.iter().zip(&multipliers.constraints) {
-                assert!(y.abs() <= elastic_weight * (1.0 + 1e-9));
-                let off = if y.abs() < elastic_weight {
-                    0.0
-                } else {
-                    value.abs()
-                };
-                missing += off;
-                rest.push(value.abs() - off);
-            }
-            let values = affine(qp.inequalities.offset, &rows, &solution.change);
-            for (group, own) in &solution.slacks {
-                let of_group = (0..2).filter(|&at| qp.inequalities.groups[at] == *group);
-                let z: f64 = of_group
-                    .clone()
-                    .map(|at| multipliers.inequalities[at])
-                    .sum();
-                let highest = of_group.map(|at| values[at]).fold(0.0, f64::max);
-                rest.push(own * (elastic_weight - z) / elastic_weight);
-                rest.push((highest - own).max(0.0));
-                missing += own;
-            }
-            rest.push(missing - solution.slack);
-            polished += usize::from(infinity_norm(&rest) <= 1e-11);
-        }
-        assert!(polished >= 70, "{polished} of 80");
-        assert!(slack >= 20, "{slack} of 80");
-        assert!(expected >= 35, "{expected} of 40");
-    }
-}
+mod tests;

@@ -55,30 +55,8 @@ impl<P: LiftedProgram> Run<'_, P> {
         let n = self.variables().len();
         let sets = self.program.sets().to_vec();
         let before = self.infeasibility();
-        // With defects in the states, the predicted violations say nothing about the constraints; a rollout comes first.
-        if self.iterate.evaluation.defect > INFEASIBLE_PROGRESS * before
-            && let Some(there) =
-                Filter::rollout(self.program, &self.iterate.point, &vec![0.0; n], 0)
-        {
-            phase.began_with = self.program.infeasibility(&there.evaluation);
-            self.trace.note_step(&there, 0.0);
-            self.arrive(there);
-            self.feasibility.phase = Some(phase);
+        if self.restored_by_rollout(phase) || self.restored_by_absorbing(phase) {
             return Ok(Step::Taken);
-        }
-        // A soft constraint is met by its own variable, whose price makes it too long a step for the proximal term.
-        if let Some(there) = self.absorbing() {
-            let after = self.program.infeasibility(&there.evaluation);
-            if after <= RESTORATION_GAIN * before {
-                self.trace.note_step(&there, 0.0);
-                self.arrive(there);
-                self.feasibility.phase = Some(phase);
-                if after <= self.settings.tolerance {
-                    self.feasibility.phase = None;
-                    self.filter = Filter::new(after);
-                }
-                return Ok(Step::Taken);
-            }
         }
         for _ in 0..=SHRINKAGES {
             let mut matrix = Mat::<f64>::identity(n, n);
@@ -149,6 +127,44 @@ impl<P: LiftedProgram> Run<'_, P> {
             return Ok(Step::Taken);
         }
         Ok(Step::Refused)
+    }
+
+    /// Takes a rollout for the first point of the restoration where the states have defects, with which the predicted violations say nothing
+    /// about the constraints. Tells whether it did.
+    fn restored_by_rollout(&mut self, mut phase: Restoration) -> bool {
+        if !(self.iterate.evaluation.defect > INFEASIBLE_PROGRESS * self.infeasibility()) {
+            return false;
+        }
+        let none = vec![0.0; self.variables().len()];
+        let Some(there) = Filter::rollout(self.program, &self.iterate.point, &none, 0) else {
+            return false;
+        };
+        phase.began_with = self.program.infeasibility(&there.evaluation);
+        self.trace.note_step(&there, 0.0);
+        self.arrive(there);
+        self.feasibility.phase = Some(phase);
+        true
+    }
+
+    /// Meets soft constraints by their own variables, whose price makes them too long a step for the proximal term, where that alone is
+    /// enough of a gain. Tells whether it was.
+    fn restored_by_absorbing(&mut self, phase: Restoration) -> bool {
+        let before = self.infeasibility();
+        let Some(there) = self.absorbing() else {
+            return false;
+        };
+        let after = self.program.infeasibility(&there.evaluation);
+        if !(after <= RESTORATION_GAIN * before) {
+            return false;
+        }
+        self.trace.note_step(&there, 0.0);
+        self.arrive(there);
+        self.feasibility.phase = Some(phase);
+        if after <= self.settings.tolerance {
+            self.feasibility.phase = None;
+            self.filter = Filter::new(after);
+        }
+        true
     }
 
     /// Returns the point at which soft constraints are met by their own variables, unless it is the present one.
