@@ -157,7 +157,7 @@ pub(super) fn explanation(
 fn companions<'a>(model: &Model, places: &'a [Place]) -> (Vec<[&'a Place; 2]>, f64) {
     let mut groups: BTreeMap<(bool, bool, usize, u64), Vec<&Place>> = BTreeMap::new();
     for own in places {
-        let is_static = model.cases[own.case].is_static;
+        let is_static = model.cases[own.case].is_static();
         let key = match is_static {
             true => (true, own.is_angle, own.marker, 0),
             false => (false, own.is_angle, own.case, own.time.to_bits()),
@@ -217,7 +217,7 @@ fn places(model: &Model) -> Vec<Place> {
 fn neighbors<'a>(model: &Model, places: &'a [Place]) -> Vec<[&'a Place; 2]> {
     let mut sorted: Vec<&Place> = places.iter().collect();
     let series = |own: &Place| {
-        let is_static = model.cases[own.case].is_static;
+        let is_static = model.cases[own.case].is_static();
         (
             own.case,
             own.is_angle,
@@ -225,7 +225,7 @@ fn neighbors<'a>(model: &Model, places: &'a [Place]) -> Vec<[&'a Place; 2]> {
         )
     };
     let along = |own: &Place| {
-        if model.cases[own.case].is_static {
+        if model.cases[own.case].is_static() {
             model.markers[own.marker].at
         } else {
             own.time

@@ -258,7 +258,7 @@ impl Seen {
             let [rms_m, rms_rad] = squares.rms();
             out.cases.push(CaseSummary {
                 name: case.name.clone(),
-                at_rest: case.is_static,
+                at_rest: !case.is_motion(),
                 held_out: case.held_out,
                 gaps: case.gaps,
                 places: own.len(),
