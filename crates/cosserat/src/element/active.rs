@@ -88,6 +88,12 @@ impl Density {
         }
     }
 
+    /// Tells whether it is that of a tendon.
+    #[must_use]
+    pub fn is_tendon(self) -> bool {
+        matches!(self, Self::Shortening)
+    }
+
     /// Returns the factor of `|p|` in a density that is a multiple of it.
     #[inline(always)]
     fn length_sign(self) -> Option<f64> {
