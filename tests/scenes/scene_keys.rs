@@ -493,6 +493,7 @@ const SCENES: [&[&str]; 18] = [
         "tendon.3.rest_displacement_m=-0.001",
         "tendon.3.compliance_1_n=1e-3",
         "tendon.3.free_length_m=0.05",
+        "tendon.3.disk_spacing_m=0.02",
         "tendon.4.offset_m=[0.0, -0.006]",
         "tendon.4.displacement_profile=[[0.0, 0.0], [0.5, -0.001]]",
         "tendon.4.compliance_1_n=1e-3",

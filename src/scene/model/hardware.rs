@@ -174,6 +174,10 @@ actuator! {
         /// Length b of the tendon on a winch outside of the arm in m, which stretches too. Default: 0.
         #[serde(default, skip_serializing_if = "values::is_default")]
         free_length_m: NonNegative<values::Length>,
+        /// Distance in m of disks through which the tendon runs, straight from one to the next: where the arm bends by the curvature κ, it is
+        /// shorter than its line in the section by κ² s²/24 of its length. Default: 0, a channel along the whole arm.
+        #[serde(default, skip_serializing_if = "values::is_default")]
+        disk_spacing_m: NonNegative<values::Length>,
     }
 }
 
@@ -185,7 +189,13 @@ impl Tendon {
 
     /// Collects the keys of its tension, or else those of its winch.
     fn of_tension_or_winch(&self, index: usize) -> Common<'_> {
-        let by_tension = self.common(index, Density::Shortening, 1.0);
+        let spacing = self.disk_spacing_m.get();
+        let density = if spacing > 0.0 {
+            Density::Threaded { spacing }
+        } else {
+            Density::Shortening
+        };
+        let by_tension = self.common(index, density, 1.0);
         if !self.is_on_winch() {
             return by_tension;
         }
@@ -815,9 +825,13 @@ pub(in crate::scene) fn describe_hardware(
     for (index, own) in actuators.iter().enumerate() {
         let common = Described::of(actuators, index, efforts)?;
         order.push(match own.density {
-            Density::Shortening => {
+            Density::Shortening | Density::Threaded { .. } => {
                 let zero = known(0.0);
-                let tendon = Tendon::describing(common, None, None, 0.0, None, None, zero);
+                let spacing = match own.density {
+                    Density::Threaded { spacing } => known(spacing),
+                    _ => known(0.0),
+                };
+                let tendon = Tendon::describing(common, None, None, 0.0, None, None, zero, spacing);
                 out.tendon.push(match own.winch {
                     Some(winch) => tendon.put_on(winch),
                     None => tendon,
