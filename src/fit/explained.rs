@@ -58,8 +58,11 @@ pub struct Worst {
     pub case: String,
     /// Its marker with the largest mean square.
     pub marker: String,
-    /// Time of its largest residual, s; zero in a shape at rest.
+    /// Time of its largest residual, s; zero in a shape at rest, and in a table the number of the row, from zero on.
     pub t_s: f64,
+    /// Line of a table in its file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub line: Option<u64>,
     /// Root of the mean square of the residuals of this marker in this case, in standard deviations of the noise.
     pub off_sigmas: f64,
 }
@@ -275,6 +278,7 @@ fn worst(model: &Model, residuals: &DVector<f64>, places: &[Place]) -> Option<Wo
         case: model.cases[peak.case].name.clone(),
         marker: model.markers[peak.marker].name.clone(),
         t_s: peak.time,
+        line: (model.cases[peak.case].rows()).map(|rows| rows.lines[peak.time as usize]),
         off_sigmas: mean(&own).sqrt(),
     })
 }
