@@ -17,7 +17,7 @@ from .errors import InternalError, ModelError, ResultError, SceneError, SoftarmE
 from .program import Component, Program, Quadratic
 from .progress import progress
 from .results import Certificate, Result, load, verify
-from .scene import Scene, batch, run, schema
+from .scene import Scene, Shapes, batch, run, schema
 from .shortcuts import arm, figure_eight, reach
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "ResultError",
     "Scene",
     "SceneError",
+    "Shapes",
     "SoftarmError",
     "State",
     "Stopped",

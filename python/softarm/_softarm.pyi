@@ -6,7 +6,20 @@ import numpy.typing as npt
 
 from .control import State
 
-__all__ = ["Batch", "Controller", "Plant", "Program", "__version__", "builtin_scenes", "call", "main", "parse", "schema"]
+__all__ = [
+    "Batch",
+    "Controller",
+    "Plant",
+    "Program",
+    "__version__",
+    "builtin_scenes",
+    "call",
+    "inputs",
+    "main",
+    "parse",
+    "schema",
+    "shapes",
+]
 
 __version__: str
 
@@ -21,6 +34,21 @@ def builtin_scenes() -> list[str]:
     """Returns the names of the built-in scenes."""
 
 def schema() -> str: ...
+def inputs(name: str, text: str | None = None, overrides: list[str] = ...) -> list[tuple[str, str]]: ...
+def shapes(
+    name: str,
+    text: str | None,
+    overrides: list[str],
+    inputs: npt.ArrayLike,
+    jacobian: bool = False,
+    stability: bool = False,
+    threads: int | None = None,
+) -> tuple[
+    npt.NDArray[np.float64],
+    npt.NDArray[np.float64],
+    npt.NDArray[np.float64] | None,
+    npt.NDArray[np.bool_] | None,
+]: ...
 
 @final
 class Plant:

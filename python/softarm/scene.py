@@ -9,14 +9,39 @@ import logging
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from . import _softarm
 from .control import Controller, Plant
 from .errors import ResultError
 from .program import Program
 from .results import Folder, Result
+
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Shapes of an arm at rest."""
+
+    x: npt.NDArray[np.float64]
+    """Positions of the nodes, m, `(n, K+1, 3)`."""
+    R: npt.NDArray[np.float64]
+    """Rotations of the nodes, body to space, `(n, K+1, 3, 3)`."""
+    jacobian: npt.NDArray[np.float64] | None = None
+    """Derivatives of the tip's position along the inputs, `(n, 3, m)`, NaN of a shape that is about to buckle; `None` if not asked for."""
+    stable: npt.NDArray[np.bool_] | None = None
+    """Whether the shapes are stable, `(n,)`; `None` if not asked for."""
+
+    @property
+    def tips(self) -> npt.NDArray[np.float64]:
+        """Positions of the tip, m, `(n, 3)`."""
+        return self.x[:, -1]
+
 
 Event = Callable[[dict[str, Any]], None]
 TASK_VERBS = ("simulate", "solve", "mpc", "equilibrium", "tradeoff")
@@ -265,6 +290,33 @@ class Scene:
         """Computes the arm at rest, its stability, and its shapes over the load factor up to `to`."""
         return self._run("equilibrium", out, _options(to=to, points=points, time=time, accuracy=accuracy), None)
 
+    @property
+    def inputs(self) -> list[tuple[str, str]]:
+        """Names and units of the inputs of `shapes`: the efforts of all actuators along the arm, of winches displacements in m."""
+        return _softarm.inputs(self._name, self._text, list(self._overrides))
+
+    def shapes(
+        self, inputs: Any, *, jacobian: bool = False, stability: bool = False, threads: int | None = None
+    ) -> Shapes:
+        """Computes the arm at rest under each of `n` rows of inputs, `(n, m)`, or a dictionary of columns by the names of actuators, whose
+        others are zero. Rows that change little from one to the next are fast, because every search begins at the shape of the row before.
+
+        With `jacobian` the derivatives of the tip's position along the inputs are computed too, and with `stability` whether the shapes
+        are stable. A row without a shape at rest raises `ModelError`.
+        """
+        if isinstance(inputs, Mapping):
+            names = [name for name, _ in self.inputs]
+            unknown = [name for name in inputs if name not in names]
+            if unknown:
+                raise ValueError(f"there is no actuator {unknown[0]!r}; those of the arm are {names}")
+            columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(column, float)) for column in inputs.values()))
+            rows = np.zeros((len(columns[0]) if columns else 1, len(names)))
+            for name, column in zip(inputs, columns, strict=True):
+                rows[:, names.index(name)] = column
+            inputs = rows
+        found = _softarm.shapes(self._name, self._text, list(self._overrides), inputs, jacobian, stability, threads)
+        return Shapes(*found)
+
     def tradeoff(
         self,
         out: str | os.PathLike[str] | None = None,
@@ -298,7 +350,8 @@ class Scene:
             return self._run("fit", out, [f"--data={os.fspath(data)}", *words], None)
         keys = _plain(_with_columns(data))
         with tempfile.TemporaryDirectory(prefix="softarm-") as folder:
-            for index, recording in enumerate(keys.get("recording", [])):
+            tables = [*keys.get("recording", []), *keys.get("table", [])]
+            for index, recording in enumerate(tables):
                 recording["csv"] = _table_file(recording, index, folder)
             path = Path(folder) / "data.toml"
             path.write_text(_toml(keys), encoding="utf-8")
@@ -318,7 +371,7 @@ class Scene:
 
 
 def _with_columns(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns data of a fit whose recordings have a table in `csv` as lists by the names of its columns."""
+    """Returns data of a fit whose recordings and tables have a table in `csv` as lists by the names of its columns."""
 
     def columns(table: Any) -> Any:
         if isinstance(table, (str, os.PathLike)):
@@ -330,11 +383,15 @@ def _with_columns(data: Mapping[str, Any]) -> dict[str, Any]:
                 "`csv` of a recording is the name of a table, a DataFrame, or a dictionary of columns by their names"
             ) from error
 
-    recordings = [
-        {key: columns(value) if key == "csv" else value for key, value in recording.items()}
-        for recording in data.get("recording", [])
-    ]
-    return {**data, **({"recording": recordings} if recordings else {})}
+    changed = {}
+    for kind in ("recording", "table"):
+        tables = [
+            {key: columns(value) if key == "csv" else value for key, value in table.items()}
+            for table in data.get(kind, [])
+        ]
+        if tables:
+            changed[kind] = tables
+    return {**data, **changed}
 
 
 def _table_file(recording: Mapping[str, Any], index: int, folder: str) -> str:

@@ -1,25 +1,20 @@
 //! Tables of shapes at rest: many commands of one arm, each followed from a shape nearby, with derivatives by the implicit function theorem.
 //!
-//! At rest the forces `F(q, p)` on the free nodes vanish. A change of the parameters moves the shape by `dq = K⁻¹ (∂F/∂p) dp` with the tangent
-//! stiffness `K = -∂F/∂q`, so that one factorization serves all parameters, and derivatives cost evaluations of forces in place of
-//! equilibria. Parameters that move the base carry the shape with it.
+//! One factorization of the [tangent stiffness](crate::mechanics::at_rest) of a row serves all parameters, and derivatives cost evaluations of
+//! forces in place of equilibria. Parameters that move the base carry the shape with it.
 
 use std::sync::Mutex;
 
-use nalgebra::{DMatrix, Matrix3, Vector6};
+use nalgebra::{DMatrix, Vector6};
 
 use super::data::{Kind, Rows};
 use super::least_squares::{Beside, slope};
 use super::{FitError, Model, Pose};
-use crate::mechanics::equilibrium::{nearby_equilibrium_until, static_equilibrium_until};
-use crate::mechanics::forces::NodalForces;
-use crate::mechanics::rotation::exp;
+use crate::mechanics::at_rest::{self, carry_to_base, displace, forces, shape_near};
+use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::tangent::Tangent;
-use crate::mechanics::{Configuration, NodeSpring, Rod};
+use crate::mechanics::{Configuration, Rod};
 
-/// Rows that follow each other from the first one's shape where none is remembered: so many that most begin near their own, and so few that
-/// all threads have work. The result does not depend on the number of threads.
-const RUN: usize = 24;
 /// Change of an input by which its actuator is found, as a part of the largest one.
 const PROBE: f64 = 0.5;
 
@@ -106,9 +101,7 @@ impl Model<'_> {
                 "a table needs a number of elements: give rod.elements in the place of rod.accuracy".into(),
             ));
         }
-        let arm = scene.arm(&source)?;
-        (arm.rod(&scene.discretization()))
-            .map_err(|error| scene.discretize_error(&source, error.into()).into())
+        Ok(scene.discrete_rod(&source)?)
     }
 
     /// Returns the predictions of all sights of a table, with the overrides `more` and all loads and inputs times `loads`. Shapes are
@@ -169,13 +162,12 @@ impl Model<'_> {
         let found = resting.in_runs(&|row, near| {
             let (rod, shape) = resting.shape(row, near)?;
             let columns = resting.derivatives(row, (&rod, &shape), &others, &beside.widths)?;
-            Ok((shape, vec![columns]))
+            Ok((shape, columns))
         })?;
-        let rows: Vec<_> = found.into_iter().flatten().collect();
-        let n: usize = rows.iter().map(DMatrix::nrows).sum();
+        let n: usize = found.iter().map(DMatrix::nrows).sum();
         let mut out = DMatrix::zeros(n, at.len());
         let mut first = 0;
-        for own in rows {
+        for own in found {
             out.rows_mut(first, own.nrows()).copy_from(&own);
             first += own.nrows();
         }
@@ -185,7 +177,7 @@ impl Model<'_> {
 
 /// Runs a row from the shape of the one before; returns its own, and what is found.
 type OfRow<'a, T> =
-    &'a (dyn Fn(usize, Option<&Configuration>) -> Result<(Configuration, Vec<T>), FitError> + Sync);
+    &'a (dyn Fn(usize, Option<&Configuration>) -> Result<(Configuration, T), FitError> + Sync);
 
 impl Resting<'_> {
     fn remembered(&self) -> Option<&Remembered> {
@@ -200,35 +192,8 @@ impl Resting<'_> {
     }
 
     /// Evaluates all rows, run by run, on the threads of the model.
-    fn in_runs<T: Send>(&self, of_row: OfRow<T>) -> Result<Vec<Vec<T>>, FitError> {
-        let runs: Vec<usize> = (0..self.rows.len()).step_by(RUN).collect();
-        let share = runs.len().div_ceil(self.model.n_threads.max(1)).max(1);
-        let run = |first: usize| -> Result<Vec<Vec<T>>, FitError> {
-            let mut near = None;
-            let mut out = Vec::new();
-            for row in first..(first + RUN).min(self.rows.len()) {
-                self.model.stop.check().map_err(FitError::Stopped)?;
-                let (shape, found) = of_row(row, near.as_ref())?;
-                near = Some(shape);
-                out.push(found);
-            }
-            Ok(out)
-        };
-        let run = &run;
-        std::thread::scope(|scope| {
-            let threads: Vec<_> = (runs.chunks(share))
-                .map(|own| scope.spawn(move || own.iter().map(|first| run(*first)).collect()))
-                .collect();
-            let mut out = Vec::new();
-            for thread in threads {
-                let found: Result<Vec<Vec<Vec<T>>>, FitError> = match thread.join() {
-                    Ok(found) => found,
-                    Err(panic) => std::panic::resume_unwind(panic),
-                };
-                out.extend(found?.into_iter().flatten());
-            }
-            Ok(out)
-        })
+    fn in_runs<T: Send>(&self, of_row: OfRow<T>) -> Result<Vec<T>, FitError> {
+        at_rest::in_runs(self.rows.len(), self.model.n_threads, of_row)
     }
 
     /// Returns the rod under the commands of a row.
@@ -254,23 +219,13 @@ impl Resting<'_> {
     ) -> Result<(Rod, Configuration), FitError> {
         let rod = self.commanded(row);
         let known = self.slot(row).clone();
-        let none = NodeSpring::default();
-        let stop = self.model.stop;
-        for start in [known.as_ref(), near].into_iter().flatten() {
-            let mut start = start.clone();
-            place_base(&rod, &mut start);
-            if let Ok(found) = nearby_equilibrium_until(&rod, &start, 0.0, &none, stop) {
-                return Ok((rod, found));
+        let starts = known.as_ref().into_iter().chain(near);
+        let found = shape_near(&rod, starts, self.model.stop).map_err(|error| match error {
+            EquilibriumError::Stopped(why) => FitError::Stopped(why),
+            error => {
+                let name = &self.model.cases[self.case].name;
+                FitError::Data(format!("{name}, line {}: {error}", self.rows.lines[row]))
             }
-            stop.check().map_err(FitError::Stopped)?;
-        }
-        let found = static_equilibrium_until(&rod, &rod.rest, 0.0, &none, stop);
-        let found = found.map_err(|error| {
-            let line = self.rows.lines[row];
-            FitError::Data(format!(
-                "{}, line {line}: {error}",
-                self.model.cases[self.case].name
-            ))
         })?;
         Ok((rod, found))
     }
@@ -306,7 +261,7 @@ impl Resting<'_> {
             .map(|other| {
                 let rod = other.commanded(row);
                 let mut moved = shape.clone();
-                place_base(&rod, &mut moved);
+                carry_to_base(&rod, &mut moved);
                 (rod, moved)
             })
             .collect();
@@ -328,11 +283,7 @@ impl Resting<'_> {
         let own = residuals(self.poses(rod, shape, row, self.at));
         let moved: Vec<Vec<f64>> = (beside.into_iter().zip(steps).zip(others))
             .map(|(((rod, mut shape), step), other)| {
-                let first = rod.first_free_node();
-                for (node, step) in (first..).zip(&step) {
-                    shape.positions[node] += step.fixed_rows::<3>(0);
-                    shape.rotations[node] *= exp(&step.fixed_rows::<3>(3).into_owned());
-                }
+                displace(&rod, &mut shape, &step);
                 residuals(self.poses(&rod, &shape, row, other.at))
             })
             .collect();
@@ -340,35 +291,4 @@ impl Resting<'_> {
             slope(own[i], [moved[2 * j][i], moved[2 * j + 1][i]], widths[j])
         }))
     }
-}
-
-/// Carries a shape rigidly to where the rod has its base. A base that moved alone would strain the first element, in which a stiff arm is far
-/// from linear.
-fn place_base(rod: &Rod, shape: &mut Configuration) {
-    if rod.first_free_node() == 0 {
-        return;
-    }
-    let (from, to) = (shape.positions[0], rod.rest.positions[0]);
-    let turn = rod.rest.rotations[0] * shape.rotations[0].transpose();
-    if from == to && turn == Matrix3::identity() {
-        return;
-    }
-    for (x, r) in shape.positions.iter_mut().zip(&mut shape.rotations) {
-        *x = to + turn * (*x - from);
-        *r = turn * *r;
-    }
-    shape.positions[0] = to;
-    shape.rotations[0] = rod.rest.rotations[0];
-}
-
-/// Returns the forces and moments on the free nodes of a shape that need not be at rest.
-fn forces(rod: &Rod, shape: &Configuration) -> Vec<Vector6<f64>> {
-    let mut net = NodalForces::zeros(rod.n_nodes());
-    net.evaluate(rod, &shape.positions, &shape.rotations, 0.0);
-    (rod.first_free_node()..rod.n_nodes())
-        .map(|node| {
-            let (f, m) = (&net.forces[node], &net.moments[node]);
-            Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z)
-        })
-        .collect()
 }

@@ -217,6 +217,19 @@ impl Scene {
         })
     }
 
+    /// The rod of the scene's arm with the elements of `rod.elements`, or where these are to be chosen with those of its simulation.
+    ///
+    /// # Errors
+    /// As [`Self::arm`], and [`SceneError`] for a rod that cannot be built.
+    pub fn discrete_rod(&self, source: &SceneSource) -> Result<Rod, SceneError> {
+        if self.rod.accuracy.is_some() {
+            return Ok(self.simulation(source)?.rod);
+        }
+        let arm = self.arm(source)?;
+        (arm.rod(&self.discretization()))
+            .map_err(|error| self.discretize_error(source, error.into()))
+    }
+
     /// The optimal-control problem that the scene describes; its horizon ends at `task.at_s`, or without a task at `time.end_s`.
     ///
     /// # Errors

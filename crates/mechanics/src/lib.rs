@@ -30,6 +30,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod at_rest;
 #[doc(hidden)]
 pub mod beam;
 mod energy_norm;

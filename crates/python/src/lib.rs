@@ -9,6 +9,7 @@ mod arrays;
 mod controller;
 mod plant;
 mod program;
+mod shapes;
 mod words;
 
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -39,6 +40,8 @@ mod _softarm {
     use super::plant::{Batch, Plant};
     #[pymodule_export]
     use super::program::Program;
+    #[pymodule_export]
+    use super::shapes::{inputs, shapes};
     #[pymodule_export]
     use super::{builtin_scenes, call, main, parse, schema};
 

@@ -1,0 +1,288 @@
+//! Shapes at rest of one arm under many inputs of its actuators: workspaces, inverse kinematics, and tables of measured shapes.
+//!
+//! Rows follow each other: each search begins at the shape of the row before. At rest the forces `F(q, p)` on the free nodes vanish, so that a
+//! change of numbers `p` moves the shape by `dq = K⁻¹ (∂F/∂p) dp` with the tangent stiffness `K = -∂F/∂q`.
+
+use nalgebra::{Matrix3, Vector3, Vector6};
+
+use super::equilibrium::{
+    EquilibriumError, NodeSpring, nearby_equilibrium_until, static_equilibrium_until,
+};
+use super::tangent::{Stability, Tangent};
+use cosserat::configuration::Configuration;
+use cosserat::forces::NodalForces;
+use cosserat::rod::Rod;
+use cosserat::rotation::exp;
+use stop::StopSignal;
+
+/// Rows that follow each other from the first one's shape: so many that most begin near their own, and so few that all threads have work. What
+/// is found does not depend on the number of threads.
+const RUN: usize = 24;
+
+/// Evaluates rows run by run, on threads; `of_row` gets a row with the shape of the one before, and returns its own with what is found.
+///
+/// # Errors
+/// Returns the error of the first run that has one.
+pub fn in_runs<T: Send, E: Send>(
+    n_rows: usize,
+    n_threads: usize,
+    of_row: &(dyn Fn(usize, Option<&Configuration>) -> Result<(Configuration, T), E> + Sync),
+) -> Result<Vec<T>, E> {
+    let runs: Vec<usize> = (0..n_rows).step_by(RUN).collect();
+    let share = runs.len().div_ceil(n_threads.max(1)).max(1);
+    let run = |first: usize| -> Result<Vec<T>, E> {
+        let mut near = None;
+        let mut out = Vec::new();
+        for row in first..(first + RUN).min(n_rows) {
+            let (shape, found) = of_row(row, near.as_ref())?;
+            near = Some(shape);
+            out.push(found);
+        }
+        Ok(out)
+    };
+    let run = &run;
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (runs.chunks(share))
+            .map(|own| scope.spawn(move || own.iter().map(|first| run(*first)).collect()))
+            .collect();
+        let mut out = Vec::with_capacity(n_rows);
+        for thread in threads {
+            let found: Result<Vec<Vec<T>>, E> = match thread.join() {
+                Ok(found) => found,
+                Err(panic) => std::panic::resume_unwind(panic),
+            };
+            out.extend(found?.into_iter().flatten());
+        }
+        Ok(out)
+    })
+}
+
+/// Returns the shape at rest next to the first of some shapes that leads to one, whose bases need not be where that of the rod is; a stable one
+/// from the stress-free shape if none does.
+///
+/// # Errors
+/// Returns [`EquilibriumError`] if that search has none either, or is stopped.
+pub fn shape_near<'a>(
+    rod: &Rod,
+    starts: impl IntoIterator<Item = &'a Configuration>,
+    stop: &StopSignal,
+) -> Result<Configuration, EquilibriumError> {
+    let none = NodeSpring::default();
+    for start in starts {
+        let mut start = start.clone();
+        carry_to_base(rod, &mut start);
+        match nearby_equilibrium_until(rod, &start, 0.0, &none, stop) {
+            Ok(found) => return Ok(found),
+            Err(EquilibriumError::Stopped(why)) => return Err(EquilibriumError::Stopped(why)),
+            Err(_) => {}
+        }
+    }
+    static_equilibrium_until(rod, &rod.rest, 0.0, &none, stop)
+}
+
+/// Carries a shape rigidly to where the rod has its base. A base that moved alone would strain the first element, in which a stiff arm is far
+/// from linear.
+pub fn carry_to_base(rod: &Rod, shape: &mut Configuration) {
+    if rod.first_free_node() == 0 {
+        return;
+    }
+    let (from, to) = (shape.positions[0], rod.rest.positions[0]);
+    let turn = rod.rest.rotations[0] * shape.rotations[0].transpose();
+    if from == to && turn == Matrix3::identity() {
+        return;
+    }
+    for (x, r) in shape.positions.iter_mut().zip(&mut shape.rotations) {
+        *x = to + turn * (*x - from);
+        *r = turn * *r;
+    }
+    shape.positions[0] = to;
+    shape.rotations[0] = rod.rest.rotations[0];
+}
+
+/// Returns force (N, spatial) and moment (N m, body) on every free node of a shape that need not be at rest.
+#[must_use]
+pub fn forces(rod: &Rod, shape: &Configuration) -> Vec<Vector6<f64>> {
+    let mut net = NodalForces::zeros(rod.n_nodes());
+    net.evaluate(rod, &shape.positions, &shape.rotations, 0.0);
+    of_free_nodes(rod, &net)
+}
+
+fn of_free_nodes(rod: &Rod, net: &NodalForces) -> Vec<Vector6<f64>> {
+    (rod.first_free_node()..rod.n_nodes())
+        .map(|node| {
+            let (f, m) = (&net.forces[node], &net.moments[node]);
+            Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z)
+        })
+        .collect()
+}
+
+/// Moves the free nodes of a shape by `(δx, η)`, spatial and in the frame of the node.
+pub fn displace(rod: &Rod, shape: &mut Configuration, step: &[Vector6<f64>]) {
+    for (node, step) in (rod.first_free_node()..).zip(step) {
+        shape.positions[node] += step.fixed_rows::<3>(0);
+        shape.rotations[node] *= exp(&step.fixed_rows::<3>(3).into_owned());
+    }
+}
+
+/// What is asked of every shape.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Wanted {
+    /// The derivative of the tip's position along the inputs.
+    pub jacobian: bool,
+    /// Stability.
+    pub stability: bool,
+}
+
+/// A shape at rest.
+#[derive(Clone, Debug)]
+pub struct AtRest {
+    /// The shape.
+    pub shape: Configuration,
+    /// Derivatives of the tip's position along every input, m per unit of the input, where they are wanted and the shape has any.
+    pub jacobian: Option<Vec<Vector3<f64>>>,
+    /// Tells whether it is stable, where that is wanted.
+    pub is_stable: Option<bool>,
+}
+
+/// Returns the shapes at rest of a rod for rows of inputs of all its actuators: efforts in their units, of winches displacements in m.
+///
+/// # Errors
+/// Returns the index of a row and the reason why it has no shape at rest. A rod whose base is free has none.
+pub fn shapes_at_rest(
+    rod: &Rod,
+    inputs: &[f64],
+    wanted: Wanted,
+    n_threads: usize,
+    stop: &StopSignal,
+) -> Result<Vec<AtRest>, (usize, EquilibriumError)> {
+    let n = rod.actuators.len().max(1);
+    in_runs(inputs.len() / n, n_threads, &|row, near| {
+        let inputs = &inputs[n * row..][..n];
+        let rod = &Rod {
+            actuators: rod.actuators.with_efforts(inputs),
+            ..rod.clone()
+        };
+        let shape = shape_near(rod, near, stop).map_err(|error| (row, error))?;
+        let found = AtRest {
+            jacobian: (wanted.jacobian)
+                .then(|| tip_jacobian(rod, &shape, inputs))
+                .flatten(),
+            is_stable: (wanted.stability)
+                .then(|| Stability::of(rod, &shape, 0.0).is_some_and(|own| own.is_stable)),
+            shape: shape.clone(),
+        };
+        Ok((shape, found))
+    })
+}
+
+/// Returns the derivatives of the tip's position along the inputs of a shape at rest; `None` where it is about to buckle.
+fn tip_jacobian(rod: &Rod, shape: &Configuration, inputs: &[f64]) -> Option<Vec<Vector3<f64>>> {
+    let lu = Tangent::stiffness(rod, shape, 0.0).factor()?;
+    let (x, r) = (&shape.positions, &shape.rotations);
+    let coordinates = rod.actuator_coordinates(x, r);
+    let pulls: Vec<Vec<Vector6<f64>>> = (0..inputs.len())
+        .map(|i| {
+            let mut unit = vec![0.0; inputs.len()];
+            unit[i] = rod.actuators.law(i, inputs[i], coordinates[i]).along_input;
+            let mut net = NodalForces::zeros(rod.n_nodes());
+            net.add_active(rod, x, r, &unit);
+            let mut pull = of_free_nodes(rod, &net);
+            rod.project_joints(&mut pull);
+            pull
+        })
+        .collect();
+    let tip = rod.tip() - rod.first_free_node();
+    let steps = lu.solve(&pulls);
+    Some(
+        steps
+            .iter()
+            .map(|step| step[tip].fixed_rows::<3>(0).into())
+            .collect(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cosserat::{
+        Density, Material, RodParameters, Route, Section, SectionProfile, StrainActuator, Winch,
+    };
+
+    fn arm(winches: bool) -> Rod {
+        let silicone = Material::isotropic(1e5, 0.4, 1070.0);
+        let tendon = |offset: [f64; 2]| StrainActuator {
+            name: String::new(),
+            density: Density::Shortening,
+            scale: 1.0,
+            route: Route::straight(offset),
+            effort: Vec::new(),
+            winch: winches.then_some(Winch {
+                compliance: 1e-2,
+                outside: 0.0,
+            }),
+            largest: 1.0,
+        };
+        Rod::new(&RodParameters {
+            gravity: Vector3::new(0.0, 0.0, 9.81),
+            actuators: vec![tendon([8e-3, 0.0]), tendon([-3e-3, 7e-3])],
+            ..RodParameters::straight(
+                0.3,
+                8,
+                SectionProfile::Uniform(Section::circle(&silicone, 0.01)),
+            )
+        })
+        .expect("a rod")
+    }
+
+    /// Rows have the shapes that searches of their own have, on any number of threads the same, and the derivatives of the tip are those of
+    /// differences of shapes: for tensions and for winches.
+    #[test]
+    fn rows_are_shapes_at_rest() {
+        for winches in [false, true] {
+            let rod = arm(winches);
+            let size = if winches { -0.01 } else { 0.5 };
+            let inputs: Vec<f64> = (0..60)
+                .flat_map(|row| {
+                    let phase = 0.1 * f64::from(row);
+                    [size * (1.2 + phase.sin()), size * (1.2 + phase.cos())]
+                })
+                .collect();
+            let wanted = Wanted {
+                jacobian: true,
+                stability: true,
+            };
+            let stop = StopSignal::default();
+            let found = shapes_at_rest(&rod, &inputs, wanted, 1, &stop).expect("shapes");
+            let again = shapes_at_rest(&rod, &inputs, wanted, 3, &stop).expect("shapes");
+            assert_eq!(found.len(), 60);
+            for (row, (own, other)) in found.iter().zip(&again).enumerate() {
+                assert_eq!(own.shape, other.shape);
+                assert_eq!(own.is_stable, Some(true));
+                if row % 20 != 0 {
+                    continue;
+                }
+                let inputs = &inputs[2 * row..2 * row + 2];
+                let tip = |inputs: &[f64]| {
+                    let found = shapes_at_rest(&rod, inputs, Wanted::default(), 1, &stop);
+                    found.expect("a shape")[0].shape.positions[rod.tip()]
+                };
+                assert!((tip(inputs) - own.shape.positions[rod.tip()]).norm() < 1e-9);
+                let slopes = own.jacobian.as_ref().expect("derivatives");
+                for (i, slope) in slopes.iter().enumerate() {
+                    let h = 1e-4 * size.abs();
+                    let moved = |sign: f64| {
+                        let mut inputs = inputs.to_vec();
+                        inputs[i] += sign * h;
+                        tip(&inputs)
+                    };
+                    let difference = (moved(1.0) - moved(-1.0)) / (2.0 * h);
+                    let apart = (difference - slope).norm();
+                    assert!(
+                        apart < 1e-5 * slope.norm(),
+                        "{winches} {row} {i}: {apart:e}"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,69 @@
+"""Shapes at rest under many inputs, and fits of tables of commands."""
+
+import numpy as np
+import pytest
+
+import softarm as sa
+
+TENDONS = {"time": {"end_s": 1.0}, "tendon": [{"name": "left", "offset_m": [0.008, 0.0]}, {"name": "front", "offset_m": [0.0, 0.008]}]}
+
+
+def scene(**more):
+    return sa.Scene(sa.arm(0.3, 0.01, 1e5, elements=8) | TENDONS | more)
+
+
+def test_shapes_are_equilibria_and_their_slopes_differences():
+    arm = scene()
+    assert arm.inputs == [("left", "N"), ("front", "N")]
+    angle = np.linspace(0, 2 * np.pi, 50, endpoint=False)
+    tensions = 0.3 * np.stack([1 + np.cos(angle), 1 + np.sin(angle)], axis=1)
+    found = arm.shapes(tensions, jacobian=True, stability=True)
+    assert found.x.shape == (50, 9, 3) and found.R.shape == (50, 9, 3, 3)
+    assert found.jacobian.shape == (50, 3, 2) and found.stable.all()
+    # The verb for statics refines its elements no further, and finds the same shape.
+    row = 17
+    keys = {f"tendon.{i}.pretension_n": float(tensions[row, i]) for i in range(2)}
+    shape = arm.replace(keys).equilibrium(points=2)
+    assert np.abs(shape.x[-1] - found.x[row]).max() < 1e-9
+    for i in range(2):
+        step = np.zeros(2)
+        step[i] = 1e-4
+        two = arm.shapes([tensions[row] + step, tensions[row] - step]).tips
+        assert np.allclose((two[0] - two[1]) / 2e-4, found.jacobian[row, :, i], rtol=1e-5, atol=1e-9)
+    again = arm.shapes({"left": tensions[:, 0], "front": tensions[:, 1]}, threads=1)
+    assert np.array_equal(again.x, found.x)
+    one = arm.shapes({"front": 0.2})
+    assert one.tips.shape == (1, 3) and one.jacobian is None and one.stable is None
+
+
+def test_inputs_that_do_not_fit_are_refused():
+    arm = scene()
+    with pytest.raises(ValueError, match=r"inputs has the shape \[4, 3\]; expected \[4, 2\]"):
+        arm.shapes(np.zeros((4, 3)))
+    with pytest.raises(ValueError, match="not_here"):
+        arm.shapes({"not_here": [0.0]})
+    with pytest.raises(ValueError, match="finite"):
+        arm.shapes([[0.0, np.nan]])
+    with pytest.raises(ValueError, match="no actuator"):
+        sa.Scene(sa.arm(0.3, 0.01, 1e5, elements=8) | {"time": {"end_s": 1.0}}).shapes(np.zeros((1, 0)))
+
+
+def test_a_table_of_shapes_is_fitted():
+    arm = scene()
+    truth = arm.replace({"rod.material.youngs_modulus_pa": 1.3e5})
+    tensions = np.random.default_rng(2).uniform(0.05, 0.5, (40, 2))
+    tips = truth.shapes(tensions).tips
+    columns = {"l": tensions[:, 0], "f": tensions[:, 1]} | dict(zip("xyz", tips.T))
+    data = {
+        "sigma_m": 1e-4,
+        "marker": [{"name": "tip", "at": 1.0}],
+        "table": [
+            {
+                "csv": columns,
+                "inputs": {"l": {"key": "tendon.0.pretension_n"}, "f": {"key": "tendon.1.pretension_n"}},
+                "positions": {"tip": {"columns": ["x", "y", "z"]}},
+            }
+        ],
+    }
+    result = arm.fit(data, free=["rod.material.youngs_modulus_pa"])
+    assert abs(result.summary["parameters"][0]["value"] / 1.3e5 - 1) < 1e-6
