@@ -24,7 +24,8 @@ pub trait Reach<S: Simd>: Turns<S> {
 /// Margin of a limit for rounding.
 pub const ROUNDING: f64 = 1e-12;
 
-/// Elements of the standard model whose ends are turned against each other by less than [`LEAST_MARGIN`](crate::lanes::tangent::LEAST_MARGIN) says.
+/// Elements of the standard model whose ends are turned against each other by less than
+/// [`LEAST_MARGIN`](crate::lanes::tangent::LEAST_MARGIN) says.
 impl<S: Simd> Reach<S> for MildTurn {
     const ALL: bool = false;
     const MARGIN: f64 = ROUNDING;
