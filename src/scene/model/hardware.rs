@@ -110,6 +110,7 @@ macro_rules! actuator {
             }
 
             /// Returns the section with these keys, and with those of its own in their order.
+            #[allow(clippy::too_many_arguments, reason = "a kind may have many keys of its own")]
             fn describing(common: Described, $($own: $Own,)* $($more: $More,)*) -> Self {
                 let Described { name, route, bounds, rate, lag_s, follows, rest, profile } = common;
                 Self {
