@@ -34,6 +34,9 @@ pub struct Minimum {
 /// Residuals at several points.
 pub type Residuals<E> = Vec<Result<DVector<f64>, E>>;
 
+/// Computes the derivatives of residuals at a point.
+pub type Derivatives<'a, E> = &'a dyn Fn(&[f64]) -> Result<DMatrix<f64>, E>;
+
 /// A problem of least squares in parameters of about one.
 pub struct Problem<'a, E> {
     /// Computes the residuals of several points at once.
@@ -41,7 +44,7 @@ pub struct Problem<'a, E> {
     /// Bounds of the parameters.
     pub bounds: Vec<[f64; 2]>,
     /// Computes the derivatives of the residuals at a point, if they are not to be differences.
-    pub jacobian: Option<&'a dyn Fn(&[f64]) -> Result<DMatrix<f64>, E>>,
+    pub jacobian: Option<Derivatives<'a, E>>,
     /// Groups of residuals, such as the coordinates of a place, which Huber's function weighs together; empty without robust loss.
     pub groups: Vec<std::ops::Range<usize>>,
 }

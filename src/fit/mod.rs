@@ -4,6 +4,7 @@
 mod assumed;
 mod data;
 mod explained;
+mod free;
 mod least_squares;
 mod report;
 mod resting;
@@ -15,8 +16,9 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 pub use self::assumed::Assumption;
 use self::assumed::{Assumed, Kind};
-use self::data::{Case, Data, Marker, Sight};
+use self::data::{Case, Marker, Sight};
 pub use self::explained::Explanation;
+use self::free::{Free, number, parameters, refuse_set};
 use self::least_squares::{Beside, Minimum, Problem};
 pub use self::report::FitSummary;
 use self::resting::Remembered;
@@ -150,275 +152,11 @@ pub fn fit(
     })
 }
 
-/// Refuses a key that is free and that a shape or recording sets, itself, in part, or as a part of a list or table: the fitted value would
-/// replace what was measured. Factors multiply what is set, and are not refused.
-fn refuse_set(parameters: &[Free], cases: &[Case]) -> Result<(), FitError> {
-    let parts = |path: &str| -> Vec<String> {
-        (path.split('.'))
-            .map(|part| part.trim().trim_matches(['"', '\'']).to_string())
-            .collect()
-    };
-    for own in parameters.iter().filter(|own| own.is_key()) {
-        let key = parts(&own.key);
-        for case in cases {
-            let set = case.set.iter().filter_map(|set| set.split_once('='));
-            let rows = case.rows().into_iter().flat_map(|rows| &rows.keys);
-            for path in set.map(|(path, _)| path).chain(rows.map(String::as_str)) {
-                let set = parts(path);
-                let shared = key.len().min(set.len());
-                if key[..shared] == set[..shared] {
-                    return Err(FitError::Data(format!(
-                        "{0} is free, and {1} sets {2}: the fit would replace what was measured; take {2} out of `set`, or fit a \
-                         factor of it: [[free]] with a name as its key and times = [\"{0}\"]",
-                        own.key,
-                        case.name,
-                        path.trim()
-                    )));
-                }
-            }
-        }
-    }
-    Ok(())
-}
-
-/// A number that is fitted.
-struct Free {
-    key: String,
-    /// Paths of the numbers that it multiplies.
-    times: Vec<String>,
-    /// Paths of the numbers to which it is added.
-    plus: Vec<String>,
-    /// Marker and axis whose offset it is.
-    marker: Option<(usize, usize)>,
-    start: f64,
-    /// Unit of the search.
-    scale: f64,
-    bounds: [f64; 2],
-    prior: Option<[f64; 2]>,
-}
-
-impl Free {
-    /// Returns the number of this key, as the data describe it; `own` are the entries of the scene, and `tables` those of the cases.
-    fn of(
-        key: &str,
-        data: &Data,
-        own: &toml::Table,
-        (tables, cases): (&[toml::Table], &[Case]),
-    ) -> Result<Self, FitError> {
-        let refuse = |words: String| Err(FitError::Data(words));
-        let described = data.free.iter().find(|free| free.key == key);
-        let times = described.map_or(&[][..], |free| &free.times);
-        let plus = described.map_or(&[][..], |free| &free.plus);
-        if !times.is_empty() && !plus.is_empty() {
-            return refuse(format!("{key} has times and plus: give a number for each"));
-        }
-        let is_set = |path: &String| {
-            let rows = cases.iter().filter_map(Case::rows);
-            rows.flat_map(|rows| &rows.keys).any(|key| key == path)
-        };
-        for path in times.iter().chain(plus) {
-            let mut tables = tables.iter().chain([own]);
-            if !is_set(path) && !tables.any(|table| number(table, path).is_some()) {
-                let relation = if plus.is_empty() {
-                    "of which {key} is a factor"
-                } else {
-                    "to which {key} is added"
-                };
-                let relation = relation.replace("{key}", key);
-                return refuse(format!("{path}, {relation}, has no number in this scene"));
-            }
-        }
-        let marker = marker_axis(key, &data.marker)?;
-        let given = described
-            .and_then(|free| free.start)
-            .or_else(|| match marker {
-                Some((marker, axis)) => Some(data.marker[marker].offset_m[axis]),
-                None if !times.is_empty() => Some(1.0),
-                None if !plus.is_empty() => Some(0.0),
-                None => number(own, key),
-            });
-        let Some(start) = given else {
-            return refuse(format!(
-                "{key} has no number in this scene; give the key of a number, or its start in [[free]] of the data"
-            ));
-        };
-        let part = |of: fn(&data::Free) -> Option<f64>| described.and_then(of);
-        let is_positive = start > 0.0 && marker.is_none() && plus.is_empty();
-        let bounds = [
-            part(|free| free.lower).unwrap_or(if is_positive {
-                1e-3 * start
-            } else {
-                f64::NEG_INFINITY
-            }),
-            part(|free| free.upper).unwrap_or(if is_positive {
-                1e3 * start
-            } else {
-                f64::INFINITY
-            }),
-        ];
-        let prior = match [part(|free| free.prior), part(|free| free.prior_sigma)] {
-            [Some(prior), Some(sigma)] if sigma > 0.0 && (prior + sigma).is_finite() => {
-                Some([prior, sigma])
-            }
-            [None, None] => None,
-            _ => {
-                return refuse(format!(
-                    "{key}: a prior has a value and a standard deviation above 0, prior and prior_sigma"
-                ));
-            }
-        };
-        let width = bounds[1] - bounds[0];
-        let length = number(own, "rod.length_m").unwrap_or(1.0);
-        let of_rows = (plus.iter())
-            .map(|path| largest_input(cases, path))
-            .fold(0.0, f64::max);
-        let scale = if marker.is_some() {
-            start.abs().max(OFFSET * length)
-        } else if start != 0.0 {
-            start.abs()
-        } else if of_rows > 0.0 {
-            of_rows
-        } else if let Some([_, sigma]) = prior {
-            sigma
-        } else if width.is_finite() {
-            width
-        } else {
-            1.0
-        };
-        Ok(Self {
-            key: key.into(),
-            times: times.to_vec(),
-            plus: plus.to_vec(),
-            marker,
-            start,
-            scale,
-            bounds,
-            prior,
-        })
-    }
-
-    /// Returns the dotted paths of its key and of the numbers that it multiplies, or to which it is added.
-    fn paths(&self) -> Vec<String> {
-        let sums = self.plus.iter().map(|path| format!("{path} plus"));
-        let own = [&[self.key.clone()][..], &self.times].concat();
-        own.into_iter().chain(sums).collect()
-    }
-
-    /// Returns the paths of the numbers that it multiplies, or to which it is added.
-    fn related(&self) -> impl Iterator<Item = &String> {
-        self.times.iter().chain(&self.plus)
-    }
-
-    /// Tells whether it is the number at its key in the scene.
-    fn is_key(&self) -> bool {
-        self.related().next().is_none() && self.marker.is_none()
-    }
-
-    fn scaled_bounds(&self) -> [f64; 2] {
-        self.bounds.map(|bound| bound / self.scale)
-    }
-}
-
-/// Scale of an offset of a marker in the search, as a part of the length of the arm.
-const OFFSET: f64 = 1e-2;
-
-/// Returns the marker and the axis of a key as `marker.tip.offset_m.2`.
-///
-/// # Errors
-/// Returns [`FitError`] for another marker, or another number of it.
-fn marker_axis(key: &str, markers: &[Marker]) -> Result<Option<(usize, usize)>, FitError> {
-    let Some(path) = key.strip_prefix("marker.") else {
-        return Ok(None);
-    };
-    let found = path.split_once(".offset_m.").and_then(|(name, axis)| {
-        let marker = markers.iter().position(|own| own.name == name)?;
-        Some((marker, axis.parse().ok().filter(|axis: &usize| *axis < 3)?))
-    });
-    match found {
-        Some(found) => Ok(Some(found)),
-        None => Err(FitError::Data(format!(
-            "{key}: expected marker.NAME.offset_m.0, .1 or .2, with the name of a marker"
-        ))),
-    }
-}
-
-/// Returns the size of the largest command of a key in tables.
-fn largest_input(cases: &[Case], key: &str) -> f64 {
-    let mut largest = 0.0f64;
-    for rows in cases.iter().filter_map(Case::rows) {
-        for (index, _) in rows.keys.iter().enumerate().filter(|(_, own)| *own == key) {
-            let column = (0..rows.len()).map(|row| rows.row(row)[index].abs());
-            largest = column.fold(largest, f64::max);
-        }
-    }
-    largest
-}
-
 /// Returns the entries of a resolved scene.
 fn entries(source: &SceneSource, set: &[String]) -> Result<toml::Table, FitError> {
     let overrides = [&source.overrides[..], set].concat();
     let (scene, _) = Scene::from_toml(&source.name, &source.text, &overrides)?;
     toml::from_str(&scene.to_toml()).map_err(|error| FitError::Data(error.to_string()))
-}
-
-/// Returns the numbers that are fitted, with their starts; `own` are the entries of the scene, and `tables` those of the cases.
-fn parameters(
-    own: &toml::Table,
-    cases: (&[toml::Table], &[Case]),
-    data: &Data,
-    options: &FitOptions,
-) -> Result<Vec<Free>, FitError> {
-    let refuse = |words: String| Err(FitError::Data(words));
-    let mut keys: Vec<&str> = options.free.iter().map(String::as_str).collect();
-    for free in &data.free {
-        if !keys.contains(&free.key.as_str()) {
-            keys.push(&free.key);
-        }
-    }
-    if keys.is_empty() {
-        return refuse(
-            "nothing is free: name keys by --free, as rod.material.youngs_modulus_pa".into(),
-        );
-    }
-    let mut out: Vec<Free> = Vec::new();
-    for key in keys {
-        let free = Free::of(key, data, own, cases)?;
-        let taken: Vec<String> = out.iter().flat_map(Free::paths).collect();
-        let new = free.paths();
-        if let Some(path) = (new.iter().enumerate())
-            .find(|(i, path)| taken.contains(path) || new[..*i].contains(path))
-            .map(|(_, path)| path)
-        {
-            return refuse(format!("{path} is free twice"));
-        }
-        let (start, bounds) = (free.start, free.bounds);
-        if !(start.is_finite() && bounds[0] <= start && start <= bounds[1] && bounds[0] < bounds[1])
-        {
-            return refuse(format!(
-                "{key} starts at {start}, outside of its bounds {bounds:?}"
-            ));
-        }
-        out.push(free);
-    }
-    Ok(out)
-}
-
-/// Returns the number at a dotted path.
-fn number(table: &toml::Table, key: &str) -> Option<f64> {
-    let mut parts = key.split('.');
-    let mut value = table.get(parts.next()?)?;
-    for part in parts {
-        value = match value {
-            toml::Value::Table(table) => table.get(part)?,
-            toml::Value::Array(items) => items.get(part.parse::<usize>().ok()?)?,
-            _ => return None,
-        };
-    }
-    match value {
-        toml::Value::Float(number) => Some(*number),
-        toml::Value::Integer(number) => Some(*number as f64),
-        _ => None,
-    }
 }
 
 /// Standard deviations of the noise.

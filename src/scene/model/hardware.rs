@@ -1,8 +1,12 @@
 //! Actuators that are built into the arm: tendons, chambers, muscles.
 
+mod describing;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use self::describing::Described;
+pub(in crate::scene) use self::describing::describe_hardware;
 use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Fraction, NonNegative, Positive, digits, known};
 use super::Scene;
@@ -106,6 +110,7 @@ macro_rules! actuator {
             }
 
             /// Returns the section with these keys, and with those of its own in their order.
+            #[allow(clippy::too_many_arguments, reason = "a kind may have many keys of its own")]
             fn describing(common: Described, $($own: $Own,)* $($more: $More,)*) -> Self {
                 let Described { name, route, bounds, rate, lag_s, follows, rest, profile } = common;
                 Self {
@@ -763,96 +768,4 @@ impl Keys<'_> {
         }
         Ok(())
     }
-}
-
-/// The keys of an actuator that all kinds share, as they describe it.
-struct Described {
-    name: Option<String>,
-    route: Route,
-    bounds: Option<[f64; 2]>,
-    rate: Option<RateBound>,
-    lag_s: Option<Positive<values::Time>>,
-    follows: Option<FollowKeys>,
-    rest: f64,
-    profile: Option<Vec<[f64; 2]>>,
-}
-
-impl Described {
-    /// Returns the keys of the actuator with an index; `None` for one that no scene has.
-    fn of(actuators: &[StrainActuator], index: usize, efforts: &[EffortControl]) -> Option<Self> {
-        let own = &actuators[index];
-        let control = efforts.iter().find(|control| control.actuator == index);
-        if control.is_some_and(|control| control.scale.is_some()) {
-            return None;
-        }
-        let follows = match control.and_then(|control| control.follows) {
-            None => None,
-            Some(Follows { actuator, gain }) => Some(FollowKeys {
-                name: actuators.get(actuator)?.name.clone(),
-                gain,
-            }),
-        };
-        let rows = own.effort.iter().map(|&(t, effort)| [t, effort]);
-        // A given displacement has a profile even if it is constant.
-        let is_winch = own.winch.is_some();
-        let is_displacement = is_winch && control.is_none();
-        let has_profile = is_displacement || !is_winch && own.effort.len() > 1;
-        let rest = match own.effort[..] {
-            [(_, only)] if !is_displacement => only,
-            _ => 0.0,
-        };
-        Some(Self {
-            name: Some(own.name.clone()).filter(|name| !name.is_empty()),
-            route: own.route,
-            bounds: control.map(|control| control.bounds),
-            rate: control.and_then(|control| control.rate.map(RateBound::Each)),
-            lag_s: control.and_then(|control| control.lag).map(known),
-            follows,
-            rest,
-            profile: has_profile.then(|| rows.collect()),
-        })
-    }
-}
-
-/// Writes the keys of the actuators of an arm, with the efforts that are controls, to a scene; `None` for an actuator that no scene has, or in
-/// another order than that of [`SECTIONS`].
-pub(in crate::scene) fn describe_hardware(
-    actuators: &[StrainActuator],
-    efforts: &[EffortControl],
-    out: &mut Scene,
-) -> Option<()> {
-    let mut order = Vec::new();
-    for (index, own) in actuators.iter().enumerate() {
-        let common = Described::of(actuators, index, efforts)?;
-        order.push(match own.density {
-            Density::Shortening | Density::Threaded { .. } => {
-                let zero = known(0.0);
-                let spacing = match own.density {
-                    Density::Threaded { spacing } => known(spacing),
-                    _ => known(0.0),
-                };
-                let tendon = Tendon::describing(common, None, None, 0.0, None, None, zero, spacing);
-                out.tendon.push(match own.winch {
-                    Some(winch) => tendon.put_on(winch),
-                    None => tendon,
-                });
-                "tendon"
-            }
-            Density::Volume => {
-                (out.chamber).push(Chamber::describing(common, known(own.scale)));
-                "chamber"
-            }
-            Density::Muscle => {
-                (out.muscle).push(Muscle::describing(common, known(1.0), known(own.scale)));
-                "muscle"
-            }
-            Density::Braid { fibre, turns } if own.scale == 1.0 => {
-                (out.braid).push(Braid::describing(common, known(fibre), turns));
-                "braid"
-            }
-            Density::Lengthening | Density::Braid { .. } => return None,
-        });
-    }
-    let place = |own: &&str| SECTIONS.iter().position(|section| section == own);
-    order.is_sorted_by_key(place).then_some(())
 }

@@ -1,7 +1,9 @@
 //! The linearization of consecutive time nodes: the standard model in vector instructions, one time node in each lane, and a time node by
 //! itself where the section thins or an element is bent by more than vectors take.
 
+mod reach;
 mod solved;
+mod workspace;
 
 use std::marker::PhantomData;
 use std::ops::RangeInclusive;
@@ -9,8 +11,10 @@ use std::ops::RangeInclusive;
 use nalgebra::{SVector, Vector3};
 use pulp::{Arch, Scalar, Simd, WithSimd};
 
-use self::solved::SolveRows;
+use self::reach::ROUNDING;
+pub(super) use self::reach::Reach;
 pub(super) use self::solved::{Weights, element_at};
+pub(super) use self::workspace::{MULTIPLIER_ROWS, Workspace, matrix, scatter, store, store_block};
 use super::active::{ActiveTimes, MixedSlopes};
 use super::along::Along;
 use super::dilated::element_drifts;
@@ -18,21 +22,20 @@ use super::step::{
     ActingKick, LinearizedStep, NodeDrift, ResistedDrift, StepCurvature, WinchKick, add_reordered,
     pack_loads, square,
 };
-use crate::buffer::Buffer;
 use crate::curvature::{
     InertiaCurvature, IntervalCurvature, Multipliers, StressCurvature, active_curvature,
     element_curvature, load_curvatures,
 };
 use crate::lanes::tangent::{
-    LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to, inertia_curvature, put_pose,
+    LEAST_MARGIN, NodePose, POSE_ROWS, drift, drift_to, inertia_curvature,
 };
 use crate::lanes::vector::{Lanes, Mat3, Row, Vec3, rows};
 use crate::lanes::{CountLanes, dispatch};
 use crate::linearization::{Kick, Motion, acting_derivatives, load_derivatives};
 use cosserat::configuration::Trajectory;
 use cosserat::element::{
-    AnyTurn, Blocks, Displacement, Element, ElementPose, ElementStiffness, Helical, MildTurn,
-    RodModel, StrainRule, TangentRule, Trapezoidal, Turns,
+    AnyTurn, Blocks, Displacement, ElementStiffness, Helical, MildTurn, RodModel, StrainRule,
+    TangentRule, Trapezoidal,
 };
 use cosserat::guards::not_finite;
 use cosserat::inertia::InertiaRule;
@@ -315,171 +318,6 @@ fn kick(motion: &Motion, stretch: &RangeInclusive<usize>, k: usize) -> Kick {
 /// The vectors know the standard model.
 pub(super) fn is_possible(motion: &Motion) -> bool {
     motion.rod.model == RodModel::Standard
-}
-
-/// Elements that a linearization takes apart.
-pub(super) trait Reach<S: Simd>: Turns<S> {
-    /// Tells whether the linearization takes all elements: bent by any angle, of sections that thin.
-    const ALL: bool;
-    /// Margin to the quarter turn of a node; within it a time node is linearized by itself.
-    const MARGIN: f64;
-
-    /// The gradient `(F, M_a, M_b)` of an element's energy.
-    fn gradient<R: TangentRule>(
-        element: &Element,
-        dx: Vec3<S>,
-        a: Mat3<S>,
-        b: Mat3<S>,
-    ) -> [Vec3<S>; 3];
-}
-
-/// Elements of the standard model whose ends are turned against each other by less than [`LEAST_MARGIN`] says.
-impl<S: Simd> Reach<S> for MildTurn {
-    const ALL: bool = false;
-    const MARGIN: f64 = ROUNDING;
-
-    #[inline(always)]
-    fn gradient<R: TangentRule>(
-        element: &Element,
-        dx: Vec3<S>,
-        a: Mat3<S>,
-        b: Mat3<S>,
-    ) -> [Vec3<S>; 3] {
-        R::gradient(element, dx, a, b)
-    }
-}
-
-impl Reach<Scalar> for AnyTurn {
-    const ALL: bool = true;
-    const MARGIN: f64 = 0.0;
-
-    fn gradient<R: TangentRule>(
-        element: &Element,
-        dx: Vec3<Scalar>,
-        a: Mat3<Scalar>,
-        b: Mat3<Scalar>,
-    ) -> [Vec3<Scalar>; 3] {
-        let gradient = element.gradient_by::<R>(&ElementPose {
-            dx: dx.vector(),
-            rotation_a: &a.matrix(),
-            rotation_b: &b.matrix(),
-        });
-        [gradient.force, gradient.moment_a, gradient.moment_b].map(|v| Vec3::splat(Scalar, &v))
-    }
-}
-
-/// Data of a group of time nodes, a number in each lane.
-#[derive(Debug)]
-pub(super) struct Workspace {
-    /// [`POSE_ROWS`] of every node, and those a step later.
-    pub poses: Buffer,
-    pub next: Buffer,
-    /// Poses a step earlier, of steps that are solved for.
-    pub before: Buffer,
-    /// Data of steps that are solved for.
-    pub solve: Option<SolveRows>,
-    /// [`MULTIPLIER_ROWS`] of every node.
-    pub multipliers: Buffer,
-    /// Weights of the kicks.
-    weights: Buffer,
-    /// Results on their way to the time nodes.
-    pub out: Buffer,
-    /// Curvature of the interval after each of the time nodes.
-    pub intervals: Vec<IntervalCurvature>,
-    /// Inertia of every node where the interval after the one time node starts and where it ends, if it is not that at rest.
-    pub rotary: Option<[Vec<Vector3<f64>>; 2]>,
-    /// Efforts of the actuators, if the rod has any.
-    pub active: Option<ActiveTimes>,
-}
-
-/// `λx` and `λr` times the kick's weight, and for the interval that follows `λr` and the `μr` where it ends, then `λx` and `μx`.
-pub(super) const MULTIPLIER_ROWS: usize = 18;
-/// Number of rows of three 6×6 matrices, the largest result that is on its way at once.
-const OUT_ROWS: usize = 108;
-
-impl Workspace {
-    pub fn new(motion: &Motion, n_lanes: usize) -> Self {
-        let n_nodes = motion.rod.n_nodes();
-        let solve = SolveRows::of(motion, n_lanes);
-        let poses = || Buffer::zeros(n_nodes * POSE_ROWS * n_lanes);
-        Self {
-            poses: poses(),
-            next: poses(),
-            before: if solve.is_some() {
-                poses()
-            } else {
-                Buffer::zeros(0)
-            },
-            solve,
-            multipliers: Buffer::zeros(n_nodes * MULTIPLIER_ROWS * n_lanes),
-            weights: Buffer::zeros(n_lanes),
-            out: Buffer::zeros(OUT_ROWS * n_lanes),
-            intervals: vec![IntervalCurvature::default(); n_lanes],
-            rotary: None,
-            active: ActiveTimes::of(motion, n_lanes),
-        }
-    }
-
-    /// Inertia of a node where the interval starts and where it ends, kg m².
-    pub fn rotary<'a>(&'a self, rod: &'a Rod, node: usize) -> [&'a Vector3<f64>; 2] {
-        match &self.rotary {
-            Some([leaving, arriving]) => [&leaving[node], &arriving[node]],
-            None => [&rod.nodes[node].rotary; 2],
-        }
-    }
-
-    /// The poses of the time nodes from `first` to `last` on, one in each lane, and of those before and after; lanes that are left get
-    /// those of the last. Before the first and after the last of the trajectory there are no others.
-    pub fn put_poses(
-        &mut self,
-        trajectory: &Trajectory,
-        first: usize,
-        last: usize,
-        n_lanes: usize,
-    ) {
-        let end = trajectory.n_times() - 1;
-        for lane in 0..n_lanes {
-            put_time_node(
-                &mut self.poses,
-                trajectory,
-                (first + lane).min(last),
-                lane,
-                n_lanes,
-            );
-        }
-        // The neighbors are those of the next lane and of the lane before, but for one.
-        let n = self.poses.len();
-        self.next[..n - 1].copy_from_slice(&self.poses[1..]);
-        let next = (last + 1).min(end);
-        for lane in [last - first, n_lanes - 1] {
-            put_time_node(&mut self.next, trajectory, next, lane, n_lanes);
-        }
-        if !self.before.is_empty() {
-            self.before[1..].copy_from_slice(&self.poses[..n - 1]);
-            put_time_node(
-                &mut self.before,
-                trajectory,
-                first.saturating_sub(1),
-                0,
-                n_lanes,
-            );
-        }
-    }
-}
-
-/// The pose of every node at time node `k`, to one lane.
-fn put_time_node(
-    poses: &mut [f64],
-    trajectory: &Trajectory,
-    k: usize,
-    lane: usize,
-    n_lanes: usize,
-) {
-    let positions = trajectory.positions_at(k);
-    let rotations = trajectory.rotations_at(k);
-    for (node, rows) in poses.chunks_exact_mut(POSE_ROWS * n_lanes).enumerate() {
-        put_pose(rows, n_lanes, lane, &positions[node], &rotations[node]);
-    }
 }
 
 /// Time nodes that are linearized together, one in each lane; the last one also fills lanes that are left.
@@ -937,41 +775,5 @@ impl Group<'_> {
             }
         }
         irregular
-    }
-}
-
-/// Margin of a limit for rounding.
-pub(super) const ROUNDING: f64 = 1e-12;
-
-/// Nine rows from row `at` on.
-#[inline(always)]
-pub(super) fn store<S: Simd>(out: &mut [f64], at: usize, m: Mat3<S>) {
-    let out: &mut [Row<S>] = S::as_mut_simd_f64s(out).0;
-    for (i, row) in m.rows.into_iter().enumerate() {
-        row.store(out, at + 3 * i);
-    }
-}
-
-/// Block `(i, j)` of a 9×9 matrix in 81 rows.
-#[inline(always)]
-pub(super) fn store_block<S: Simd>(out: &mut [f64], i: usize, j: usize, m: Mat3<S>) {
-    let out: &mut [Row<S>] = S::as_mut_simd_f64s(out).0;
-    for (row, values) in m.rows.into_iter().enumerate() {
-        values.store(out, 9 * (3 * i + row) + 3 * j);
-    }
-}
-
-/// One lane of nine rows.
-#[inline(always)]
-pub(super) fn matrix<S: Simd>(out: &[f64], at: usize, lane: usize) -> [[f64; 3]; 3] {
-    std::array::from_fn(|i| std::array::from_fn(|j| out[(at + 3 * i + j) * S::F64_LANES + lane]))
-}
-
-/// One lane of 81 rows.
-#[inline(always)]
-pub(super) fn scatter<S: Simd>(out: &[f64], lane: usize, target: &mut [[f64; 9]; 9]) {
-    let rows = out.chunks_exact(S::F64_LANES);
-    for (target, row) in target.as_flattened_mut().iter_mut().zip(rows) {
-        *target = row[lane];
     }
 }

@@ -18,9 +18,12 @@
 
 pub mod chain;
 mod coupling;
+mod equations;
 mod instant;
+mod moving;
 mod resisted;
 mod step;
+mod trial;
 mod winches;
 
 use std::marker::PhantomData;
@@ -30,11 +33,10 @@ use pulp::Arch;
 
 use self::chain::Chain;
 pub use self::coupling::SolvedRule;
+use self::equations::{EQUATION_ROWS, RATE_ROWS};
 use self::instant::{INSTANT_ROWS, Settle};
-use self::step::{
-    EQUATION_ROWS, ORDERS, Outcome, PUSHED, RATE_ROWS, RESIDUAL, SPUN, SolvedStep, TRIAL_ROWS,
-    TURNED,
-};
+use self::step::{ORDERS, Outcome, SolvedStep};
+use self::trial::{PUSHED, RESIDUAL, SPUN, TRIAL_ROWS, TURNED};
 use self::winches::{WinchFactors, Winches};
 use super::constants::Constants;
 use super::place::Slots;

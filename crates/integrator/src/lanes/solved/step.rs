@@ -2,55 +2,33 @@
 
 use std::marker::PhantomData;
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::Vector3;
 use pulp::{Simd, WithSimd};
 
 use super::Solver;
-use super::chain::{Blocks, SIZE, Square, ZERO};
+use super::chain::SIZE;
 use super::coupling::{ActiveCoupling, SolvedRule};
+use super::equations::{EQUATION_ROWS, Equations, RATE_ROWS, RESISTED, SPIN};
 use super::instant::{
     INSTANT_ROWS, STRAINED, elastic_stress, framed, instant, interval_stress, next_lane, pose,
 };
-use super::resisted::{self, Resisted};
+use super::moving::Moving;
+use super::resisted::Resisted;
+use super::trial::{
+    CORRECTION, MOVED, PUSHED, RESIDUAL, SPUN, Sizes, TRIAL_ROWS, TURNED, Trial, trial_poses,
+};
 use super::winches::Winches;
 use crate::lanes::active::{ActiveBlocks, ActiveLanes};
 use crate::lanes::base::HeldEnd;
 use crate::lanes::element::{Chord, STRESS_ROWS, fold};
-use crate::lanes::place::Slots;
 use crate::lanes::rule::{Pull, pressed};
 use crate::lanes::sweep::{
     ANGULAR_MOMENTUM, FORCE, LINEAR_MOMENTUM, MOMENT, NODE_ROWS, POSITION, ROTATION, STATE_ROWS,
     WEIGHT,
 };
-use crate::lanes::vector::{
-    Frame, Lanes, Mat3, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows,
-};
-use cosserat::configuration::Configuration;
-use cosserat::ends::Joint;
+use crate::lanes::vector::{Frame, Lanes, Quaternion, Row, Vec3, blocks, blocks_mut, row, rows};
 use cosserat::part::apart;
-use cosserat::rotation::from_quaternion;
-use cosserat::rotation_step::{momentum, momentum_slope, spin_inertia};
 use cosserat::time::TimeScheme;
-
-/// Rows of a block of nodes on their way through a step; the pose at its end comes first.
-pub const TRIAL_ROWS: usize = 31;
-const MOVED: usize = 7;
-/// Cayley vector.
-pub const TURNED: usize = 10;
-/// Momenta after the kick of everything but the stress of the interval.
-pub const PUSHED: usize = 13;
-pub const SPUN: usize = 16;
-/// Residual of the equations; the linear part in the frame of the node at the start of the interval.
-pub const RESIDUAL: usize = 19;
-const CORRECTION: usize = 25;
-
-/// Rows of [`Solver::rates`]: `m/h`, and `J/h`.
-pub const RATE_ROWS: usize = 4;
-
-/// Rows of the matrix: four blocks of an element, row by row, the spin inertia of a node, and what resists it.
-pub const EQUATION_ROWS: usize = RESISTED + resisted::SLOPE_ROWS;
-const SPIN: usize = 4 * 36;
-const RESISTED: usize = SPIN + 9;
 
 /// Backward differences that are kept: the extrapolation is exact for polynomials of one degree less.
 pub const ORDERS: usize = 6;
@@ -175,42 +153,6 @@ fn active_blocks<'a, S: Simd>(
         None => active.blocks(),
         Some(winches) => active.under(&winches.efforts),
     })
-}
-
-/// Returns the poses of all nodes in the first seven rows of a buffer of trials.
-fn trial_poses(slots: Slots, trial: &[f64], n_nodes: usize) -> Configuration {
-    let (positions, rotations) = (0..n_nodes)
-        .map(|node| {
-            let at = slots.index(slots.place(node), TRIAL_ROWS, 0);
-            let [x, y, z, rotation @ ..] =
-                std::array::from_fn::<f64, 7, _>(|i| trial[at + i * slots.n_lanes]);
-            (Vector3::new(x, y, z), from_quaternion(rotation))
-        })
-        .unzip();
-    Configuration {
-        positions,
-        rotations,
-    }
-}
-
-/// Largest squares over the nodes that move.
-#[derive(Clone, Copy)]
-struct Sizes {
-    linear: f64,
-    angular: f64,
-    distance: f64,
-}
-
-/// Residual and momenta at a trial of the end of the step.
-struct Trial {
-    /// Largest squares of the residual.
-    linear: f64,
-    angular: f64,
-    /// Largest squares of the momenta of the interval.
-    moving: f64,
-    spinning: f64,
-    finite: bool,
-    unfolded: bool,
 }
 
 impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
@@ -840,155 +782,4 @@ const LARGEST_TURN: f64 = 4.0 * (1.0 - f64::EPSILON);
 #[inline(always)]
 fn of_free<S: Simd>(rate: Lanes<S>, value: Lanes<S>) -> Lanes<S> {
     rate.select_below(f64::MIN_POSITIVE, Lanes::splat(rate.simd, 0.0), value)
-}
-
-/// A node's motion during the step.
-#[derive(Clone, Copy)]
-struct Moving<S: Simd> {
-    moved: Vec3<S>,
-    turned: Vec3<S>,
-    mass_rate: Lanes<S>,
-    spin_rate: Vec3<S>,
-    /// `1/sqrt(1 + |f|²/4)`
-    cosine: Lanes<S>,
-}
-
-impl<S: Simd> Moving<S> {
-    #[inline(always)]
-    fn load(simd: S, trial: &[Row<S>], rates: &[Row<S>]) -> Self {
-        let turned = Vec3::load(simd, trial, TURNED);
-        let alpha = turned.dot(turned) * 0.25 + 1.0;
-        Self {
-            moved: Vec3::load(simd, trial, MOVED),
-            turned,
-            mass_rate: row(simd, rates, 0),
-            spin_rate: Vec3::load(simd, rates, 1),
-            cosine: Lanes::splat(simd, 1.0) / alpha.sqrt(),
-        }
-    }
-
-    #[inline(always)]
-    fn turn(&self) -> Quaternion<S> {
-        Quaternion {
-            w: self.cosine,
-            v: self.turned * (self.cosine * 0.5),
-        }
-    }
-
-    #[inline(always)]
-    fn linear(&self) -> Vec3<S> {
-        self.moved * self.mass_rate
-    }
-
-    #[inline(always)]
-    fn inverse_alpha(&self) -> Lanes<S> {
-        self.cosine * self.cosine
-    }
-
-    /// Angular momentum before the step.
-    #[inline(always)]
-    fn angular(&self) -> Vec3<S> {
-        momentum(self.spin_rate, self.turned, self.inverse_alpha(), 1.0)
-    }
-
-    #[inline(always)]
-    fn spin_inertia(&self) -> Mat3<S> {
-        let (rate, f, inverse_alpha) = (self.spin_rate, self.turned, self.inverse_alpha());
-        let slope = momentum_slope(rate, f, inverse_alpha, self.angular(), 1.0);
-        spin_inertia(slope, f)
-    }
-}
-
-/// The matrix of a step, from the rows of nodes and elements.
-struct Equations<'a> {
-    slots: Slots,
-    first: usize,
-    rows: &'a [f64],
-    rates: &'a [f64],
-    ends: &'a [HeldEnd],
-}
-
-impl Equations<'_> {
-    /// A block of the element to the right of a node, added to a square.
-    #[inline(always)]
-    fn add(&self, q: usize, block: usize, out: &mut Square) {
-        let place = self.slots.place(q);
-        let at = self.slots.index(place, EQUATION_ROWS, 36 * block);
-        let numbers = &self.rows[at..][..35 * self.slots.n_lanes + 1];
-        for (column, entries) in out.iter_mut().enumerate() {
-            for (row, entry) in entries.0.iter_mut().enumerate().take(SIZE) {
-                *entry += numbers[(SIZE * row + column) * self.slots.n_lanes];
-            }
-        }
-    }
-}
-
-impl Equations<'_> {
-    /// Replaces the equations of motions that are held in a block of two nodes: they are unit equations, and nothing else depends on them.
-    #[inline(always)]
-    fn hold(&self, block: &mut Square, row: usize, column: usize) {
-        for HeldEnd { joint, .. } in self.ends {
-            if joint.node == row || joint.node == column {
-                hold(block, joint, row, column);
-            }
-        }
-    }
-}
-
-/// `P A`, `A P`, or on the diagonal `P A P + 1 - P`, with the projection onto the free motions of a joint.
-#[cold]
-#[inline(never)]
-fn hold(block: &mut Square, joint: &Joint, row: usize, column: usize) {
-    let p = joint.projection();
-    let mut a = Matrix6::from_fn(|i, j| block[j].0[i]);
-    if joint.node == row {
-        a = p * a;
-    }
-    if joint.node == column {
-        a *= p;
-    }
-    if row == column {
-        a += Matrix6::identity() - p;
-    }
-    for (j, column) in block.iter_mut().enumerate() {
-        for (i, entry) in column.0.iter_mut().enumerate().take(SIZE) {
-            *entry = a[(i, j)];
-        }
-    }
-}
-
-impl Blocks for Equations<'_> {
-    #[inline(always)]
-    fn diagonal(&self, i: usize) -> Square {
-        let mut out = ZERO;
-        let q = self.first + i;
-        let place = self.slots.place(q);
-        let mass_rate = self.rates[self.slots.index(place, RATE_ROWS, 0)];
-        let spin = self.slots.index(place, EQUATION_ROWS, SPIN);
-        let resisted = self.slots.index(place, EQUATION_ROWS, RESISTED);
-        let slope = resisted::slope(&self.rows[resisted..], self.slots.n_lanes);
-        for i in 0..3 {
-            out[i].0[i] = mass_rate;
-            for j in 0..3 {
-                out[j].0[i] += slope[i][j];
-                out[3 + j].0[3 + i] = self.rows[spin + (3 * i + j) * self.slots.n_lanes];
-            }
-        }
-        // Where there is no element, there is no stiffness.
-        self.add(q, 0, &mut out);
-        if q > 0 {
-            self.add(q - 1, 3, &mut out);
-        }
-        self.hold(&mut out, q, q);
-        out
-    }
-
-    #[inline(always)]
-    fn beside(&self, i: usize, j: usize) -> Square {
-        let mut out = ZERO;
-        let (block, q) = if i < j { (1, i) } else { (2, j) };
-        self.add(self.first + q, block, &mut out);
-        self.hold(&mut out, self.first + i, self.first + j);
-        out
-    }
 }
