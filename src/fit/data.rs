@@ -120,6 +120,9 @@ pub struct InputColumn {
     /// Factor from the numbers of the column to the unit of the key.
     #[serde(default = "one")]
     pub times: f64,
+    /// Value of the key where the column has zero.
+    #[serde(default)]
+    pub plus: f64,
 }
 
 /// Three columns of the position of a marker.
@@ -496,7 +499,7 @@ impl File<'_> {
                 continue;
             };
             for (index, input) in &inputs {
-                rows.inputs.push(number(*index)? * input.times);
+                rows.inputs.push(number(*index)? * input.times + input.plus);
             }
             let time = rows.lines.len() as f64;
             rows.lines.push(line);
