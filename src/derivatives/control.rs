@@ -313,10 +313,7 @@ fn actuator_block(problem: &OptimalControlProblem, index: usize, rng: &mut Rng) 
     let actuator = &*acting.actuator;
     let nodes = actuator.nodes(rod);
     let n = 6 * nodes.len();
-    let scale = |place: &usize| {
-        let carrier = &problem.actuators[acting.first + place / 6];
-        [&carrier.force, &carrier.moment][place % 6 / 3].scale
-    };
+    let scale = |place: &usize| problem.channel_of_input(*place).scale;
     let scales: Vec<f64> = acting.places.iter().map(scale).collect();
     let jacobian = |at: &StateView, u: &[f64]| {
         let configuration = actuator.configuration_jacobian(at, u);

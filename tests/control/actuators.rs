@@ -605,14 +605,12 @@ fn kernels_equal_the_clear_code() {
             efforts: None,
             acting: vec![Acting {
                 actuator: SharedActuator::new(Cable),
-                first: 0,
                 places: vec![0, 1],
             }],
-            wrenches: (0..=grid.n_steps)
-                .map(|k| Wrench {
-                    force: Vector3::new(number(k), number(k + 9), 0.0),
-                    ..Wrench::default()
-                })
+            wrenches: Vec::new(),
+            n_inputs: 2,
+            inputs: (0..=grid.n_steps)
+                .flat_map(|k| [number(k), number(k + 9)])
                 .collect(),
         };
         let motion = Motion {

@@ -184,7 +184,6 @@ fn problem(
     // The tendon, the field, the first cable and the own one are driven, the others given.
     problem.efforts = Some(Efforts {
         actuators: vec![0, 1, 3, 5],
-        first: 1,
         places: vec![0, 1, 2, 3],
         gains: vec![1.0; 4],
     });
@@ -365,7 +364,6 @@ fn a_cable_and_a_magnet_written_anew_are_the_built_in_ones() {
         if own {
             let acting = |actuator, place| Acting {
                 actuator,
-                first: 1,
                 places: vec![place],
             };
             problem.acting = vec![
@@ -375,7 +373,6 @@ fn a_cable_and_a_magnet_written_anew_are_the_built_in_ones() {
         } else {
             problem.efforts = Some(Efforts {
                 actuators: vec![0, 1],
-                first: 1,
                 places: vec![0, 1],
                 gains: vec![1.0; 2],
             });

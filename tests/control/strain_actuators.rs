@@ -100,7 +100,6 @@ fn problem(parameters: &RodParameters) -> OptimalControlProblem {
     // The chamber and the braid, whose unit is another, are given; the tendon, the rod and the muscle are driven.
     problem.efforts = Some(Efforts {
         actuators: vec![0, 1, 3],
-        first: 1,
         places: vec![0, 1, 3],
         gains: vec![1.0; 3],
     });
@@ -430,13 +429,11 @@ fn a_tendon_written_anew_is_the_built_in_one() {
                 actuator: SharedActuator::new(OwnTendon {
                     offset: Vector3::new(offset[0], offset[1], 0.0),
                 }),
-                first: 1,
                 places: vec![0],
             }];
         } else {
             problem.efforts = Some(Efforts {
                 actuators: vec![0],
-                first: 1,
                 places: vec![0],
                 gains: vec![1.0; 1],
             });

@@ -94,7 +94,6 @@ fn problem(
         }));
     problem.efforts = Some(Efforts {
         actuators: vec![0, 1, 3],
-        first: 1,
         places: vec![0, 3, 6],
         gains: vec![1.0; 3],
     });

@@ -82,7 +82,7 @@ impl<'a> ActingAlong<'a> {
                 (0..=problem.grid.n_steps)
                     .map(|k| {
                         let at = StateView::of(rod, &problem.grid, trajectory, k);
-                        let u = acting.controls(signal.at(k).wrenches);
+                        let u = acting.controls(signal.at(k).inputs);
                         acting.actuator.control_jacobian(&at, &u)
                     })
                     .collect()
@@ -255,7 +255,7 @@ impl<'a> ActingAlong<'a> {
             let here = change.at(k);
             wrenches.extend(here.iter().map(|(_, wrench)| *wrench));
             for (acting, jacobians) in self.problem.acting.iter().zip(&self.jacobians) {
-                let du = acting.controls(here.wrenches);
+                let du = acting.controls(here.inputs);
                 let row = |i: usize| -> f64 {
                     (du.iter().enumerate())
                         .map(|(j, du)| jacobians[k][(i, j)] * du)
@@ -302,7 +302,7 @@ impl<'a> ActingAlong<'a> {
         for k in 0..=problem.grid.n_steps {
             let at = StateView::of(&problem.rod, &motion.grid, trajectory, k);
             for (index, (acting, nodes)) in problem.acting.iter().zip(&self.nodes).enumerate() {
-                let u = acting.controls(self.signal.at(k).wrenches);
+                let u = acting.controls(self.signal.at(k).inputs);
                 let covector: Vec<Wrench> = (nodes.iter())
                     .map(|&node| costates.wrench(motion, k, node))
                     .collect();

@@ -295,7 +295,7 @@ impl OptimalControlProblem {
     #[must_use]
     pub fn own_control(&self, component: &Component) -> Option<(usize, usize)> {
         (self.acting.iter().enumerate()).find_map(|(index, acting)| {
-            let place = 6 * component.actuator.checked_sub(acting.first)? + component.axis;
+            let place = self.input(component)?;
             let control = acting.places.iter().position(|own| *own == place)?;
             Some((index, control))
         })
@@ -304,11 +304,8 @@ impl OptimalControlProblem {
     /// Returns the indices of the driven actuators of the rod whose efforts follow from the component, if it drives some, with the effort of
     /// each per unit of it.
     pub fn driven_by(&self, component: &Component) -> impl Iterator<Item = (usize, f64)> + use<'_> {
-        let Component { actuator, axis } = *component;
+        let place = self.input(component);
         (self.efforts.iter()).flat_map(move |efforts| {
-            let place = actuator
-                .checked_sub(efforts.first)
-                .map(|own| 6 * own + axis);
             (efforts.places.iter().zip(&efforts.gains).enumerate())
                 .filter(move |(_, (own, _))| Some(**own) == place)
                 .map(|(index, (_, gain))| (index, *gain))
@@ -336,7 +333,7 @@ impl OptimalControlProblem {
         (self.efforts.iter()).flat_map(|efforts| {
             (efforts.places.iter().enumerate()).map(|(index, &place)| {
                 let component = Component {
-                    actuator: efforts.first + place / 6,
+                    actuator: self.wrench_actuators().len() + place / 6,
                     axis: place % 6,
                 };
                 let driven = Driven {
@@ -364,10 +361,32 @@ impl OptimalControlProblem {
     /// Returns the actuators that are wrenches on nodes.
     #[must_use]
     pub fn wrench_actuators(&self) -> &[ActuatedNode] {
-        let own = self.acting.first().map(|acting| acting.first);
-        let efforts = self.efforts.as_ref().map(|efforts| efforts.first);
-        let first = own.into_iter().chain(efforts).min();
-        &self.actuators[..first.unwrap_or(self.actuators.len())]
+        let own = self.acting.iter().map(|acting| &acting.places);
+        let places = own.chain(self.efforts.iter().map(|efforts| &efforts.places));
+        let carriers = places.flatten().map(|place| place / 6 + 1).max();
+        &self.actuators[..self.actuators.len() - carriers.unwrap_or(0)]
+    }
+
+    /// Returns the channel of an input of a signal.
+    #[must_use]
+    pub fn channel_of_input(&self, place: usize) -> &Channel {
+        self.channel(&Component {
+            actuator: self.wrench_actuators().len() + place / 6,
+            axis: place % 6,
+        })
+    }
+
+    /// Returns the index of a component among the inputs of a signal; `None` for that of a wrench.
+    fn input(&self, component: &Component) -> Option<usize> {
+        let carrier = (component.actuator).checked_sub(self.wrench_actuators().len())?;
+        Some(6 * carrier + component.axis)
+    }
+
+    /// Returns the inputs of a signal in one coefficient of the controls.
+    #[must_use]
+    pub fn inputs(&self, coefficient: &[Wrench]) -> Vec<f64> {
+        let carriers = coefficient.iter().skip(self.wrench_actuators().len());
+        carriers.flat_map(Wrench::to_array).collect()
     }
 
     /// Returns the nodes with a controllable wrench.
@@ -530,14 +549,18 @@ impl OptimalControlProblem {
     #[must_use]
     pub fn signal(&self, grid: &ControlGrid, coefficients: &[Wrench]) -> ControlSignal {
         let n = self.actuators.len();
-        let wrenches = (0..=grid.n_steps())
-            .flat_map(|k| {
-                (0..n).map(move |actuator| grid.value(k, |j| coefficients[j * n + actuator]))
-            })
-            .collect();
+        let nodes = self.actuated_nodes();
+        let (mut wrenches, mut inputs) = (Vec::new(), Vec::new());
+        for k in 0..=grid.n_steps() {
+            let value = |actuator| grid.value(k, |j| coefficients[j * n + actuator]);
+            wrenches.extend((0..nodes.len()).map(value));
+            inputs.extend((nodes.len()..n).map(value).flat_map(|own| own.to_array()));
+        }
         ControlSignal {
-            nodes: self.actuated_nodes(),
+            n_inputs: 6 * (n - nodes.len()),
+            nodes,
             wrenches,
+            inputs,
             acting: self.acting.clone(),
             efforts: self.efforts.clone(),
         }

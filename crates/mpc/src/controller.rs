@@ -19,11 +19,11 @@ use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
 use self::steps::Divided;
 pub use self::steps::with_long_steps;
-use super::command::Command;
+use super::command::{Command, Controls};
 use super::error::MpcError;
 use super::estimator::Motions;
 use super::holding::HeldControls;
-use super::horizon::Horizon;
+use super::horizon::{Horizon, Part};
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
 use control::named::distinguish;
@@ -103,7 +103,7 @@ pub struct Controller {
     prediction: Motions,
     in_period: Divided,
     /// Controls at both ends of a step.
-    wrenches: [Vec<Wrench>; 2],
+    controls: [Controls; 2],
     /// Tells whether a command acts; before the first one there is no jump.
     acts: bool,
     record: SampleRecord,
@@ -230,7 +230,7 @@ impl Controller {
         let mesh = &horizon.problem.rod.mesh;
         let acts = |node: usize, axis: usize| {
             let mut effects = horizon.effects.iter().flatten();
-            effects.any(|effect| (effect.0, effect.1) == (node, axis))
+            effects.any(|effect| effect.on == Part::Node(node, axis))
         };
         let mut out = Vec::new();
         for (at, &node) in self.command.nodes.iter().enumerate() {
@@ -632,7 +632,7 @@ impl Controller {
             horizon,
             prediction,
             command,
-            wrenches: [now, next],
+            controls: [now, next],
             ..
         } = self;
         let n_steps = ((command.end - command.start) / step).round() as usize;
@@ -646,9 +646,9 @@ impl Controller {
             disturbing,
             ..
         } = horizon;
-        let fill = |k: usize, wrenches: &mut [Wrench]| {
-            wrenches.copy_from_slice(disturbing);
-            command.add_at(command.start + k as f64 * step, wrenches);
+        let fill = |k: usize, controls: &mut Controls| {
+            controls.begin_with(disturbing);
+            command.add_at(command.start + k as f64 * step, controls);
         };
         let model = (&*problem.rod, parameters);
         let outcome = prediction.run(model, step, (command.start, start), |stepper| {

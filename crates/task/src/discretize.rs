@@ -217,11 +217,11 @@ impl Task {
         let actuators = self.actuators(&rod);
         let default_weights =
             default_weights(self.cost.effort, &rod, &actuators, !self.efforts.is_empty());
-        let (carriers, acting) = own::acting(&self.own_actuators, actuators.len(), &rod, &initial)?;
-        let mut actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
-        let (carriers, efforts) =
-            effort::efforts(&self.efforts, actuators.len(), chosen.hold, &rod)?;
-        actuators.extend(carriers);
+        let (carriers, acting) = own::acting(&self.own_actuators, &rod, &initial)?;
+        let (of_efforts, efforts) =
+            effort::efforts(&self.efforts, carriers.len(), chosen.hold, &rod)?;
+        let carriers = carriers.into_iter().chain(of_efforts);
+        let actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
         // A rate of samples is counted on the longest duration, so that it does not depend on where the search begins.
         let samples_on = match self.free_duration {
             None => grid,

@@ -39,7 +39,7 @@ pub struct Follows {
     pub gain: f64,
 }
 
-/// Returns the carriers of the controls after `first` wrenches, and the place of each control in them: every control has a force or a
+/// Returns the carriers of the controls after `first` others, and the place of each control in them: every control has a force or a
 /// moment of its own.
 ///
 /// # Errors
@@ -61,7 +61,6 @@ pub(super) fn efforts(
         .map(|control| channel(control, controls, hold, rod))
         .collect::<Result<Vec<_>, _>>()?;
     let mut out = Efforts {
-        first,
         ..Efforts::default()
     };
     for control in controls {
@@ -81,7 +80,7 @@ pub(super) fn efforts(
             narrow(&mut channels[at], &own, gain)?;
         }
         out.actuators.push(control.actuator);
-        out.places.push(3 * at);
+        out.places.push(6 * first + 3 * at);
         out.gains.push(gain);
     }
     let carriers = ActuatedNode::carrying(0, &channels).collect();

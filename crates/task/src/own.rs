@@ -6,15 +6,14 @@ use control::{ActuatedNode, Channel};
 use mechanics::actuator::Acting;
 use mechanics::{Actuator, Rod, State, StateView, Wrench};
 
-/// Returns the nodes that carry the controls after `first` wrenches, and the place of each control in them: every group has a force or a
-/// moment of its own.
+/// Returns the nodes that carry the controls after the wrenches, and the place of each control in them: every group has a force or a moment of
+/// its own.
 pub(super) fn acting(
     own: &[OwnActuator],
-    first: usize,
     rod: &Rod,
     start: &State,
 ) -> Result<(Vec<ActuatedNode>, Vec<Acting>), DiscretizeError> {
-    let (mut carriers, mut acting) = (Vec::new(), Vec::new());
+    let (mut carriers, mut acting) = (Vec::<ActuatedNode>::new(), Vec::new());
     for OwnActuator { actuator, controls } in own {
         check(&**actuator, rod, start)?;
         let mut places = Vec::new();
@@ -30,7 +29,7 @@ pub(super) fn acting(
                     expected: "a positive size",
                 });
             }
-            places.extend((0..group.count).map(|axis| 3 * index + axis));
+            places.extend((0..group.count).map(|axis| 6 * carriers.len() + 3 * index + axis));
         }
         if places.len() != actuator.n_controls() {
             let expected = "as many controls in its groups as the actuator has";
@@ -38,7 +37,6 @@ pub(super) fn acting(
         }
         acting.push(Acting {
             actuator: actuator.clone(),
-            first: first + carriers.len(),
             places,
         });
         let node = actuator.nodes(rod)[0];

@@ -275,7 +275,7 @@ fn lobatto() -> [(f64, f64); 5] {
     ]
 }
 
-/// The wrenches on the actuated nodes at every time node of a grid whose steps are `factor` times shorter.
+/// The controls at every time node of a grid whose steps are `factor` times shorter.
 pub fn signal(
     problem: &OptimalControlProblem,
     factor: usize,
@@ -283,10 +283,11 @@ pub fn signal(
 ) -> ControlSignal {
     let spline = Spline::of(problem);
     let n = problem.actuators.len();
-    let mut wrenches = Vec::with_capacity((problem.grid.n_steps * factor + 1) * n);
+    let nodes = problem.actuated_nodes();
+    let (mut wrenches, mut inputs) = (Vec::new(), Vec::new());
     for k in 0..=problem.grid.n_steps * factor {
         let weights = spline.weights(k, factor);
-        wrenches.extend((0..n).map(|a| {
+        let value = |a: usize| {
             let mut sum = Wrench::default();
             for &(j, weight) in &weights {
                 let u = &coefficients[j * n + a];
@@ -294,11 +295,15 @@ pub fn signal(
                 sum.moment += u.moment * weight;
             }
             sum
-        }));
+        };
+        wrenches.extend((0..nodes.len()).map(value));
+        inputs.extend((nodes.len()..n).map(value).flat_map(|own| own.to_array()));
     }
     ControlSignal {
-        nodes: problem.actuated_nodes(),
+        n_inputs: 6 * (n - nodes.len()),
+        nodes,
         wrenches,
+        inputs,
         acting: problem.acting.clone(),
         efforts: problem.efforts.clone(),
     }

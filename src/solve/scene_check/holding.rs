@@ -101,15 +101,16 @@ fn wrenches(problem: &OptimalControlProblem, held: &Held) -> Vec<[f64; 6]> {
 
 fn controls(problem: &OptimalControlProblem, held: &Held) -> Vec<Vec<f64>> {
     let mut efforts = problem.rod.actuators.efforts(problem.grid.duration());
+    let inputs = problem.inputs(&held.wrenches);
     let control = NodeWrenches {
-        wrenches: &held.wrenches,
+        inputs: &inputs,
         efforts: problem.efforts.as_ref(),
         ..NodeWrenches::NONE
     };
     control.add_efforts(&mut efforts);
     let driven = problem.efforts.iter().flat_map(|own| &own.actuators);
     (problem.acting.iter())
-        .map(|acting| acting.controls(&held.wrenches))
+        .map(|acting| acting.controls(&inputs))
         .chain(driven.map(|&actuator| vec![efforts[actuator]]))
         .collect()
 }

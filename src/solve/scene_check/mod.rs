@@ -341,8 +341,9 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
     let own = (problem.acting.iter()).map(|acting| {
         let (name, unit) = acting.actuator.named_controls();
         let n = acting.places.len();
-        let bounds = (problem.actuators.get(acting.first))
-            .map_or_else(String::new, |group| bounded(&group.force, unit));
+        let bounds = (acting.places.first()).map_or_else(String::new, |place| {
+            bounded(problem.channel_of_input(*place), unit)
+        });
         ActuatorSummary {
             node: acting
                 .actuator

@@ -152,7 +152,7 @@ impl Statics<'_> {
 
     fn add_controls(&self, wrenches: &[Wrench], out: &mut [f64]) {
         let control = NodeWrenches {
-            wrenches,
+            inputs: &self.problem.inputs(wrenches),
             efforts: self.problem.efforts.as_ref(),
             ..NodeWrenches::NONE
         };
@@ -176,7 +176,10 @@ impl Statics<'_> {
             .map(|(actuator, wrench)| (actuator.node, *wrench))
             .collect();
         for acting in &self.problem.acting {
-            out.extend(acting.wrenches(&self.view(shape), &acting.controls(&wrenches)));
+            out.extend(acting.wrenches(
+                &self.view(shape),
+                &acting.controls(&self.problem.inputs(&wrenches)),
+            ));
         }
         out
     }
@@ -259,7 +262,7 @@ impl Statics<'_> {
         }
         for acting in self.looking() {
             let nodes = acting.actuator.nodes(rod);
-            let u = acting.controls(&wrenches);
+            let u = acting.controls(&self.problem.inputs(&wrenches));
             let slope = acting
                 .actuator
                 .configuration_jacobian(&self.view(shape), &u);
@@ -286,7 +289,7 @@ impl Statics<'_> {
         let wrenches = self.wrenches(controls);
         let own: Vec<_> = (self.problem.acting.iter())
             .map(|acting| {
-                let u = acting.controls(&wrenches);
+                let u = acting.controls(&self.problem.inputs(&wrenches));
                 let nodes = acting.actuator.nodes(rod);
                 (
                     nodes,
@@ -533,7 +536,7 @@ impl Statics<'_> {
         let wrenches = self.wrenches(controls);
         let forms = self.looking().map(|acting| {
             let nodes = acting.actuator.nodes(rod);
-            let u = acting.controls(&wrenches);
+            let u = acting.controls(&self.problem.inputs(&wrenches));
             let slope = acting
                 .actuator
                 .configuration_jacobian(&self.view(shape), &u);

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::adjoint::Pulled;
 use super::rows::{Place, Worst, per};
 use crate::hold::Spline;
 use crate::solution::SolutionMultipliers;
@@ -79,18 +80,19 @@ fn per_second(unit: &str) -> String {
     }
 }
 
-/// Returns the gradient along the scaled coefficients, all actuators of each, of a function with the covectors `pulled` of the wrenches at
-/// the time nodes.
-pub(crate) fn pull_back(problem: &OptimalControlProblem, pulled: &[Wrench]) -> Vec<Pair> {
+/// Returns the gradient along the scaled coefficients, all actuators of each, of a function with the derivatives `pulled` along the controls
+/// at the time nodes.
+pub(crate) fn pull_back(problem: &OptimalControlProblem, pulled: &Pulled) -> Vec<Pair> {
     let n = problem.actuators.len();
     let spline = Spline::of(problem);
     let mut out = vec![[Vector3::zeros(); 2]; spline.n_coefficients() * n];
-    for (k, wrenches) in pulled.chunks(n.max(1)).enumerate() {
+    for k in 0..=problem.grid.n_steps {
         let weights = spline.weights(k, 1);
-        for (a, wrench) in wrenches.iter().enumerate() {
+        for a in 0..n {
+            let wrench = pulled.along(k, a);
             let scales = scales(problem, a);
             for &(j, weight) in &weights {
-                for (channel, part) in parts(wrench).iter().enumerate() {
+                for (channel, part) in parts(&wrench).iter().enumerate() {
                     out[j * n + a][channel] += part * (weight * scales[channel]);
                 }
             }
@@ -160,7 +162,7 @@ impl ControlConditions {
     pub(crate) fn of(
         problem: &OptimalControlProblem,
         coefficients: &[Wrench],
-        pulled: &[Wrench],
+        pulled: &Pulled,
         multipliers: &SolutionMultipliers,
     ) -> Self {
         let mut out = Self::default();
