@@ -213,7 +213,7 @@ impl Scene {
         {
             track.take_weights(discrete);
         }
-        let tip = posed.discrete.wrench_actuators().first();
+        let tip = posed.discrete.wrench_actuators().into_iter().next();
         objective.force_scale_n = tip.map(|tip| known(tip.force.scale));
         objective.moment_scale_n_m = tip.map(|tip| known(tip.moment.scale));
         resolved.objective = Some(objective);

@@ -281,7 +281,7 @@ impl Scene {
             for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
                 track.take_weights(tracking);
             }
-            let tip = problem.actuators.first();
+            let tip = problem.wrench_actuators().into_iter().next();
             resolved.objective = Some(Objective {
                 force_scale_n: tip.map(|tip| known(tip.force.scale)),
                 moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),

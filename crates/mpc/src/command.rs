@@ -86,7 +86,11 @@ impl Command {
         (named.iter())
             .map(|own| match own.kind {
                 ControlKind::Effort { actuator } => own.rest + efforts[actuator],
-                ControlKind::Wrench { .. } | ControlKind::Own => own.value(wrenches),
+                ControlKind::Wrench { node, component } => {
+                    let at = self.nodes.iter().position(|own| *own == node);
+                    at.map_or(0.0, |at| wrenches[at][component])
+                }
+                ControlKind::Own => own.rest,
             })
             .collect()
     }

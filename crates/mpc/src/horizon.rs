@@ -80,15 +80,15 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
         })
         .collect::<Option<Vec<_>>>()?;
     let effect = |on, size| Effect { on, size };
-    let of = |component: &Component| match problem.own_control(component) {
-        None if problem.is_effort(component) => (problem.driven_by(component))
+    let of = |component: &Component| match (
+        problem.of_wrench(component),
+        problem.own_control(component),
+    ) {
+        (Some((node, component)), _) => vec![effect(Part::Node(node, component), 1.0)],
+        (None, None) => (problem.driven_by(component))
             .map(|(index, gain)| effect(Part::Effort(driven[index]), gain))
             .collect(),
-        None => {
-            let node = problem.actuators[component.actuator].node;
-            vec![effect(Part::Node(node, component.axis), 1.0)]
-        }
-        Some((index, control)) => {
+        (None, Some((index, control))) => {
             let (nodes, map) = &maps[index];
             let rows = (0..map.nrows()).filter(|row| map[(*row, control)] != 0.0);
             rows.map(|row| effect(Part::Node(nodes[row / 6], row % 6), map[(row, control)]))

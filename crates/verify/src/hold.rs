@@ -15,7 +15,7 @@
 use nalgebra::{DMatrix, Vector3};
 
 use control::{Hold, OptimalControlProblem};
-use mechanics::{ControlSignal, Wrench};
+use mechanics::ControlSignal;
 
 /// A hold over the blocks of a problem.
 #[derive(Clone, Debug)]
@@ -279,30 +279,27 @@ fn lobatto() -> [(f64, f64); 5] {
 pub fn signal(
     problem: &OptimalControlProblem,
     factor: usize,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> ControlSignal {
     let spline = Spline::of(problem);
-    let n = problem.actuators.len();
-    let nodes = problem.actuated_nodes();
-    let (mut wrenches, mut inputs) = (Vec::new(), Vec::new());
-    for k in 0..=problem.grid.n_steps * factor {
-        let weights = spline.weights(k, factor);
-        let value = |a: usize| {
-            let mut sum = Wrench::default();
-            for &(j, weight) in &weights {
-                let u = &coefficients[j * n + a];
-                sum.force += u.force * weight;
-                sum.moment += u.moment * weight;
+    let n = problem.n_numbers();
+    let n_times = problem.grid.n_steps * factor + 1;
+    let mut numbers = vec![0.0; n * n_times];
+    for (k, here) in numbers.chunks_exact_mut(n.max(1)).enumerate() {
+        for &(j, weight) in &spline.weights(k, factor) {
+            for (sum, u) in here.iter_mut().zip(&coefficients[j * n..]) {
+                *sum += u * weight;
             }
-            sum
-        };
-        wrenches.extend((0..nodes.len()).map(value));
-        inputs.extend((nodes.len()..n).map(value).flat_map(|own| own.to_array()));
+        }
     }
+    let inputs: Vec<f64> = (numbers.chunks_exact(n.max(1)))
+        .flat_map(|here| problem.inputs(here))
+        .copied()
+        .collect();
     ControlSignal {
-        n_inputs: 6 * (n - nodes.len()),
-        nodes,
-        wrenches,
+        nodes: problem.actuated_nodes(),
+        wrenches: problem.wrenches(&numbers),
+        n_inputs: inputs.len() / n_times,
         inputs,
         acting: problem.acting.clone(),
         efforts: problem.efforts.clone(),

@@ -178,7 +178,7 @@ impl Controller {
     pub fn reference_need(&self) -> Option<ReferenceNeed> {
         let problem = &self.horizon.problem;
         let node = followed(problem);
-        let acts = (problem.wrench_actuators().iter())
+        let acts = (problem.wrench_actuators().into_iter())
             .find(|actuator| actuator.node == node && actuator.force.axes != [false; 3])
             .filter(|actuator| problem.efforts.is_none() || actuator.force.acts())?;
         let holding = self.holding()?;

@@ -135,7 +135,7 @@ impl Outlet {
                 let whole = of(&sent.to);
                 let within = channel.within(&whole);
                 if within != whole {
-                    sent.to[c] = within[horizon.components[c].axis % 3] / channel.scale;
+                    sent.to[c] = within[horizon.components[c].axis] / channel.scale;
                 }
                 continue;
             }
@@ -144,7 +144,7 @@ impl Outlet {
                 let to = channel.within(&whole);
                 let part = rate.map_or(1.0, |rate| part_within(&rate, time, &(to - from)));
                 for c in range.clone() {
-                    let axis = horizon.components[c].axis % 3;
+                    let axis = horizon.components[c].axis;
                     out[c] = if !whole.iter().all(|value| value.is_finite()) {
                         acting[c]
                     } else if part == 1.0 && to[axis] == whole[axis] {

@@ -10,7 +10,7 @@ use super::spin::Spin;
 use super::stresses::StressLink;
 use crate::interval::{Nine, Strained};
 use crate::{acting, dual, efforts, interval};
-use control::GoalPart;
+use control::{ActsOn, GoalPart, OptimalControlProblem};
 use mechanics::differences;
 use mechanics::rotation::exp;
 use mechanics::{Efforts, RodModel, TimeScheme, Wrench};
@@ -22,18 +22,28 @@ pub(crate) struct Pulled {
     pub wrenches: Vec<Wrench>,
     /// Along every input.
     pub inputs: Vec<f64>,
-    n_nodes: usize,
+    nodes: Vec<usize>,
     n_inputs: usize,
 }
 
 impl Pulled {
-    /// Returns the derivatives along the numbers of an actuator of the problem at time node `k`.
-    pub fn along(&self, k: usize, actuator: usize) -> Wrench {
-        match actuator.checked_sub(self.n_nodes) {
-            None => self.wrenches[k * self.n_nodes + actuator],
-            Some(carrier) => {
-                let here = &self.inputs[k * self.n_inputs..][..self.n_inputs];
-                Wrench::from_array(std::array::from_fn(|i| here[6 * carrier + i]))
+    /// Returns the derivatives along the vector of a channel of the problem at time node `k`.
+    pub fn along(&self, problem: &OptimalControlProblem, k: usize, channel: usize) -> Vector3<f64> {
+        let on_node = |node: usize| {
+            let at = self.nodes.iter().position(|own| *own == node);
+            at.map_or_else(Wrench::default, |at| {
+                self.wrenches[k * self.nodes.len() + at]
+            })
+        };
+        match problem.channels[channel].on {
+            ActsOn::Force { node } => on_node(node).force,
+            ActsOn::Moment { node } => on_node(node).moment,
+            ActsOn::Own { .. } | ActsOn::Effort => {
+                let numbers = problem.numbers_of(channel);
+                // The inputs are the last numbers of a coefficient.
+                let first = numbers.start + self.n_inputs - problem.n_numbers();
+                let own = &self.inputs[k * self.n_inputs + first..][..numbers.len()];
+                Vector3::from_fn(|axis, _| own.get(axis).copied().unwrap_or(0.0))
             }
         }
     }
@@ -84,7 +94,7 @@ impl Conditions<'_> {
         let mut out = Pulled {
             wrenches: vec![Wrench::default(); (n + 1) * nodes.len()],
             inputs: vec![0.0; (n + 1) * n_inputs],
-            n_nodes: nodes.len(),
+            nodes: nodes.clone(),
             n_inputs,
         };
         for k in (0..=n).rev() {
@@ -429,7 +439,8 @@ impl Conditions<'_> {
         for own in &self.control.acting {
             let u = own.controls(self.control.at(k).inputs);
             for (control, &place) in own.places.iter().enumerate() {
-                let scale = self.problem.channel_of_input(place).scale;
+                let channel = self.problem.channel_of_input(place);
+                let scale = channel.map_or(1.0, |channel| channel.scale);
                 let (actuator, view) = (&*own.actuator, self.view(k));
                 let slope = acting::control_slope(actuator, &view, &u, control, scale, covectors);
                 out[place] += weight * slope;
