@@ -122,11 +122,14 @@ fn unexplained(summary: &FitSummary) -> Option<String> {
         return None;
     }
     let worst = own.worst.as_ref().map_or_else(String::new, |worst| {
+        let place = match worst.line {
+            Some(line) => format!("line {line}"),
+            None => format!("t = {} s", digits(worst.t_s)),
+        };
         format!(
-            "; it fails most in {}, marker {}, t = {} s: {} standard deviations of the noise in the root of the mean square",
+            "; it fails most in {}, marker {}, {place}: {} standard deviations of the noise in the root of the mean square",
             worst.case,
             worst.marker,
-            digits(worst.t_s),
             digits(worst.off_sigmas)
         )
     });
@@ -290,6 +293,20 @@ fn say_cases(summary: &FitSummary, console: &Console) {
             case.name,
             known(case.rms_m, "m")
         ));
+        if let Some(aligned) = case.aligned_rms_m {
+            let groups = case
+                .groups
+                .iter()
+                .filter_map(|own| Some((own.rms_m?, &own.name)));
+            let worst = groups.max_by(|a, b| a.0.total_cmp(&b.0));
+            let worst = worst.map_or_else(String::new, |(off, name)| {
+                format!("; most in {name}, {}", quantity(off, "m"))
+            });
+            console.say(&format!(
+                "    without the mean of the differences {}{worst}",
+                quantity(aligned, "m")
+            ));
+        }
     }
     console.say(&format!(
         "places are off by {} in the root of the mean square, coordinates scatter by {}, and the noise was said to be {}",

@@ -66,7 +66,7 @@ impl Model<'_> {
                         .any(|table| number(table, path).is_some_and(|x| x != 0.0))
             })
         };
-        let moves = self.fitted().any(|case| !case.is_static);
+        let moves = self.fitted().any(|case| case.is_motion());
         let all = [
             (true, "loads", Kind::Loads),
             (acts(&MASSES), "mass", Kind::Keys(&MASSES)),

@@ -28,6 +28,9 @@ pub struct Data {
     /// Motions from the start of the scene on.
     #[serde(default)]
     pub recording: Vec<Recording>,
+    /// Tables of shapes at rest.
+    #[serde(default)]
+    pub table: Vec<Table>,
     /// Starts, bounds and priors of keys that are fitted.
     #[serde(default)]
     pub free: Vec<Free>,
@@ -83,12 +86,66 @@ pub struct Recording {
     pub held_out: bool,
 }
 
+/// Shapes at rest under many commands: a row for each of them.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Table {
+    /// Name in the result; that of the file, if there is none.
+    pub name: Option<String>,
+    /// Values of the scene in all rows, as `KEY=VALUE`.
+    #[serde(default)]
+    pub set: Vec<String>,
+    /// Table beside the file, with a head of names.
+    pub csv: String,
+    /// Columns of commands, by their heads.
+    pub inputs: BTreeMap<String, InputColumn>,
+    /// Columns of the positions of markers, by the names of these.
+    pub positions: BTreeMap<String, PositionColumns>,
+    /// Head of a column of words by which the result is grouped, such as the pattern of the commands.
+    pub by: Option<String>,
+    /// Words of that column whose rows are compared only.
+    #[serde(default)]
+    pub held_out_groups: Vec<String>,
+    /// Tells whether all rows are compared only.
+    #[serde(default)]
+    pub held_out: bool,
+}
+
+/// A column of commands.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InputColumn {
+    /// Key of the scene that the column sets: the effort of an actuator before the task, or the displacement of a winch.
+    pub key: String,
+    /// Factor from the numbers of the column to the unit of the key.
+    #[serde(default = "one")]
+    pub times: f64,
+}
+
+/// Three columns of the position of a marker.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PositionColumns {
+    /// Heads of the columns of x, y and z.
+    pub columns: [String; 3],
+    /// Factor from the numbers of the columns to m.
+    #[serde(default = "one")]
+    pub times: f64,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
 /// A key that is fitted.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Free {
-    /// Dotted path of a number of the scene; with `times` the name of a factor.
+    /// Dotted path of a number of the scene, or of a marker, as `marker.tip.offset_m.2`; with `times` or `plus` the name of a number.
     pub key: String,
+    /// Dotted paths of numbers to which it is added, in every case those that the case has.
+    #[serde(default)]
+    pub plus: Vec<String>,
     /// Dotted paths of numbers that the factor multiplies, in every case those that the case has.
     #[serde(default)]
     pub times: Vec<String>,
@@ -102,6 +159,42 @@ pub struct Free {
     pub prior: Option<f64>,
     /// Its standard deviation.
     pub prior_sigma: Option<f64>,
+}
+
+/// The commands of a table of shapes at rest.
+#[derive(Clone, Debug, Default)]
+pub struct Rows {
+    /// Keys of the scene that its rows set.
+    pub keys: Vec<String>,
+    /// Values of these keys in every row, row by row.
+    pub inputs: Vec<f64>,
+    /// Line of the file of every row.
+    pub lines: Vec<u64>,
+    /// Group of every row; empty without groups.
+    pub groups: Vec<String>,
+}
+
+impl Rows {
+    pub fn len(&self) -> usize {
+        self.lines.len()
+    }
+
+    /// Returns the values of the keys in a row.
+    pub fn row(&self, row: usize) -> &[f64] {
+        let n = self.keys.len();
+        &self.inputs[row * n..][..n]
+    }
+}
+
+/// The motion in which an arm was measured.
+#[derive(Clone, Debug)]
+pub enum Kind {
+    /// None: a shape at rest.
+    Shape,
+    /// A motion from the start of the scene on.
+    Motion,
+    /// Many shapes at rest, whose numbers stand for the times of their sights.
+    Rows(Rows),
 }
 
 /// A measured pose of one marker at one time: its place, its orientation, or both.
@@ -137,8 +230,8 @@ pub struct Case {
     pub name: String,
     /// Values of the scene when it was measured, as `KEY=VALUE`.
     pub set: Vec<String>,
-    /// Tells whether the arm is at rest.
-    pub is_static: bool,
+    /// The motion of the arm.
+    pub kind: Kind,
     /// Tells whether it is compared only.
     pub held_out: bool,
     /// Number of times at which a position or orientation of a marker is missing in a table.
@@ -148,6 +241,24 @@ pub struct Case {
 }
 
 impl Case {
+    /// Tells whether it is one shape at rest.
+    pub fn is_static(&self) -> bool {
+        matches!(self.kind, Kind::Shape)
+    }
+
+    /// Tells whether the arm moves.
+    pub fn is_motion(&self) -> bool {
+        matches!(self.kind, Kind::Motion)
+    }
+
+    /// Returns the commands of a table of shapes.
+    pub fn rows(&self) -> Option<&Rows> {
+        match &self.kind {
+            Kind::Rows(rows) => Some(rows),
+            Kind::Shape | Kind::Motion => None,
+        }
+    }
+
     /// Returns the number of positions and orientations that were seen.
     pub fn n_seen(&self) -> usize {
         let sights = self.sights.iter();
@@ -179,12 +290,15 @@ pub fn read(path: &Path) -> Result<(Data, Vec<Case>), String> {
     for recording in &data.recording {
         cases.push(file.recording_case(recording)?);
     }
+    for table in &data.table {
+        cases.extend(file.table_cases(table)?);
+    }
     if !cases
         .iter()
         .any(|case| !case.held_out && !case.sights.is_empty())
     {
         return Err(file.refused(
-            "nothing was measured: give [[shape]] or [[recording]] with positions of markers",
+            "nothing was measured: give [[shape]], [[recording]] or [[table]] with positions of markers",
         ));
     }
     let mut sights = cases.iter().flat_map(|case| &case.sights);
@@ -280,7 +394,7 @@ impl File<'_> {
         Ok(Case {
             name,
             set: shape.set.clone(),
-            is_static: true,
+            kind: Kind::Shape,
             held_out: shape.held_out,
             gaps: 0,
             sights,
@@ -297,11 +411,126 @@ impl File<'_> {
                 .clone()
                 .unwrap_or_else(|| recording.csv.clone()),
             set: recording.set.clone(),
-            is_static: false,
+            kind: Kind::Motion,
             held_out: recording.held_out,
             gaps,
             sights,
         })
+    }
+}
+
+impl File<'_> {
+    /// Returns the rows of a table that are fitted, and those that are compared only, as far as there are any.
+    fn table_cases(&self, table: &Table) -> Result<Vec<Case>, String> {
+        let path = self.path.parent().unwrap_or(Path::new("")).join(&table.csv);
+        let text = text_of(&path)?;
+        let mut reader = csv::ReaderBuilder::new()
+            .comment(Some(b'#'))
+            .trim(csv::Trim::All)
+            .from_reader(text.as_bytes());
+        let names = reader
+            .headers()
+            .map_err(|error| at(&path, 1, error))?
+            .clone();
+        let column = |name: &str| {
+            let found = names.iter().position(|head| head == name);
+            found.ok_or_else(|| at(&path, 1, format!("there is no column {name:?}")))
+        };
+        let mut inputs = Vec::new();
+        for (name, input) in &table.inputs {
+            inputs.push((column(name)?, input));
+        }
+        let mut markers = Vec::new();
+        for (name, own) in &table.positions {
+            let [x, y, z] = own.columns.each_ref().map(|name| column(name));
+            markers.push((self.marker(name)?, [x?, y?, z?], own.times));
+        }
+        let by = table.by.as_deref().map(column).transpose()?;
+        if let (None, Some(group)) = (by, table.held_out_groups.first()) {
+            return Err(at(
+                &path,
+                1,
+                format!("held_out_groups has {group:?}, and by names no column of groups"),
+            ));
+        }
+        let case = |held_out: bool| Case {
+            name: format!(
+                "{}{}",
+                table.name.as_deref().unwrap_or(&table.csv),
+                if held_out && !table.held_out {
+                    ", held out"
+                } else {
+                    ""
+                }
+            ),
+            set: table.set.clone(),
+            kind: Kind::Rows(Rows {
+                keys: inputs.iter().map(|(_, input)| input.key.clone()).collect(),
+                ..Rows::default()
+            }),
+            held_out,
+            gaps: 0,
+            sights: Vec::new(),
+        };
+        let mut cases = [case(false), case(true)];
+        let mut seen_groups = std::collections::BTreeSet::new();
+        for record in reader.records() {
+            let record = record.map_err(|error| format!("{}: {error}", path.display()))?;
+            let line = record.position().map_or(0, csv::Position::line);
+            let group = by.map(|by| record.get(by).unwrap_or_default().to_string());
+            let is_apart = (group.as_ref()).is_some_and(|own| table.held_out_groups.contains(own));
+            seen_groups.extend(group.clone().filter(|_| is_apart));
+            let case = &mut cases[usize::from(table.held_out || is_apart)];
+            let number = |index: usize| {
+                let cell = record.get(index).unwrap_or_default();
+                let found = cell.parse().ok().filter(|x: &f64| x.is_finite());
+                found.ok_or_else(|| {
+                    at(
+                        &path,
+                        line,
+                        format!("{cell:?} under {:?} is no number", &names[index]),
+                    )
+                })
+            };
+            let Kind::Rows(rows) = &mut case.kind else {
+                continue;
+            };
+            for (index, input) in &inputs {
+                rows.inputs.push(number(*index)? * input.times);
+            }
+            let time = rows.lines.len() as f64;
+            rows.lines.push(line);
+            rows.groups.extend(group);
+            for (marker, columns, times) in &markers {
+                let is_missing = |index: &usize| {
+                    let cell = record.get(*index).unwrap_or_default();
+                    MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word))
+                };
+                if columns.iter().all(is_missing) {
+                    case.gaps += 1;
+                    continue;
+                }
+                let [x, y, z] = columns.map(|index| Ok::<f64, String>(number(index)? * times));
+                case.sights.push(Sight {
+                    marker: *marker,
+                    time,
+                    position: Some(Vector3::new(x?, y?, z?)),
+                    orientation: None,
+                });
+            }
+        }
+        let unknown = (table.held_out_groups.iter()).find(|own| !seen_groups.contains(*own));
+        if let Some(group) = unknown {
+            return Err(at(
+                &path,
+                1,
+                format!("no row has the group {group:?} of held_out_groups"),
+            ));
+        }
+        Ok(cases
+            .into_iter()
+            .filter(|case| !case.sights.is_empty())
+            .collect())
     }
 }
 

@@ -58,8 +58,11 @@ pub struct Worst {
     pub case: String,
     /// Its marker with the largest mean square.
     pub marker: String,
-    /// Time of its largest residual, s; zero in a shape at rest.
+    /// Time of its largest residual, s; zero in a shape at rest, and in a table the number of the row, from zero on.
     pub t_s: f64,
+    /// Line of a table in its file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub line: Option<u64>,
     /// Root of the mean square of the residuals of this marker in this case, in standard deviations of the noise.
     pub off_sigmas: f64,
 }
@@ -157,7 +160,7 @@ pub(super) fn explanation(
 fn companions<'a>(model: &Model, places: &'a [Place]) -> (Vec<[&'a Place; 2]>, f64) {
     let mut groups: BTreeMap<(bool, bool, usize, u64), Vec<&Place>> = BTreeMap::new();
     for own in places {
-        let is_static = model.cases[own.case].is_static;
+        let is_static = model.cases[own.case].is_static();
         let key = match is_static {
             true => (true, own.is_angle, own.marker, 0),
             false => (false, own.is_angle, own.case, own.time.to_bits()),
@@ -217,7 +220,7 @@ fn places(model: &Model) -> Vec<Place> {
 fn neighbors<'a>(model: &Model, places: &'a [Place]) -> Vec<[&'a Place; 2]> {
     let mut sorted: Vec<&Place> = places.iter().collect();
     let series = |own: &Place| {
-        let is_static = model.cases[own.case].is_static;
+        let is_static = model.cases[own.case].is_static();
         (
             own.case,
             own.is_angle,
@@ -225,7 +228,7 @@ fn neighbors<'a>(model: &Model, places: &'a [Place]) -> Vec<[&'a Place; 2]> {
         )
     };
     let along = |own: &Place| {
-        if model.cases[own.case].is_static {
+        if model.cases[own.case].is_static() {
             model.markers[own.marker].at
         } else {
             own.time
@@ -275,6 +278,7 @@ fn worst(model: &Model, residuals: &DVector<f64>, places: &[Place]) -> Option<Wo
         case: model.cases[peak.case].name.clone(),
         marker: model.markers[peak.marker].name.clone(),
         t_s: peak.time,
+        line: (model.cases[peak.case].rows()).map(|rows| rows.lines[peak.time as usize]),
         off_sigmas: mean(&own).sqrt(),
     })
 }

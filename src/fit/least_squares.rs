@@ -40,6 +40,8 @@ pub struct Problem<'a, E> {
     pub residuals: &'a dyn Fn(&[Vec<f64>]) -> Residuals<E>,
     /// Bounds of the parameters.
     pub bounds: Vec<[f64; 2]>,
+    /// Computes the derivatives of the residuals at a point, if they are not to be differences.
+    pub jacobian: Option<&'a dyn Fn(&[f64]) -> Result<DMatrix<f64>, E>>,
     /// Groups of residuals, such as the coordinates of a place, which Huber's function weighs together; empty without robust loss.
     pub groups: Vec<std::ops::Range<usize>>,
 }
@@ -107,18 +109,10 @@ impl<E> Problem<'_, E> {
     /// # Errors
     /// Returns the error of one side where neither can be computed.
     fn jacobian(&self, at: &[f64], here: &DVector<f64>) -> Result<DMatrix<f64>, E> {
-        let mut points = Vec::new();
-        let mut widths = Vec::new();
-        for (i, [lower, upper]) in self.bounds.iter().enumerate() {
-            let ahead = (at[i] + DIFFERENCE).min(*upper);
-            let behind = (at[i] - DIFFERENCE).max(*lower);
-            for x in [ahead, behind] {
-                let mut point = at.to_vec();
-                point[i] = x;
-                points.push(point);
-            }
-            widths.push([ahead - at[i], at[i] - behind]);
+        if let Some(jacobian) = self.jacobian {
+            return jacobian(at);
         }
+        let Beside { points, widths } = Beside::of(at, &self.bounds);
         let mut found = (self.residuals)(&points).into_iter();
         let mut columns = Vec::new();
         for [rise, fall] in widths {
@@ -214,6 +208,43 @@ impl<E> Problem<'_, E> {
     }
 }
 
+/// Points beside one: two for every parameter, ahead and behind, within its bounds.
+#[derive(Clone, Debug)]
+pub struct Beside {
+    pub points: Vec<Vec<f64>>,
+    /// Distance to the point ahead and to the one behind, of every parameter.
+    pub widths: Vec<[f64; 2]>,
+}
+
+impl Beside {
+    pub fn of(at: &[f64], bounds: &[[f64; 2]]) -> Self {
+        let mut points = Vec::new();
+        let mut widths = Vec::new();
+        for (i, [lower, upper]) in bounds.iter().enumerate() {
+            let ahead = (at[i] + DIFFERENCE).min(*upper);
+            let behind = (at[i] - DIFFERENCE).max(*lower);
+            for x in [ahead, behind] {
+                let mut point = at.to_vec();
+                point[i] = x;
+                points.push(point);
+            }
+            widths.push([ahead - at[i], at[i] - behind]);
+        }
+        Self { points, widths }
+    }
+}
+
+/// Returns the difference of a number ahead and behind over their distance; `here` is needed where one of them is no number.
+pub fn slope(here: f64, [ahead, behind]: [f64; 2], [rise, fall]: [f64; 2]) -> f64 {
+    if ahead.is_finite() && behind.is_finite() {
+        (ahead - behind) / (rise + fall)
+    } else if ahead.is_finite() {
+        (ahead - here) / rise
+    } else {
+        (here - behind) / fall
+    }
+}
+
 /// Returns the rows of a matrix times their weights.
 pub fn weigh(matrix: &DMatrix<f64>, weights: &DVector<f64>) -> DMatrix<f64> {
     let mut out = matrix.clone();
@@ -243,6 +274,7 @@ mod tests {
             let problem = Problem {
                 residuals: &residuals,
                 bounds: vec![[-2.0, upper], [f64::NEG_INFINITY, f64::INFINITY]],
+                jacobian: None,
                 groups: Vec::new(),
             };
             let found = problem.minimize(&[-1.2, 1.0]).expect("residuals");
@@ -268,6 +300,7 @@ mod tests {
             let problem = Problem {
                 residuals: &residuals,
                 bounds: vec![[f64::NEG_INFINITY, f64::INFINITY]],
+                jacobian: None,
                 groups: Vec::new(),
             };
             let found = problem.minimize(&[start]).expect("residuals");
@@ -294,6 +327,7 @@ mod tests {
             let problem = Problem {
                 residuals: &residuals,
                 bounds,
+                jacobian: None,
                 groups,
             };
             problem.minimize(&[0.0]).expect("residuals").at[0]

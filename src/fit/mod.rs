@@ -6,18 +6,20 @@ mod data;
 mod explained;
 mod least_squares;
 mod report;
+mod resting;
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::{DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 pub use self::assumed::Assumption;
 use self::assumed::{Assumed, Kind};
 use self::data::{Case, Data, Marker, Sight};
 pub use self::explained::Explanation;
-use self::least_squares::{Minimum, Problem};
+use self::least_squares::{Beside, Minimum, Problem};
 pub use self::report::FitSummary;
+use self::resting::Remembered;
 use crate::mechanics::equilibrium::static_equilibrium_until;
 use crate::mechanics::place::{locate, pose};
 use crate::mechanics::rotation::{exp, log};
@@ -92,10 +94,11 @@ pub fn fit(
     let tables: Vec<toml::Table> = (cases.iter())
         .map(|case| entries(source, &case.set))
         .collect::<Result<_, _>>()?;
-    let parameters = parameters(&own, &tables, &data, options)?;
+    let parameters = parameters(&own, (&tables, &cases), &data, options)?;
     refuse_set(&parameters, &cases)?;
     let begun = std::time::Instant::now();
-    let model = Model {
+    let mut model = Model {
+        remembered: Vec::new(),
         source,
         markers: &data.marker,
         cases: &cases,
@@ -109,6 +112,7 @@ pub fn fit(
         stop,
     };
     model.check_count()?;
+    model.remembered = model.remember()?;
     let n_seen = model.fitted().map(Case::n_seen).sum::<usize>();
     let groups = if options.robust {
         (0..n_seen).map(|i| 3 * i..3 * i + 3).collect()
@@ -154,11 +158,12 @@ fn refuse_set(parameters: &[Free], cases: &[Case]) -> Result<(), FitError> {
             .map(|part| part.trim().trim_matches(['"', '\'']).to_string())
             .collect()
     };
-    for own in parameters.iter().filter(|own| own.times.is_empty()) {
+    for own in parameters.iter().filter(|own| own.is_key()) {
         let key = parts(&own.key);
         for case in cases {
             let set = case.set.iter().filter_map(|set| set.split_once('='));
-            for (path, _) in set {
+            let rows = case.rows().into_iter().flat_map(|rows| &rows.keys);
+            for path in set.map(|(path, _)| path).chain(rows.map(String::as_str)) {
                 let set = parts(path);
                 let shared = key.len().min(set.len());
                 if key[..shared] == set[..shared] {
@@ -179,8 +184,12 @@ fn refuse_set(parameters: &[Free], cases: &[Case]) -> Result<(), FitError> {
 /// A number that is fitted.
 struct Free {
     key: String,
-    /// Paths of the numbers that it multiplies; empty for the number at `key` itself.
+    /// Paths of the numbers that it multiplies.
     times: Vec<String>,
+    /// Paths of the numbers to which it is added.
+    plus: Vec<String>,
+    /// Marker and axis whose offset it is.
+    marker: Option<(usize, usize)>,
     start: f64,
     /// Unit of the search.
     scale: f64,
@@ -192,37 +201,49 @@ impl Free {
     /// Returns the number of this key, as the data describe it; `own` are the entries of the scene, and `tables` those of the cases.
     fn of(
         key: &str,
-        described: Option<&data::Free>,
+        data: &Data,
         own: &toml::Table,
-        tables: &[toml::Table],
+        (tables, cases): (&[toml::Table], &[Case]),
     ) -> Result<Self, FitError> {
         let refuse = |words: String| Err(FitError::Data(words));
+        let described = data.free.iter().find(|free| free.key == key);
         let times = described.map_or(&[][..], |free| &free.times);
-        for path in times {
-            if !tables
-                .iter()
-                .chain([own])
-                .any(|table| number(table, path).is_some())
-            {
-                return refuse(format!(
-                    "{path}, of which {key} is a factor, has no number in this scene"
-                ));
+        let plus = described.map_or(&[][..], |free| &free.plus);
+        if !times.is_empty() && !plus.is_empty() {
+            return refuse(format!("{key} has times and plus: give a number for each"));
+        }
+        let is_set = |path: &String| {
+            let rows = cases.iter().filter_map(Case::rows);
+            rows.flat_map(|rows| &rows.keys).any(|key| key == path)
+        };
+        for path in times.iter().chain(plus) {
+            let mut tables = tables.iter().chain([own]);
+            if !is_set(path) && !tables.any(|table| number(table, path).is_some()) {
+                let relation = if plus.is_empty() {
+                    "of which {key} is a factor"
+                } else {
+                    "to which {key} is added"
+                };
+                let relation = relation.replace("{key}", key);
+                return refuse(format!("{path}, {relation}, has no number in this scene"));
             }
         }
-        let given = described.and_then(|free| free.start).or_else(|| {
-            if times.is_empty() {
-                number(own, key)
-            } else {
-                Some(1.0)
-            }
-        });
+        let marker = marker_axis(key, &data.marker)?;
+        let given = described
+            .and_then(|free| free.start)
+            .or_else(|| match marker {
+                Some((marker, axis)) => Some(data.marker[marker].offset_m[axis]),
+                None if !times.is_empty() => Some(1.0),
+                None if !plus.is_empty() => Some(0.0),
+                None => number(own, key),
+            });
         let Some(start) = given else {
             return refuse(format!(
                 "{key} has no number in this scene; give the key of a number, or its start in [[free]] of the data"
             ));
         };
         let part = |of: fn(&data::Free) -> Option<f64>| described.and_then(of);
-        let is_positive = start > 0.0;
+        let is_positive = start > 0.0 && marker.is_none() && plus.is_empty();
         let bounds = [
             part(|free| free.lower).unwrap_or(if is_positive {
                 1e-3 * start
@@ -247,8 +268,16 @@ impl Free {
             }
         };
         let width = bounds[1] - bounds[0];
-        let scale = if start != 0.0 {
+        let length = number(own, "rod.length_m").unwrap_or(1.0);
+        let of_rows = (plus.iter())
+            .map(|path| largest_input(cases, path))
+            .fold(0.0, f64::max);
+        let scale = if marker.is_some() {
+            start.abs().max(OFFSET * length)
+        } else if start != 0.0 {
             start.abs()
+        } else if of_rows > 0.0 {
+            of_rows
         } else if let Some([_, sigma]) = prior {
             sigma
         } else if width.is_finite() {
@@ -259,6 +288,8 @@ impl Free {
         Ok(Self {
             key: key.into(),
             times: times.to_vec(),
+            plus: plus.to_vec(),
+            marker,
             start,
             scale,
             bounds,
@@ -266,26 +297,61 @@ impl Free {
         })
     }
 
-    /// Returns the dotted paths of its key and of the numbers that it multiplies.
+    /// Returns the dotted paths of its key and of the numbers that it multiplies, or to which it is added.
     fn paths(&self) -> Vec<String> {
-        [&[self.key.clone()][..], &self.times].concat()
+        let sums = self.plus.iter().map(|path| format!("{path} plus"));
+        let own = [&[self.key.clone()][..], &self.times].concat();
+        own.into_iter().chain(sums).collect()
+    }
+
+    /// Returns the paths of the numbers that it multiplies, or to which it is added.
+    fn related(&self) -> impl Iterator<Item = &String> {
+        self.times.iter().chain(&self.plus)
+    }
+
+    /// Tells whether it is the number at its key in the scene.
+    fn is_key(&self) -> bool {
+        self.related().next().is_none() && self.marker.is_none()
     }
 
     fn scaled_bounds(&self) -> [f64; 2] {
         self.bounds.map(|bound| bound / self.scale)
     }
+}
 
-    /// Returns the values of the scene that follow from this one, as `KEY=VALUE`; `table` has those that a factor multiplies.
-    fn overrides(&self, value: f64, table: &toml::Table) -> Vec<String> {
-        if self.times.is_empty() {
-            return vec![format!("{}={value:e}", self.key)];
-        }
-        let products = self.times.iter().filter_map(|path| {
-            let product = value * number(table, path)?;
-            Some(format!("{path}={product:e}"))
-        });
-        products.collect()
+/// Scale of an offset of a marker in the search, as a part of the length of the arm.
+const OFFSET: f64 = 1e-2;
+
+/// Returns the marker and the axis of a key as `marker.tip.offset_m.2`.
+///
+/// # Errors
+/// Returns [`FitError`] for another marker, or another number of it.
+fn marker_axis(key: &str, markers: &[Marker]) -> Result<Option<(usize, usize)>, FitError> {
+    let Some(path) = key.strip_prefix("marker.") else {
+        return Ok(None);
+    };
+    let found = path.split_once(".offset_m.").and_then(|(name, axis)| {
+        let marker = markers.iter().position(|own| own.name == name)?;
+        Some((marker, axis.parse().ok().filter(|axis: &usize| *axis < 3)?))
+    });
+    match found {
+        Some(found) => Ok(Some(found)),
+        None => Err(FitError::Data(format!(
+            "{key}: expected marker.NAME.offset_m.0, .1 or .2, with the name of a marker"
+        ))),
     }
+}
+
+/// Returns the size of the largest command of a key in tables.
+fn largest_input(cases: &[Case], key: &str) -> f64 {
+    let mut largest = 0.0f64;
+    for rows in cases.iter().filter_map(Case::rows) {
+        for (index, _) in rows.keys.iter().enumerate().filter(|(_, own)| *own == key) {
+            let column = (0..rows.len()).map(|row| rows.row(row)[index].abs());
+            largest = column.fold(largest, f64::max);
+        }
+    }
+    largest
 }
 
 /// Returns the entries of a resolved scene.
@@ -298,7 +364,7 @@ fn entries(source: &SceneSource, set: &[String]) -> Result<toml::Table, FitError
 /// Returns the numbers that are fitted, with their starts; `own` are the entries of the scene, and `tables` those of the cases.
 fn parameters(
     own: &toml::Table,
-    tables: &[toml::Table],
+    cases: (&[toml::Table], &[Case]),
     data: &Data,
     options: &FitOptions,
 ) -> Result<Vec<Free>, FitError> {
@@ -316,8 +382,7 @@ fn parameters(
     }
     let mut out: Vec<Free> = Vec::new();
     for key in keys {
-        let described = data.free.iter().find(|free| free.key == key);
-        let free = Free::of(key, described, own, tables)?;
+        let free = Free::of(key, data, own, cases)?;
         let taken: Vec<String> = out.iter().flat_map(Free::paths).collect();
         let new = free.paths();
         if let Some(path) = (new.iter().enumerate())
@@ -387,6 +452,8 @@ impl Pose {
 
 /// Predicts what was measured.
 struct Model<'a> {
+    /// Of every case that is a table, what is remembered of it.
+    remembered: Vec<Option<Remembered>>,
     source: &'a SceneSource,
     markers: &'a [Marker],
     cases: &'a [Case],
@@ -434,9 +501,15 @@ impl Model<'_> {
     /// Returns the overrides of a case under parameters; `table` has the entries of its scene.
     fn overrides(&self, at: &[f64], set: &[String], table: &toml::Table) -> Vec<String> {
         let own = self.source.overrides.iter().chain(set).cloned();
-        let fitted = (self.parameters.iter().zip(at))
-            .flat_map(|(own, at)| own.overrides(at * own.scale, table));
-        own.chain(fitted).collect()
+        let values = (self.parameters.iter().zip(at))
+            .filter(|(own, _)| own.is_key())
+            .map(|(own, at)| format!("{}={:e}", own.key, at * own.scale));
+        let related = self.parameters.iter().flat_map(Free::related);
+        let related: std::collections::BTreeSet<&String> = related.collect();
+        let changed = (related.into_iter())
+            .filter_map(|path| Some((path, number(table, path)?)))
+            .map(|(path, value)| format!("{path}={:e}", self.given(at, path, value)));
+        own.chain(values).chain(changed).collect()
     }
 
     /// Checks that there are no fewer numbers than keys.
@@ -456,12 +529,91 @@ impl Model<'_> {
         steps: &Steps,
         groups: &[std::ops::Range<usize>],
     ) -> Result<Minimum, FitError> {
+        let has_tables = self.fitted().any(|case| case.rows().is_some());
+        let jacobian = |at: &[f64]| self.jacobian(at, steps);
         let problem = Problem {
             residuals: &|points: &[Vec<f64>]| self.residuals(points, steps),
-            bounds: self.parameters.iter().map(Free::scaled_bounds).collect(),
+            bounds: self.bounds(),
+            jacobian: has_tables.then_some(&jacobian),
             groups: groups.to_vec(),
         };
         problem.minimize(start)
+    }
+
+    fn bounds(&self) -> Vec<[f64; 2]> {
+        self.parameters.iter().map(Free::scaled_bounds).collect()
+    }
+
+    /// Returns the derivatives of the residuals: of tables by the implicit function theorem, of shapes and recordings by differences.
+    ///
+    /// # Errors
+    /// Returns [`FitError`] where one of these cannot be computed.
+    fn jacobian(&self, at: &[f64], steps: &Steps) -> Result<DMatrix<f64>, FitError> {
+        let beside = Beside::of(at, &self.bounds());
+        let is_other = |case: &usize| self.cases[*case].rows().is_none();
+        let cases: Vec<usize> = (0..self.cases.len())
+            .filter(|case| !self.cases[*case].held_out)
+            .collect();
+        let others: Vec<usize> = cases.iter().copied().filter(is_other).collect();
+        let mut found = Vec::new();
+        for blocks in self.blocks(&beside.points, steps, None, &others) {
+            found.push(blocks?);
+        }
+        let mut parts = Vec::new();
+        for case in cases {
+            if !is_other(&case) {
+                parts.push(self.table_jacobian(at, case, &beside)?);
+                continue;
+            }
+            let place = others.partition_point(|other| *other < case);
+            let n = found.first().map_or(0, |blocks| blocks[place].len());
+            parts.push(DMatrix::from_fn(n, at.len(), |i, j| {
+                let [rise, fall] = beside.widths[j];
+                let [ahead, behind] = [0, 1].map(|side| found[2 * j + side][place][i]);
+                (ahead - behind) / (rise + fall)
+            }));
+        }
+        for (j, own) in self.parameters.iter().enumerate() {
+            if let Some([_, sigma]) = own.prior {
+                let mut row = DMatrix::zeros(1, at.len());
+                row[(0, j)] = own.scale / sigma;
+                parts.push(row);
+            }
+        }
+        let n = parts.iter().map(DMatrix::nrows).sum();
+        let mut out = DMatrix::zeros(n, at.len());
+        let mut first = 0;
+        for part in parts {
+            out.rows_mut(first, part.nrows()).copy_from(&part);
+            first += part.nrows();
+        }
+        Ok(out)
+    }
+
+    /// Returns the value of a number that the scene or a row has, under the factors and summands of it that are fitted.
+    fn given(&self, at: &[f64], path: &str, value: f64) -> f64 {
+        let has = |paths: &[String]| paths.iter().any(|own| own == path);
+        let own = || self.parameters.iter().zip(at);
+        let times = own().filter(|(own, _)| has(&own.times));
+        let product = times.fold(value, |value, (own, at)| value * at * own.scale);
+        let plus = own().filter(|(own, _)| has(&own.plus));
+        plus.fold(product, |sum, (own, at)| sum + at * own.scale)
+    }
+
+    /// Returns the sights of a row of a table.
+    fn sights_of_row(&self, case: usize, row: usize) -> &[Sight] {
+        let sights = &self.cases[case].sights;
+        let before = |row: usize| sights.partition_point(|sight| sight.time < row as f64);
+        &sights[before(row)..before(row + 1)]
+    }
+
+    /// Appends the residuals of a sight, in standard deviations.
+    fn append_residuals(&self, pose: &Pose, sight: &Sight, out: &mut Vec<f64>) {
+        let off = pose.off(sight).map(|off| off / self.sigma.place);
+        let turn = pose.turn(sight).map(|turn| turn / self.sigma.angle);
+        for part in [off, turn].into_iter().flatten() {
+            out.extend_from_slice(part.as_slice());
+        }
     }
 
     /// Returns time steps and schemes of recordings.
@@ -471,7 +623,7 @@ impl Model<'_> {
             .cases
             .iter()
             .enumerate()
-            .filter(|(_, case)| !case.is_static)
+            .filter(|(_, case)| case.is_motion())
         {
             let (scene, source) = self.scene(at, index, None, &[])?;
             let setup = scene.simulation_until(&source, self.stop)?;
@@ -494,7 +646,7 @@ impl Model<'_> {
         let case = &self.cases[index];
         let mut overrides = self.overrides(at, &case.set, &self.tables[index]);
         overrides.extend_from_slice(more);
-        if case.is_static {
+        if !case.is_motion() {
             overrides.push("initial.shape=\"equilibrium\"".into());
         } else {
             let last = case.sights.last().map_or(0.0, |sight| sight.time);
@@ -521,6 +673,19 @@ impl Model<'_> {
     ) -> Result<Vec<Pose>, FitError> {
         let case = &self.cases[index];
         self.stop.check().map_err(FitError::Stopped)?;
+        if case.rows().is_some() {
+            let (more, loads) = match changed {
+                Some((
+                    Assumed {
+                        kind: Kind::Loads, ..
+                    },
+                    by,
+                )) => (Vec::new(), 1.0 + by),
+                Some((assumed, by)) => (assumed.overrides(by, &self.tables[index]), 1.0),
+                None => (Vec::new(), 1.0),
+            };
+            return self.table(at, index, &more, loads);
+        }
         let more = changed.map_or_else(Vec::new, |(assumed, by)| {
             assumed.overrides(by, &self.tables[index])
         });
@@ -551,8 +716,8 @@ impl Model<'_> {
             }
         }
         let nodes = setup.rod.places();
-        let pose = |shape: &Configuration, marker: usize| self.pose(&nodes, shape, marker);
-        if case.is_static {
+        let pose = |shape: &Configuration, marker: usize| self.pose(&nodes, shape, marker, at);
+        if case.is_static() {
             let shape = &setup.initial.configuration;
             return Ok(case
                 .sights
@@ -592,11 +757,17 @@ impl Model<'_> {
     }
 
     /// Returns the pose of a marker, given the [places of the nodes](crate::mechanics::Rod::places).
-    fn pose(&self, nodes: &[f64], shape: &Configuration, marker: usize) -> Pose {
-        let marker = &self.markers[marker];
+    fn pose(&self, nodes: &[f64], shape: &Configuration, index: usize, at: &[f64]) -> Pose {
+        let marker = &self.markers[index];
         let (q, part) = locate(nodes, marker.at);
         let (x, section) = pose(shape, q, part);
-        let place = x + section * Vector3::from(marker.offset_m);
+        let mut offset = Vector3::from(marker.offset_m);
+        for (own, at) in self.parameters.iter().zip(at) {
+            if let Some((_, axis)) = own.marker.filter(|(marker, _)| *marker == index) {
+                offset[axis] = at * own.scale;
+            }
+        }
+        let place = x + section * offset;
         Pose { place, section }
     }
 
@@ -610,7 +781,7 @@ impl Model<'_> {
     /// Returns the shapes at rest of arms with as many nodes as a rod.
     fn shapes(&self, at: &[f64], like: &Rod) -> Result<MotionRecord, FitError> {
         let mut out = MotionRecord::empty(like.n_nodes());
-        let resting = (0..self.cases.len()).filter(|&index| self.cases[index].is_static);
+        let resting = (0..self.cases.len()).filter(|&index| self.cases[index].is_static());
         for (index, case) in resting.enumerate() {
             let (scene, source) = self.scene(at, case, None, &[])?;
             let setup = scene.simulation_until(&source, self.stop)?;
@@ -644,10 +815,37 @@ impl Model<'_> {
         steps: &Steps,
         changed: Option<(&Assumed, f64)>,
     ) -> Vec<Result<DVector<f64>, FitError>> {
-        let work: Vec<(usize, usize)> = (0..points.len())
-            .flat_map(|point| (0..self.cases.len()).map(move |case| (point, case)))
-            .filter(|(_, case)| !self.cases[*case].held_out)
+        let cases: Vec<usize> = (0..self.cases.len())
+            .filter(|case| !self.cases[*case].held_out)
             .collect();
+        let found = self.blocks(points, steps, changed, &cases);
+        (found.into_iter().zip(points))
+            .map(|(blocks, point)| {
+                let mut out = blocks?.concat();
+                for (own, at) in self.parameters.iter().zip(point) {
+                    if let Some([prior, sigma]) = own.prior {
+                        out.push((at * own.scale - prior) / sigma);
+                    }
+                }
+                Ok(DVector::from_vec(out))
+            })
+            .collect()
+    }
+
+    /// Returns the residuals of some cases at several points, case by case.
+    fn blocks(
+        &self,
+        points: &[Vec<f64>],
+        steps: &Steps,
+        changed: Option<(&Assumed, f64)>,
+        cases: &[usize],
+    ) -> Vec<Result<Vec<Vec<f64>>, FitError>> {
+        let of = |point: usize| cases.iter().map(move |case| (point, *case));
+        let work: Vec<(usize, usize)> = (0..points.len()).flat_map(of).collect();
+        // Tables have threads of their own.
+        let is_table = |case: usize| self.cases[case].rows().is_some();
+        let (tables, work): (Vec<_>, Vec<_>) =
+            work.into_iter().partition(|(_, case)| is_table(*case));
         let share = work.len().div_ceil(self.n_threads.max(1)).max(1);
         let mut found: Vec<Result<Vec<Pose>, FitError>> = Vec::new();
         std::thread::scope(|scope| {
@@ -668,33 +866,31 @@ impl Model<'_> {
                 }
             }
         });
-        let mut found = work.iter().zip(found).peekable();
+        let mut others = work.iter().zip(found).peekable();
+        let mut tables = tables.into_iter().peekable();
         (0..points.len())
             .map(|point| {
-                let mut out = Vec::new();
+                let mut out = vec![Vec::new(); cases.len()];
                 let mut fault = None;
-                while let Some((&(_, case), poses)) = found.next_if(|((own, _), _)| *own == point) {
-                    match poses {
-                        Ok(poses) => {
-                            for (pose, sight) in poses.iter().zip(&self.cases[case].sights) {
-                                let off = pose.off(sight).map(|off| off / self.sigma.place);
-                                let turn = pose.turn(sight).map(|turn| turn / self.sigma.angle);
-                                for part in [off, turn].into_iter().flatten() {
-                                    out.extend_from_slice(part.as_slice());
-                                }
-                            }
+                let mut take = |case: usize, poses: Result<Vec<Pose>, FitError>| match poses {
+                    Ok(poses) => {
+                        let place = cases.partition_point(|own| *own < case);
+                        for (pose, sight) in poses.iter().zip(&self.cases[case].sights) {
+                            self.append_residuals(pose, sight, &mut out[place]);
                         }
-                        Err(error) => fault = Some(error),
                     }
+                    Err(error) => fault = Some(error),
+                };
+                while let Some((&(_, case), poses)) = others.next_if(|((own, _), _)| *own == point)
+                {
+                    take(case, poses);
                 }
-                for (own, at) in self.parameters.iter().zip(&points[point]) {
-                    if let Some([prior, sigma]) = own.prior {
-                        out.push((at * own.scale - prior) / sigma);
-                    }
+                while let Some((_, case)) = tables.next_if(|(own, _)| *own == point) {
+                    take(case, self.case(&points[point], case, steps, changed));
                 }
                 match fault {
                     Some(error) => Err(error),
-                    None => Ok(DVector::from_vec(out)),
+                    None => Ok(out),
                 }
             })
             .collect()

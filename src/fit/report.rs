@@ -1,5 +1,6 @@
 //! Standard errors, correlations, undetermined combinations, and residuals of a fit.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use nalgebra::{DMatrix, Vector3};
@@ -148,8 +149,63 @@ pub struct CaseSummary {
     pub rms_rad: Option<f64>,
     /// That under the estimates without this case, to first order, m; null for a case that was held out.
     pub left_out_rms_m: Option<f64>,
+    /// Of a table of shapes: the root of the mean square of the distances once the mean of the differences is taken away, m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub aligned_rms_m: Option<f64>,
+    /// Of a table of shapes: its groups, in the order of the rows.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub groups: Vec<GroupSummary>,
     /// Places that are further off than four standard deviations.
     pub outliers: usize,
+}
+
+/// Residuals of a group of the rows of a table.
+#[derive(Clone, Debug, Serialize)]
+pub struct GroupSummary {
+    /// Word in the column of groups.
+    pub name: String,
+    /// Places of markers.
+    pub places: usize,
+    /// Root of the mean square of the distances, m.
+    pub rms_m: Option<f64>,
+}
+
+/// Returns the groups of a table, whose residuals are given.
+fn groups(case: &Case, rows: &[ResidualRow]) -> Vec<GroupSummary> {
+    let Some(table) = case.rows().filter(|rows| !rows.groups.is_empty()) else {
+        return Vec::new();
+    };
+    let mut names: Vec<&String> = Vec::new();
+    let mut own: BTreeMap<&String, Vec<ResidualRow>> = BTreeMap::new();
+    for row in rows {
+        let name = &table.groups[row.t_s as usize];
+        if !own.contains_key(name) {
+            names.push(name);
+        }
+        own.entry(name).or_default().push(row.clone());
+    }
+    (names.into_iter())
+        .map(|name| GroupSummary {
+            name: name.clone(),
+            places: own[name].len(),
+            rms_m: Squares::of(&own[name]).rms()[0],
+        })
+        .collect()
+}
+
+/// Returns the root of the mean square of distances without the mean of the differences.
+fn aligned(rows: &[ResidualRow]) -> Option<f64> {
+    let off: Vec<Vector3<f64>> = (rows.iter())
+        .filter_map(|row| {
+            let measured = Vector3::new(row.x_m?, row.y_m?, row.z_m?);
+            let predicted = [row.predicted_x_m, row.predicted_y_m, row.predicted_z_m];
+            Some(Vector3::from(predicted) - measured)
+        })
+        .collect();
+    let n = off.len() as f64;
+    let mean = off.iter().sum::<Vector3<f64>>() / n;
+    let sum: f64 = off.iter().map(|own| (own - mean).norm_squared()).sum();
+    (n > 0.0).then(|| (sum / n).sqrt())
 }
 
 /// Sums of squares of distances and angles.
@@ -258,7 +314,7 @@ impl Seen {
             let [rms_m, rms_rad] = squares.rms();
             out.cases.push(CaseSummary {
                 name: case.name.clone(),
-                at_rest: case.is_static,
+                at_rest: !case.is_motion(),
                 held_out: case.held_out,
                 gaps: case.gaps,
                 places: own.len(),
@@ -267,6 +323,8 @@ impl Seen {
                 left_out_rms_m: (!case.held_out)
                     .then(|| left_out(model, case, found, normal, first..first + n))
                     .flatten(),
+                aligned_rms_m: case.rows().and_then(|_| aligned(&own)),
+                groups: groups(case, &own),
                 outliers: own.iter().filter(|row| row.outlier).count(),
             });
             first += n;

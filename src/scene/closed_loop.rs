@@ -5,20 +5,21 @@ use std::sync::Arc;
 
 use super::error::SceneError;
 use super::model::{
-    self, Computing as ComputingKey, EstimatorKind, Fallback, Mpc, Plant, Scene,
-    Sensor as SensorKeys, TimeStep,
+    self, Computing as ComputingKey, EstimatorKind, Mpc, Plant, Scene, Sensor as SensorKeys,
+    TimeStep,
 };
 use super::section::profile;
 use super::source::SceneSource;
 use super::values::{Instant, Number, Positive, digits, known};
+use crate::control::OptimalControlProblem;
 use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
-    ActuatorDynamics, Computing, EffortDynamics, Experiment, MpcError, MpcSettings, Sensing,
-    Sensor, SensorChoice, SensorSettings, Transfer, followed, with_long_steps,
+    ActuatorDynamics, EffortDynamics, Experiment, MpcError, Sensing, Sensor, SensorChoice,
+    SensorSettings, Transfer, followed, with_long_steps,
 };
 use crate::stop::StopSignal;
-use crate::task::{Arm, Discretization, DiscretizeError};
+use crate::task::{Arm, Discretization, DiscretizeError, StartError, Task};
 
 /// A closed loop that a scene describes.
 #[derive(Clone, Debug)]
@@ -46,7 +47,9 @@ const ON_THE_SURFACE: f64 = 0.01;
 const PART_OF_PERIOD: f64 = 0.5;
 const PART_OF_TIME: f64 = 0.25;
 const FEWEST_SAMPLES: f64 = 10.0;
-const BLOCKS: f64 = 10.0;
+/// Remedy for a plant that cannot be computed with.
+const OF_PLANT: &str =
+    "the arm as it is has the keys of [rod], and in their place those of [plant]";
 
 impl ClosedLoopSetup {
     /// The sensors that an estimator uses.
@@ -103,15 +106,19 @@ impl ClosedLoopSetup {
 }
 
 impl Scene {
-    /// Longest default horizon, s: blocks have to be short beside the paths that the arm follows.
-    fn longest_horizon(&self) -> f64 {
+    /// Returns the horizon, s. Blocks of a default one have to be short beside the paths that the arm follows.
+    fn horizon(&self, mpc: &Mpc, rod: &Rod, stop: &StopSignal) -> Result<f64, StartError> {
+        if let Some(horizon) = mpc.horizon_s {
+            return Ok(horizon.get());
+        }
+        let start = self.start().state(rod, stop)?;
         let follows =
             (self.objective.as_ref()).is_some_and(|objective| !objective.track.is_empty());
-        if follows {
-            PART_OF_TIME * self.time.end_s.get()
-        } else {
-            f64::INFINITY
-        }
+        let longest = match follows {
+            true => PART_OF_TIME * self.time.end_s.get(),
+            false => f64::INFINITY,
+        };
+        Ok(default_horizon(rod, &start, mpc.period_s.get(), longest))
     }
 
     /// Returns the closed loop that the scene describes; `seed` is that of the noise if the scene has none, and `stop` ends the search for
@@ -126,50 +133,24 @@ impl Scene {
         seed: u32,
         stop: &StopSignal,
     ) -> Result<ClosedLoopSetup, SceneError> {
-        let Some(mpc) = &self.mpc else {
-            let help =
-                "softarm mpc needs it, be it empty; `softarm example mpc-track-circle` shows one";
-            return Err(source.error_at("mpc", "[mpc] is missing", Some(help.into())));
-        };
-        self.refuse_unknown_parts(source)?;
+        let mpc = self.controller(source)?;
         let arm = self.arm(source)?;
         let duration = mpc.duration_s.map_or(self.time.end_s.get(), Number::get);
         let period = mpc.period_s.get();
         let refused = |error| self.discretize_error(source, error);
-
         let asked = self.discretization();
         let rod = arm.rod(&asked).map_err(|error| refused(error.into()))?;
-        let horizon = match mpc.horizon_s {
-            Some(horizon) => horizon.get(),
-            None => {
-                let start = (self.start().state(&rod, stop)).map_err(|e| refused(e.into()))?;
-                default_horizon(&rod, &start, period, self.longest_horizon())
-            }
-        };
+        let horizon = (self.horizon(mpc, &rod, stop)).map_err(|error| refused(error.into()))?;
         let due = mpc.due_s.or(self.task.as_ref().and_then(|task| task.at_s));
-        let mut task = self.posed_task_until(source, duration + horizon)?;
-        task.horizon = horizon;
-        // The plan of a controller has no rows for tensions.
-        task.keeps_taut = false;
+        let task = Task {
+            horizon,
+            // The plan of a controller has no rows for tensions.
+            keeps_taut: false,
+            ..self.posed_task_until(source, duration + horizon)?
+        };
         // Where the arm stays is for the controller alone to find out, and only where the task is due.
         let passing = task.clone().stopping();
-        if due.is_none() {
-            task = passing.clone();
-        }
-        let settings = MpcSettings {
-            period,
-            horizon,
-            due: due.map(Number::get),
-            block: mpc.block_s.map_or(horizon / BLOCKS, Number::get),
-            equal_blocks: mpc.equal_blocks,
-            jump: mpc.jump.get(),
-            effort: mpc.effort_from,
-            target_weight: mpc.target_weight.get(),
-            limit_price: mpc.limit_price.map(Number::get),
-            iterations: mpc.iterations,
-            deadline: mpc.deadline_s.map(Number::get),
-            ..MpcSettings::receding(horizon)
-        };
+        let settings = mpc.settings(horizon, due.map(Number::get));
         let asked = with_long_steps(&rod, &asked, &settings);
         let blocks = (horizon / settings.block).round().max(1.0) as usize;
         let posed = passing
@@ -185,18 +166,12 @@ impl Scene {
         let efforts = self.plant_efforts(arm.pose_actuators.len());
         let found = passing
             .discretize_until(&plant, &plant_discretization, stop)
-            .map_err(|error| {
-                let help =
-                    "the arm as it is has the keys of [rod], and in their place those of [plant]";
-                source.error_at("plant", error.to_string(), Some(help.into()))
-            })?
+            .map_err(|error| source.error_at("plant", error.to_string(), Some(OF_PLANT.into())))?
             .discrete;
 
         let seed = mpc.seed.unwrap_or(seed);
         let sensors = self.sensors(source, &model, &found.rod)?;
-        let actuators = (self.plant.as_ref())
-            .and_then(|plant| plant.actuator.as_ref())
-            .map_or_else(ActuatorDynamics::default, model::PlantActuator::dynamics);
+        let actuators = self.actuator_dynamics();
         let mut loop_settings = mpc.loop_settings(actuators.delay);
         if self.estimator.is_some() {
             loop_settings.fallback = (loop_settings.fallback).following(&sensors, period);
@@ -207,45 +182,17 @@ impl Scene {
 
         let mut resolved = self.resolved(&arm, &discretization);
         resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
-        let mut objective = self.objective.clone().unwrap_or_default();
-        for (track, discrete) in
-            (objective.track.iter_mut()).zip(&posed.discrete.objective.tracking)
-        {
-            track.take_weights(discrete);
-        }
-        let tip = posed.discrete.wrench_actuators().into_iter().next();
-        objective.force_scale_n = tip.map(|tip| known(tip.force.scale));
-        objective.moment_scale_n_m = tip.map(|tip| known(tip.moment.scale));
-        resolved.objective = Some(objective);
+        resolved.objective = Some(self.resolved_objective(&posed.discrete));
         resolved.mpc = Some(Mpc {
             horizon_s: Some(known(horizon)),
             due_s: due,
             block_s: Some(known(settings.block)),
             duration_s: Some(known(duration)),
             counted_from_s: Some(known(counted_from)),
-            computing_s: match loop_settings.computing {
-                Computing::Fixed(seconds) => Some(known(seconds)),
-                Computing::Instant | Computing::Measured => None,
-            },
-            actuator_delay_s: Some(known(loop_settings.actuator_delay)),
             seed: Some(seed),
-            fallback: self
-                .estimator
-                .is_some()
-                .then(|| Fallback {
-                    patience_s: loop_settings.fallback.patience.map(known),
-                    ..mpc.fallback.clone().unwrap_or_default()
-                })
-                .or_else(|| mpc.fallback.clone()),
-            ..mpc.clone()
+            ..mpc.resolved(&loop_settings, self.estimator.is_some())
         });
-        resolved.plant = Some(Plant {
-            elements: Some(plant_discretization.elements),
-            viscous_1_s: Some(known(plant.viscous_damping)),
-            internal_s: Some(known(plant.internal_damping)),
-            curvature_1_m: Some(plant.rest_curvature.into()),
-            ..self.plant.clone().unwrap_or_default()
-        });
+        resolved.plant = Some(self.resolved_plant(&plant, &plant_discretization));
         resolved.sensor = sensors.iter().map(SensorKeys::describing).collect();
         if let Some(estimator) = &mut resolved.estimator {
             estimator.disturbances = Some(estimator.unknowns(self.tip_kind()));
@@ -253,15 +200,8 @@ impl Scene {
 
         let mut warnings = self.concerns(due, duration);
         warnings.extend(self.sharp_sensors(&sensors, &model));
-        // The controller's problem and the one here have the same weights.
-        for (track, discrete) in
-            (task.cost.tracks.iter_mut()).zip(&posed.discrete.objective.tracking)
-        {
-            track.weight = Some(discrete.weight);
-            track.rotation_weight = Some(discrete.rotation_weight);
-        }
-        task.cost.force_scale = tip.map(|tip| tip.force.scale);
-        task.cost.moment_scale = tip.map(|tip| tip.moment.scale);
+        let task = if due.is_some() { task } else { passing };
+        let task = with_weights_of(task, &posed.discrete);
         let sensing = (self.estimator.as_ref()).map_or(Sensing::Everything, |estimator| {
             estimator.sensing(&sensors, seed, self.tip_kind())
         });
@@ -323,8 +263,13 @@ impl Scene {
         }
     }
 
-    /// Refuses features that the controller does not support: waypoints, a free duration and cubic blocks.
-    fn refuse_unknown_parts(&self, source: &SceneSource) -> Result<(), SceneError> {
+    /// Returns the keys of the controller; refuses features that it does not support: waypoints, a free duration and cubic blocks.
+    fn controller(&self, source: &SceneSource) -> Result<&Mpc, SceneError> {
+        let Some(mpc) = &self.mpc else {
+            let help =
+                "softarm mpc needs it, be it empty; `softarm example mpc-track-circle` shows one";
+            return Err(source.error_at("mpc", "[mpc] is missing", Some(help.into())));
+        };
         let task = self.task.as_ref();
         let cubic = (self.control.as_ref())
             .is_some_and(|control| control.hold == crate::control::Hold::Cubic);
@@ -350,7 +295,7 @@ impl Scene {
         ];
         match refusals.into_iter().find(|(_, is_there, _, _)| *is_there) {
             Some((key, _, message, help)) => Err(source.error_at(key, message, Some(help.into()))),
-            None => Ok(()),
+            None => Ok(mpc),
         }
     }
 
@@ -445,6 +390,24 @@ impl Scene {
         (plant, own)
     }
 
+    fn actuator_dynamics(&self) -> ActuatorDynamics {
+        let own = self
+            .plant
+            .as_ref()
+            .and_then(|plant| plant.actuator.as_ref());
+        own.map_or_else(ActuatorDynamics::default, model::PlantActuator::dynamics)
+    }
+
+    fn resolved_plant(&self, plant: &Arm, discretization: &Discretization) -> Plant {
+        Plant {
+            elements: Some(discretization.elements),
+            viscous_1_s: Some(known(plant.viscous_damping)),
+            internal_s: Some(known(plant.internal_damping)),
+            curvature_1_m: Some(plant.rest_curvature.into()),
+            ..self.plant.clone().unwrap_or_default()
+        }
+    }
+
     /// Returns the dynamics of the plant's actuators, the last `n_poses` of which are on poses: lags are those of the plant, or else of the
     /// model.
     fn plant_efforts(&self, n_poses: usize) -> Vec<EffortDynamics> {
@@ -483,6 +446,18 @@ impl Scene {
         }
         Ok(out)
     }
+}
+
+/// Returns a task with the weights and scales that were chosen for a problem, so that the problem of the controller has the same.
+fn with_weights_of(mut task: Task, problem: &OptimalControlProblem) -> Task {
+    for (track, chosen) in (task.cost.tracks.iter_mut()).zip(&problem.objective.tracking) {
+        track.weight = Some(chosen.weight);
+        track.rotation_weight = Some(chosen.rotation_weight);
+    }
+    let tip = problem.wrench_actuators().into_iter().next();
+    task.cost.force_scale = tip.map(|tip| tip.force.scale);
+    task.cost.moment_scale = tip.map(|tip| tip.moment.scale);
+    task
 }
 
 /// Returns half of the first natural period about the start, s, at most `longest` and at least ten samples, as a whole number of samples.

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::error::SceneError;
+use super::keys::{given, given_of};
 use super::model::{Scene, Track};
 use super::source::SceneSource;
 use crate::output::open_regular;
@@ -31,12 +32,7 @@ fn read_path(track: &mut Track, source: &SceneSource, section: &str) -> Result<(
         return Ok(());
     };
     let key = format!("{section}.path_csv");
-    let others = [
-        ("path_m", !track.path_m.is_empty()),
-        ("circle", track.circle.is_some()),
-        ("figure_eight", track.figure_eight.is_some()),
-    ];
-    if let Some((other, _)) = others.iter().find(|(_, given)| *given) {
+    if let Some(other) = given_of(&given!(track: path_m, circle, figure_eight)).next() {
         let message = format!("path_csv and {other} are two paths");
         return Err(source.error_at(&key, message, Some("leave one out".into())));
     }

@@ -6,11 +6,11 @@ use super::model::{
     Base, Contact, EndKind, Initial, Limit, Objective, Obstacle, Reference, Rod, RotaryInertia,
     Scene, Solver, Time, TimeScheme, TimeStep, Tip, describe_hardware, describe_section,
     described_control, described_end, described_targets, described_task, describing_poses,
+    integrator, rotary_inertia,
 };
 use super::values::known;
-use crate::mechanics;
 use crate::sqp::SqpSettings;
-use crate::task::{self, PathLimit, Problem};
+use crate::task::{self, Arm, PathLimit, Problem, Task};
 
 impl Scene {
     /// Returns the scene that describes a problem: read again, it gives the same problem, up to rounding of orientations and directions.
@@ -23,82 +23,21 @@ impl Scene {
         let (arm, task) = (&problem.arm, &problem.task);
         let chosen = &problem.discretization;
         let mesh = &problem.discrete.rod.mesh;
-        let (kind, axis, motion) = described_end(&arm.base)?;
-        let base = Base {
-            kind,
-            position_m: arm.base_position.into(),
-            direction: None,
-            roll_rad: None,
-            orientation_wxyz: Some(wxyz(&arm.base_rotation)),
-            axis,
-            motion,
-        };
-        let (kind, axis, motion) = described_end(&arm.tip)?;
-        let tip = Tip {
-            kind,
-            position_m: arm.tip_position.map(Into::into),
-            direction: None,
-            roll_rad: None,
-            orientation_wxyz: arm.tip_rotation.as_ref().map(wxyz),
-            axis,
-            motion,
-        };
-        let mut rod = Rod {
-            length_m: known(arm.length),
-            elements: chosen.elements,
-            accuracy: None,
-            strain: chosen.strain_rule,
-            model: arm.model,
-            rotary_inertia: chosen
-                .rotary_inertia
-                .map_or(RotaryInertia::Auto, |inertia| match inertia {
-                    mechanics::RotaryInertia::Section => RotaryInertia::Section,
-                    mechanics::RotaryInertia::Segment => RotaryInertia::Segment,
-                }),
-            display_radius_m: None,
-            material: None,
-            section: None,
-            stiffness: None,
-            inertia: None,
-            segment: Vec::new(),
-            reference: Some(Reference {
-                curvature_1_m: arm.rest_curvature.into(),
-                curvature_along_1_m: (arm.curvature_rows.iter())
-                    .map(|(s, curvature)| [*s, curvature.x, curvature.y, curvature.z])
-                    .collect(),
-                stretch: known(arm.rest_stretch),
-            }),
-        };
-        describe_section(arm, &mut rod)?;
+        let tip = described_tip(arm)?;
+        let rod = described_rod(problem)?;
         let poses = describing_poses(&arm.pose_actuators, arm.actuators.len(), &task.efforts);
         let (magnet, cable) = poses.filter(|_| arm.potentials.is_empty()).ok_or(DescribeError(
             "its arm has potentials or actuators on poses of its own, or others than magnets and then cables",
         ))?;
-        let obstacles = (task.limits.iter())
-            .take_while(|limit| limit.is_obstacle())
-            .count();
-        if task.limits[obstacles..]
-            .iter()
-            .any(task::Limit::is_obstacle)
-        {
-            return Err(DescribeError("its obstacles come behind other limits"));
-        }
-        let is_own = |limit: &task::Limit| matches!(limit.kind, PathLimit::Term(_));
-        if !task.cost.terms.is_empty() || task.limits.iter().any(is_own) {
-            return Err(DescribeError("it has terms of its own"));
-        }
+        let (obstacles, limits) = obstacles_and_limits(task)?;
         let (via, goal) = described_targets(task, mesh)?;
         let time = Time {
             end_s: known(task.horizon),
             step_s: chosen.step.map_or(TimeStep::Auto, TimeStep::Seconds),
-            integrator: match chosen.scheme {
-                None => TimeScheme::Auto,
-                Some(mechanics::TimeScheme::Explicit) => TimeScheme::Explicit,
-                Some(mechanics::TimeScheme::Implicit) => TimeScheme::Implicit,
-            },
+            integrator: chosen.scheme.map_or(TimeScheme::Auto, integrator),
         };
         let mut out = Scene {
-            base,
+            base: described_base(arm)?,
             tip: (tip.kind != EndKind::Free).then_some(tip),
             magnet,
             cable,
@@ -106,10 +45,8 @@ impl Scene {
             initial: Some(Initial::describing(&task.start)),
             task: goal.map(|goal| described_task(problem, goal, via)),
             control: Some(described_control(problem)?),
-            obstacle: (task.limits[..obstacles].iter())
-                .map(Obstacle::describing)
-                .collect(),
-            limit: (task.limits[obstacles..].iter())
+            obstacle: obstacles.iter().map(Obstacle::describing).collect(),
+            limit: (limits.iter())
                 .map(|limit| Limit::describing(limit, mesh))
                 .collect(),
             objective: Some(Objective::describing(problem)),
@@ -127,4 +64,70 @@ impl Scene {
         ))?;
         Ok(out)
     }
+}
+
+fn described_base(arm: &Arm) -> Result<Base, DescribeError> {
+    let (kind, axis, motion) = described_end(&arm.base)?;
+    Ok(Base {
+        kind,
+        position_m: arm.base_position.into(),
+        orientation_wxyz: Some(wxyz(&arm.base_rotation)),
+        axis,
+        motion,
+        ..Base::default()
+    })
+}
+
+fn described_tip(arm: &Arm) -> Result<Tip, DescribeError> {
+    let (kind, axis, motion) = described_end(&arm.tip)?;
+    Ok(Tip {
+        kind,
+        position_m: arm.tip_position.map(Into::into),
+        orientation_wxyz: arm.tip_rotation.as_ref().map(wxyz),
+        axis,
+        motion,
+        ..Tip::default()
+    })
+}
+
+fn described_rod(problem: &Problem) -> Result<Rod, DescribeError> {
+    let (arm, chosen) = (&problem.arm, &problem.discretization);
+    let mut rod = Rod {
+        length_m: known(arm.length),
+        elements: chosen.elements,
+        accuracy: None,
+        strain: chosen.strain_rule,
+        model: arm.model,
+        rotary_inertia: (chosen.rotary_inertia).map_or(RotaryInertia::Auto, rotary_inertia),
+        display_radius_m: None,
+        material: None,
+        section: None,
+        stiffness: None,
+        inertia: None,
+        segment: Vec::new(),
+        reference: Some(Reference {
+            curvature_1_m: arm.rest_curvature.into(),
+            curvature_along_1_m: (arm.curvature_rows.iter())
+                .map(|(s, curvature)| [*s, curvature.x, curvature.y, curvature.z])
+                .collect(),
+            stretch: known(arm.rest_stretch),
+        }),
+    };
+    describe_section(arm, &mut rod)?;
+    Ok(rod)
+}
+
+/// Returns the obstacles of a task, then its other limits, as a scene lists them.
+fn obstacles_and_limits(task: &Task) -> Result<(&[task::Limit], &[task::Limit]), DescribeError> {
+    let is_obstacle = |limit: &&task::Limit| limit.is_obstacle();
+    let (obstacles, limits) =
+        (task.limits).split_at(task.limits.iter().take_while(is_obstacle).count());
+    if limits.iter().any(task::Limit::is_obstacle) {
+        return Err(DescribeError("its obstacles come behind other limits"));
+    }
+    let is_own = |limit: &task::Limit| matches!(limit.kind, PathLimit::Term(_));
+    if !task.cost.terms.is_empty() || limits.iter().any(is_own) {
+        return Err(DescribeError("it has terms of its own"));
+    }
+    Ok((obstacles, limits))
 }

@@ -44,7 +44,7 @@ impl Scene {
             return Ok(());
         };
         let keys = Keys { source };
-        keys.alone_in_initial(initial, KEY)?;
+        keys.alone_in_initial(initial, "from")?;
         if initial.state.is_some() {
             return Err(keys.contradiction("initial.state", KEY));
         }

@@ -6,6 +6,38 @@ use super::{SceneError, SceneSource};
 /// Largest number of blocks or iterations; a larger one is taken for a typing error.
 pub(super) const LARGEST_COUNT: usize = 1_000_000;
 
+/// A key of a section, and whether it is given.
+pub(super) type Given<'a> = (&'a str, bool);
+
+/// A relation between two keys of a section.
+pub(super) enum Relation<'a> {
+    /// The first key does not go with the second one, or with what that one says.
+    Excludes(Given<'a>, Given<'a>),
+    /// The first key needs the second one, for this reason.
+    Needs(Given<'a>, Given<'a>, &'a str),
+}
+
+pub(super) use Relation::{Excludes, Needs};
+
+/// Returns keys of a section as [`Given`]; one that has its default is not given.
+macro_rules! given {
+    ($section:ident: $key:ident) => {
+        (
+            stringify!($key),
+            !$crate::scene::values::is_default(&$section.$key),
+        )
+    };
+    ($section:ident: $($key:ident),+) => {
+        [$(given!($section: $key)),+]
+    };
+}
+pub(super) use given;
+
+/// Returns those of some keys that are given.
+pub(super) fn given_of<'a>(keys: &[Given<'a>]) -> impl Iterator<Item = &'a str> {
+    (keys.iter()).filter_map(|(key, is_given)| is_given.then_some(*key))
+}
+
 /// Checks of the keys of a scene, by dotted path. Each method returns an error at the first key that violates its condition.
 pub(super) struct Keys<'a> {
     pub source: &'a SceneSource,
@@ -42,11 +74,28 @@ impl Keys<'_> {
         Ok(())
     }
 
-    pub fn exactly_one(&self, section: &str, keys: &[(&str, bool)]) -> Checked {
-        let mut given = keys.iter().filter(|(_, given)| *given);
+    /// Checks relations between keys of a section, one after the other.
+    pub fn relations(&self, section: &str, rows: &[Relation]) -> Checked {
+        let key = |name: &str| format!("{section}.{name}");
+        for row in rows {
+            match *row {
+                Excludes((one, true), (other, true)) => {
+                    return Err(self.contradiction(&key(one), &key(other)));
+                }
+                Needs((_, true), (other, false), reason) => {
+                    return Err(self.missing(&key(other), reason));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    pub fn exactly_one(&self, section: &str, keys: &[Given]) -> Checked {
+        let mut given = given_of(keys);
         match (given.next(), given.next()) {
             (Some(_), None) => Ok(()),
-            (Some((first, _)), Some((second, _))) => Err(self.contradiction(
+            (Some(first), Some(second)) => Err(self.contradiction(
                 &format!("{section}.{second}"),
                 &format!("{section}.{first}"),
             )),

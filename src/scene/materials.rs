@@ -238,7 +238,6 @@ impl MaterialFigures {
     }
 }
 
-#[cfg(feature = "schema")]
 impl schemars::JsonSchema for MaterialPreset {
     fn schema_name() -> std::borrow::Cow<'static, str> {
         "MaterialPreset".into()

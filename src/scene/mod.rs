@@ -38,7 +38,6 @@ mod materials;
 mod model;
 mod overrides;
 mod reader;
-#[cfg(feature = "schema")]
 mod reference;
 mod refusal;
 mod rows;
@@ -149,15 +148,27 @@ impl Scene {
             .unwrap_or_else(|error| format!("# this scene cannot be written as TOML: {error}\n"))
     }
 
-    /// JSON Schema of the scene file, for editors and other programs; needs the feature `schema`.
-    #[cfg(feature = "schema")]
+    /// JSON Schema of the scene file, for editors and other programs.
     pub fn schema() -> serde_json::Value {
-        schemars::schema_for!(Scene).to_value()
+        // A key that may be absent has no default of its own.
+        let without_null =
+            schemars::transform::RecursiveTransform(|schema: &mut schemars::Schema| {
+                match schema.get_mut("default") {
+                    Some(serde_json::Value::Null) => drop(schema.remove("default")),
+                    Some(serde_json::Value::Object(keys)) => {
+                        keys.retain(|_, value| !value.is_null())
+                    }
+                    _ => {}
+                }
+            });
+        (schemars::generate::SchemaSettings::default().with_transform(without_null))
+            .into_generator()
+            .into_root_schema_for::<Scene>()
+            .to_value()
     }
 
     /// Returns the reference of the scene file in Markdown: every section and key with type, unit, default and description, in
     /// the words of [`Self::schema`].
-    #[cfg(feature = "schema")]
     #[must_use]
     pub fn reference() -> String {
         reference::page(&Self::schema())

@@ -22,18 +22,7 @@ impl Scene {
         match error {
             DiscretizeError::Rod(error) => self.rod_error(source, &error),
             DiscretizeError::OutOfRange { what, .. } => {
-                let key = match what {
-                    "horizon" => "time.end_s",
-                    "elements" => "rod.elements",
-                    "blocks" => "control.blocks",
-                    "samples" => "objective.samples",
-                    "step" => "time.step_s",
-                    "target.time" => "task.via",
-                    "actuator.at" => "control.actuator",
-                    "limit.rate" => "limit",
-                    _ => "task.free_duration",
-                };
-                source.error_at(key, message, None)
+                source.error_at(key_of(what), message, None)
             }
             DiscretizeError::NoStableStep(_) => {
                 let key = match &self.rod.material {
@@ -83,49 +72,25 @@ impl Scene {
                 "control.blocks",
                 "the subproblem is dense in the controls; use fewer blocks",
             ),
-            DiscretizeError::ViolatedAtStart { limit, .. } => {
-                match limit.checked_sub(self.obstacle.len()) {
-                    None => at(
-                        &format!("obstacle.{limit}"),
-                        "move the obstacle, give it a smaller margin_m, or a soft price",
-                    ),
-                    Some(index) => at(
-                        &format!("limit.{index}"),
-                        "loosen the limit, start from another shape, or give it a soft price",
-                    ),
-                }
-            }
-            DiscretizeError::LimitConflict { limit, .. } => {
-                let index = limit.saturating_sub(self.obstacle.len());
-                at(
-                    &format!("limit.{index}"),
-                    "loosen the limit, move the goal, give it more time or a larger tolerance, or one of both hard = false or a soft price",
-                )
-            }
+            DiscretizeError::ViolatedAtStart { limit, .. } => at(
+                &self.limit_key(limit),
+                match limit < self.obstacle.len() {
+                    true => "move the obstacle, give it a smaller margin_m, or a soft price",
+                    false => "loosen the limit, start from another shape, or give it a soft price",
+                },
+            ),
+            DiscretizeError::LimitConflict { limit, .. } => at(
+                &self.limit_key(limit),
+                "loosen the limit, move the goal, give it more time or a larger tolerance, or one of both hard = false or a soft price",
+            ),
             DiscretizeError::GoalConflict {
                 goal, part, with, ..
-            } => {
-                let help = match with {
-                    Obstruction::Goal => {
-                        "move one of them, give it another time, a larger tolerance, or hard = false"
-                    }
-                    Obstruction::Base => {
-                        "choose another node, or free this end: base.kind or tip.kind = \"free\""
-                    }
-                    Obstruction::Obstacle => {
-                        "move one of them, give the obstacle a smaller margin_m, or one of them hard = false or a soft price"
-                    }
-                };
-                at(&format!("{goal}.{}", part.name()), help)
-            }
+            } => at(&format!("{goal}.{}", part.name()), goal_remedy(with)),
             DiscretizeError::Duration { conflict, what } => {
                 let key = match conflict {
                     DurationConflict::Rate => "control".into(),
                     DurationConflict::Speed(at) => format!("objective.track.{at}.speed_weight"),
-                    DurationConflict::Path(at) => match at.checked_sub(self.obstacle.len()) {
-                        None => format!("obstacle.{at}.soft"),
-                        Some(at) => format!("limit.{at}.soft"),
-                    },
+                    DurationConflict::Path(at) => format!("{}.soft", self.limit_key(at)),
                     DurationConflict::Base => "base.motion".into(),
                     // No scene has one.
                     DurationConflict::Term | DurationConflict::Actuator => {
@@ -135,6 +100,14 @@ impl Scene {
                 let message = format!("task.free_duration does not go with {what}");
                 source.error_at(&key, message, None)
             }
+        }
+    }
+
+    /// Returns the key of the limit with an index among obstacles and limits.
+    fn limit_key(&self, index: usize) -> String {
+        match index.checked_sub(self.obstacle.len()) {
+            None => format!("obstacle.{index}"),
+            Some(index) => format!("limit.{index}"),
         }
     }
 
@@ -162,17 +135,7 @@ impl Scene {
             parameter, value, ..
         } = *error
         else {
-            let (key, remedy) = match error.parameter() {
-                "scheme" => ("time.integrator", "set it to \"explicit\""),
-                "rotary_inertia" => ("rod.rotary_inertia", "set it to \"section\""),
-                "tip" => ("tip.kind", "set it to \"free\""),
-                "base" => ("base.kind", "set it to \"clamped\""),
-                _ => ("damping.internal_s", "leave it out"),
-            };
-            let help = format!("{remedy}, or set rod.model = \"standard\"");
-            let name = self.rod.model.name();
-            let message = format!("the {name} model does not have it, only the standard one");
-            return source.error_at(key, message, Some(help));
+            return self.model_error(source, error.parameter());
         };
         const APART: &str = "the numbers are too far apart to be computed with: look for a unit that was mistaken, and give lengths in m, \
                              moduli in Pa and densities in kg/m³";
@@ -183,28 +146,7 @@ impl Scene {
         };
         let (key, message, help) = match parameter {
             "rest_curvature" => {
-                let curvature: Vector3<f64> = (self.rod.reference.as_ref())
-                    .map_or_else(Vector3::zeros, |reference| reference.curvature_1_m.into());
-                let rows = self.rod.curvature_rows();
-                let key = match rows.is_empty() {
-                    true => "rod.reference.curvature_1_m",
-                    false if self.rod.is_curved_by_segments() => "rod.segment",
-                    false => "rod.reference.curvature_along_1_m",
-                };
-                let along = rows.into_iter().map(|(_, row)| match key {
-                    "rod.segment" => Vector3::from(row).norm(),
-                    _ => (curvature + Vector3::from(row)).norm(),
-                });
-                let most = along.reduce(f64::max).unwrap_or(curvature.norm());
-                let least = most * self.rod.length_m.get() / std::f64::consts::PI;
-                let help = if least < MOST_ELEMENTS as f64 {
-                    format!(
-                        "make it smaller, or rod.elements {} or more",
-                        least as usize + 1
-                    )
-                } else {
-                    "make it smaller: it is in 1/m, one over the radius of the bend".into()
-                };
+                let (key, help) = self.curved_too_much();
                 let message = format!("turns each element by {value:.4} rad, half a turn or more");
                 (key, message, help)
             }
@@ -257,6 +199,76 @@ impl Scene {
             ),
         };
         source.error_at(key, message, Some(help))
+    }
+
+    /// Returns the error of a parameter that the model of the section does not have.
+    fn model_error(&self, source: &SceneSource, parameter: &str) -> SceneError {
+        let (key, remedy) = match parameter {
+            "scheme" => ("time.integrator", "set it to \"explicit\""),
+            "rotary_inertia" => ("rod.rotary_inertia", "set it to \"section\""),
+            "tip" => ("tip.kind", "set it to \"free\""),
+            "base" => ("base.kind", "set it to \"clamped\""),
+            _ => ("damping.internal_s", "leave it out"),
+        };
+        let help = format!("{remedy}, or set rod.model = \"standard\"");
+        let name = self.rod.model.name();
+        let message = format!("the {name} model does not have it, only the standard one");
+        source.error_at(key, message, Some(help))
+    }
+
+    /// Returns the key of a stress-free curvature that is too large for the elements, and the remedy.
+    fn curved_too_much(&self) -> (&'static str, String) {
+        let curvature: Vector3<f64> = (self.rod.reference.as_ref())
+            .map_or_else(Vector3::zeros, |reference| reference.curvature_1_m.into());
+        let rows = self.rod.curvature_rows();
+        let key = match rows.is_empty() {
+            true => "rod.reference.curvature_1_m",
+            false if self.rod.is_curved_by_segments() => "rod.segment",
+            false => "rod.reference.curvature_along_1_m",
+        };
+        let along = rows.into_iter().map(|(_, row)| match key {
+            "rod.segment" => Vector3::from(row).norm(),
+            _ => (curvature + Vector3::from(row)).norm(),
+        });
+        let most = along.reduce(f64::max).unwrap_or(curvature.norm());
+        let least = most * self.rod.length_m.get() / std::f64::consts::PI;
+        let help = if least < MOST_ELEMENTS as f64 {
+            let least = least as usize + 1;
+            format!("make it smaller, or rod.elements {least} or more")
+        } else {
+            "make it smaller: it is in 1/m, one over the radius of the bend".into()
+        };
+        (key, help)
+    }
+}
+
+/// Returns the key of a quantity of arm, task or discretization that is out of range.
+fn key_of(what: &str) -> &'static str {
+    match what {
+        "horizon" => "time.end_s",
+        "elements" => "rod.elements",
+        "blocks" => "control.blocks",
+        "samples" => "objective.samples",
+        "step" => "time.step_s",
+        "target.time" => "task.via",
+        "actuator.at" => "control.actuator",
+        "limit.rate" => "limit",
+        _ => "task.free_duration",
+    }
+}
+
+/// Returns the remedy for a goal that something else contradicts.
+fn goal_remedy(with: Obstruction) -> &'static str {
+    match with {
+        Obstruction::Goal => {
+            "move one of them, give it another time, a larger tolerance, or hard = false"
+        }
+        Obstruction::Base => {
+            "choose another node, or free this end: base.kind or tip.kind = \"free\""
+        }
+        Obstruction::Obstacle => {
+            "move one of them, give the obstacle a smaller margin_m, or one of them hard = false or a soft price"
+        }
     }
 }
 

@@ -269,7 +269,6 @@ fn shear_modulus_follows_from_poisson_ratio() {
 }
 
 /// Every section of the schema refuses unknown keys, and every key has a description.
-#[cfg(feature = "schema")]
 #[test]
 fn schema_is_strict_and_described() {
     fn visit(schema: &serde_json::Value, path: &str, sections: &mut usize) {
@@ -333,7 +332,6 @@ fn error_at_finds_nested_keys() {
 }
 
 /// If a description in the schema names a default and the schema has one, the two are equal: the defaults of the code.
-#[cfg(feature = "schema")]
 #[test]
 fn described_defaults_are_true() {
     fn visit(value: &serde_json::Value, path: &str, seen: &mut Vec<String>) {

@@ -11,7 +11,7 @@ use super::model::{
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, digits, known};
-use crate::control::{Continuation, FeedbackWeights, Guess, OptimalControlProblem, Search};
+use crate::control::{FeedbackWeights, Guess, OptimalControlProblem, Search};
 use crate::mechanics::rotation::{exp, from_quaternion};
 use crate::mechanics::rows;
 use crate::mechanics::{Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
@@ -254,7 +254,7 @@ impl Scene {
         } = task
             .discretize_until(&self.arm(source)?, &self.discretization(), stop)
             .map_err(|error| self.discretize_error(source, error))?;
-        if solver.qp == model::Qp::Sparse && problem.n_states().is_none() {
+        if solver.qp == QpRoute::Sparse && problem.n_states().is_none() {
             return Err(source.error_at(
                 "solver.qp",
                 "\"sparse\" is for explicit steps of the standard model without internal damping",
@@ -277,16 +277,7 @@ impl Scene {
                     definition.tolerance_rad_s = Some(known(spin));
                 }
             }
-            let mut objective = self.objective.clone().unwrap_or_default();
-            for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
-                track.take_weights(tracking);
-            }
-            let tip = problem.wrench_actuators().into_iter().next();
-            resolved.objective = Some(Objective {
-                force_scale_n: tip.map(|tip| known(tip.force.scale)),
-                moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),
-                ..objective
-            });
+            resolved.objective = Some(self.resolved_objective(&problem));
             resolved.solver = Some(solver.clone());
             resolved
         };
@@ -304,17 +295,11 @@ impl Scene {
                 max_iterations: solver.max_iterations,
                 saddle_gain: solver.saddle_gain.get(),
                 hessian: solver.hessian,
-                qp: match solver.qp {
-                    model::Qp::Condensed => QpRoute::Condensed,
-                    model::Qp::Sparse => QpRoute::Sparse,
-                },
+                qp: solver.qp,
                 ..SqpSettings::default()
             },
             search: Search {
-                continuation: solver.continuation.as_ref().map(|stages| match *stages {
-                    model::Continuation::Target(stages) => Continuation::Target { stages },
-                    model::Continuation::Load(stages) => Continuation::Load { stages },
-                }),
+                continuation: solver.continuation,
                 guess: match solver.guess {
                     model::Guess::Auto => None,
                     model::Guess::Static => Some(Guess::StaticPath),
@@ -438,7 +423,7 @@ impl Scene {
     #[must_use]
     pub fn discretization(&self) -> Discretization {
         let default = Discretization::default();
-        let is_sparse = (self.solver.as_ref()).is_some_and(|solver| solver.qp == model::Qp::Sparse);
+        let is_sparse = (self.solver.as_ref()).is_some_and(|solver| solver.qp == QpRoute::Sparse);
         Discretization {
             elements: match self.rod.accuracy {
                 // The elements are chosen later, and each piece has one at least.
@@ -606,6 +591,20 @@ impl Scene {
 }
 
 impl Scene {
+    /// Returns the objective with the weights that were chosen for a problem, and the scales of the actuator on its tip.
+    pub(super) fn resolved_objective(&self, problem: &OptimalControlProblem) -> Objective {
+        let tip = problem.wrench_actuators().into_iter().next();
+        let mut objective = self.objective.clone().unwrap_or_default();
+        for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
+            track.take_weights(tracking);
+        }
+        Objective {
+            force_scale_n: tip.map(|tip| known(tip.force.scale)),
+            moment_scale_n_m: tip.map(|tip| known(tip.moment.scale)),
+            ..objective
+        }
+    }
+
     /// Returns the duration and tolerance of the stay at the target; `None` if the arm need not stay.
     pub(crate) fn staying(&self) -> Option<Staying> {
         match self.task.as_ref()?.rest() {

@@ -166,6 +166,12 @@ impl<Q> Default for NonNegative<Q> {
     }
 }
 
+impl Default for Positive<Factor> {
+    fn default() -> Self {
+        Self::one()
+    }
+}
+
 impl<R, Q> Serialize for Number<R, Q> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.serialize_f64(self.0)
@@ -203,7 +209,16 @@ impl Default for Fraction {
     }
 }
 
-#[cfg(feature = "schema")]
+/// Returns true, the default of some keys.
+pub(super) fn yes() -> bool {
+    true
+}
+
+/// Tells whether a key is as it is without being given.
+pub(super) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
 impl<R: Range, Q> schemars::JsonSchema for Number<R, Q> {
     fn inline_schema() -> bool {
         true

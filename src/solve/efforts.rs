@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::control::{self, OptimalControlProblem};
-use crate::mechanics::{Configuration, Density, Rod, Trajectory};
+use crate::mechanics::{Configuration, Rod, Trajectory};
 use crate::output::summary::SlackSummary;
 use crate::output::{EffortRow, MotionRecord};
 
@@ -92,7 +92,7 @@ fn displacement(rod: &Rod, actuator: usize, input: f64, coordinate: f64) -> Opti
     let own = rod.actuators.strains().get(actuator)?;
     match own.density {
         _ if own.winch.is_some() => Some(input),
-        Density::Shortening => Some(-coordinate),
+        density if density.is_tendon() => Some(-coordinate),
         _ => None,
     }
 }

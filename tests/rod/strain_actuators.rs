@@ -13,7 +13,7 @@ fn silicone() -> Material {
     Material::isotropic(1e5, 0.4, 1070.0)
 }
 
-/// A helical tendon over a part of the arm, a push rod, a chamber, a muscle and a braid, all with an effect on the motion.
+/// A helical tendon over a part of the arm, a tendon through disks, a push rod, a chamber, a muscle and a braid, all with an effect on the motion.
 fn actuators() -> Vec<StrainActuator> {
     let area = 1e-4;
     let of = |density, scale, route, effort: f64| StrainActuator {
@@ -45,6 +45,12 @@ fn actuators() -> Vec<StrainActuator> {
                 ..Route::straight([-3e-3, -8e-3])
             },
             0.1,
+        ),
+        of(
+            Density::Threaded { spacing: 0.05 },
+            1.0,
+            Route::straight([4e-3, -7e-3]),
+            0.2,
         ),
         of(Density::Volume, area, Route::straight([0.0, 7e-3]), 1e3),
         of(
@@ -273,5 +279,40 @@ fn a_muscle_that_is_too_short_or_too_long_exerts_nothing() {
                 }
             }
         }
+    }
+}
+
+/// On an arm that is bent to an arc of curvature `κ`, the length of a tendon through disks at the distance `s` is that of its chords: the loss
+/// by the chords is right to the part `(κ s)²/80` of the next term of the sine, and beside the axis to the part `κ r` of the distance `r`.
+#[test]
+fn a_threaded_tendon_is_as_long_as_its_chords() {
+    let (length, curvature) = (0.3, 8.0);
+    for (offset, disks) in [(0.0, 6), (0.0, 12), (5e-3, 6)] {
+        let spacing = length / f64::from(disks);
+        let section = SectionProfile::Uniform(Section::circle(&silicone(), 0.01));
+        let rod = Rod::new(&RodParameters {
+            rest_curvature: Vector3::new(0.0, curvature, 0.0),
+            actuators: vec![StrainActuator {
+                name: "threaded".into(),
+                density: Density::Threaded { spacing },
+                scale: 1.0,
+                route: Route::straight([offset, 0.0]),
+                effort: Vec::new(),
+                winch: None,
+                largest: 1.0,
+            }],
+            ..RodParameters::straight(length, 9, section)
+        })
+        .unwrap();
+        let at = &rod.rest;
+        let found = -rod.actuator_coordinates(&at.positions, &at.rotations)[0];
+        // The center of the arc lies on the side of the first axis.
+        let chord = 2.0 * (1.0 / curvature - offset) * (0.5 * curvature * spacing).sin();
+        let expected = f64::from(disks) * chord;
+        let straight = length * (1.0 - curvature * offset);
+        let apart = (found - expected).abs() / (straight - expected);
+        let missing = (curvature * spacing).powi(2) / 80.0 + curvature * offset;
+        assert!(apart < 1.1 * missing, "{offset} {disks}: {apart} {missing}");
+        assert!(found < straight);
     }
 }

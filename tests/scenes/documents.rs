@@ -349,7 +349,6 @@ fn reference_is_printed() {
 }
 
 /// Every dotted key that the README or a tutorial names is one of the schema.
-#[cfg(feature = "schema")]
 #[test]
 fn dotted_keys_exist() {
     let schema = serde_json::to_value(Scene::schema()).unwrap();
@@ -385,7 +384,6 @@ fn dotted_keys_exist() {
 }
 
 /// Every key of the schema stands on its page, and every key in a table of that page is one of the schema.
-#[cfg(feature = "schema")]
 #[test]
 fn keys_are_those_of_the_page() {
     fn keys(value: &serde_json::Value, found: &mut BTreeSet<String>) {

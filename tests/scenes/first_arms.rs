@@ -84,7 +84,6 @@ fn names_stand_for_figures() {
 }
 
 /// Every name is a scene that can be simulated, and the schema lists every name with its figures.
-#[cfg(feature = "schema")]
 #[test]
 fn every_name_is_known_to_reader_and_schema() {
     let schema = Scene::schema();

@@ -1,7 +1,5 @@
 //! Every key of the schema can be given, in the text of a scene and by `--set`, and arrives.
 
-#![cfg(feature = "schema")]
-
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value as Json;
@@ -495,6 +493,7 @@ const SCENES: [&[&str]; 18] = [
         "tendon.3.rest_displacement_m=-0.001",
         "tendon.3.compliance_1_n=1e-3",
         "tendon.3.free_length_m=0.05",
+        "tendon.3.disk_spacing_m=0.02",
         "tendon.4.offset_m=[0.0, -0.006]",
         "tendon.4.displacement_profile=[[0.0, 0.0], [0.5, -0.001]]",
         "tendon.4.compliance_1_n=1e-3",
@@ -975,12 +974,12 @@ fn continuation_arrives() {
         let (scene, source) = Scene::load("reach", &overrides).unwrap();
         scene.optimal_control(&source).unwrap().search.continuation
     };
-    let target = Some(Continuation::Target { stages: 3 });
+    let target = Some(Continuation::Target(3));
     assert_eq!(search(&["solver.continuation={target = 3}"]), target);
     assert_eq!(search(&["solver.continuation.target=3"]), target);
     assert_eq!(
         search(&["solver={continuation = {load = 2}}"]),
-        Some(Continuation::Load { stages: 2 })
+        Some(Continuation::Load(2))
     );
     assert_eq!(search(&[]), None);
 }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
-use softarm::nalgebra::{Matrix3, UnitQuaternion};
+use softarm::nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use softarm::output::MotionRecord;
 use tempfile::TempDir;
 
@@ -1017,6 +1017,274 @@ fn gaps_are_no_zeros() {
     ] {
         let (code, _, talk) = with(cells, clock);
         assert_eq!(code, USAGE, "{talk}");
+        assert!(talk.contains(expected), "{talk}");
+    }
+}
+
+/// A hanging arm with two tendons on winches, whose zeros are unknown.
+const WINCHED: &str = "\
+[rod]
+length_m = 0.3
+elements = 8
+[rod.material]
+youngs_modulus_pa = 1e5
+poisson_ratio = 0.4
+density_kg_m3 = 1070.0
+[rod.section]
+radius_m = 0.01
+[base]
+position_m = [0.0, 0.0, 0.0]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[[tendon]]
+offset_m = [0.008, 0.0]
+displacement_m = [-0.05, 0.05]
+compliance_1_n = 2e-2
+rest_displacement_m = -1e-3
+disk_spacing_m = 0.02
+[[tendon]]
+offset_m = [-0.002, 0.0075]
+displacement_m = [-0.05, 0.05]
+compliance_1_n = 2e-2
+rest_displacement_m = -1e-3
+disk_spacing_m = 0.02
+[time]
+end_s = 0.5
+";
+
+/// The numbers with which the table of [`WINCHED`] is made.
+const TRUTHS: [(&str, f64); 6] = [
+    ("rod.material.youngs_modulus_pa", 1.2e5),
+    ("tendon.1.offset_m.1", 0.007),
+    ("base.position_m.2", 0.01),
+    ("zero", -7e-4),
+    ("disks", 1.6),
+    ("marker.tip.offset_m.2", 0.004),
+];
+
+const FREE: &str = "
+[[free]]
+key = \"zero\"
+plus = [\"tendon.0.rest_displacement_m\"]
+lower = -5e-3
+upper = 5e-3
+[[free]]
+key = \"disks\"
+times = [\"tendon.0.disk_spacing_m\", \"tendon.1.disk_spacing_m\"]
+";
+
+/// Tips and displacements of rows of commands, found by the verb for statics; the marker is beyond the tip.
+fn winched_rows(desk: &Desk) -> Vec<([f64; 2], [f64; 3])> {
+    let value = |key: &str| TRUTHS.iter().find(|own| own.0 == key).unwrap().1;
+    let mut out = Vec::new();
+    for i in 0..12 {
+        let phase = f64::from(i) * 0.7;
+        let commands = [
+            -0.006 - 0.005 * phase.sin(),
+            -0.005 - 0.004 * (1.3 * phase).cos(),
+        ];
+        let spacing = 0.02 * value("disks");
+        let mut words: Vec<String> = ["equilibrium", "winched.toml", "--out", "rest"]
+            .map(String::from)
+            .to_vec();
+        let sets = [
+            (
+                "rod.material.youngs_modulus_pa",
+                value("rod.material.youngs_modulus_pa"),
+            ),
+            ("tendon.1.offset_m.1", value("tendon.1.offset_m.1")),
+            ("base.position_m.2", value("base.position_m.2")),
+            ("tendon.0.rest_displacement_m", commands[0] + value("zero")),
+            ("tendon.1.rest_displacement_m", commands[1]),
+            ("tendon.0.disk_spacing_m", spacing),
+            ("tendon.1.disk_spacing_m", spacing),
+        ];
+        for (key, value) in sets {
+            words.extend(["--set".into(), format!("{key}={value:e}")]);
+        }
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        let (code, _, talk) = desk.run(&words);
+        assert_eq!(code, DONE, "{talk}");
+        let motion = MotionRecord::read_npz(&desk.0.path().join("rest/trajectory.npz")).unwrap();
+        let last = motion.n_rows() - 1;
+        let tip = 3 * ((last + 1) * motion.n_nodes - 1);
+        let at = 9 * ((last + 1) * motion.n_nodes - 1);
+        let rotation = Matrix3::from_row_slice(&motion.rotation[at..at + 9]);
+        let offset = rotation * Vector3::z() * value("marker.tip.offset_m.2");
+        let place = std::array::from_fn(|axis| motion.x[tip + axis] + offset[axis]);
+        out.push((commands, place));
+    }
+    out
+}
+
+/// A table of commands gives back the numbers with which it was made: a modulus, a place of a tendon, that of the base, the zero of a winch, a factor of
+/// the distances of disks, and the place of the marker. The same rows as shapes, whose derivatives are differences of equilibria, give the same
+/// estimates and errors; rows that are held out are compared.
+#[test]
+fn a_table_gives_back_its_numbers() {
+    let desk = Desk::new();
+    desk.write("winched.toml", WINCHED);
+    let rows = winched_rows(&desk);
+    let mut table = String::from("pattern,left,right,x,y,z\n");
+    let mut shapes = String::new();
+    for (i, ([left, right], [x, y, z])) in rows.iter().enumerate() {
+        let pattern = if i % 6 == 5 { "last" } else { "first" };
+        let [pulled, other] = [-1e3 * left, -1e3 * right];
+        let _ = writeln!(table, "{pattern},{pulled},{other},{x},{y},{z}");
+        if pattern == "first" {
+            let _ = writeln!(
+                shapes,
+                "[[shape]]\nset = [\"tendon.0.rest_displacement_m={left:e}\", \"tendon.1.rest_displacement_m={right:e}\"]\n\
+                 positions_m = {{ tip = [{x}, {y}, {z}] }}"
+            );
+        }
+    }
+    desk.write("rows.csv", &table);
+    let head = "sigma_m = 1e-4\n[[marker]]\nname = \"tip\"\nat = 1.0\n";
+    let of_table = "[[table]]\ncsv = \"rows.csv\"\nby = \"pattern\"\nheld_out_groups = [\"last\"]\n[table.positions]\n\
+                    tip = { columns = [\"x\", \"y\", \"z\"] }\n[table.inputs]\n\
+                    left = { key = \"tendon.0.rest_displacement_m\", times = -1e-3 }\n\
+                    right = { key = \"tendon.1.rest_displacement_m\", times = -1e-3 }\n";
+    desk.write("table.toml", &format!("{head}{of_table}{FREE}"));
+    desk.write("shapes.toml", &format!("{head}{shapes}{FREE}"));
+    let keys: Vec<&str> = (TRUTHS.iter().map(|own| own.0))
+        .filter(|key| key.contains('.'))
+        .collect();
+    let fit = |data: &str| {
+        let keys = keys.join(",");
+        let words = ["fit", "winched.toml", "--data", data, "--free", &keys];
+        let (code, summary, talk) = desk.run(&[&words[..], &["--out", "fit"]].concat());
+        assert_eq!(code, DONE, "{talk}");
+        let of = |key: &str| {
+            let all = summary["parameters"].as_array().unwrap();
+            let own = all.iter().find(|own| own["key"] == key).unwrap();
+            ["value", "standard_error"].map(|name| own[name].as_f64().unwrap())
+        };
+        (TRUTHS.map(|(key, _)| of(key)), summary)
+    };
+    let (by_table, summary) = fit("table.toml");
+    let (by_shapes, _) = fit("shapes.toml");
+    for (((key, truth), own), other) in TRUTHS.iter().zip(by_table).zip(by_shapes) {
+        assert!((own[0] / truth - 1.0).abs() < 1e-6, "{key}: {own:?}");
+        assert!((other[0] / truth - 1.0).abs() < 1e-6, "{key}: {other:?}");
+    }
+    let cases = summary["cases"].as_array().unwrap();
+    assert_eq!(cases.len(), 2);
+    assert_eq!(cases[0]["places"], 10);
+    assert!(cases[1]["held_out"] == true && cases[1]["groups"][0]["name"] == "last");
+    assert!(cases[1]["rms_m"].as_f64().unwrap() < 1e-8);
+    assert!(cases[1]["aligned_rms_m"].as_f64().unwrap() < 1e-8);
+
+    // With noise, errors are those of differences too.
+    let mut dice = fastrand::Rng::with_seed(4);
+    let mut rows_of_noise = String::new();
+    for (line, text) in table.lines().enumerate() {
+        if line == 0 {
+            rows_of_noise.push_str(text);
+        } else {
+            let mut cells: Vec<String> = text.split(',').map(String::from).collect();
+            for cell in &mut cells[3..] {
+                let place: f64 = cell.parse().unwrap();
+                *cell = (place + 1e-4 * normal(&mut dice)).to_string();
+            }
+            rows_of_noise.push_str(&cells.join(","));
+        }
+        rows_of_noise.push('\n');
+    }
+    desk.write("rows.csv", &rows_of_noise);
+    let mut shapes = String::new();
+    for text in rows_of_noise
+        .lines()
+        .skip(1)
+        .filter(|text| text.starts_with("first"))
+    {
+        let cells: Vec<f64> = text
+            .split(',')
+            .skip(1)
+            .map(|cell| cell.trim().parse().unwrap())
+            .collect();
+        let _ = writeln!(
+            shapes,
+            "[[shape]]\nset = [\"tendon.0.rest_displacement_m={:e}\", \"tendon.1.rest_displacement_m={:e}\"]\npositions_m = {{ tip = [{}, {}, {}] }}",
+            -1e-3 * cells[0],
+            -1e-3 * cells[1],
+            cells[2],
+            cells[3],
+            cells[4]
+        );
+    }
+    desk.write("shapes.toml", &format!("{head}{shapes}{FREE}"));
+    let (by_table, _) = fit("table.toml");
+    let (by_shapes, _) = fit("shapes.toml");
+    for (((key, truth), own), other) in TRUTHS.iter().zip(by_table).zip(by_shapes) {
+        assert!(
+            (own[0] - other[0]).abs() < 1e-3 * own[1],
+            "{key}: {own:?} {other:?}"
+        );
+        // Errors of shapes are widened by other correlations than those of rows.
+        assert!((own[0] - truth).abs() < 5.0 * own[1], "{key}: {own:?}");
+    }
+}
+
+/// Tables that cannot be used are refused with file, line and remedy.
+#[test]
+fn unfit_tables_are_refused() {
+    let desk = Desk::new();
+    desk.write("winched.toml", WINCHED);
+    desk.write(
+        "rows.csv",
+        "left,x,y,z\n-1.0,0.0,0.0,-0.3\nnothing,0.0,0.0,-0.3\n",
+    );
+    let data = |inputs: &str, more: &str| {
+        format!(
+            "sigma_m = 1e-4\n[[marker]]\nname = \"tip\"\nat = 1.0\n[[table]]\ncsv = \"rows.csv\"\n{more}\
+             positions = {{ tip = {{ columns = [\"x\", \"y\", \"z\"] }} }}\n[table.inputs]\n{inputs}\n"
+        )
+    };
+    let key = "left = { key = \"tendon.0.rest_displacement_m\", times = 1e-3 }";
+    let good = "left,x,y,z\n-1.0,0.0,0.0,-0.3\n";
+    let modulus = "left = { key = \"rod.material.youngs_modulus_pa\", times = -1e5 }";
+    for (rows, inputs, more, expected) in [
+        (
+            None,
+            key,
+            "",
+            "line 3: \"nothing\" under \"left\" is no number",
+        ),
+        (
+            Some(good),
+            "right = { key = \"tendon.0.rest_displacement_m\" }",
+            "",
+            "there is no column \"right\"",
+        ),
+        (
+            Some(good),
+            modulus,
+            "",
+            "is not what one actuator has before the task",
+        ),
+        (
+            Some(good),
+            key,
+            "held_out_groups = [\"a\"]\n",
+            "by names no column of groups",
+        ),
+    ] {
+        if let Some(rows) = rows {
+            desk.write("rows.csv", rows);
+        }
+        desk.write("data.toml", &data(inputs, more));
+        let words = [
+            "fit",
+            "winched.toml",
+            "--data",
+            "data.toml",
+            "--free",
+            "base.position_m.2",
+        ];
+        let (code, _, talk) = desk.run(&words);
+        assert_ne!(code, DONE);
         assert!(talk.contains(expected), "{talk}");
     }
 }

@@ -443,3 +443,25 @@ fn loops_drive_pairs() {
         }
     }
 }
+
+/// Tendons through disks: derivatives are those of differences, and solves by tensions and by winches are
+/// certified by code that computes their lengths by itself.
+#[test]
+fn tendons_run_through_disks() {
+    let desk = Desk::new();
+    let threaded = |text: &str| text.replace("offset_m =", "disk_spacing_m = 0.03\noffset_m =");
+    fs::write(desk.path("motors.toml"), threaded(MOTORS)).unwrap();
+    fs::write(desk.path("winches.toml"), threaded(&on_winches())).unwrap();
+    for (scene, scheme) in [
+        ("motors", "explicit"),
+        ("motors", "implicit"),
+        ("winches", "implicit"),
+    ] {
+        let scheme = format!("--set time.integrator={scheme}");
+        let found = desk.done(&format!("derivatives {scene}.toml {scheme}"));
+        assert_eq!(found["verdict"], "ok", "{scene} {scheme}: {found}");
+        let summary = desk.done(&format!("solve {scene}.toml --out {scene} {scheme}"));
+        assert_eq!(summary["check"]["verdict"], "certified", "{scene}");
+        desk.done(&format!("verify {scene}"));
+    }
+}

@@ -19,19 +19,15 @@ use mechanics::rotation::{exp, log};
 use sqp::{IterationRecord, LiftedProgram, SqpOutcome, SqpSettings, SqpStatus, solve};
 use stop::Stop;
 
-/// Continuation: the part of the problem that is easier at first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Kind of continuation, and the number of problems, the last one included.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
 pub enum Continuation {
-    /// Goals move from the start of the arm to their places.
-    Target {
-        /// Number of problems on the way, the last one included.
-        stages: usize,
-    },
-    /// Gravity and loads grow from zero.
-    Load {
-        /// Number of problems on the way, the last one included.
-        stages: usize,
-    },
+    /// The target moves from the initial position of the tip to its own.
+    Target(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
+    /// Gravity and loads grow from nothing.
+    Load(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
 }
 
 /// Initial guesses, continuation, starts and threads of a search.
@@ -422,7 +418,7 @@ impl<'a> Stages<'a> {
 
     fn n_stages(&self) -> usize {
         match self.search.continuation {
-            Some(Continuation::Target { stages } | Continuation::Load { stages }) => stages.max(1),
+            Some(Continuation::Target(stages) | Continuation::Load(stages)) => stages.max(1),
             None => 1,
         }
     }
@@ -633,7 +629,7 @@ fn eased(
 ) -> OptimalControlProblem {
     let mut easier = problem.clone();
     match continuation {
-        Continuation::Target { .. } => {
+        Continuation::Target(_) => {
             let start = &problem.initial.configuration;
             for goal in &mut easier.goals {
                 let (x, r) = (start.positions[goal.node], start.rotations[goal.node]);
@@ -642,7 +638,7 @@ fn eased(
                     (goal.rotation).map(|to| r * exp(&(log(&(r.transpose() * to)) * fraction)));
             }
         }
-        Continuation::Load { .. } => {
+        Continuation::Load(_) => {
             let rod = Arc::make_mut(&mut easier.rod);
             rod.gravity *= fraction;
             for load in &mut rod.loads {

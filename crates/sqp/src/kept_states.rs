@@ -2,14 +2,17 @@
 
 use faer::Mat;
 
-/// Form in which Clarabel gets the quadratic subproblem. Both forms have the same solution.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+// Programs that do not provide the equations of their states are solved condensed.
+/// Variables of the quadratic subproblems; the step is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", schemars(rename = "Qp"))]
+#[serde(rename_all = "kebab-case")]
 pub enum QpRoute {
-    /// Quadratic program in the variables alone: small and dense.
+    /// Over the controls alone: small and dense.
     #[default]
     Condensed,
-    /// Quadratic program in variables and states, with the state equations: large and sparse. Programs that do not provide these equations
-    /// are solved condensed.
+    /// Over the controls and the configurations at all time nodes: large and sparse. Explicit steps of the standard model only.
     Sparse,
 }
 

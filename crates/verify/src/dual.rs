@@ -325,6 +325,10 @@ fn along_line(point: &PlacedPoint, v: &Vector, kappa: &Vector) -> Dual {
     let stretch = dot(&p, &p).sqrt();
     match point.density {
         Density::Shortening => -stretch,
+        Density::Threaded { spacing } => {
+            let bent = kappa[0] * kappa[0] + kappa[1] * kappa[1];
+            bent.scale(spacing * spacing / 24.0) - stretch
+        }
         Density::Lengthening => stretch,
         Density::Volume => p[2],
         Density::Muscle => {

@@ -1,12 +1,11 @@
 //! The two ends of the arm: held, moved or free.
 
 use nalgebra::{Matrix3, Vector3};
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::error::DescribeError;
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Positive, known};
 use crate::mechanics::rotation::unit;
 use crate::mechanics::{self, CubicSpline, EndCondition, LoadFrame, MotionCurve, RodError};
@@ -14,8 +13,7 @@ use crate::mechanics::{self, CubicSpline, EndCondition, LoadFrame, MotionCurve, 
 /// Pose and motion of the first node.
 ///
 /// The arm at rest leaves the base along `direction`, which is the third axis of the base's frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Base {
     /// Condition of the base: clamped, pinned, driven, or free.
@@ -23,20 +21,15 @@ pub struct Base {
     /// Position in m; for a driven base, the position from which it moves. Default: the origin.
     pub position_m: [f64; 3],
     /// Direction of the arm at the base, of any length but zero. Default: [0, 0, 1].
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 3]>,
     /// Rotation about `direction` in rad, after the shortest rotation of +z onto it, for -z a half turn about +x. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
     /// Orientation of the base as a quaternion, scalar first, of any length but zero; instead of `direction` and
     /// `roll_rad`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Axis of a pinned base that is a hinge, spatial frame, of any length but zero. Default: none, a ball joint.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<[f64; 3]>,
     /// Prescribed motion of a driven base.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<BaseMotion>,
 }
 
@@ -44,31 +37,24 @@ pub struct Base {
 ///
 /// Without a pose, the tip is held where the arm at rest ends. With another pose, the arm starts from its equilibrium there
 /// (`initial.shape = "equilibrium"`).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Tip {
     /// Condition of the tip: clamped, pinned, driven, or free.
-    #[cfg_attr(feature = "schema", schemars(default = "free_tip"))]
+    #[schemars(default = "free_tip")]
     pub kind: EndKind,
     /// Position in m in which the tip is held; for a driven tip, the position from which it moves. Default: where the arm at rest ends.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
     /// Direction in which the arm arrives at its tip, of any length but zero. Default: that of the arm at rest.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub direction: Option<[f64; 3]>,
     /// Rotation about `direction` in rad, after the shortest rotation of +z onto it, for -z a half turn about +x. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
     /// Orientation of the tip as a quaternion, scalar first, of any length but zero; instead of `direction` and
     /// `roll_rad`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Axis of a pinned tip that is a hinge, spatial frame, of any length but zero. Default: none, a ball joint.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<[f64; 3]>,
     /// Prescribed motion of a driven tip, relative to the pose in which it is held.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<BaseMotion>,
 }
 
@@ -96,8 +82,7 @@ impl Default for Tip {
 /// orientation at time t is exp(r(t)) times the given one, or with `rotation_frame = "body"` the given one times
 /// exp(r(t)). Rotation vectors of several terms add up. At t = 0 the arm has its shape where a driven base is then, and
 /// moves with it as a rigid body.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BaseMotion {
     /// Constant velocity in m/s. Default: none.
@@ -106,12 +91,10 @@ pub struct BaseMotion {
     pub angular_velocity_rad_s: [f64; 3],
     /// Displacement in m over time, as [t in s, x, y, z] with increasing t: the cubic spline through the points that
     /// starts and ends with zero velocity; constant before and after.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub translation_m: Option<Vec<[f64; 4]>>,
     /// Rotation vector in rad over time, as [t in s, x, y, z], by the same kind of spline. Rows of at most half a turn, as logarithms of
     /// orientations have them, turn the shorter way: of the vectors r + 2πk r/|r| of a row, which are one orientation, the nearest to the
     /// row before is taken. A table with a longer row is taken as it is written, turns of more than half a turn from row to row included.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<Vec<[f64; 4]>>,
     /// Frame of all rotation vectors: the spatial one, or that of the base as it is given, whose third axis is the
     /// arm's direction there.
@@ -122,8 +105,7 @@ pub struct BaseMotion {
 }
 
 /// A harmonic motion, amplitude times sin(2π f t + phase) - sin(phase): zero at t = 0.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Oscillation {
     /// Amplitude of the displacement in m. Default: none.
@@ -140,8 +122,7 @@ pub struct Oscillation {
 }
 
 /// Condition of an end.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum EndKind {
     /// Position and orientation are held.
@@ -163,20 +144,6 @@ impl EndKind {
             Self::Pinned => "pinned",
             Self::Driven => "driven",
             Self::Free => "free",
-        }
-    }
-}
-
-impl Default for Base {
-    fn default() -> Base {
-        Base {
-            kind: EndKind::default(),
-            position_m: [0.0; 3],
-            direction: None,
-            roll_rad: None,
-            orientation_wxyz: None,
-            axis: None,
-            motion: None,
         }
     }
 }
@@ -258,21 +225,16 @@ impl Keys<'_> {
         if let Some(position) = &tip.position_m {
             self.finite("tip.position_m", position)?;
         }
-        let given = [
-            ("tip.position_m", tip.position_m.is_some()),
-            ("tip.direction", tip.direction.is_some()),
-            ("tip.orientation_wxyz", tip.orientation_wxyz.is_some()),
-        ];
-        for (key, _) in given.iter().filter(|(_, is_given)| *is_given) {
-            if tip.kind == EndKind::Free {
-                let help = "set tip.kind = \"clamped\" or \"pinned\", or leave the key out";
-                let message = "a free tip is not held in any pose";
-                return Err(self.source.error_at(key, message, Some(help.to_string())));
-            }
+        let pose = given!(tip: position_m, direction, orientation_wxyz);
+        if tip.kind == EndKind::Free
+            && let Some(key) = given_of(&pose).next()
+        {
+            let help = "set tip.kind = \"clamped\" or \"pinned\", or leave the key out";
+            let message = "a free tip is not held in any pose";
+            return Err((self.source).error_at(&format!("tip.{key}"), message, Some(help.into())));
         }
-        if tip.roll_rad.is_some() && tip.direction.is_none() {
-            return Err(self.missing("tip.direction", "goes with tip.roll_rad"));
-        }
+        let [roll, direction] = given!(tip: roll_rad, direction);
+        self.relations("tip", &[Needs(roll, direction, "goes with tip.roll_rad")])?;
         if let Some(motion) = &tip.motion {
             let turns = motion.angular_velocity_rad_s != [0.0; 3]
                 || motion.rotation_rad.is_some()
@@ -308,15 +270,14 @@ impl Keys<'_> {
             self.finite_number(&key("roll_rad"), roll)?;
         }
         if let Some(orientation) = &end.orientation_wxyz {
-            let name = key("orientation_wxyz");
-            self.nonzero(&name, orientation)?;
-            if end.direction.is_some() {
-                return Err(self.contradiction(&name, &key("direction")));
-            }
-            if end.roll_rad.is_some() {
-                return Err(self.contradiction(&name, &key("roll_rad")));
-            }
+            self.nonzero(&key("orientation_wxyz"), orientation)?;
         }
+        let [orientation, direction, roll] = given!(end: orientation_wxyz, direction, roll_rad);
+        let rows = [
+            Excludes(orientation, direction),
+            Excludes(orientation, roll),
+        ];
+        self.relations(end.name, &rows)?;
         if let Some(axis) = &end.axis {
             self.nonzero(&key("axis"), axis)?;
             if end.kind != EndKind::Pinned {

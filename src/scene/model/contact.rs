@@ -1,6 +1,5 @@
 //! Contacts: bodies that the arm touches, their keys, the contact of an arm that they mean, and the keys that describe such a contact.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -14,24 +13,19 @@ use crate::mechanics;
 /// the four shapes. A piece as deep as p in the body is pushed out by its share of the force `force_n` (p/`penetration_m`)², its share of the length of
 /// the part that can touch. The arm does not touch itself, nothing sticks, and nothing is grasped; the arm may be led into a body, but a fast one passes
 /// through a thin body between two time steps, and one that is pressed in deeper than its middle.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Contact {
     /// Name in results. Default: "contact" and its number, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// All points within a distance of a center.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub sphere: Option<Sphere>,
     /// All points within a distance of a segment.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub capsule: Option<Capsule>,
     /// All points behind a plane.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub half_space: Option<HalfSpace>,
     /// A box.
-    #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "box")]
     pub cuboid: Option<Cuboid>,
     /// Depth in m at which the body pushes with `force_n`, positive: as deep an arm sinks that lies on a floor with its whole weight. Results
     /// differ from those of a rigid body in proportion to it, or to its root where a short piece touches.
@@ -39,7 +33,6 @@ pub struct Contact {
     /// Force in N if all of the part that can touch is as deep as `penetration_m`, positive. Absent: the weight of the arm with payload and
     /// bodies, or EI/L² if that is larger, for a body on which the arm can lie; on a round or small one, which an arm across it touches with a short piece
     /// only, as much more as that piece is shorter than the part, so that the piece carries the weight at about `penetration_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_n: Option<Positive<values::Force>>,
     /// Start of the part that can touch, as a fraction of `rod.length_m` from the base. An element ends there. Default: 0, the base.
     #[serde(default)]

@@ -1,6 +1,5 @@
 //! The controls that the optimizer may choose.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -16,47 +15,38 @@ use crate::task::{
 
 /// Force and moment on the tip, and wrenches on other nodes, as functions of time on blocks of equal duration. A force
 /// or moment that is not named does not act.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Control {
     /// Number of blocks into which the horizon of the controls is divided, at least 1, default 20.
     #[serde(default = "twenty")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub blocks: usize,
     /// Course of the controls within a block.
     #[serde(default)]
     pub hold: Hold,
     /// Largest tip force in N; `inf` is unbounded, and 0 is no force. Absent: there is no tip force.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
     /// Components (x, y, z) of that force that act, under a bound on the norm as well. Absent: all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_axes: Option<[bool; 3]>,
     /// Largest tip moment in N m; `inf` is unbounded, and 0 is no moment. Absent: there is no tip moment.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
     /// Components of that moment (body frame; the third is twist) that act. Absent: all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_axes: Option<[bool; 3]>,
     /// Largest rate of change of every force in N/s, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_rate_max_n_s: Option<Bound>,
     /// Largest rate of change of every moment in N m/s, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rate_max_n_m_s: Option<Bound>,
     /// Keeps tendons on winches that are controls taut in a solve, those that are taut at the start and where the arm is held at its
     /// target; default true. Where it is false they may go slack, and a solve may not converge, since a slack tendon does not feel its winch.
-    #[serde(default = "yes", skip_serializing_if = "is_yes")]
+    #[serde(default = "values::yes", skip_serializing_if = "bool::clone")]
     pub keep_taut: bool,
     /// Forces and moments on other nodes than the tip.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actuator: Vec<Actuator>,
     /// Couples along the arm. Absent: there are none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub distributed: Option<Distributed>,
     /// Weights of the regulator along the solution; the table may be empty. Absent: no gains are computed.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub feedback: Option<Feedback>,
 }
 
@@ -64,23 +54,20 @@ pub struct Control {
 /// points at equal distances, whose values are controls, and through 0 at both ends. It does not go with
 /// `[task.free_duration]` or with `solver.qp = "sparse"`. If it is the only actuator, give every `[[objective.track]]`
 /// a weight.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Distributed {
     /// Number of points between the ends, 1 to 100.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100)))]
+    #[schemars(range(min = 1, max = 100))]
     pub points: usize,
     /// Largest couple at every point in N m/m, finite. A component with a bound of 0 does not act.
     pub moment_max_n_m_per_m: Bound,
     /// Couple in N m/m that counts as 1 in the cost and in the solver, positive. Absent: the largest bound.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_scale_n_m_per_m: Option<Positive<values::CoupleDensity>>,
 }
 
 /// Weights of the regulator along the solution.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Feedback {
     /// Weight of the energy of a deviation, twice the energy divided by EI/L, on the way and at the end; not negative, default 1.
@@ -103,29 +90,23 @@ impl Default for Feedback {
 }
 
 /// A force (spatial frame) and a moment (the node's body frame) that the optimizer may choose.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Actuator {
     /// Index of the node, from 0 at the base; not the tip, and not the base unless it is free.
     pub node: usize,
     /// Largest force in N; `inf` is unbounded, and 0 is no force. Absent: there is no force.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Bound>,
     /// Components of that force (x, y, z) that act, under a bound on the norm as well. Absent: all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_axes: Option<[bool; 3]>,
     /// Largest moment in N m; `inf` is unbounded, and 0 is no moment. Absent: there is no moment.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Bound>,
     /// Components of that moment (body frame; the third is twist) that act. Absent: all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_axes: Option<[bool; 3]>,
 }
 
 /// A bound on a vector: a number bounds its norm, [x, y, z] bounds the magnitude of each component. Not negative; `inf` bounds nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected a number, which bounds the norm, or [x, y, z], which bounds each component"
@@ -171,18 +152,6 @@ fn twenty() -> usize {
     20
 }
 
-fn yes() -> bool {
-    true
-}
-
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "the signature that serde asks for"
-)]
-fn is_yes(value: &bool) -> bool {
-    *value
-}
-
 impl Keys<'_> {
     pub(in crate::scene) fn check_control(&self, control: &Control, scene: &Scene) -> Checked {
         self.count("control.blocks", control.blocks, LARGEST_COUNT)?;
@@ -194,53 +163,56 @@ impl Keys<'_> {
             ],
         )?;
         for (key, bound, unit) in [
+            ("force_rate_max_n_s", control.force_rate_max_n_s, "N/s"),
             (
-                "control.force_rate_max_n_s",
-                control.force_rate_max_n_s,
-                "N/s",
-            ),
-            (
-                "control.moment_rate_max_n_m_s",
+                "moment_rate_max_n_m_s",
                 control.moment_rate_max_n_m_s,
                 "N m/s",
             ),
         ] {
-            match bound {
-                None => {}
-                Some(Bound::Norm(norm)) => self.positive(key, norm, "rate", unit)?,
-                Some(Bound::PerAxis(bounds)) => {
-                    for (axis, bound) in bounds.into_iter().enumerate() {
-                        self.positive(&format!("{key}.{axis}"), bound, "rate", unit)?;
-                    }
-                }
+            for (key, bound) in numbers(&format!("control.{key}"), bound) {
+                self.positive(&key, bound, "rate", unit)?;
             }
         }
-        let acts =
-            |parts: [Option<Bound>; 2]| parts.into_iter().flatten().any(|part| !part.is_zero());
-        let mut nothing = !acts([control.force_max_n, control.moment_max_n_m]);
-        let tip = scene.tip_kind();
+        self.check_wrench_on_tip(control, scene.tip_kind())?;
+        self.check_actuators(control, scene)?;
+        if let Some(distributed) = &control.distributed {
+            self.check_distributed(distributed, scene)?;
+        }
+        let wrenches = (control.actuator.iter())
+            .flat_map(|own| [own.force_max_n, own.moment_max_n_m])
+            .chain([control.force_max_n, control.moment_max_n_m]);
+        let nothing = control.distributed.is_none() && !wrenches.into_iter().any(acts);
+        if nothing && scene.effort_controls().is_empty() {
+            let message = "force_max_n and moment_max_n_m are 0 or not named, so that there is nothing to control with";
+            return Err((self.source).error_at("control", message, Some(NAME_A_PART.into())));
+        }
+        Ok(())
+    }
+
+    /// Checks that the tip answers to the wrench on it.
+    fn check_wrench_on_tip(&self, control: &Control, tip: EndKind) -> Checked {
+        let is_free = tip == EndKind::Free;
+        let turns = is_free || tip == EndKind::Pinned;
         for (key, bound, answers) in [
-            (
-                "control.force_max_n",
-                control.force_max_n,
-                tip == EndKind::Free,
-            ),
-            (
-                "control.moment_max_n_m",
-                control.moment_max_n_m,
-                matches!(tip, EndKind::Free | EndKind::Pinned),
-            ),
+            ("control.force_max_n", control.force_max_n, is_free),
+            ("control.moment_max_n_m", control.moment_max_n_m, turns),
         ] {
-            if acts([bound, None]) && !answers {
+            if acts(bound) && !answers {
                 let message = format!("acts on the tip, which is {}", tip.name());
                 let help = "name another node in [[control.actuator]], or free the tip";
                 return Err(self.source.error_at(key, message, Some(help.to_string())));
             }
         }
+        Ok(())
+    }
+
+    /// Checks that the wrenches on other nodes than the tip act, on nodes that answer to them and are given once.
+    fn check_actuators(&self, control: &Control, scene: &Scene) -> Checked {
         let elements = scene.rod.elements;
         for (index, actuator) in control.actuator.iter().enumerate() {
             let key = format!("control.actuator.{index}");
-            let turns = scene.base.kind == EndKind::Pinned && !acts([actuator.force_max_n, None]);
+            let turns = scene.base.kind == EndKind::Pinned && !acts(actuator.force_max_n);
             let held = scene.base.kind != EndKind::Free && !turns && actuator.node == 0;
             let earlier = &control.actuator[..index];
             let message = if actuator.node > elements {
@@ -259,15 +231,13 @@ impl Keys<'_> {
                         (actuator.moment_max_n_m, actuator.moment_axes),
                     ],
                 )?;
-                let parts = [actuator.force_max_n, actuator.moment_max_n_m];
-                if parts == [None; 2] {
+                if actuator.force_max_n.is_none() && actuator.moment_max_n_m.is_none() {
                     return Err(self.source.error_at(
                         &key,
                         "names neither force_max_n nor moment_max_n_m, so that nothing acts on this node",
                         Some(NAME_A_PART.into()),
                     ));
                 }
-                nothing &= !acts(parts);
                 continue;
             };
             return Err(self
@@ -276,14 +246,6 @@ impl Keys<'_> {
                 .expecting(format!(
                     "expected another node, below the tip's index {elements}"
                 )));
-        }
-        if let Some(distributed) = &control.distributed {
-            self.check_distributed(distributed, scene)?;
-            nothing = false;
-        }
-        if nothing && scene.effort_controls().is_empty() {
-            let message = "force_max_n and moment_max_n_m are 0 or not named, so that there is nothing to control with";
-            return Err((self.source).error_at("control", message, Some(NAME_A_PART.into())));
         }
         Ok(())
     }
@@ -296,13 +258,7 @@ impl Keys<'_> {
             MOST_POINTS,
         )?;
         let key = "control.distributed.moment_max_n_m_per_m";
-        let bounds = match distributed.moment_max_n_m_per_m {
-            Bound::Norm(norm) => vec![(key.to_string(), norm)],
-            Bound::PerAxis(bounds) => (0..3)
-                .map(|axis| (format!("{key}.{axis}"), bounds[axis]))
-                .collect(),
-        };
-        for (key, bound) in bounds {
+        for (key, bound) in numbers(key, Some(distributed.moment_max_n_m_per_m)) {
             self.finite_number(&key, bound)?;
             self.not_below_zero(&key, bound, "bound", "N m/m")?;
         }
@@ -332,14 +288,8 @@ impl Keys<'_> {
         ];
         for ((name, axes_name, unit), (bound, axes)) in names.into_iter().zip(parts) {
             let key = format!("{section}.{name}");
-            match bound {
-                None => {}
-                Some(Bound::Norm(norm)) => self.not_below_zero(&key, norm, "bound", unit)?,
-                Some(Bound::PerAxis(bounds)) => {
-                    for (axis, bound) in bounds.into_iter().enumerate() {
-                        self.not_below_zero(&format!("{key}.{axis}"), bound, "bound", unit)?;
-                    }
-                }
+            for (key, number) in numbers(&key, bound) {
+                self.not_below_zero(&key, number, "bound", unit)?;
             }
             let message = match axes {
                 Some(_) if bound.is_none() => {
@@ -353,6 +303,22 @@ impl Keys<'_> {
             return Err((self.source).error_at(&key, message, Some(help)));
         }
         Ok(())
+    }
+}
+
+/// Tells whether a part of a wrench with this bound acts.
+fn acts(bound: Option<Bound>) -> bool {
+    bound.is_some_and(|bound| !bound.is_zero())
+}
+
+/// Returns the numbers of a bound with their keys.
+fn numbers(key: &str, bound: Option<Bound>) -> Vec<(String, f64)> {
+    match bound {
+        None => Vec::new(),
+        Some(Bound::Norm(norm)) => vec![(key.into(), norm)],
+        Some(Bound::PerAxis(bounds)) => (bounds.into_iter().enumerate())
+            .map(|(axis, bound)| (format!("{key}.{axis}"), bound))
+            .collect(),
     }
 }
 

@@ -1,6 +1,5 @@
 //! Estimators of a closed loop: their keys, and the unknowns that they estimate.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -11,8 +10,7 @@ use super::base::EndKind;
 use crate::mpc::{Sensing, SensorChoice, SensorSettings, Unknowns};
 
 /// Estimator of the state from sensors.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Estimator {
     /// Method.
@@ -20,30 +18,25 @@ pub struct Estimator {
     /// Number of elements of the estimator's own model, 1 to 5000. The cost of a Kalman filter grows with its third
     /// power. Ten follow a path as well as more; an arm that stands still may be off by the difference of the two
     /// models. Absent: `rod.elements`.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = 5000))]
     pub elements: Option<usize>,
     /// Longest time step of the estimator's model; longer ones cost less. The automatic one resolves the three slowest bending
     /// modes; if it is implicit, the arm may also be bent into a circle, so that a thin and stiff one takes hundreds of steps a sample.
     /// Implicit steps of half a block of the plan suffice for an arm that does not swing. Explicit steps that are not stable are refused.
     /// Absent: automatic.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub step_s: Option<Positive<values::Duration>>,
     /// Unknowns that are estimated besides the state. Absent: for a Kalman filter all of them that move the arm (a tip that is held answers
     /// to no force and no mass, and turns only if it is pinned).
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub disturbances: Option<Vec<Unknown>>,
     /// Rate of change of the unknown wrenches of a Kalman filter: the deflection over the length that they typically
     /// cause within a hundred periods of the loop, divided by that time; not negative. They are random walks: within another time the
     /// deflection grows with the root. With a larger rate, the estimate follows pushes faster, and the noise of the sensors too. Absent:
     /// 0.007 divided by a hundred periods, so 0.007 with the default period.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub wrench_change_1_s: Option<NonNegative<values::Rate>>,
 }
 
 /// Method of an estimator.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum EstimatorKind {
     /// The true state is known at once; sensors play no part.
@@ -53,8 +46,7 @@ pub enum EstimatorKind {
 }
 
 /// Unknown that an estimator finds besides the state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Unknown {
     /// A force on the tip.

@@ -1,11 +1,10 @@
 //! Magnets in fields, and cables to points in space.
 
 use nalgebra::{Matrix3, Vector3};
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, Needs, given};
 use super::super::values::{self, Fraction, Positive, digits, known};
 use super::Scene;
 use super::hardware::{EffortKeys, RateBound};
@@ -21,61 +20,45 @@ const GRADIENT: [&str; 5] = ["Gxx", "Gxy", "Gxz", "Gyy", "Gyz"];
 /// A magnet in the arm and the magnetic field in which it is. Its moment m turns with the section; in the field B(x) = B + G (x - center)
 /// the arm has a force G m and a moment m × B there. The components of B are efforts, "NAME Bx", "NAME By" and "NAME Bz" in results: with
 /// `field_t` they are controls, with `profile` they are given, in simulations too; those of G likewise.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Magnet {
     /// Name in results, one for each actuator. Absent: the word magnet with its place in the list, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// Place on the arm, as a fraction of `rod.length_m` from the base. An element ends there. Default: 1, the tip.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub at: Option<Fraction>,
     /// Instead of `at`: [start, end] of a stretch as fractions, over which the moment is spread evenly. Elements end at both.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub along: Option<[Fraction; 2]>,
     /// Magnetic moment in A m², in the axes of the section: the third one points to the tip.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_a_m2: Option<[f64; 3]>,
     /// Instead of `moment_a_m2`: remanence Br in T; the moment is Br `volume_m3`/μ0 along `axis`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub remanence_t: Option<Positive<values::Remanence>>,
     /// Volume of the magnet in m³, with `remanence_t`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub volume_m3: Option<Positive<values::Volume>>,
     /// Direction of the moment in the axes of the section, with `remanence_t`. Default: [0, 0, 1], to the tip.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<[f64; 3]>,
     /// Name of another magnet, whose field this one feels; it then has no key of a field itself. Absent: it has its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub field_of: Option<String>,
     /// Least and largest value of each component of B in T, as [[least, largest] of x, of y, of z], which makes the components controls;
     /// one with two equal numbers stays at that value. Absent: the field is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub field_t: Option<[[f64; 2]; 3]>,
     /// Largest rate of a component of B in T/s, or the fastest fall, negative, and the fastest rise. With it the field begins at
     /// `rest_field_t`. Absent: it may jump.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_t_s: Option<RateBound>,
     /// B in T before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub rest_field_t: [f64; 3],
     /// Given B over time, as [t in s, Bx, By, Bz in T] with increasing t; linear in between and constant outside. It does not go with
     /// `field_t`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 4]>>,
     /// Least and largest value of Gxx, Gxy, Gxz, Gyy and Gyz in T/m, which makes them controls; the others follow, because G is symmetric
     /// and has no trace. Absent: the gradient is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_t_m: Option<[[f64; 2]; 5]>,
     /// Largest rate of a number of G in T/m/s, likewise.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_rate_t_m_s: Option<RateBound>,
     /// The five numbers of G in T/m before the task begins. Absent: 0, or no gradient at all.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rest_gradient_t_m: Option<[f64; 5]>,
     /// Given G over time, as [t in s, its five numbers in T/m]. It does not go with `gradient_t_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_profile: Option<Vec<[f64; 6]>>,
     /// Point in m at which the field is B alone. Default: the origin.
     #[serde(default)]
@@ -84,12 +67,10 @@ pub struct Magnet {
 
 /// A cable from the arm to a fixed point in space, which pulls the arm toward that point with its tension. With `tension_n` its tension is a
 /// control, with `profile` it is given, in simulations too.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cable {
     /// Name in results, one for each actuator. Absent: the word cable with its place in the list, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// Place on the arm where it is attached, as a fraction of `rod.length_m` from the base. An element ends there. Default: 1, the tip.
     #[serde(default = "Fraction::one")]
@@ -100,18 +81,15 @@ pub struct Cable {
     /// The point in space in m.
     pub anchor_m: [f64; 3],
     /// Least and largest tension in N, which makes it a control; a cable pulls only. Absent: the tension is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tension_n: Option<[f64; 2]>,
     /// Largest rate of the tension in N/s, or the fastest fall, negative, and the fastest rise. With it the tension begins at
     /// `pretension_n`. Absent: it may jump.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_n_s: Option<RateBound>,
     /// Tension in N before the task begins, within the bounds, from which effort is counted. Default: 0.
     #[serde(default)]
     pub pretension_n: f64,
     /// Given tension over time, as [t in s, tension in N] with increasing t; linear in between and constant outside. It does not go with
     /// `tension_n`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
 }
 
@@ -155,12 +133,7 @@ impl Magnet {
 
     /// The component of the field or of its gradient that an effort is, for this magnet.
     fn in_field(&self, component: usize, center: [f64; 3]) -> OfPose {
-        let mut field = Vector3::zeros();
-        let mut gradient = Matrix3::zeros();
-        match component {
-            0..3 => field[component] = 1.0,
-            _ => gradient = unit_gradient(component - 3),
-        }
+        let (field, gradient) = unit_field(component);
         OfPose::Magnet(mechanics::Magnet {
             moment: self.moment(),
             field,
@@ -169,52 +142,48 @@ impl Magnet {
         })
     }
 
+    /// Efforts of the components of the field, then of those of its gradient if there is one.
     fn efforts(&self, index: usize, feeling: &[&Self]) -> Vec<PoseEffort> {
-        let n = if self.has_gradient() { 8 } else { 3 };
-        (0..n)
-            .map(|component| {
-                let (in_field, at) = (component < 3, component % 3);
-                let at = if in_field { at } else { component - 3 };
-                let rest_gradient = self.rest_gradient_t_m.unwrap_or_default();
-                let keys = EffortKeys {
-                    section: "magnet",
-                    index,
-                    component: Some(at),
-                    bounds: match in_field {
-                        true => ("field_t", self.field_t.map(|bounds| bounds[at])),
-                        false => ("gradient_t_m", self.gradient_t_m.map(|bounds| bounds[at])),
-                    },
-                    rate: match in_field {
-                        true => ("rate_t_s", self.rate_t_s),
-                        false => ("gradient_rate_t_m_s", self.gradient_rate_t_m_s),
-                    },
-                    rest: match in_field {
-                        true => ("rest_field_t", self.rest_field_t[at]),
-                        false => ("rest_gradient_t_m", rest_gradient[at]),
-                    },
-                    profile: match in_field {
-                        true => ("profile", self.profile.is_some()),
-                        false => ("gradient_profile", self.gradient_profile.is_some()),
-                    },
-                    lag: None,
-                    winch: None,
-                };
-                let rows = match in_field {
-                    true => column(&self.profile, at),
-                    false => column(&self.gradient_profile, at),
-                };
-                let suffix = if in_field { FIELD[at] } else { GRADIENT[at] };
-                PoseEffort {
-                    keys,
-                    name: format!("{} {suffix}", self.name(index)),
-                    unit: if in_field { "T" } else { "T/m" },
-                    parts: (std::iter::once(&self).chain(feeling))
-                        .map(|magnet| (magnet.span(), magnet.in_field(component, self.center_m)))
-                        .collect(),
-                    rows,
-                }
-            })
-            .collect()
+        let keys = |at, bounds, rate, rest, profile| EffortKeys {
+            section: "magnet",
+            index,
+            component: Some(at),
+            bounds,
+            rate,
+            rest,
+            profile,
+            lag: None,
+            winch: None,
+        };
+        let field = (0..3).map(|at| {
+            let bounds = ("field_t", self.field_t.map(|bounds| bounds[at]));
+            let rate = ("rate_t_s", self.rate_t_s);
+            let rest = ("rest_field_t", self.rest_field_t[at]);
+            let profile = ("profile", self.profile.is_some());
+            let rows = column(&self.profile, at);
+            (keys(at, bounds, rate, rest, profile), FIELD[at], "T", rows)
+        });
+        let gradient = (0..5).filter(|_| self.has_gradient()).map(|at| {
+            let bounds = ("gradient_t_m", self.gradient_t_m.map(|bounds| bounds[at]));
+            let rate = ("gradient_rate_t_m_s", self.gradient_rate_t_m_s);
+            let rest = self.rest_gradient_t_m.map_or(0.0, |rest| rest[at]);
+            let rest = ("rest_gradient_t_m", rest);
+            let profile = ("gradient_profile", self.gradient_profile.is_some());
+            let rows = column(&self.gradient_profile, at);
+            let keys = keys(at, bounds, rate, rest, profile);
+            (keys, GRADIENT[at], "T/m", rows)
+        });
+        let all = field.chain(gradient).enumerate();
+        all.map(|(component, (keys, suffix, unit, rows))| PoseEffort {
+            keys,
+            name: format!("{} {suffix}", self.name(index)),
+            unit,
+            parts: (std::iter::once(&self).chain(feeling))
+                .map(|magnet| (magnet.span(), magnet.in_field(component, self.center_m)))
+                .collect(),
+            rows,
+        })
+        .collect()
     }
 }
 
@@ -260,6 +229,14 @@ fn place(fraction: f64) -> Place {
 fn column<const N: usize>(rows: &Option<Vec<[f64; N]>>, at: usize) -> Vec<(f64, f64)> {
     let rows = rows.iter().flatten();
     rows.map(|row| (row[0], row[1 + at])).collect()
+}
+
+/// The field and the gradient of which one component is 1 and the others are 0.
+fn unit_field(component: usize) -> (Vector3<f64>, Matrix3<f64>) {
+    match component {
+        0..3 => (Vector3::ith(component, 1.0), Matrix3::zeros()),
+        _ => (Vector3::zeros(), unit_gradient(component - 3)),
+    }
 }
 
 /// The symmetric matrix without trace of which one of the five numbers is 1 and the others are 0.
@@ -358,30 +335,21 @@ impl Keys<'_> {
 
     fn check_magnet(&self, scene: &Scene, magnet: &Magnet, section: &str) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
-        let given = [
-            ("moment_a_m2", magnet.moment_a_m2.is_some()),
-            ("remanence_t", magnet.remanence_t.is_some()),
-        ];
-        self.exactly_one(section, &given)?;
+        let [moment, remanence, volume, axis, along, at] =
+            given!(magnet: moment_a_m2, remanence_t, volume_m3, axis, along, at);
+        self.exactly_one(section, &[moment, remanence])?;
         if let Some(moment) = &magnet.moment_a_m2 {
             self.nonzero(&key("moment_a_m2"), moment)?;
         }
-        if magnet.remanence_t.is_some() && magnet.volume_m3.is_none() {
-            return Err(self.missing(&key("volume_m3"), "goes with remanence_t"));
-        }
-        for (name, is_given) in [
-            ("volume_m3", magnet.volume_m3.is_some()),
-            ("axis", magnet.axis.is_some()),
-        ] {
-            if is_given && magnet.remanence_t.is_none() {
-                return Err(self.contradiction(&key(name), &key("moment_a_m2")));
-            }
-        }
+        let rows = [
+            Needs(remanence, volume, "goes with remanence_t"),
+            Excludes(volume, moment),
+            Excludes(axis, moment),
+            Excludes(along, at),
+        ];
+        self.relations(section, &rows)?;
         if let Some(axis) = &magnet.axis {
             self.nonzero(&key("axis"), axis)?;
-        }
-        if magnet.at.is_some() && magnet.along.is_some() {
-            return Err(self.contradiction(&key("along"), &key("at")));
         }
         if let Some([from, to]) = magnet.along.map(|ends| ends.map(Fraction::get))
             && to <= from
@@ -416,26 +384,14 @@ impl Keys<'_> {
                         false => format!("expected one of {}", names.join(", ")),
                     }));
             }
-            let own = [
-                ("field_t", magnet.field_t.is_some()),
-                ("rate_t_s", magnet.rate_t_s.is_some()),
-                ("rest_field_t", magnet.rest_field_t != [0.0; 3]),
-                ("profile", magnet.profile.is_some()),
-                ("gradient_t_m", magnet.gradient_t_m.is_some()),
-                ("gradient_rate_t_m_s", magnet.gradient_rate_t_m_s.is_some()),
-                ("rest_gradient_t_m", magnet.rest_gradient_t_m.is_some()),
-                ("gradient_profile", magnet.gradient_profile.is_some()),
-                ("center_m", magnet.center_m != [0.0; 3]),
-            ];
-            if let Some((name, _)) = own.iter().find(|(_, given)| *given) {
-                return Err(self.contradiction(&key(name), &key("field_of")));
-            }
-            return Ok(());
+            let own = given!(magnet: field_t, rate_t_s, rest_field_t, profile, gradient_t_m, gradient_rate_t_m_s,
+                rest_gradient_t_m, gradient_profile, center_m);
+            let field_of = given!(magnet: field_of);
+            return self.relations(section, &own.map(|own| Excludes(own, field_of)));
         }
-        if magnet.gradient_rate_t_m_s.is_some() && magnet.gradient_t_m.is_none() {
-            let relation = "goes with gradient_t_m, which makes it a control";
-            return Err(self.missing(&key("gradient_t_m"), relation));
-        }
+        let [rate, gradient] = given!(magnet: gradient_rate_t_m_s, gradient_t_m);
+        let reason = "goes with gradient_t_m, which makes it a control";
+        self.relations(section, &[Needs(rate, gradient, reason)])?;
         (magnet.efforts(index, &[]).iter())
             .try_for_each(|effort| self.check_effort(&effort.keys, None))
     }
@@ -448,111 +404,25 @@ pub(in crate::scene) fn describing_poses(
     first: usize,
     efforts: &[EffortControl],
 ) -> Option<(Vec<Magnet>, Vec<Cable>)> {
-    let (mut magnets, mut cables) = (Vec::<Magnet>::new(), Vec::new());
-    let control = |at: usize| {
-        efforts
-            .iter()
-            .find(|control| control.actuator == first + at)
-    };
-    let bounds = |at: usize| control(at).map(|control| control.bounds);
-    let rate = |at: usize| control(at).and_then(|control| control.rate.map(RateBound::Each));
-    let rest = |at: usize| match actuators[at].effort[..] {
-        [(_, only)] => only,
-        _ => 0.0,
-    };
-    if (0..actuators.len()).any(|at| control(at).is_some_and(|own| own.scale.is_some())) {
+    let control = |at: usize| efforts.iter().find(|own| own.actuator == first + at);
+    let controls: Vec<_> = (0..actuators.len()).map(control).collect();
+    if controls.iter().flatten().any(|own| own.scale.is_some()) {
         return None;
     }
+    let all = DescribedPoses {
+        actuators,
+        controls,
+    };
+    let (mut magnets, mut cables) = (Vec::new(), Vec::new());
     let mut at = 0;
     while let Some(own) = actuators.get(at) {
         match own.parts[..] {
             [(Span::At(place), OfPose::Cable(cable))] if cable.offset.z == 0.0 => {
-                let rows = own.effort.iter().map(|&(t, effort)| [t, effort]).collect();
-                cables.push(Cable {
-                    name: Some(own.name.clone()).filter(|name| !name.is_empty()),
-                    at: known(place.fraction()),
-                    offset_m: [cable.offset.x, cable.offset.y],
-                    anchor_m: cable.anchor.into(),
-                    tension_n: bounds(at),
-                    rate_n_s: rate(at),
-                    pretension_n: rest(at),
-                    profile: (own.effort.len() > 1).then_some(rows),
-                });
+                cables.push(all.cable(at, place, &cable));
                 at += 1;
             }
             _ if cables.is_empty() => {
-                let name = own.name.strip_suffix(FIELD[0])?.trim_end().to_string();
-                let is = |at: usize, suffix: &str| {
-                    let named = format!("{name} {suffix}");
-                    actuators.get(at).is_some_and(|own| own.name == named)
-                };
-                if !(0..3).all(|i| is(at + i, FIELD[i])) {
-                    return None;
-                }
-                let has_gradient = (0..5).all(|i| is(at + 3 + i, GRADIENT[i]));
-                let n = if has_gradient { 8 } else { 3 };
-                let group = &actuators[at..at + n];
-                let mut found =
-                    parts_of(group)?
-                        .into_iter()
-                        .enumerate()
-                        .map(|(i, (span, magnet))| {
-                            let (place, along) = match span {
-                                Span::At(place) => (Some(known(place.fraction())), None),
-                                Span::Along(from, to) => (None, Some([known(from), known(to)])),
-                            };
-                            Magnet {
-                                name: Some(match i {
-                                    0 => name.clone(),
-                                    _ => format!("{name} {i}"),
-                                }),
-                                at: place,
-                                along,
-                                moment_a_m2: Some(magnet.moment.into()),
-                                remanence_t: None,
-                                volume_m3: None,
-                                axis: None,
-                                field_of: (i > 0).then(|| name.clone()),
-                                field_t: None,
-                                rate_t_s: None,
-                                rest_field_t: [0.0; 3],
-                                profile: None,
-                                gradient_t_m: None,
-                                gradient_rate_t_m_s: None,
-                                rest_gradient_t_m: None,
-                                gradient_profile: None,
-                                center_m: [0.0; 3],
-                            }
-                        });
-                let mut owner = found.next()?;
-                let OfPose::Magnet(first_part) = &own.parts[0].1 else {
-                    return None;
-                };
-                owner.center_m = first_part.center.into();
-                // A component without a control stays at its value, if another one is a control.
-                let ranges = |from: usize, n: usize| {
-                    let any = (from..from + n).any(|at| control(at).is_some());
-                    any.then_some(move |i: usize| bounds(from + i).unwrap_or([rest(from + i); 2]))
-                };
-                owner.field_t = ranges(at, 3).map(|range| [0, 1, 2].map(range));
-                owner.rate_t_s = (at..at + 3).find_map(rate);
-                owner.rest_field_t = [0, 1, 2].map(|i| rest(at + i));
-                owner.profile = rows_of(&group[..3])?.map(|rows| {
-                    (rows.into_iter())
-                        .map(|(t, values)| [t, values[0], values[1], values[2]])
-                        .collect()
-                });
-                if has_gradient {
-                    owner.gradient_t_m = ranges(at + 3, 5).map(|range| [0, 1, 2, 3, 4].map(range));
-                    owner.gradient_rate_t_m_s = (at + 3..at + 8).find_map(rate);
-                    owner.rest_gradient_t_m = Some([0, 1, 2, 3, 4].map(|i| rest(at + 3 + i)));
-                    owner.gradient_profile = rows_of(&group[3..])?.map(|rows| {
-                        (rows.into_iter())
-                            .map(|(t, v)| [t, v[0], v[1], v[2], v[3], v[4]])
-                            .collect()
-                    });
-                }
-                magnets.push(owner);
+                let (found, n) = all.magnets(at)?;
                 magnets.extend(found);
                 at += n;
             }
@@ -560,6 +430,122 @@ pub(in crate::scene) fn describing_poses(
         }
     }
     Some((magnets, cables))
+}
+
+/// Actuators on poses with their controls, as far as their efforts are controls.
+struct DescribedPoses<'a> {
+    actuators: &'a [PoseActuator],
+    controls: Vec<Option<&'a EffortControl>>,
+}
+
+impl DescribedPoses<'_> {
+    fn bounds(&self, at: usize) -> Option<[f64; 2]> {
+        self.controls[at].map(|control| control.bounds)
+    }
+
+    fn rate(&self, at: usize) -> Option<RateBound> {
+        self.controls[at].and_then(|control| control.rate.map(RateBound::Each))
+    }
+
+    fn rest(&self, at: usize) -> f64 {
+        match self.actuators[at].effort[..] {
+            [(_, only)] => only,
+            _ => 0.0,
+        }
+    }
+
+    /// Bounds of the components of a field from an index on, if one of them is a control; another one stays at its value.
+    fn ranges<const N: usize>(&self, from: usize) -> Option<[[f64; 2]; N]> {
+        let range = |i| (self.bounds(from + i)).unwrap_or([self.rest(from + i); 2]);
+        let any = (from..from + N).any(|at| self.controls[at].is_some());
+        any.then(|| std::array::from_fn(range))
+    }
+
+    fn cable(&self, at: usize, place: Place, cable: &mechanics::Cable) -> Cable {
+        let own = &self.actuators[at];
+        let rows = own.effort.iter().map(|&(t, effort)| [t, effort]).collect();
+        Cable {
+            name: Some(own.name.clone()).filter(|name| !name.is_empty()),
+            at: known(place.fraction()),
+            offset_m: [cable.offset.x, cable.offset.y],
+            anchor_m: cable.anchor.into(),
+            tension_n: self.bounds(at),
+            rate_n_s: self.rate(at),
+            pretension_n: self.rest(at),
+            profile: (own.effort.len() > 1).then_some(rows),
+        }
+    }
+
+    /// Returns the magnets of the field whose first component has this index, and the number of its components.
+    fn magnets(&self, at: usize) -> Option<(Vec<Magnet>, usize)> {
+        let name = (self.actuators[at].name.strip_suffix(FIELD[0])?.trim_end()).to_string();
+        let are = |at: usize, suffixes: &[&str]| {
+            suffixes.iter().enumerate().all(|(i, suffix)| {
+                let own = self.actuators.get(at + i);
+                own.is_some_and(|own| own.name == format!("{name} {suffix}"))
+            })
+        };
+        if !are(at, &FIELD) {
+            return None;
+        }
+        let has_gradient = are(at + 3, &GRADIENT);
+        let n = if has_gradient { 8 } else { 3 };
+        let group = &self.actuators[at..at + n];
+        let parts = parts_of(group)?;
+        let center = parts.first()?.1.center;
+        let mut magnets: Vec<Magnet> = (parts.into_iter().enumerate())
+            .map(|(i, (span, magnet))| Magnet {
+                name: Some(match i {
+                    0 => name.clone(),
+                    _ => format!("{name} {i}"),
+                }),
+                field_of: (i > 0).then(|| name.clone()),
+                ..Magnet::describing(span, &magnet)
+            })
+            .collect();
+        let owner = magnets.first_mut()?;
+        owner.center_m = center.into();
+        owner.field_t = self.ranges(at);
+        owner.rate_t_s = (at..at + 3).find_map(|at| self.rate(at));
+        owner.rest_field_t = [0, 1, 2].map(|i| self.rest(at + i));
+        owner.profile = rows_of(&group[..3])?;
+        if has_gradient {
+            owner.gradient_t_m = self.ranges(at + 3);
+            owner.gradient_rate_t_m_s = (at + 3..at + 8).find_map(|at| self.rate(at));
+            owner.rest_gradient_t_m = Some([3, 4, 5, 6, 7].map(|i| self.rest(at + i)));
+            owner.gradient_profile = rows_of(&group[3..])?;
+        }
+        Some((magnets, n))
+    }
+}
+
+impl Magnet {
+    /// Returns the keys of a magnet in no field.
+    fn describing(span: Span, magnet: &mechanics::Magnet) -> Self {
+        let (at, along) = match span {
+            Span::At(place) => (Some(known(place.fraction())), None),
+            Span::Along(from, to) => (None, Some([known(from), known(to)])),
+        };
+        Self {
+            name: None,
+            at,
+            along,
+            moment_a_m2: Some(magnet.moment.into()),
+            remanence_t: None,
+            volume_m3: None,
+            axis: None,
+            field_of: None,
+            field_t: None,
+            rate_t_s: None,
+            rest_field_t: [0.0; 3],
+            profile: None,
+            gradient_t_m: None,
+            gradient_rate_t_m_s: None,
+            rest_gradient_t_m: None,
+            gradient_profile: None,
+            center_m: [0.0; 3],
+        }
+    }
 }
 
 /// The magnets of the efforts of one field, if each of them has every effort as [`Magnet::in_field`] does.
@@ -574,22 +560,16 @@ fn parts_of(group: &[PoseActuator]) -> Option<Vec<(Span, mechanics::Magnet)>> {
     let magnets = magnets?;
     let center = magnets.first()?.1.center;
     for (component, own) in group.iter().enumerate() {
-        let mut field = Vector3::zeros();
-        let mut gradient = Matrix3::zeros();
-        match component {
-            0..3 => field[component] = 1.0,
-            _ => gradient = unit_gradient(component - 3),
-        }
+        let (field, gradient) = unit_field(component);
         let expected: Vec<_> = (magnets.iter())
-            .map(|(span, magnet)| {
-                let moment = magnet.moment;
+            .map(|&(span, magnet)| {
                 let in_field = mechanics::Magnet {
-                    moment,
                     field,
                     gradient,
                     center,
+                    ..magnet
                 };
-                (*span, OfPose::Magnet(in_field))
+                (span, OfPose::Magnet(in_field))
             })
             .collect();
         if own.parts != expected {
@@ -599,10 +579,12 @@ fn parts_of(group: &[PoseActuator]) -> Option<Vec<(Span, mechanics::Magnet)>> {
     Some(magnets)
 }
 
-/// Times and values of given efforts, if they have rows at the same times: `Some(None)` for constant ones, `None` for others.
-#[expect(clippy::type_complexity, reason = "rows of a table")]
-fn rows_of(group: &[PoseActuator]) -> Option<Option<Vec<(f64, Vec<f64>)>>> {
-    let first = &group.first()?.effort;
+/// Rows of given efforts, times and values, if they are at the same times: `Some(None)` for constant ones, `None` for others.
+#[expect(
+    clippy::option_option,
+    reason = "no rows, and no rows that a scene has"
+)]
+fn rows_of<const N: usize>(group: &[PoseActuator]) -> Option<Option<Vec<[f64; N]>>> {
     if group.iter().all(|own| own.effort.len() <= 1) {
         return Some(None);
     }
@@ -610,10 +592,8 @@ fn rows_of(group: &[PoseActuator]) -> Option<Option<Vec<(f64, Vec<f64>)>>> {
     if !group.iter().all(|own| times(own) == times(&group[0])) {
         return None;
     }
-    let values = |row: usize| group.iter().map(|own| own.effort[row].1).collect();
-    let rows = first
-        .iter()
-        .enumerate()
-        .map(|(row, (t, _))| (*t, values(row)));
-    Some(Some(rows.collect()))
+    let row = |(row, (t, _)): (usize, &(f64, f64))| {
+        std::array::from_fn(|i| i.checked_sub(1).map_or(*t, |i| group[i].effort[row].1))
+    };
+    Some(Some(group[0].effort.iter().enumerate().map(row).collect()))
 }

@@ -1,95 +1,184 @@
 //! Actuators that are built into the arm: tendons, chambers, muscles.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Fraction, NonNegative, Positive, digits, known};
 use super::Scene;
 use crate::control::Hold;
 use crate::mechanics::{Density, Route, StrainActuator, Winch};
 use crate::task::{EffortControl, Follows};
 
-/// A tendon in the arm, or a rod in it that pushes: its line lies in the section and moves with it, without friction. A tendon pulls the
-/// section toward itself with the work of its tension as it gets shorter. With `tension_n` its tension is a control, with `profile` it is
-/// given, in simulations too. On a winch its length is the input instead, and the tension follows from its stretch: with `displacement_m` as a control, with
-/// `displacement_profile` given.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Tendon {
-    /// Name in results, one for each actuator. Absent: the word tendon with its place in the list, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub name: Option<String>,
-    /// Place in the section at `from`, along its two axes, in m.
-    pub offset_m: [f64; 2],
-    /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub offset_to_m: Option<[f64; 2]>,
-    /// Revolutions about the arm's axis from `from` to `to`, positive about +e3. Default: 0, parallel to the axis.
-    #[serde(default)]
-    pub turns: f64,
-    /// Start, as a fraction of `rod.length_m` from the base. Default: 0, the base.
-    #[serde(default)]
-    pub from: Fraction,
-    /// End, as a fraction, after `from`. Default: 1, the tip.
-    #[serde(default = "Fraction::one")]
-    pub to: Fraction,
-    /// Least and largest tension in N, which makes it a control; `inf` and `-inf` are no bounds, and a negative tension is that of a rod that
-    /// pushes. Absent: the tension is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub tension_n: Option<[f64; 2]>,
-    /// Largest rate of the tension in N/s, or the fastest fall, negative, and the fastest rise. With it the tension begins at
-    /// `pretension_n`. Absent: it may jump.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub rate_n_s: Option<RateBound>,
-    /// Time constant in s of the first-order lag with which the tension follows the command of its motor. With it the bounds hold for the
-    /// command, the tension plus its rate times the lag, and the tension begins at `pretension_n`; not with `control.hold` = "constant".
-    /// Absent: the tension is the command.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lag_s: Option<Positive<values::Time>>,
-    /// Another actuator, the control of which drives this one too, as a motor that pulls one tendon in and lets another out. It has bounds of its
-    /// own, which the control keeps as well. Absent: a control of its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub follows: Option<FollowKeys>,
-    /// Tension in N before the task begins, within the bounds, from which effort is counted. Default: 0.
-    #[serde(default)]
-    pub pretension_n: f64,
-    /// Given tension over time, as [t in s, tension in N] with increasing t; linear in between and constant outside. It does not go with
-    /// `tension_n`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub profile: Option<Vec<[f64; 2]>>,
-    /// Least and largest displacement of a winch in m, which makes it a control; where it is negative, the winch has pulled in. The least one
-    /// is finite. With the length l of the tendon in the arm, l0 that in the arm at rest, the length b outside of it, and the displacement
-    /// z, `l + b = (l0 + b + z)(1 + C T)`; where that would be a negative tension T, the tendon is slack. Not with keys of the tension, nor
-    /// with `control.hold` = "constant"; the winch begins at `rest_displacement_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub displacement_m: Option<[f64; 2]>,
-    /// Largest speed of a winch in m/s, or the fastest way in, negative, and the fastest way out. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub rate_m_s: Option<RateBound>,
-    /// Displacement of a winch in m before the task begins, within the bounds, from which effort is counted. Default: 0.
-    #[serde(default, skip_serializing_if = "is_none_at_all")]
-    pub rest_displacement_m: f64,
-    /// Given displacement of a winch over time, as [t in s, displacement in m] with increasing t; linear in between and constant outside. It
-    /// does not go with `displacement_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub displacement_profile: Option<Vec<[f64; 2]>>,
-    /// Compliance C of the tendon on a winch in 1/N: its strain per tension.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub compliance_1_n: Option<Positive<values::TendonCompliance>>,
-    /// Length b of the tendon on a winch outside of the arm in m, which stretches too. Default: 0.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    pub free_length_m: NonNegative<values::Length>,
+/// Writes the section of a kind of actuators: name, keys of its own, those of its line and of its effort, and more of its own. The words are the
+/// name of the effort, the same at the beginning of a sentence, and its unit.
+macro_rules! actuator {
+    (
+        $(#[$about:meta])*
+        $Kind:ident = $section:literal;
+        own { $($(#[$own_about:meta])* $own:ident: $Own:ty,)* }
+        line {
+            $(#[$offset:meta])* offset_m,
+            $(#[$offset_to:meta])* offset_to_m,
+            $(#[$turns:meta])* turns,
+        }
+        effort $effort:literal, $Effort:literal, $unit:literal {
+            $(#[$bounds_about:meta])* $bounds:ident,
+            $rate:ident in $rate_unit:literal,
+            $(#[$lag:meta])* lag_s,
+            $rest:ident,
+        }
+        more { $($(#[$more_about:meta])* $more:ident: $More:ty,)* }
+    ) => {
+        $(#[$about])*
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        pub struct $Kind {
+            #[doc = concat!("Name in results, one for each actuator. Absent: the word ", $section, " with its place in the list, from 0.")]
+            pub name: Option<String>,
+            $($(#[$own_about])* pub $own: $Own,)*
+            $(#[$offset])*
+            pub offset_m: [f64; 2],
+            $(#[$offset_to])*
+            pub offset_to_m: Option<[f64; 2]>,
+            $(#[$turns])*
+            #[serde(default)]
+            pub turns: f64,
+            /// Start, as a fraction of `rod.length_m` from the base. Default: 0, the base.
+            #[serde(default)]
+            pub from: Fraction,
+            /// End, as a fraction, after `from`. Default: 1, the tip.
+            #[serde(default = "Fraction::one")]
+            pub to: Fraction,
+            $(#[$bounds_about])*
+            pub $bounds: Option<[f64; 2]>,
+            #[doc = concat!(
+                "Largest rate of the ", $effort, " in ", $rate_unit, ", or the fastest fall, negative, and the fastest rise. With it the ",
+                $effort, " begins at"
+            )]
+            #[doc = concat!("`", stringify!($rest), "`. Absent: it may jump.")]
+            pub $rate: Option<RateBound>,
+            $(#[$lag])*
+            pub lag_s: Option<Positive<values::Time>>,
+            /// Another actuator, the control of which drives this one too, as a motor that pulls one tendon in and lets another out. It has bounds of its
+            /// own, which the control keeps as well. Absent: a control of its own.
+            pub follows: Option<FollowKeys>,
+            #[doc = concat!($Effort, $unit, " before the task begins, within the bounds, from which effort is counted. Default: 0.")]
+            #[serde(default)]
+            pub $rest: f64,
+            #[doc = concat!(
+                "Given ", $effort, " over time, as [t in s, ", $effort, $unit,
+                "] with increasing t; linear in between and constant outside. It does not go with"
+            )]
+            #[doc = concat!("`", stringify!($bounds), "`.")]
+            pub profile: Option<Vec<[f64; 2]>>,
+            $($(#[$more_about])* pub $more: $More,)*
+        }
+
+        impl $Kind {
+            /// Collects the keys that all kinds share.
+            fn common(&self, index: usize, density: Density, scale: f64) -> Common<'_> {
+                Common {
+                    effort: EffortKeys {
+                        section: $section,
+                        index,
+                        component: None,
+                        bounds: (stringify!($bounds), self.$bounds),
+                        rate: (stringify!($rate), self.$rate),
+                        rest: (stringify!($rest), self.$rest),
+                        profile: ("profile", self.profile.is_some()),
+                        lag: self.lag_s.map(Positive::get),
+                        winch: None,
+                    },
+                    name: &self.name,
+                    route: Route {
+                        from: self.from.get(),
+                        to: self.to.get(),
+                        offset_from: self.offset_m,
+                        offset_to: self.offset_to_m.unwrap_or(self.offset_m),
+                        turns: self.turns,
+                    },
+                    density,
+                    scale,
+                    profile: &self.profile,
+                    follows: &self.follows,
+                }
+            }
+
+            /// Returns the section with these keys, and with those of its own in their order.
+            fn describing(common: Described, $($own: $Own,)* $($more: $More,)*) -> Self {
+                let Described { name, route, bounds, rate, lag_s, follows, rest, profile } = common;
+                Self {
+                    name,
+                    $($own,)*
+                    offset_m: route.offset_from,
+                    offset_to_m: (route.offset_to != route.offset_from).then_some(route.offset_to),
+                    turns: route.turns,
+                    from: known(route.from),
+                    to: known(route.to),
+                    $bounds: bounds,
+                    $rate: rate,
+                    lag_s,
+                    follows,
+                    $rest: rest,
+                    profile,
+                    $($more,)*
+                }
+            }
+        }
+    };
 }
 
-fn is_zero(length: &NonNegative<values::Length>) -> bool {
-    length.get() == 0.0
-}
-
-fn is_none_at_all(displacement: &f64) -> bool {
-    *displacement == 0.0
+actuator! {
+    /// A tendon in the arm, or a rod in it that pushes: its line lies in the section and moves with it, without friction. A tendon pulls the
+    /// section toward itself with the work of its tension as it gets shorter. With `tension_n` its tension is a control, with `profile` it is
+    /// given, in simulations too. On a winch its length is the input instead, and the tension follows from its stretch: with `displacement_m` as a control, with
+    /// `displacement_profile` given.
+    Tendon = "tendon";
+    own {}
+    line {
+        /// Place in the section at `from`, along its two axes, in m.
+        offset_m,
+        /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
+        offset_to_m,
+        /// Revolutions about the arm's axis from `from` to `to`, positive about +e3. Default: 0, parallel to the axis.
+        turns,
+    }
+    effort "tension", "Tension", " in N" {
+        /// Least and largest tension in N, which makes it a control; `inf` and `-inf` are no bounds, and a negative tension is that of a rod that
+        /// pushes. Absent: the tension is given.
+        tension_n,
+        rate_n_s in "N/s",
+        /// Time constant in s of the first-order lag with which the tension follows the command of its motor. With it the bounds hold for the
+        /// command, the tension plus its rate times the lag, and the tension begins at `pretension_n`; not with `control.hold` = "constant".
+        /// Absent: the tension is the command.
+        lag_s,
+        pretension_n,
+    }
+    more {
+        /// Least and largest displacement of a winch in m, which makes it a control; where it is negative, the winch has pulled in. The least one
+        /// is finite. With the length l of the tendon in the arm, l0 that in the arm at rest, the length b outside of it, and the displacement
+        /// z, `l + b = (l0 + b + z)(1 + C T)`; where that would be a negative tension T, the tendon is slack. Not with keys of the tension, nor
+        /// with `control.hold` = "constant"; the winch begins at `rest_displacement_m`.
+        displacement_m: Option<[f64; 2]>,
+        /// Largest speed of a winch in m/s, or the fastest way in, negative, and the fastest way out. Absent: unbounded.
+        rate_m_s: Option<RateBound>,
+        /// Displacement of a winch in m before the task begins, within the bounds, from which effort is counted. Default: 0.
+        #[serde(default, skip_serializing_if = "values::is_default")]
+        rest_displacement_m: f64,
+        /// Given displacement of a winch over time, as [t in s, displacement in m] with increasing t; linear in between and constant outside. It
+        /// does not go with `displacement_m`.
+        displacement_profile: Option<Vec<[f64; 2]>>,
+        /// Compliance C of the tendon on a winch in 1/N: its strain per tension.
+        compliance_1_n: Option<Positive<values::TendonCompliance>>,
+        /// Length b of the tendon on a winch outside of the arm in m, which stretches too. Default: 0.
+        #[serde(default, skip_serializing_if = "values::is_default")]
+        free_length_m: NonNegative<values::Length>,
+        /// Distance in m of disks through which the tendon runs, straight from one to the next: where the arm bends by the curvature κ, it is
+        /// shorter than its line in the section by κ² s²/24 of its length. Default: 0, a channel along the whole arm.
+        #[serde(default, skip_serializing_if = "values::is_default")]
+        disk_spacing_m: NonNegative<values::Length>,
+    }
 }
 
 impl Tendon {
@@ -97,172 +186,154 @@ impl Tendon {
     fn is_on_winch(&self) -> bool {
         self.displacement_m.is_some() || self.displacement_profile.is_some()
     }
+
+    /// Collects the keys of its tension, or else those of its winch.
+    fn of_tension_or_winch(&self, index: usize) -> Common<'_> {
+        let spacing = self.disk_spacing_m.get();
+        let density = if spacing > 0.0 {
+            Density::Threaded { spacing }
+        } else {
+            Density::Shortening
+        };
+        let by_tension = self.common(index, density, 1.0);
+        if !self.is_on_winch() {
+            return by_tension;
+        }
+        Common {
+            effort: EffortKeys {
+                bounds: ("displacement_m", self.displacement_m),
+                rate: ("rate_m_s", self.rate_m_s),
+                rest: ("rest_displacement_m", self.rest_displacement_m),
+                profile: ("displacement_profile", self.displacement_profile.is_some()),
+                winch: self.compliance_1_n.map(|compliance| Winch {
+                    compliance: compliance.get(),
+                    outside: self.free_length_m.get(),
+                }),
+                ..by_tension.effort
+            },
+            profile: &self.displacement_profile,
+            ..by_tension
+        }
+    }
+
+    /// Makes the effort the displacement of a winch.
+    fn put_on(self, winch: Winch) -> Self {
+        Self {
+            tension_n: None,
+            rate_n_s: None,
+            pretension_n: 0.0,
+            profile: None,
+            displacement_m: self.tension_n,
+            rate_m_s: self.rate_n_s,
+            rest_displacement_m: self.pretension_n,
+            displacement_profile: self.profile,
+            compliance_1_n: Some(known(winch.compliance)),
+            free_length_m: known(winch.outside),
+            ..self
+        }
+    }
 }
 
-/// A pneumatic or hydraulic chamber in the arm whose section stays plane and keeps its area. Its pressure lengthens the arm and bends it
-/// away from the chamber. With `pressure_pa` the pressure, above that of the surroundings, is a control, with `profile` it is given, in
-/// simulations too.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Chamber {
-    /// Name in results, one for each actuator. Absent: the word chamber with its place in the list, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub name: Option<String>,
-    /// Area of the chamber's section in m².
-    pub area_m2: Positive<values::Area>,
-    /// Centroid of that area in the section at `from`, along its two axes, in m.
-    pub offset_m: [f64; 2],
-    /// Centroid at `to`, reached linearly, in m. Absent: `offset_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub offset_to_m: Option<[f64; 2]>,
-    /// Revolutions about the arm's axis from `from` to `to`, positive about +e3. Default: 0.
-    #[serde(default)]
-    pub turns: f64,
-    /// Start, as a fraction of `rod.length_m` from the base. Default: 0, the base.
-    #[serde(default)]
-    pub from: Fraction,
-    /// End, as a fraction, after `from`. Default: 1, the tip.
-    #[serde(default = "Fraction::one")]
-    pub to: Fraction,
-    /// Least and largest pressure in Pa, which makes it a control; `inf` and `-inf` are no bounds. Absent: the pressure is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub pressure_pa: Option<[f64; 2]>,
-    /// Largest rate of the pressure in Pa/s, or the fastest fall, negative, and the fastest rise. With it the pressure begins at
-    /// `rest_pressure_pa`. Absent: it may jump.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub rate_pa_s: Option<RateBound>,
-    /// Time constant in s of the first-order lag with which the pressure follows the command of its valve. With it the bounds hold for the
-    /// command, the pressure plus its rate times the lag, and the pressure begins at `rest_pressure_pa`; not with `control.hold` = "constant".
-    /// Absent: the pressure is the command.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lag_s: Option<Positive<values::Time>>,
-    /// Another actuator, the control of which drives this one too, as a motor that pulls one tendon in and lets another out. It has bounds of its
-    /// own, which the control keeps as well. Absent: a control of its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub follows: Option<FollowKeys>,
-    /// Pressure in Pa before the task begins, within the bounds, from which effort is counted. Default: 0.
-    #[serde(default)]
-    pub rest_pressure_pa: f64,
-    /// Given pressure over time, as [t in s, pressure in Pa] with increasing t; linear in between and constant outside. It does not go with
-    /// `pressure_pa`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub profile: Option<Vec<[f64; 2]>>,
+actuator! {
+    /// A pneumatic or hydraulic chamber in the arm whose section stays plane and keeps its area. Its pressure lengthens the arm and bends it
+    /// away from the chamber. With `pressure_pa` the pressure, above that of the surroundings, is a control, with `profile` it is given, in
+    /// simulations too.
+    Chamber = "chamber";
+    own {
+        /// Area of the chamber's section in m².
+        area_m2: Positive<values::Area>,
+    }
+    line {
+        /// Centroid of that area in the section at `from`, along its two axes, in m.
+        offset_m,
+        /// Centroid at `to`, reached linearly, in m. Absent: `offset_m`.
+        offset_to_m,
+        /// Revolutions about the arm's axis from `from` to `to`, positive about +e3. Default: 0.
+        turns,
+    }
+    effort "pressure", "Pressure", " in Pa" {
+        /// Least and largest pressure in Pa, which makes it a control; `inf` and `-inf` are no bounds. Absent: the pressure is given.
+        pressure_pa,
+        rate_pa_s in "Pa/s",
+        /// Time constant in s of the first-order lag with which the pressure follows the command of its valve. With it the bounds hold for the
+        /// command, the pressure plus its rate times the lag, and the pressure begins at `rest_pressure_pa`; not with `control.hold` = "constant".
+        /// Absent: the pressure is the command.
+        lag_s,
+        rest_pressure_pa,
+    }
+    more {}
 }
 
-/// A muscle in the arm, by the relation of active force and length of COOMM: a force `activation · stress_pa · area_m2 · w` along its
-/// fibre, with `w = 3.06 λ³ - 13.64 λ² + 18.01 λ - 6.44` where that is positive and the fibre's stretch `λ` below 1.6, otherwise 0. With
-/// `activation` the activation is a control, with `profile` it is given, in simulations too.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Muscle {
-    /// Name in results, one for each actuator. Absent: the word muscle with its place in the list, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub name: Option<String>,
-    /// Area of the muscle's section in m².
-    pub area_m2: Positive<values::Area>,
-    /// Largest active stress in Pa.
-    pub stress_pa: Positive<values::ActiveStress>,
-    /// Place in the section at `from`, along its two axes, in m.
-    pub offset_m: [f64; 2],
-    /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub offset_to_m: Option<[f64; 2]>,
-    /// Revolutions about the arm's axis from `from` to `to`, positive about +e3. Default: 0.
-    #[serde(default)]
-    pub turns: f64,
-    /// Start, as a fraction of `rod.length_m` from the base. Default: 0, the base.
-    #[serde(default)]
-    pub from: Fraction,
-    /// End, as a fraction, after `from`. Default: 1, the tip.
-    #[serde(default = "Fraction::one")]
-    pub to: Fraction,
-    /// Least and largest activation, which makes it a control, usually [0, 1]. Absent: the activation is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub activation: Option<[f64; 2]>,
-    /// Largest rate of the activation in 1/s, or the fastest fall, negative, and the fastest rise. With it the activation begins at
-    /// `rest_activation`. Absent: it may jump.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub rate_1_s: Option<RateBound>,
-    /// Time constant in s of the first-order lag with which the activation follows the command of its nerve. With it the bounds hold for the
-    /// command, the activation plus its rate times the lag, and the activation begins at `rest_activation`; not with `control.hold` = "constant".
-    /// Absent: the activation is the command.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lag_s: Option<Positive<values::Time>>,
-    /// Another actuator, the control of which drives this one too, as a motor that pulls one tendon in and lets another out. It has bounds of its
-    /// own, which the control keeps as well. Absent: a control of its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub follows: Option<FollowKeys>,
-    /// Activation before the task begins, within the bounds, from which effort is counted. Default: 0.
-    #[serde(default)]
-    pub rest_activation: f64,
-    /// Given activation over time, as [t in s, activation] with increasing t; linear in between and constant outside. It does not go with
-    /// `activation`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub profile: Option<Vec<[f64; 2]>>,
+actuator! {
+    /// A muscle in the arm, by the relation of active force and length of COOMM: a force `activation · stress_pa · area_m2 · w` along its
+    /// fibre, with `w = 3.06 λ³ - 13.64 λ² + 18.01 λ - 6.44` where that is positive and the fibre's stretch `λ` below 1.6, otherwise 0. With
+    /// `activation` the activation is a control, with `profile` it is given, in simulations too.
+    Muscle = "muscle";
+    own {
+        /// Area of the muscle's section in m².
+        area_m2: Positive<values::Area>,
+        /// Largest active stress in Pa.
+        stress_pa: Positive<values::ActiveStress>,
+    }
+    line {
+        /// Place in the section at `from`, along its two axes, in m.
+        offset_m,
+        /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
+        offset_to_m,
+        /// Revolutions about the arm's axis from `from` to `to`, positive about +e3. Default: 0.
+        turns,
+    }
+    effort "activation", "Activation", "" {
+        /// Least and largest activation, which makes it a control, usually [0, 1]. Absent: the activation is given.
+        activation,
+        rate_1_s in "1/s",
+        /// Time constant in s of the first-order lag with which the activation follows the command of its nerve. With it the bounds hold for the
+        /// command, the activation plus its rate times the lag, and the activation begins at `rest_activation`; not with `control.hold` = "constant".
+        /// Absent: the activation is the command.
+        lag_s,
+        rest_activation,
+    }
+    more {}
 }
 
-/// A McKibben muscle or another tube with a braid of fibres that do not stretch (Chou and Hannaford 1996). Its pressure does the work of
-/// the volume inside: with a fibre `fibre` times as long as its line and `turns_1_m` turns of it, that is `π λ (fibre² - λ²)/(2π turns_1_m + κ)²`
-/// per length at the stretch λ of the line and the twist κ. It pulls by `pressure (3 λ² - fibre²)/(4π turns_1_m²)`, so that it shortens below
-/// an angle of 54.7 degrees between fibres and line and lengthens above it, and it twists the arm. Fibres that are wound both ways are two
-/// braids with opposite turns, each with half of the pressure; together they do not twist it. With `pressure_pa` the pressure, above that of
-/// the surroundings, is a control, with `profile` it is given, in simulations too.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Braid {
-    /// Name in results, one for each actuator. Absent: the word braid with its place in the list, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub name: Option<String>,
-    /// Length of a fibre over that of the line that it is wound about, above 1. The radius of the braid at rest is
-    /// `sqrt(fibre² - 1)/(2π turns_1_m)`.
-    pub fibre: Positive<values::Factor>,
-    /// Turns of a fibre per length of the line in 1/m, not 0, positive about +e3.
-    pub turns_1_m: f64,
-    /// Place of the line in the section at `from`, along its two axes, in m. Default: the center.
-    #[serde(default)]
-    pub offset_m: [f64; 2],
-    /// Place at `to`, reached linearly, in m. Absent: `offset_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub offset_to_m: Option<[f64; 2]>,
-    /// Revolutions of the line about the arm's axis from `from` to `to`, positive about +e3. Default: 0.
-    #[serde(default)]
-    pub turns: f64,
-    /// Start, as a fraction of `rod.length_m` from the base. Default: 0, the base.
-    #[serde(default)]
-    pub from: Fraction,
-    /// End, as a fraction, after `from`. Default: 1, the tip.
-    #[serde(default = "Fraction::one")]
-    pub to: Fraction,
-    /// Least and largest pressure in Pa, which makes it a control; `inf` and `-inf` are no bounds. Absent: the pressure is given.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub pressure_pa: Option<[f64; 2]>,
-    /// Largest rate of the pressure in Pa/s, or the fastest fall, negative, and the fastest rise. With it the pressure begins at
-    /// `rest_pressure_pa`. Absent: it may jump.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub rate_pa_s: Option<RateBound>,
-    /// Time constant in s of the first-order lag with which the pressure follows the command of its valve, as that of a chamber.
-    /// Absent: the pressure is the command.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lag_s: Option<Positive<values::Time>>,
-    /// Another actuator, the control of which drives this one too, as a motor that pulls one tendon in and lets another out. It has bounds of its
-    /// own, which the control keeps as well. Absent: a control of its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub follows: Option<FollowKeys>,
-    /// Pressure in Pa before the task begins, within the bounds, from which effort is counted. Default: 0.
-    #[serde(default)]
-    pub rest_pressure_pa: f64,
-    /// Given pressure over time, as [t in s, pressure in Pa] with increasing t; linear in between and constant outside. It does not go with
-    /// `pressure_pa`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub profile: Option<Vec<[f64; 2]>>,
+actuator! {
+    /// A McKibben muscle or another tube with a braid of fibres that do not stretch (Chou and Hannaford 1996). Its pressure does the work of
+    /// the volume inside: with a fibre `fibre` times as long as its line and `turns_1_m` turns of it, that is `π λ (fibre² - λ²)/(2π turns_1_m + κ)²`
+    /// per length at the stretch λ of the line and the twist κ. It pulls by `pressure (3 λ² - fibre²)/(4π turns_1_m²)`, so that it shortens below
+    /// an angle of 54.7 degrees between fibres and line and lengthens above it, and it twists the arm. Fibres that are wound both ways are two
+    /// braids with opposite turns, each with half of the pressure; together they do not twist it. With `pressure_pa` the pressure, above that of
+    /// the surroundings, is a control, with `profile` it is given, in simulations too.
+    Braid = "braid";
+    own {
+        /// Length of a fibre over that of the line that it is wound about, above 1. The radius of the braid at rest is
+        /// `sqrt(fibre² - 1)/(2π turns_1_m)`.
+        fibre: Positive<values::Factor>,
+        /// Turns of a fibre per length of the line in 1/m, not 0, positive about +e3.
+        turns_1_m: f64,
+    }
+    line {
+        /// Place of the line in the section at `from`, along its two axes, in m. Default: the center.
+        #[serde(default)]
+        offset_m,
+        /// Place at `to`, reached linearly, in m. Absent: `offset_m`.
+        offset_to_m,
+        /// Revolutions of the line about the arm's axis from `from` to `to`, positive about +e3. Default: 0.
+        turns,
+    }
+    effort "pressure", "Pressure", " in Pa" {
+        /// Least and largest pressure in Pa, which makes it a control; `inf` and `-inf` are no bounds. Absent: the pressure is given.
+        pressure_pa,
+        rate_pa_s in "Pa/s",
+        /// Time constant in s of the first-order lag with which the pressure follows the command of its valve, as that of a chamber.
+        /// Absent: the pressure is the command.
+        lag_s,
+        rest_pressure_pa,
+    }
+    more {}
 }
 
 /// The actuator whose control drives another one too.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FollowKeys {
     /// Its name: that of a tendon, chamber, muscle or braid whose effort is a control.
@@ -273,8 +344,7 @@ pub struct FollowKeys {
 }
 
 /// A bound on a rate: a number bounds its magnitude, [down, up] has the fastest fall, negative, and the fastest rise.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected a number, which bounds the rate both ways, or [down, up], the fastest fall, negative, and the fastest rise"
@@ -351,37 +421,6 @@ struct Common<'a> {
     follows: &'a Option<FollowKeys>,
 }
 
-/// Collects the keys of an actuator; the names are those of its bounds, of its rate and of its effort at rest.
-macro_rules! common {
-    ($own:expr, $section:literal, $index:expr, $density:expr, $scale:expr, $bounds:ident, $rate:ident, $rest:ident) => {
-        Common {
-            effort: EffortKeys {
-                section: $section,
-                index: $index,
-                component: None,
-                bounds: (stringify!($bounds), $own.$bounds),
-                rate: (stringify!($rate), $own.$rate),
-                rest: (stringify!($rest), $own.$rest),
-                profile: ("profile", $own.profile.is_some()),
-                lag: $own.lag_s.map(Positive::get),
-                winch: None,
-            },
-            name: &$own.name,
-            route: Route {
-                from: $own.from.get(),
-                to: $own.to.get(),
-                offset_from: $own.offset_m,
-                offset_to: $own.offset_to_m.unwrap_or($own.offset_m),
-                turns: $own.turns,
-            },
-            density: $density,
-            scale: $scale,
-            profile: &$own.profile,
-            follows: &$own.follows,
-        }
-    };
-}
-
 impl Common<'_> {
     fn name(&self) -> String {
         let EffortKeys { section, index, .. } = self.effort;
@@ -441,78 +480,17 @@ impl Scene {
 
     /// The actuators in the arm, in the order of [`SECTIONS`].
     fn hardware(&self) -> Vec<Common<'_>> {
-        let tendons = self.tendon.iter().enumerate().map(|(index, own)| {
-            let density = Density::Shortening;
-            let by_tension = common!(
-                own,
-                "tendon",
-                index,
-                density,
-                1.0,
-                tension_n,
-                rate_n_s,
-                pretension_n
-            );
-            if !own.is_on_winch() {
-                return by_tension;
-            }
-            Common {
-                effort: EffortKeys {
-                    bounds: ("displacement_m", own.displacement_m),
-                    rate: ("rate_m_s", own.rate_m_s),
-                    rest: ("rest_displacement_m", own.rest_displacement_m),
-                    profile: ("displacement_profile", own.displacement_profile.is_some()),
-                    winch: own.compliance_1_n.as_ref().map(|compliance| Winch {
-                        compliance: compliance.get(),
-                        outside: own.free_length_m.get(),
-                    }),
-                    ..by_tension.effort
-                },
-                profile: &own.displacement_profile,
-                ..by_tension
-            }
+        let tendons =
+            (self.tendon.iter().enumerate()).map(|(index, own)| own.of_tension_or_winch(index));
+        let chambers = (self.chamber.iter().enumerate())
+            .map(|(index, own)| own.common(index, Density::Volume, own.area_m2.get()));
+        let muscles = (self.muscle.iter().enumerate()).map(|(index, own)| {
+            let scale = own.area_m2.get() * own.stress_pa.get();
+            own.common(index, Density::Muscle, scale)
         });
-        let chambers = self.chamber.iter().enumerate().map(|(index, own)| {
-            let (density, scale) = (Density::Volume, own.area_m2.get());
-            common!(
-                own,
-                "chamber",
-                index,
-                density,
-                scale,
-                pressure_pa,
-                rate_pa_s,
-                rest_pressure_pa
-            )
-        });
-        let muscles = self.muscle.iter().enumerate().map(|(index, own)| {
-            let (density, scale) = (Density::Muscle, own.area_m2.get() * own.stress_pa.get());
-            common!(
-                own,
-                "muscle",
-                index,
-                density,
-                scale,
-                activation,
-                rate_1_s,
-                rest_activation
-            )
-        });
-        let braids = self.braid.iter().enumerate().map(|(index, own)| {
-            let density = Density::Braid {
-                fibre: own.fibre.get(),
-                turns: own.turns_1_m,
-            };
-            common!(
-                own,
-                "braid",
-                index,
-                density,
-                1.0,
-                pressure_pa,
-                rate_pa_s,
-                rest_pressure_pa
-            )
+        let braids = (self.braid.iter().enumerate()).map(|(index, own)| {
+            let (fibre, turns) = (own.fibre.get(), own.turns_1_m);
+            own.common(index, Density::Braid { fibre, turns }, 1.0)
         });
         (tendons.chain(chambers))
             .chain(muscles)
@@ -619,13 +597,9 @@ impl Keys<'_> {
     fn check_winch(&self, section: &str, tendon: &Tendon) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
         if !tendon.is_on_winch() {
-            let of_winch = [
-                ("compliance_1_n", tendon.compliance_1_n.is_some()),
-                ("free_length_m", tendon.free_length_m.get() != 0.0),
-                ("rate_m_s", tendon.rate_m_s.is_some()),
-                ("rest_displacement_m", tendon.rest_displacement_m != 0.0),
-            ];
-            if let Some((name, _)) = of_winch.into_iter().find(|(_, is_given)| *is_given) {
+            let of_winch =
+                given!(tendon: compliance_1_n, free_length_m, rate_m_s, rest_displacement_m);
+            if let Some(name) = given_of(&of_winch).next() {
                 let relation = format!(
                     "{name} describes the tendon of a winch, whose input is displacement_m or displacement_profile"
                 );
@@ -633,19 +607,14 @@ impl Keys<'_> {
             }
             return Ok(());
         }
-        let input = match tendon.displacement_m {
-            Some(_) => "displacement_m",
-            None => "displacement_profile",
+        let [displacement, profile] = given!(tendon: displacement_m, displacement_profile);
+        let input = if displacement.1 {
+            displacement
+        } else {
+            profile
         };
-        let of_tension = [
-            ("tension_n", tendon.tension_n.is_some()),
-            ("rate_n_s", tendon.rate_n_s.is_some()),
-            ("pretension_n", tendon.pretension_n != 0.0),
-            ("profile", tendon.profile.is_some()),
-        ];
-        if let Some((name, _)) = of_tension.into_iter().find(|(_, is_given)| *is_given) {
-            return Err(self.contradiction(&key(input), &key(name)));
-        }
+        let of_tension = given!(tendon: tension_n, rate_n_s, pretension_n, profile);
+        self.relations(section, &of_tension.map(|own| Excludes(input, own)))?;
         if let Some([least, _]) = tendon.displacement_m
             && !least.is_finite()
         {
@@ -654,11 +623,11 @@ impl Keys<'_> {
                 .error_at(&key("displacement_m.0"), message, None)
                 .expecting("expected a finite displacement, negative where it has pulled in"));
         }
-        if tendon.compliance_1_n.is_none() {
-            let relation = "the tension on a winch follows from the stretch of the tendon";
-            return Err(self.missing(&key("compliance_1_n"), relation));
-        }
-        Ok(())
+        let reason = "the tension on a winch follows from the stretch of the tendon";
+        self.relations(
+            section,
+            &[Needs(input, given!(tendon: compliance_1_n), reason)],
+        )
     }
 
     /// Checks that the actuator which another one follows has a control of its own.
@@ -671,14 +640,15 @@ impl Keys<'_> {
         if *gain == 0.0 || !gain.is_finite() {
             return Err(self.out_of_range(&key("follows.gain"), *gain, "number other than 0", ""));
         }
-        if own.effort.range().is_none() {
-            let relation =
-                "an actuator that follows another one has bounds of its own, which may be infinite";
-            return Err(self.missing(&key(own.effort.bounds.0), relation));
-        }
-        if own.effort.lag.is_some() {
-            return Err(self.contradiction(&key("lag_s"), &key("follows")));
-        }
+        let reason =
+            "an actuator that follows another one has bounds of its own, which may be infinite";
+        let (follows, bounds) = (
+            ("follows", true),
+            (own.effort.bounds.0, own.effort.range().is_some()),
+        );
+        let lag = ("lag_s", own.effort.lag.is_some());
+        let rows = [Needs(follows, bounds, reason), Excludes(lag, follows)];
+        self.relations(&format!("{section}.{index}"), &rows)?;
         let leads = |other: &&Common| {
             other.effort.range().is_some() && other.follows.is_none() && other.name() != own.name()
         };
@@ -734,17 +704,15 @@ impl Keys<'_> {
         self.finite_number(&part(rest_key), rest)?;
         let (bounds_key, bounds) = own.bounds;
         let (rate_key, rate) = own.rate;
+        let goes = format!("goes with {bounds_key}, which makes it a control");
+        let lag_goes = format!("lag_s {goes}; a given effort is the one that acts");
+        let is_control = (bounds_key, bounds.is_some());
+        let rows = [
+            Needs((rate_key, rate.is_some()), is_control, &goes),
+            Needs(("lag_s", own.lag.is_some()), is_control, &lag_goes),
+        ];
+        self.relations(&format!("{section}.{index}"), &rows)?;
         let Some([least, most]) = bounds else {
-            if rate.is_some() {
-                let relation = format!("goes with {bounds_key}, which makes it a control");
-                return Err(self.missing(&key(bounds_key), &relation));
-            }
-            if own.lag.is_some() {
-                let relation = format!(
-                    "lag_s goes with {bounds_key}, which makes it a control; a given effort is the one that acts"
-                );
-                return Err(self.missing(&key(bounds_key), &relation));
-            }
             return Ok(());
         };
         if own.winch.is_some() && hold == Some(Hold::Constant) {
@@ -757,10 +725,10 @@ impl Keys<'_> {
             let help = "set control.hold to \"linear\" or \"cubic\", or leave lag_s out";
             return Err((self.source).error_at(&key("lag_s"), message, Some(help.into())));
         }
-        let (profile_key, has_profile) = own.profile;
-        if has_profile {
-            return Err(self.contradiction(&key(profile_key), &key(bounds_key)));
-        }
+        self.relations(
+            &format!("{section}.{index}"),
+            &[Excludes(own.profile, is_control)],
+        )?;
         let fixed = own.component.is_some() && least == most && least.is_finite();
         if !(least < most || fixed) {
             let message = format!("[{}, {}] is no range", digits(least), digits(most));
@@ -797,6 +765,55 @@ impl Keys<'_> {
     }
 }
 
+/// The keys of an actuator that all kinds share, as they describe it.
+struct Described {
+    name: Option<String>,
+    route: Route,
+    bounds: Option<[f64; 2]>,
+    rate: Option<RateBound>,
+    lag_s: Option<Positive<values::Time>>,
+    follows: Option<FollowKeys>,
+    rest: f64,
+    profile: Option<Vec<[f64; 2]>>,
+}
+
+impl Described {
+    /// Returns the keys of the actuator with an index; `None` for one that no scene has.
+    fn of(actuators: &[StrainActuator], index: usize, efforts: &[EffortControl]) -> Option<Self> {
+        let own = &actuators[index];
+        let control = efforts.iter().find(|control| control.actuator == index);
+        if control.is_some_and(|control| control.scale.is_some()) {
+            return None;
+        }
+        let follows = match control.and_then(|control| control.follows) {
+            None => None,
+            Some(Follows { actuator, gain }) => Some(FollowKeys {
+                name: actuators.get(actuator)?.name.clone(),
+                gain,
+            }),
+        };
+        let rows = own.effort.iter().map(|&(t, effort)| [t, effort]);
+        // A given displacement has a profile even if it is constant.
+        let is_winch = own.winch.is_some();
+        let is_displacement = is_winch && control.is_none();
+        let has_profile = is_displacement || !is_winch && own.effort.len() > 1;
+        let rest = match own.effort[..] {
+            [(_, only)] if !is_displacement => only,
+            _ => 0.0,
+        };
+        Some(Self {
+            name: Some(own.name.clone()).filter(|name| !name.is_empty()),
+            route: own.route,
+            bounds: control.map(|control| control.bounds),
+            rate: control.and_then(|control| control.rate.map(RateBound::Each)),
+            lag_s: control.and_then(|control| control.lag).map(known),
+            follows,
+            rest,
+            profile: has_profile.then(|| rows.collect()),
+        })
+    }
+}
+
 /// Writes the keys of the actuators of an arm, with the efforts that are controls, to a scene; `None` for an actuator that no scene has, or in
 /// another order than that of [`SECTIONS`].
 pub(in crate::scene) fn describe_hardware(
@@ -806,114 +823,31 @@ pub(in crate::scene) fn describe_hardware(
 ) -> Option<()> {
     let mut order = Vec::new();
     for (index, own) in actuators.iter().enumerate() {
-        let control = efforts.iter().find(|control| control.actuator == index);
-        let (bounds, rate) = match control {
-            Some(EffortControl { scale: Some(_), .. }) => return None,
-            Some(control) => (Some(control.bounds), control.rate.map(RateBound::Each)),
-            None => (None, None),
-        };
-        let follows = match control.and_then(|control| control.follows) {
-            None => None,
-            Some(Follows { actuator, gain }) => Some(FollowKeys {
-                name: actuators.get(actuator)?.name.clone(),
-                gain,
-            }),
-        };
-        let lag_s = control.and_then(|control| control.lag).map(known);
-        let rest = match own.effort[..] {
-            [(_, only)] => only,
-            _ => 0.0,
-        };
-        let rows = || own.effort.iter().map(|&(t, effort)| [t, effort]).collect();
-        let profile = (own.effort.len() > 1 && own.winch.is_none()).then(rows);
-        let is_winch = own.winch.is_some();
-        let of_winch = |is_own: bool| is_own == is_winch;
-        let route = own.route;
-        let (from, to) = (known(route.from), known(route.to));
-        let offset_to_m = (route.offset_to != route.offset_from).then_some(route.offset_to);
-        let name = Some(own.name.clone()).filter(|name| !name.is_empty());
+        let common = Described::of(actuators, index, efforts)?;
         order.push(match own.density {
-            Density::Shortening => {
-                out.tendon.push(Tendon {
-                    name,
-                    offset_m: route.offset_from,
-                    offset_to_m,
-                    turns: route.turns,
-                    from,
-                    to,
-                    tension_n: bounds.filter(|_| of_winch(false)),
-                    rate_n_s: rate.filter(|_| of_winch(false)),
-                    lag_s,
-                    follows,
-                    pretension_n: if is_winch { 0.0 } else { rest },
-                    profile,
-                    displacement_m: bounds.filter(|_| of_winch(true)),
-                    rate_m_s: rate.filter(|_| of_winch(true)),
-                    rest_displacement_m: if is_winch && control.is_some() {
-                        rest
-                    } else {
-                        0.0
-                    },
-                    displacement_profile: (is_winch && control.is_none()).then(rows),
-                    compliance_1_n: own.winch.map(|winch| known(winch.compliance)),
-                    free_length_m: own.winch.map_or(known(0.0), |winch| known(winch.outside)),
+            Density::Shortening | Density::Threaded { .. } => {
+                let zero = known(0.0);
+                let spacing = match own.density {
+                    Density::Threaded { spacing } => known(spacing),
+                    _ => known(0.0),
+                };
+                let tendon = Tendon::describing(common, None, None, 0.0, None, None, zero, spacing);
+                out.tendon.push(match own.winch {
+                    Some(winch) => tendon.put_on(winch),
+                    None => tendon,
                 });
                 "tendon"
             }
             Density::Volume => {
-                out.chamber.push(Chamber {
-                    name,
-                    area_m2: known(own.scale),
-                    offset_m: route.offset_from,
-                    offset_to_m,
-                    turns: route.turns,
-                    from,
-                    to,
-                    pressure_pa: bounds,
-                    rate_pa_s: rate,
-                    lag_s,
-                    follows,
-                    rest_pressure_pa: rest,
-                    profile,
-                });
+                (out.chamber).push(Chamber::describing(common, known(own.scale)));
                 "chamber"
             }
             Density::Muscle => {
-                out.muscle.push(Muscle {
-                    name,
-                    area_m2: known(1.0),
-                    stress_pa: known(own.scale),
-                    offset_m: route.offset_from,
-                    offset_to_m,
-                    turns: route.turns,
-                    from,
-                    to,
-                    activation: bounds,
-                    rate_1_s: rate,
-                    lag_s,
-                    follows,
-                    rest_activation: rest,
-                    profile,
-                });
+                (out.muscle).push(Muscle::describing(common, known(1.0), known(own.scale)));
                 "muscle"
             }
             Density::Braid { fibre, turns } if own.scale == 1.0 => {
-                out.braid.push(Braid {
-                    name,
-                    fibre: known(fibre),
-                    turns_1_m: turns,
-                    offset_m: route.offset_from,
-                    offset_to_m,
-                    turns: route.turns,
-                    from,
-                    to,
-                    pressure_pa: bounds,
-                    rate_pa_s: rate,
-                    lag_s,
-                    follows,
-                    rest_pressure_pa: rest,
-                    profile,
-                });
+                (out.braid).push(Braid::describing(common, known(fibre), turns));
                 "braid"
             }
             Density::Lengthening | Density::Braid { .. } => return None,

@@ -1,11 +1,10 @@
 //! The state at t = 0: a shape in words or rows, or the end of another result.
 
 use nalgebra::{Matrix3, Vector3};
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, given};
 use super::super::values::digits;
 use super::geometry::wxyz;
 use super::{EndKind, Scene};
@@ -17,8 +16,7 @@ use crate::task::{Start, StartShape};
 ///
 /// Only a free base can have a velocity: a clamped one is at rest, and an arm on a driven base starts with the velocity
 /// of its base. The end of a result has velocities of its own.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Initial {
     /// Shape that the motion starts from: `"rest"`, the stress-free shape, on which gravity and loads act suddenly;
@@ -36,16 +34,13 @@ pub struct Initial {
     /// poses and velocities at its end, at t = 0 of this scene. Loads, targets, controls and elements may be others; the
     /// length and the pose of a held base are the same. The `scene.toml` of the new result has the state itself, in
     /// `[initial.state]`, instead of this key.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
     /// State of all nodes, as softarm writes it in the place of `from`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub state: Option<InitialState>,
 }
 
 /// Shape that a motion starts from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected \"rest\", \"equilibrium\", or rows of numbers"
@@ -58,9 +53,8 @@ pub enum InitialShape {
 }
 
 /// A shape that needs no numbers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(inline))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[schemars(inline)]
 #[serde(rename_all = "kebab-case")]
 pub enum ShapeWord {
     /// The stress-free shape: gravity and loads act suddenly.
@@ -77,8 +71,7 @@ impl Default for InitialShape {
 }
 
 /// State of all nodes of an arm, with one row a node in every table.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InitialState {
     /// Length at rest in m, which must be that of the arm.
@@ -287,7 +280,7 @@ impl Keys<'_> {
     }
 
     fn check_initial_state(&self, initial: &Initial, state: &InitialState) -> Checked {
-        self.alone_in_initial(initial, "initial.state")?;
+        self.alone_in_initial(initial, "state")?;
         let Some(fault) = state.of_task().fault() else {
             return Ok(());
         };
@@ -298,17 +291,7 @@ impl Keys<'_> {
 
     /// Refuses other keys beside a state of all nodes.
     pub(in crate::scene) fn alone_in_initial(&self, initial: &Initial, key: &str) -> Checked {
-        let others = [
-            ("initial.shape", initial.shape != InitialShape::default()),
-            ("initial.velocity_m_s", initial.velocity_m_s != [0.0; 3]),
-            (
-                "initial.angular_velocity_rad_s",
-                initial.angular_velocity_rad_s != [0.0; 3],
-            ),
-        ];
-        match others.iter().find(|(_, given)| *given) {
-            Some((other, _)) => Err(self.contradiction(other, key)),
-            None => Ok(()),
-        }
+        let others = given!(initial: shape, velocity_m_s, angular_velocity_rad_s);
+        self.relations("initial", &others.map(|other| Excludes(other, (key, true))))
     }
 }

@@ -1,11 +1,10 @@
 //! Obstacles, and limits on strains and speeds: their keys, the limits of a task that they mean, and the keys that describe such a limit.
 
 use nalgebra::{Matrix3, Vector3};
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Keys, given};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::LoadNode;
 use super::geometry::wxyz;
@@ -15,43 +14,34 @@ use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::task;
 
 /// A body that the arm stays clear of, with its own radius around its center line: exactly one of the four shapes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Obstacle {
     /// Name in reports. Default: "obstacle" and its number, from 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// All points within a distance of a center.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub sphere: Option<Sphere>,
     /// All points within a distance of a segment.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub capsule: Option<Capsule>,
     /// All points behind a plane.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub half_space: Option<HalfSpace>,
     /// A box.
-    #[serde(rename = "box", skip_serializing_if = "Option::is_none")]
+    #[serde(rename = "box")]
     pub cuboid: Option<Cuboid>,
     /// Velocity of the obstacle in m/s; its shape is that at t = 0. Absent: it does not move.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity_m_s: Option<[f64; 3]>,
     /// Clearance in m between the arm's surface and the body, not negative, default 0.
     #[serde(default)]
     pub margin_m: NonNegative<values::Clearance>,
     /// Price of a violation. Absent: the constraint is hard.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
     /// Times per second at which the clearance is enforced, positive; the check looks between them. Absent: every time
     /// step, or about 1000 times of a longer motion.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
 }
 
 /// All points within a distance of a center.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sphere {
     /// Center in m.
@@ -61,8 +51,7 @@ pub struct Sphere {
 }
 
 /// All points within a distance of a segment: a cylinder with round ends.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Capsule {
     /// One end of the axis in m.
@@ -74,8 +63,7 @@ pub struct Capsule {
 }
 
 /// All points behind a plane.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HalfSpace {
     /// A point of the plane in m.
@@ -85,8 +73,7 @@ pub struct HalfSpace {
 }
 
 /// A box.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Cuboid {
     /// Center in m.
@@ -94,15 +81,13 @@ pub struct Cuboid {
     /// Whole edges in m, positive.
     pub size_m: [Positive<values::Edge>; 3],
     /// Orientation as a quaternion, scalar first, of any length but zero. Default: along the axes.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
 }
 
 /// Price of a violation d, in the units of the objective: `linear` times d and `quadratic` times d²/2, per second.
 /// Distances are divided by the length of the arm, curvatures multiplied by it, and speeds divided by length over time
 /// scale; stretch counts as it is. A linear price above the constraint's multiplier enforces the constraint exactly.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Price {
     /// Price of a violation of 1 for a second; not negative, default 0.
@@ -114,43 +99,32 @@ pub struct Price {
 }
 
 /// A limit on the strain of every element, or on the speed or the tilt of a node: exactly one of the five.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Limit {
     /// Name in reports. Default: the key of what is limited.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// Smallest and largest length of an element, divided by its length at rest. The model of the section holds for about [0.7, 1.3].
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stretch: Option<[f64; 2]>,
     /// Largest bending curvature in 1/m, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature_max_1_m: Option<Positive<values::LargestCurvature>>,
     /// Largest twist in 1/m, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub twist_max_1_m: Option<Positive<values::LargestCurvature>>,
     /// Largest speed of a node in m/s, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_max_m_s: Option<Positive<values::LargestSpeed>>,
     /// Largest angle between an axis of a node and a direction in space.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tilt: Option<Tilt>,
     /// Node whose speed or tilt is limited; only with `speed_max_m_s` or `tilt`. Absent: "tip".
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub node: Option<LoadNode>,
     /// Price of a violation. Absent: the constraint is hard.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub soft: Option<Price>,
     /// Times per second at which the limit is enforced, positive; the check looks between them. Absent: every time
     /// step, or about 1000 times of a longer motion.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
 }
 
 /// An angle between an axis of a node and a direction in space.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Tilt {
     /// Axis of the node in its body frame, of any length but zero; [0, 0, 1] is along the arm.
@@ -173,14 +147,7 @@ impl Limit {
 
     /// Returns these keys, each with whether it is given.
     fn given(&self) -> [(&'static str, bool); 5] {
-        let given = [
-            self.stretch.is_some(),
-            self.curvature_max_1_m.is_some(),
-            self.twist_max_1_m.is_some(),
-            self.speed_max_m_s.is_some(),
-            self.tilt.is_some(),
-        ];
-        std::array::from_fn(|kind| (Self::KINDS[kind].0, given[kind]))
+        given!(self: stretch, curvature_max_1_m, twist_max_1_m, speed_max_m_s, tilt)
     }
 
     /// Name in reports and errors: its own, or that of its kind.
@@ -452,13 +419,9 @@ impl Keys<'_> {
     /// Checks that a section has exactly one body, and its numbers.
     pub(super) fn check_bodies(&self, section: &str, bodies: &Bodies) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
-        let shapes = [
-            ("sphere", bodies.sphere.is_some()),
-            ("capsule", bodies.capsule.is_some()),
-            ("half_space", bodies.half_space.is_some()),
-            ("box", bodies.cuboid.is_some()),
-        ];
-        self.exactly_one(section, &shapes)?;
+        let [sphere, capsule, half_space] = given!(bodies: sphere, capsule, half_space);
+        let cuboid = ("box", bodies.cuboid.is_some());
+        self.exactly_one(section, &[sphere, capsule, half_space, cuboid])?;
         if let Some(sphere) = bodies.sphere {
             self.finite(&key("sphere.center_m"), &sphere.center_m)?;
         }

@@ -1,7 +1,6 @@
 //! Loads on the arm: gravity, damping, a payload, given forces and moments.
 
 use nalgebra::Vector3;
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,8 +11,7 @@ use crate::mechanics::{self, LoadFrame, Mesh, NodeInertia};
 use crate::task::{Arm, Place, PointLoad};
 
 /// Uniform gravity.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Gravity {
     /// Acceleration in m/s², spatial frame.
@@ -21,8 +19,7 @@ pub struct Gravity {
 }
 
 /// Damping of the motion.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Damping {
     /// Rate α in 1/s, not negative, default 0: the force on every node is -α times mass times velocity, and the moment
@@ -38,8 +35,7 @@ pub struct Damping {
 /// length it resists by density times r times (C_n times the square of the speed across the axis plus π times C_t times
 /// that of the speed along it), each against its own part of the velocity; under gravity it lifts the arm by the weight
 /// of the fluid in its place.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Fluid {
     /// Density in kg/m³: 1000 for water.
@@ -72,8 +68,7 @@ impl Fluid {
 }
 
 /// A rigid body at the tip, with its center of mass in the last node and its principal axes along the node's.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Payload {
     /// Mass in kg, not negative.
@@ -86,8 +81,7 @@ pub struct Payload {
 
 /// A rigid body on the arm, as a disc, a magnet or a gripper, with its center of mass on the axis of the arm and its
 /// principal axes along those of the section there. `[payload]` is the one at the tip.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Body {
     /// Place on the arm, as a fraction of `rod.length_m` from the base.
@@ -101,8 +95,7 @@ pub struct Body {
 }
 
 /// A prescribed force and moment per rest length on a section of the arm.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DistributedLoad {
     /// Start of the loaded section, as a fraction of `rod.length_m` from the base. Default: 0, the base.
@@ -121,13 +114,11 @@ pub struct DistributedLoad {
     #[serde(default)]
     pub frame: LoadFrame,
     /// Factor on force and moment over time, as in `[[load]]`. Absent: always 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
 }
 
 /// A prescribed force and moment on one node.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Load {
     /// Node that is loaded: "tip", "base", an index that counts from 0 at the base, or, with a decimal point, the node
@@ -144,13 +135,11 @@ pub struct Load {
     pub frame: LoadFrame,
     /// Factor on force and moment over time, as [t in s, factor] with increasing t; linear in between and 0 outside.
     /// Absent: always 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub profile: Option<Vec<[f64; 2]>>,
 }
 
 /// A node of the rod.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(from = "LoadNodeKey", into = "LoadNodeKey")]
 pub enum LoadNode {
     /// The last node.
@@ -165,23 +154,21 @@ pub enum LoadNode {
 }
 
 /// "tip", "base", the index of a node, from 0 at the base, or with a decimal point a fraction of the arm's length from the base.
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(
     untagged,
     expecting = "expected \"tip\", \"base\", the index of a node, or with a decimal point a fraction of the length"
 )]
-#[cfg_attr(feature = "schema", schemars(rename = "LoadNode"))]
+#[schemars(rename = "LoadNode")]
 enum LoadNodeKey {
     End(RodEnd),
     Index(usize),
     Fraction(Fraction),
 }
 
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-#[cfg_attr(feature = "schema", schemars(inline))]
+#[schemars(inline)]
 enum RodEnd {
     Tip,
     Base,

@@ -1,4 +1,5 @@
-//! The sections and keys of a scene. Doc comments are the descriptions in the JSON Schema.
+//! The sections and keys of a scene. Doc comments are the descriptions in the JSON Schema; a key that is `None` is not written, since TOML has no
+//! null.
 
 mod base;
 mod contact;
@@ -39,13 +40,11 @@ pub use self::solver::*;
 pub use self::task::*;
 pub use self::time::*;
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A soft arm, what acts on it, and what it should do. SI units throughout.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
     /// The arm.
@@ -54,19 +53,15 @@ pub struct Scene {
     #[serde(default)]
     pub base: Base,
     /// Condition of the last node. Absent: free.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tip: Option<Tip>,
     /// Uniform gravity. Absent: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub gravity: Option<Gravity>,
     /// Damping. Absent: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub damping: Option<Damping>,
     /// Fluid around the arm: drag, buoyancy and added mass. Absent: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fluid: Option<Fluid>,
     /// A rigid body at the tip. Absent: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub payload: Option<Payload>,
     /// Rigid bodies on the arm. An element ends at each of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -99,15 +94,12 @@ pub struct Scene {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub contact: Vec<Contact>,
     /// State at t = 0. Absent: the stress-free shape, at rest or moving with a driven base.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub initial: Option<Initial>,
     /// Duration and time step.
     pub time: Time,
     /// Target of the tip. Absent: there is nothing to reach.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub task: Option<Task>,
     /// Forces and moments that the optimizer or the controller chooses. Absent: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub control: Option<Control>,
     /// Bodies that the arm stays clear of.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -116,25 +108,19 @@ pub struct Scene {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub limit: Vec<Limit>,
     /// Terms that the optimizer minimizes, with their weights. Absent: the defaults.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub objective: Option<Objective>,
     /// Settings of the optimizer. Absent: the defaults.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub solver: Option<Solver>,
     /// Contents of the result files. Absent: the defaults.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub output: Option<Output>,
     /// Model-predictive controller of a closed loop. Absent: there is no loop.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub mpc: Option<Mpc>,
     /// Plant of the loop: the arm that the controller acts on. Absent: the rod of the scene.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub plant: Option<Plant>,
     /// Sensors of the loop; they go with `estimator`. Absent: the true state is known at once.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensor: Vec<Sensor>,
     /// Estimator of the state from sensors.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub estimator: Option<Estimator>,
     /// Forces and moments on the plant that the controller does not know; nodes are counted as in `[rod]`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

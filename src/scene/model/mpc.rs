@@ -1,6 +1,5 @@
 //! The controller of a closed loop and its fallback: their keys, and the settings that they mean.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -58,28 +57,23 @@ impl Default for Fallback {
 /// Model-predictive control of an arm, in simulation or, with `softarm mpc --serve`, of a plant in another process. The
 /// rod of the scene is the model of the controller, `[control]` bounds its commands, and `[task]` or
 /// `[[objective.track]]` is its reference.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Mpc {
     /// Time between two samples in s, positive, default 0.01.
     pub period_s: Positive<values::Duration>,
     /// Length of the horizon in s, not below `period_s`. Absent: half of the first natural period of the arm, along a path at most a
     /// quarter of `time.end_s`, and at least ten periods.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub horizon_s: Option<Positive<values::Duration>>,
     /// Time in s at which the task is due, positive: the horizon does not extend beyond it, and shrinks before.
     /// Afterwards the wrench that holds the target acts, if `task.at_rest = true`. Absent: `task.at_s`; without that
     /// the horizon recedes for ever.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub due_s: Option<Positive<values::Instant>>,
     /// Length of a block of the control in s, positive. Absent: a tenth of the horizon.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub block_s: Option<Positive<values::Duration>>,
     /// Number of blocks of one length, after which the next ones are twice as long: near decisions are fine, far ones
     /// coarse; at least 1. Absent: all blocks are equal.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub equal_blocks: Option<usize>,
     /// Weight w of w/2 |u - a|², the jump from the control a that acts when a sample begins, in units of
     /// `objective.force_scale_n` and `moment_scale_n_m`; not negative, default 100. If the model is coarser than the
@@ -95,45 +89,36 @@ pub struct Mpc {
     /// Price of obstacles and limits that have no `soft` of their own, as its `linear` and its `quadratic`; positive.
     /// Absent: the price of every limit follows the pull of the reference, so that the limit holds wherever the
     /// commands can keep it. With a number, a limit gives way where the cost saved exceeds the price.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub limit_price: Option<Positive<values::Weight>>,
     /// Gauss-Newton iterations per sample, at least 1, default 1. They end early if the plan does not change any more.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub iterations: usize,
     /// Time in s from the start of a sample at which its command is due, positive: an iteration other than the first is
     /// not begun if it would end later. Commands then depend on the machine. Absent: all iterations are made.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_s: Option<Positive<values::Duration>>,
     /// Duration of the loop in s, positive. Absent: `time.end_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<Positive<values::Duration>>,
     /// Time in s from which on the errors of the tip count in the summary, not negative. Absent: after the first
     /// sample.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub counted_from_s: Option<NonNegative<values::Time>>,
     /// Computing time of a command in the loop's own time.
     pub computing: Computing,
     /// That time in s, not negative, with `computing = "fixed"`. Absent: one period.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub computing_s: Option<NonNegative<values::Time>>,
     /// Delay of the actuators in s that the controller assumes, not negative. Absent: that of `[plant.actuator]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub actuator_delay_s: Option<NonNegative<values::Time>>,
     /// Prediction: with true, the state is predicted over all delays, to the time at which the command acts. Default: true.
     pub predict: bool,
     /// Compensation: with true, the controller's model includes the estimated disturbances. Default: true.
     pub compensate: bool,
     /// Seed of the noise; `--seed` takes precedence. Absent: that of `--seed`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u32>,
     /// Commands of samples for which no command can be computed. Absent: the defaults.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub fallback: Option<Fallback>,
 }
 
 /// Computing time of a command in the loop's own time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Computing {
     /// No time: the command of a sample acts from its beginning.
@@ -147,13 +132,11 @@ pub enum Computing {
 
 /// Commands of samples for which no command can be computed: the plan goes on, then the tip is damped, then the wrench
 /// goes to zero along a ramp, or stays as it is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Fallback {
     /// Largest age in s of an estimate from which the state is still predicted, positive. Absent: the largest `age_s`
     /// plus two periods of the slowest sensor, so that one reading may be lost, and at least ten `period_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub patience_s: Option<Positive<values::Duration>>,
     /// Samples in a row that follow the plan, default 10.
     pub plan_samples: usize,
@@ -168,7 +151,46 @@ pub struct Fallback {
     pub damping: Positive<values::Factor>,
 }
 
+/// Default number of blocks in the horizon.
+const BLOCKS: f64 = 10.0;
+
 impl Mpc {
+    /// Returns the settings of the controller with this horizon, s, and time at which its task is due, s.
+    pub(in crate::scene) fn settings(&self, horizon: f64, due: Option<f64>) -> MpcSettings {
+        MpcSettings {
+            period: self.period_s.get(),
+            horizon,
+            due,
+            block: self.block_s.map_or(horizon / BLOCKS, Number::get),
+            equal_blocks: self.equal_blocks,
+            jump: self.jump.get(),
+            effort: self.effort_from,
+            target_weight: self.target_weight.get(),
+            limit_price: self.limit_price.map(Number::get),
+            iterations: self.iterations,
+            deadline: self.deadline_s.map(Number::get),
+            ..MpcSettings::receding(horizon)
+        }
+    }
+
+    /// Returns the keys with the times of these settings of the loop, which has an estimator or not.
+    pub(in crate::scene) fn resolved(&self, settings: &LoopSettings, estimates: bool) -> Self {
+        let own = self.fallback.clone();
+        let fallback = || Fallback {
+            patience_s: settings.fallback.patience.map(known),
+            ..own.clone().unwrap_or_default()
+        };
+        Self {
+            computing_s: match settings.computing {
+                mpc::Computing::Fixed(seconds) => Some(known(seconds)),
+                mpc::Computing::Instant | mpc::Computing::Measured => None,
+            },
+            actuator_delay_s: Some(known(settings.actuator_delay)),
+            fallback: estimates.then(fallback).or_else(|| own.clone()),
+            ..self.clone()
+        }
+    }
+
     /// Returns the settings of the loop; `actuator_delay` in s is the delay of the actuators if no key gives another.
     pub(in crate::scene) fn loop_settings(&self, actuator_delay: f64) -> LoopSettings {
         let fallback = self.fallback.clone().unwrap_or_default();

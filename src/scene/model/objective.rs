@@ -2,12 +2,11 @@
 
 mod path;
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::path::Turns;
-use super::super::keys::{Checked, Keys, LARGEST_COUNT};
+use super::super::keys::{Checked, Keys, LARGEST_COUNT, Needs, given};
 use super::super::values::{self, NonNegative, Number, Positive, known};
 use super::geometry::wxyz;
 use super::{LoadNode, Scene};
@@ -16,8 +15,7 @@ use crate::mechanics::{Mesh, RodModel};
 use crate::task::{self, Cost, Problem};
 
 /// Terms that the optimizer minimizes, with their weights.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Objective {
     /// Weight in 1/s of half the squared controls, integrated over time; not negative, default 1. It may be 0 with a
@@ -33,15 +31,13 @@ pub struct Objective {
     pub track: Vec<Track>,
     /// Intervals of the integrals of energy and tracks over the horizon, at least 1, default 100. A loop whose horizon
     /// recedes uses at most two per block.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub samples: usize,
     /// Force in N that counts as 1, positive. Absent: EI/L² of the arm's harmonic mean EI, the force at the tip that bends the whole arm
     /// by an angle of about 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_scale_n: Option<Positive<values::Force>>,
     /// Moment in N m that counts as 1, positive. Absent: EI/L of the weakest section that a moment acts on, which would bend an arm of that
     /// section by an angle of 1.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_scale_n_m: Option<Positive<values::Moment>>,
 }
 
@@ -51,8 +47,7 @@ pub struct Objective {
 ///
 /// A scene with `[control]` and a track is an optimal-control problem, with or without a `[task]`; without one, the
 /// horizon ends at `time.end_s`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Track {
     /// Node that follows. Default: "tip".
@@ -67,18 +62,14 @@ pub struct Track {
     pub switches: bool,
     /// A CSV file with the rows of `path_m`, relative to the folder of the scene, instead of them; a first row of names and lines that
     /// begin with # are passed over. Rows of eight numbers have the quaternion of `orientations_wxyz` after the position.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub path_csv: Option<String>,
     /// A circle, instead of `path_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub circle: Option<Circle>,
     /// A figure eight, instead of `path_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub figure_eight: Option<FigureEight>,
     /// Weight, positive. Absent: the one at which a displacement of the tip that is held statically is missed by a fraction of 1e-4 of
     /// itself: 10⁴ `effort` / (a² + b²), where a = `force_scale_n` L²/(3 E I) and b = `moment_scale_n_m` L/(2 E I) are the displacements
     /// divided by L that a force and a moment of size 1 hold, each if it is actuated (`effort` counts as 1 where it is 0).
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
     /// Orientations to follow, as [t in s, w, x, y, z] with increasing t, quaternions of any length but zero, scalar
     /// first: at constant speed about one axis in between, constant before and after. A single row holds at all times.
@@ -87,23 +78,19 @@ pub struct Track {
     pub orientations_wxyz: Vec<[f64; 5]>,
     /// Weight of the orientation, positive. Absent: the one at which a turn of the tip that is held statically is missed by a fraction of
     /// 1e-4 of itself, as of `weight` with a = `force_scale_n` L²/(2 E I) and b = `moment_scale_n_m` L/(E I).
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_weight: Option<Positive<values::Weight>>,
     /// Weight of the difference of the node's velocity from that along the path, or of its velocity if there is no
     /// path; positive. Velocities are means from one sample to the next. A speed of the length over the time scale,
     /// sqrt(rho A L^4/(E I)), counts as 1. Absent: the velocity is free.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_weight: Option<Positive<values::Weight>>,
     /// Time in s from which on the node follows, not negative: it meets a target that moves along the path, and goes
     /// along with it. Absent: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub from_s: Option<NonNegative<values::Time>>,
 }
 
 /// Turns on a circle, from t = 0 for as long as the scene lasts: c + r (cos φ a + sin φ b), φ = 2π t over `turn_s`, where a and b are the
 /// first two axes of the frame whose third one is `normal`, after the shortest rotation from the spatial frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Circle {
     /// Center c in m.
@@ -117,10 +104,8 @@ pub struct Circle {
     pub turn_s: Positive<values::Duration>,
     /// Start of the path in m: it turns into the circle within `ramp_s`, with the weight 3 p² - 2 p³ of the circle at
     /// the fraction p of that time. Absent: on the circle.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub from_m: Option<[f64; 3]>,
     /// Time in s in which the path goes over into the circle, positive; only with `from_m`. Absent: one turn.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub ramp_s: Option<Positive<values::Duration>>,
 }
 
@@ -131,8 +116,7 @@ fn upward() -> [f64; 3] {
 /// Turns on a figure eight, the lemniscate of Gerono, from t = 0 for as long as the scene lasts: c + a (sin φ e₁ + sin φ cos φ e₂), φ = 2π
 /// t over `turn_s`, where e₁ and e₂ are the first two axes of the frame whose third one is `normal`, after the shortest rotation from the
 /// spatial frame. It begins in its center.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FigureEight {
     /// Center c in m.
@@ -146,10 +130,8 @@ pub struct FigureEight {
     pub turn_s: Positive<values::Duration>,
     /// Start of the path in m: it turns into the figure within `ramp_s`, with the weight 3 p² - 2 p³ of the figure at
     /// the fraction p of that time. Absent: on the figure.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub from_m: Option<[f64; 3]>,
     /// Time in s in which the path goes over into the figure, positive; only with `from_m`. Absent: one turn.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub ramp_s: Option<Positive<values::Duration>>,
 }
 
@@ -198,20 +180,18 @@ impl Keys<'_> {
         let key = |name: &str| format!("{section}.{name}");
         let circle = track.circle.as_ref().map(Turns::from);
         let eight = track.figure_eight.as_ref().map(Turns::from);
-        let kinds = [
-            ("path_m", !track.path_m.is_empty()),
-            ("circle", circle.is_some()),
-            ("figure_eight", eight.is_some()),
-        ];
+        let kinds = given!(track: path_m, circle, figure_eight);
         let turns = &track.orientations_wxyz;
         if !turns.is_empty() {
             self.table(&key("orientations_wxyz"), turns, "any orientation")?;
             for (point, &[_, w, x, y, z]) in turns.iter().enumerate() {
                 self.nonzero(&key(&format!("orientations_wxyz.{point}")), &[w, x, y, z])?;
             }
-        } else if track.orientation_weight.is_some() {
-            return Err(self.missing(&key("orientations_wxyz"), "goes with orientation_weight"));
         }
+        let [weight, switches, of_turns, orientations] =
+            given!(track: weight, switches, orientation_weight, orientations_wxyz);
+        let reason = "goes with orientation_weight";
+        self.relations(section, &[Needs(of_turns, orientations, reason)])?;
         let goes_somewhere = kinds.iter().any(|(_, given)| *given);
         if !goes_somewhere && turns.is_empty() && track.speed_weight.is_none() {
             let relation = "rows [t, x, y, z], or else give path_csv, circle or figure_eight, or \
@@ -220,12 +200,12 @@ impl Keys<'_> {
         }
         if goes_somewhere {
             self.exactly_one(section, &kinds)?;
-        } else if track.weight.is_some() {
-            return Err(self.missing(&key("path_m"), "goes with weight"));
         }
-        if track.switches && track.path_m.is_empty() {
-            return Err(self.missing(&key("path_m"), "goes with switches"));
-        }
+        let rows = [
+            Needs(weight, ("path_m", goes_somewhere), "goes with weight"),
+            Needs(switches, kinds[0], "goes with switches"),
+        ];
+        self.relations(section, &rows)?;
         if track.switches && track.speed_weight.is_some() {
             let message = "targets that switch have no velocity";
             let help = "leave out switches or speed_weight".into();

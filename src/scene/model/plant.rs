@@ -1,47 +1,38 @@
 //! The plant of a closed loop, where it differs from the model: its keys, and the arm and actuators that they mean.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::check::MOST_ELEMENTS;
-use super::super::keys::{Checked, Keys};
-use super::super::values::{self, NonNegative, Number, Positive, digits, known};
+use super::super::keys::{Checked, Keys, given, given_of};
+use super::super::values::{self, NonNegative, Number, Positive, digits};
 use super::{Payload, Scene, Section};
 use crate::mechanics::StrainActuator;
 use crate::mpc::{ActuatorDynamics, EffortDynamics};
 
 /// The arm that the controller acts on, where it differs from the controller's model. Its time step is its own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Plant {
     /// Number of elements, 1 to 5000. Absent: `rod.elements`.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = 5000))]
     pub elements: Option<usize>,
     /// Factor on all stiffnesses of the rod, positive, default 1.
     pub stiffness_factor: Positive<values::Factor>,
     /// Factor on the mass and the rotary inertia of the rod, positive, default 1.
     pub density_factor: Positive<values::Factor>,
     /// Rate of viscous damping in 1/s, not negative. Absent: `damping.viscous_1_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub viscous_1_s: Option<NonNegative<values::DampingRate>>,
     /// Kelvin-Voigt time in s, not negative. Absent: `damping.internal_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub internal_s: Option<NonNegative<values::Time>>,
     /// Stress-free curvature and twist in 1/m, body frame, in the place of `rod.reference.curvature_1_m`; curvature that
     /// changes along the arm is added to them. Absent: those of `[rod.reference]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature_1_m: Option<[f64; 3]>,
     /// Section of a rod that has a material. Absent: `[rod.section]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub section: Option<Section>,
     /// A rigid body at the tip. Absent: `[payload]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub payload: Option<Payload>,
     /// Dynamics and limits of the actuators. Absent: the wrench is the command.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub actuator: Option<PlantActuator>,
     /// Tendons that differ from those of the model with the same names.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -58,32 +49,23 @@ pub struct Plant {
 }
 
 /// An actuator in the arm, where it differs from the model's.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlantHardware {
     /// Name of the model's actuator: its `name`, or its kind with its place in the list, such as `tendon 0`.
     pub name: String,
     /// Place in the section at `from`, along its two axes, in m. Absent: the model's.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offset_m: Option<[f64; 2]>,
     /// Place in the section at `to`, in m. Absent: `offset_m` of this table, or the model's if that is absent too.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offset_to_m: Option<[f64; 2]>,
     /// Factor on the effort, of the pretension too: what friction leaves of a tension, or another area of a chamber; positive, default 1.
-    #[serde(default = "one")]
+    #[serde(default)]
     pub effort_factor: Positive<values::Factor>,
     /// Time constant in s of a first-order lag of the effort, not negative. Absent: the model's `lag_s`, or else `plant.actuator.lag_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub lag_s: Option<NonNegative<values::Time>>,
     /// Least and largest effort that the actuator reaches, in the unit of the command, before `effort_factor`; `inf` and `-inf` are no
     /// bounds. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub saturation: Option<[f64; 2]>,
-}
-
-fn one() -> Positive<values::Factor> {
-    known(1.0)
 }
 
 impl PlantHardware {
@@ -128,8 +110,7 @@ impl Plant {
 }
 
 /// Actuators that are late, slow and limited; the limits are norms of the wrench that acts.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PlantActuator {
     /// Time in s until a command has any effect, not negative, default 0.
@@ -137,37 +118,13 @@ pub struct PlantActuator {
     /// Time constant in s of a first-order lag, not negative, default 0.
     pub lag_s: NonNegative<values::Time>,
     /// Largest force in N, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_max_n: Option<Positive<values::Force>>,
     /// Largest moment in N m, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_max_n_m: Option<Positive<values::Moment>>,
     /// Fastest change of a force in N/s, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub force_rate_max_n_s: Option<Positive<values::ForceRate>>,
     /// Fastest change of a moment in N m/s, positive. Absent: unbounded.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rate_max_n_m_s: Option<Positive<values::MomentRate>>,
-}
-
-impl Default for Plant {
-    fn default() -> Self {
-        Self {
-            elements: None,
-            stiffness_factor: known(1.0),
-            density_factor: known(1.0),
-            viscous_1_s: None,
-            internal_s: None,
-            curvature_1_m: None,
-            section: None,
-            payload: None,
-            actuator: None,
-            tendon: Vec::new(),
-            chamber: Vec::new(),
-            muscle: Vec::new(),
-            braid: Vec::new(),
-        }
-    }
 }
 
 impl PlantActuator {
@@ -212,17 +169,11 @@ impl Keys<'_> {
             }
             self.finite(&key("offset_m"), &own.offset_m.unwrap_or_default())?;
             self.finite(&key("offset_to_m"), &own.offset_to_m.unwrap_or_default())?;
-            for (name, is_given) in [
-                ("lag_s", own.lag_s.is_some()),
-                ("saturation", own.saturation.is_some()),
-            ] {
-                if is_given && !is_control {
-                    let message = "its effort is given and no command";
-                    let help = format!(
-                        "leave it out, or give the bounds that make [[{section}]] a control"
-                    );
-                    return Err((self.source).error_at(&key(name), message, Some(help)));
-                }
+            if !is_control && let Some(name) = given_of(&given!(own: lag_s, saturation)).next() {
+                let message = "its effort is given and no command";
+                let help =
+                    format!("leave it out, or give the bounds that make [[{section}]] a control");
+                return Err((self.source).error_at(&key(name), message, Some(help)));
             }
             if let Some([least, most]) = own.saturation
                 && !(least <= rest && rest <= most)

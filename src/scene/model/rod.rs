@@ -2,13 +2,12 @@
 
 mod segment;
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::segment::*;
 use super::super::error::DescribeError;
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, given};
 use super::super::materials::{MaterialFigures, MaterialPreset, Shear};
 use super::super::values::{self, Number, PoissonRatio, Positive, digits, known};
 use super::super::{SceneError, SceneSource};
@@ -20,8 +19,7 @@ use crate::task;
 /// A straight or curved rod with a section of some material, or with stiffness and inertia given directly.
 ///
 /// Either `material` and `section`, or `stiffness` and `inertia`, or segments with their own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Rod {
     /// Rest length in m, positive.
@@ -30,12 +28,11 @@ pub struct Rod {
     /// the curvature at rest has a step, at bodies, and where actuators end or are attached; the elements are shared out among the pieces between these places
     /// by length, at least one to each, and are equally long within a piece. Absent: chosen for `accuracy`.
     #[serde(default = "first_elements")]
-    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5000)))]
+    #[schemars(range(min = 1, max = 5000))]
     pub elements: usize,
     /// Largest error of any point of the arm at any time that elements and time step may make, as a fraction of the
     /// length, 1e-8 to 0.1. It stands in the place of `elements` and `time.step_s`, which are then chosen, and does not
     /// go with nodes that are named by an index. Default: 1e-3 if there are no `elements`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<Positive<values::Accuracy>>,
     /// Rule by which strains follow from the nodes.
     #[serde(default)]
@@ -48,25 +45,19 @@ pub struct Rod {
     pub rotary_inertia: RotaryInertia,
     /// Radius in m of a rod that has no `section`, for pictures and for the distance from obstacles; without effect on
     /// the motion.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub display_radius_m: Option<Positive<values::Radius>>,
     /// Material of the rod; goes with `section`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
     /// Shape and size of the section; goes with `material`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub section: Option<Section>,
     /// Stiffness of the section; instead of `material` and `section`, goes with `inertia`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stiffness: Option<Stiffness>,
     /// Inertia of the section; instead of `material` and `section`, goes with `stiffness`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia: Option<Inertia>,
     /// Segments from base to tip, which make up the whole arm. Absent: material and section are the same all along.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub segment: Vec<Segment>,
     /// Stress-free shape. Absent: straight and unstretched.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub reference: Option<Reference>,
 }
 
@@ -81,8 +72,7 @@ pub(in crate::scene) const FINEST: f64 = 1e-8;
 pub(in crate::scene) const COARSEST: f64 = 0.1;
 
 /// The rotary inertia of the nodes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RotaryInertia {
     /// That of segments if the arm is slender, has a material, and would take more than a second and five times as long
@@ -99,35 +89,28 @@ pub enum RotaryInertia {
 
 /// A homogeneous elastic material: by name, by its figures, or by name with some figures of its own, which take
 /// precedence.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Material {
     /// Name of a material, which supplies the figures below that are not given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<MaterialPreset>,
     /// Young's modulus in Pa, positive. Absent: that of `preset`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub youngs_modulus_pa: Option<Positive<values::YoungsModulus>>,
     /// Poisson's ratio, above -1 and up to 0.5; either this or `shear_modulus_pa`. Absent: that of `preset`, if
     /// `shear_modulus_pa` is absent too.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub poisson_ratio: Option<PoissonRatio>,
     /// Shear modulus in Pa, positive; either this or `poisson_ratio`. Absent: that of `preset`, if `poisson_ratio` is
     /// absent too.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub shear_modulus_pa: Option<Positive<values::ShearModulus>>,
     /// Density in kg/m³, positive. Absent: that of `preset`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub density_kg_m3: Option<Positive<values::Density>>,
     /// Factor on the shear stiffness G A, for shear that is not uniform over the section; positive, default 1.
-    #[serde(default = "Positive::<values::Factor>::one")]
+    #[serde(default)]
     pub shear_factor: Positive<values::Factor>,
 }
 
 /// The shape in which the rod carries no stress.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Reference {
     /// Curvature about the two transverse axes and twist about the rod's axis, in 1/m, body frame. Default: none.
@@ -244,9 +227,8 @@ impl Keys<'_> {
         check_range(rod.accuracy.map(Number::get), self.source)?;
         if rod.segment.is_empty() {
             self.check_parts("rod", &rod.parts())?;
-            if rod.section.is_some() && rod.display_radius_m.is_some() {
-                return Err(self.contradiction("rod.display_radius_m", "rod.section"));
-            }
+            let [radius, section] = given!(rod: display_radius_m, section);
+            self.relations("rod", &[Excludes(radius, section)])?;
         } else {
             self.check_segments(rod)?;
         }

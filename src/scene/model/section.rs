@@ -1,63 +1,49 @@
 //! The section of the rod: its shape, or its stiffness and inertia.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Number, Positive, digits};
 use crate::mechanics::Shape;
 
 /// The section of the rod. A circle has `radius_m`, or a linear taper from `radius_base_m` to `radius_tip_m`, or their
 /// diameters; a ring has its outer and its inner radius or diameter; a rectangle and an ellipse have `width_m` and
 /// `height_m`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Section {
     /// Shape of the section.
     #[serde(default)]
     pub shape: ShapeKey,
     /// Radius in m all along the rod, of a ring the outer one, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_m: Option<Positive<values::Radius>>,
     /// Radius in m at the base, positive; goes with `radius_tip_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_base_m: Option<Positive<values::Radius>>,
     /// Radius in m at the tip, positive; goes with `radius_base_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub radius_tip_m: Option<Positive<values::Radius>>,
     /// Diameter in m all along the rod, positive; instead of `radius_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub diameter_m: Option<Positive<values::Diameter>>,
     /// Diameter in m at the base, positive; goes with `diameter_tip_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub diameter_base_m: Option<Positive<values::Diameter>>,
     /// Diameter in m at the tip, positive; goes with `diameter_base_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub diameter_tip_m: Option<Positive<values::Diameter>>,
     /// Radius in m of the hole of a ring, positive and smaller than the outer one.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inner_radius_m: Option<Positive<values::Radius>>,
     /// Diameter in m of the hole of a ring; instead of `inner_radius_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inner_diameter_m: Option<Positive<values::Diameter>>,
     /// Width in m of a rectangle or an ellipse along the first axis of the section, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub width_m: Option<Positive<values::Width>>,
     /// Height in m of a rectangle or an ellipse along the second axis of the section, positive.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub height_m: Option<Positive<values::Width>>,
     /// Angle in rad about the arm's axis from the axes of `[base]` to those of the section. The body frames of all nodes
     /// have the axes of the section. The same for all segments. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
 }
 
 /// The shape of a section.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(rename = "Shape"))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[schemars(rename = "Shape")]
 #[serde(rename_all = "kebab-case")]
 pub enum ShapeKey {
     /// A full circle.
@@ -84,8 +70,7 @@ impl ShapeKey {
 }
 
 /// Stiffness of a section along and about its principal axes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Stiffness {
     /// Axial stiffness E A in N, positive.
@@ -98,25 +83,21 @@ pub struct Stiffness {
     pub gj_n_m2: Positive<values::BendingStiffness>,
     /// Angle in rad about the arm's axis from the axes of `[base]` to the principal axes. The body frames of all nodes have
     /// the principal axes. Default: 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_rad: Option<f64>,
 }
 
 /// One positive number for both transverse axes of a section, or one for each of them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(inline))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(inline)]
 #[serde(
     untagged,
     expecting = "expected a number for both axes, or [first, second] for each of them"
 )]
 pub enum Transverse {
     /// One for both axes.
-    Both(#[cfg_attr(feature = "schema", schemars(with = "Positive<values::Factor>"))] f64),
+    Both(#[schemars(with = "Positive<values::Factor>")] f64),
     /// One for the first and one for the second axis.
-    Each(
-        #[cfg_attr(feature = "schema", schemars(with = "[Positive<values::Factor>; 2]"))] [f64; 2],
-    ),
+    Each(#[schemars(with = "[Positive<values::Factor>; 2]")] [f64; 2]),
 }
 
 impl Transverse {
@@ -138,8 +119,7 @@ impl Transverse {
 }
 
 /// Inertia of a section, per length of the rod.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Inertia {
     /// Mass per length in kg/m, positive.
@@ -217,36 +197,16 @@ impl Keys<'_> {
         if let Some(roll) = section.roll_rad {
             self.finite_number(&key("roll_rad"), roll)?;
         }
-        let [radius, inner] = [
-            ("radius_m", "diameter_m"),
-            ("inner_radius_m", "inner_diameter_m"),
-        ];
-        let circle = [
-            (radius.0, section.radius_m.is_some()),
-            (radius.1, section.diameter_m.is_some()),
-        ];
-        let tapered = [
-            ("radius_base_m", section.radius_base_m.is_some()),
-            ("diameter_base_m", section.diameter_base_m.is_some()),
-            ("radius_tip_m", section.radius_tip_m.is_some()),
-            ("diameter_tip_m", section.diameter_tip_m.is_some()),
-        ];
-        let hole = [
-            (inner.0, section.inner_radius_m.is_some()),
-            (inner.1, section.inner_diameter_m.is_some()),
-        ];
-        let edges = [
-            ("width_m", section.width_m.is_some()),
-            ("height_m", section.height_m.is_some()),
-        ];
-        let foreign: Vec<(&str, bool)> = match section.shape {
-            ShapeKey::Circle => hole.into_iter().chain(edges).collect(),
-            ShapeKey::Ring => tapered.into_iter().chain(edges).collect(),
-            ShapeKey::Rectangle | ShapeKey::Ellipse => {
-                circle.into_iter().chain(tapered).chain(hole).collect()
-            }
+        let circle = given!(section: radius_m, diameter_m);
+        let tapered = given!(section: radius_base_m, diameter_base_m, radius_tip_m, diameter_tip_m);
+        let hole = given!(section: inner_radius_m, inner_diameter_m);
+        let edges = given!(section: width_m, height_m);
+        let foreign = match section.shape {
+            ShapeKey::Circle => [&hole[..], &edges].concat(),
+            ShapeKey::Ring => [&tapered[..], &edges].concat(),
+            ShapeKey::Rectangle | ShapeKey::Ellipse => [&circle[..], &tapered, &hole].concat(),
         };
-        if let Some((quantity, _)) = foreign.into_iter().find(|(_, is_given)| *is_given) {
+        if let Some(quantity) = given_of(&foreign).next() {
             let shape = section.shape.name();
             let has = match section.shape {
                 ShapeKey::Circle => "radius_m, or radius_base_m and radius_tip_m, or diameters",
@@ -260,17 +220,10 @@ impl Keys<'_> {
         match section.shape {
             ShapeKey::Circle => return self.check_circle(name, section),
             ShapeKey::Ring => {
-                for ([one, other], [(_, is_one), (_, is_other)]) in
-                    [([radius.0, radius.1], circle), ([inner.0, inner.1], hole)]
-                {
-                    match (is_one, is_other) {
-                        (true, true) => return Err(self.contradiction(&key(other), &key(one))),
-                        (false, false) => {
-                            let relation = format!("a ring has it, or else {}", key(other));
-                            return Err(self.missing(&key(one), &relation));
-                        }
-                        _ => {}
-                    }
+                for [one, other] in [circle, hole] {
+                    let reason = format!("a ring has it, or else {}", key(other.0));
+                    let neither = Needs(("", !other.1), one, &reason);
+                    self.relations(name, &[Excludes(other, one), neither])?;
                 }
             }
             ShapeKey::Rectangle | ShapeKey::Ellipse => {
@@ -294,11 +247,7 @@ impl Keys<'_> {
         ) = section.shapes()
             && inner_radius >= radius
         {
-            let quantity = if section.inner_radius_m.is_some() {
-                inner.0
-            } else {
-                inner.1
-            };
+            let quantity = given_of(&hole).next().unwrap_or_default();
             let message = format!(
                 "the hole is not smaller than the ring: a radius of {} m in one of {} m",
                 digits(inner_radius),

@@ -1,6 +1,5 @@
 //! Sensors of a closed loop: their keys, and the quantities that they measure.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -12,50 +11,36 @@ use crate::mpc::{Quantity, QuantityRow, SensorPreset, SensorSettings};
 /// A sensor with its noise, rate and age; a single one may be written as `[sensor]`. A standard deviation is that of
 /// each of three numbers, and 0 is exact; a quantity without a standard deviation, of its own or by `preset`, is not
 /// measured.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
     /// Usual sensor, which supplies the keys below that are not given.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub preset: Option<SensorPreset>,
     /// Places of the measurement, as fractions of the length from the base. Absent: those of `preset`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub places: Option<Vec<f64>>,
     /// Offsets in m from the center of the section, along its two directors, at each of which positions and strains are measured
     /// at every place, as by markers on the surface and by fibres along it. Absent: the center alone.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offsets_m: Option<Vec<[f64; 2]>>,
     /// Standard deviation of positions in m, not negative. Absent: that of `preset`, or not measured.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub position_sigma_m: Option<NonNegative<values::Deviation>>,
     /// Standard deviation of rotations in rad, not negative. Absent: that of `preset`, or not measured.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_sigma_rad: Option<NonNegative<values::Deviation>>,
     /// Standard deviation of velocities in m/s, not negative. Absent: that of `preset`, or not measured.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity_sigma_m_s: Option<NonNegative<values::Deviation>>,
     /// Standard deviation of angular velocities in rad/s, not negative. Absent: that of `preset`, or not measured.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub angular_velocity_sigma_rad_s: Option<NonNegative<values::Deviation>>,
     /// Standard deviation of curvatures and twist in 1/m, not negative. Absent: that of `preset`, or not measured.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub curvature_sigma_1_m: Option<NonNegative<values::Deviation>>,
     /// Standard deviation of the strains of fibres that run along the arm at `offsets_m`, not negative. Absent: not measured.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub strain_sigma: Option<NonNegative<values::Deviation>>,
     /// Standard deviation of the force on the clamp in N, not negative. Absent: that of `preset`, or not measured.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub base_force_sigma_n: Option<NonNegative<values::Deviation>>,
     /// Standard deviation of the moment on the clamp in N m, not negative. Absent: that of `preset`, or not measured.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub base_moment_sigma_n_m: Option<NonNegative<values::Deviation>>,
     /// Measurements per second, positive. The default of `mpc.fallback.patience_s` depends on it. Absent: that of
     /// `preset`, or 100.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
     /// Time in s from the instant of a measurement until it is known, not negative. Absent: that of `preset`, or 0.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub age_s: Option<NonNegative<values::Time>>,
 }
 

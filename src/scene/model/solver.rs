@@ -1,16 +1,15 @@
 //! Settings of the optimizer: tolerances, quadratic model, initial guesses, continuation and deadline.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys, LARGEST_COUNT};
 use super::super::values::{self, Positive, known};
-use crate::sqp::{HessianChoice, SqpSettings};
+use crate::control::Continuation;
+use crate::sqp::{HessianChoice, QpRoute, SqpSettings};
 
 /// Settings of the optimizer.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Solver {
     /// Largest residual of the optimality conditions at which a solve has converged; positive, default 1e-6.
@@ -18,7 +17,7 @@ pub struct Solver {
     /// Limit on the iterations of all solves of a start together: from every initial guess, of the stages of a
     /// continuation, and at the durations tried for a free final time; at least 1, default 600. A solve that reaches it
     /// ends as `iteration-limit`.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[schemars(range(min = 1))]
     pub max_iterations: usize,
     /// Fraction of the objective that passing a saddle must gain; positive, at most 0.1, default 0.01. A saddle with
     /// less to gain is a result, and the certificate says how much is left.
@@ -26,33 +25,18 @@ pub struct Solver {
     /// Second derivatives in the quadratic model.
     pub hessian: HessianChoice,
     /// Variables of the quadratic subproblems.
-    pub qp: Qp,
+    pub qp: QpRoute,
     /// Initial guess.
     pub guess: Guess,
     /// Easier problems that are solved first, each from the solution of the one before. Absent: none.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub continuation: Option<Continuation>,
     /// Wall-clock time in s from the start of the command, positive. Then all work ends, the check included, and the
     /// best iterate is written; a simulation and a loop write the rows that they have. Absent: no limit.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_s: Option<Positive<values::Duration>>,
 }
 
-/// Variables of the quadratic subproblems; the step is the same.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum Qp {
-    /// Over the controls alone: small and dense.
-    #[default]
-    Condensed,
-    /// Over the controls and the configurations at all time nodes: large and sparse. Explicit steps of the standard model only.
-    Sparse,
-}
-
 /// Initial guess of a solve.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Guess {
     /// The arm at rest; then, until a solve converges, detours through static shapes (with obstacles), static shapes on
@@ -67,17 +51,6 @@ pub enum Guess {
     Rest,
 }
 
-/// Kind of continuation, and the number of problems, the last one included.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum Continuation {
-    /// The target moves from the initial position of the tip to its own.
-    Target(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
-    /// Gravity and loads grow from nothing.
-    Load(#[cfg_attr(feature = "schema", schemars(range(min = 1)))] usize),
-}
-
 impl Default for Solver {
     fn default() -> Solver {
         let settings = SqpSettings::default();
@@ -86,7 +59,7 @@ impl Default for Solver {
             max_iterations: settings.max_iterations,
             saddle_gain: known(settings.saddle_gain),
             hessian: HessianChoice::default(),
-            qp: Qp::default(),
+            qp: QpRoute::default(),
             guess: Guess::default(),
             continuation: None,
             deadline_s: None,
@@ -111,15 +84,12 @@ impl Keys<'_> {
             LARGEST_COUNT,
         )?;
         match solver.continuation {
-            None => {}
-            Some(Continuation::Target(stages)) => {
-                self.count("solver.continuation.target", stages, MOST_STAGES)?;
+            None => Ok(()),
+            Some(Continuation::Target(n)) => {
+                self.count("solver.continuation.target", n, MOST_STAGES)
             }
-            Some(Continuation::Load(stages)) => {
-                self.count("solver.continuation.load", stages, MOST_STAGES)?;
-            }
+            Some(Continuation::Load(n)) => self.count("solver.continuation.load", n, MOST_STAGES),
         }
-        Ok(())
     }
 }
 

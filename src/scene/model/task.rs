@@ -1,12 +1,11 @@
 //! The task of the tip: its target, the time, and the waypoints on the way.
 
 use nalgebra::Vector3;
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::error::DescribeError;
-use super::super::keys::{Checked, Keys};
+use super::super::keys::{Checked, Excludes, Given, Keys, Needs, given};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
 use super::geometry::wxyz;
 use super::{EndKind, LoadNode, Scene};
@@ -16,8 +15,7 @@ use crate::mechanics::rotation::from_quaternion;
 use crate::task::{self, Hardness, Problem, Rest, Staying, Target, Tolerances};
 
 /// Target of the tip: a position, an orientation, or both.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Task {
     /// Node of the target: `"tip"`, or a fraction of the length, or an index. A tip that is held has no target, so that a task with one
@@ -25,19 +23,15 @@ pub struct Task {
     #[serde(default)]
     pub node: LoadNode,
     /// Position of the tip, or of `node`, in m.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
     /// Orientation of the tip as a quaternion, scalar first, of any length but zero. The arm reaches it by more than
     /// half a turn if rows of a track or waypoints lead there so, or if that bends the arm less.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Time in s at which the target is due, above 0 and up to `time.end_s`; the horizon of a solve ends then. Absent:
     /// `time.end_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub at_s: Option<Positive<values::Instant>>,
     /// Free final time: the duration of the task is chosen too, and `at_s` is its initial guess. Absent: the task is
     /// due at `at_s`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub free_duration: Option<FreeDuration>,
     /// Motion at `at_s`: with true, the whole arm comes to rest and stays there with the last wrench held, which needs
     /// an end that keeps the arm from spinning (not ball joints alone); with "tip", the tip, or `node`, has neither
@@ -46,34 +40,27 @@ pub struct Task {
     pub at_rest: AtRest,
     /// Time in s for which the arm stays, positive. Only with `at_rest = true`. Absent: one first period of the held
     /// arm.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_s: Option<Positive<values::Duration>>,
     /// Largest distance of the tip, or of `node`, from `position_m` while it stays, in m, positive. Only with `at_rest = true`. Absent: a
     /// hundredth of
     /// `rod.length_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stays_m: Option<Positive<values::Distance>>,
     /// Enforcement of the target: a constraint (true) or a term of the objective (false).
-    #[serde(default = "yes")]
+    #[serde(default = "values::yes")]
     pub hard: bool,
     /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the target by about a
     /// thousandth of the way.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
     /// Tolerance in m of the distance from `position_m`, positive. Absent: the position is met exactly.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m: Option<Positive<values::Distance>>,
     /// Tolerance in rad of the angle from `orientation_wxyz`, positive and below π. Absent: the orientation is met
     /// exactly.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad: Option<Positive<values::Angle>>,
     /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and `hard`.
     /// Absent: a hundredth of `rod.length_m` per duration of the task.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m_s: Option<NonNegative<values::Speed>>,
     /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and
     /// `hard`. Absent: a tenth of a radian per duration of the task.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad_s: Option<NonNegative<values::AngularSpeed>>,
     /// Waypoints that the arm passes on the way.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -81,8 +68,7 @@ pub struct Task {
 }
 
 /// The motion of an arm at its target.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(from = "AtRestKey", into = "AtRestKey")]
 pub enum AtRest {
     /// The whole arm comes to rest and stays.
@@ -95,19 +81,17 @@ pub enum AtRest {
 }
 
 /// true, "tip", or false.
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected true, \"tip\" or false")]
-#[cfg_attr(feature = "schema", schemars(rename = "AtRest"))]
+#[schemars(rename = "AtRest")]
 enum AtRestKey {
     Word(TipWord),
     Flag(bool),
 }
 
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-#[cfg_attr(feature = "schema", schemars(inline))]
+#[schemars(inline)]
 enum TipWord {
     Tip,
 }
@@ -134,8 +118,7 @@ impl From<AtRest> for AtRestKey {
 
 /// Free final time. Blocks of the control, waypoints and samples scale with the duration; loads and paths to follow
 /// keep to the clock.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FreeDuration {
     /// Shortest duration in s, positive.
@@ -151,8 +134,7 @@ pub struct FreeDuration {
 }
 
 /// A waypoint: a position, an orientation, or both.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Via {
     /// Time of passage in s, above 0 and before the task's own time. The nearest time node counts.
@@ -161,24 +143,19 @@ pub struct Via {
     #[serde(default)]
     pub node: LoadNode,
     /// Position in m.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub position_m: Option<[f64; 3]>,
     /// Orientation as a quaternion, scalar first, of any length but zero.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub orientation_wxyz: Option<[f64; 4]>,
     /// Enforcement of the waypoint: a constraint (true) or a term of the objective (false).
-    #[serde(default = "yes")]
+    #[serde(default = "values::yes")]
     pub hard: bool,
     /// Weight of that term, positive; only with `hard = false`. Absent: one that misses the waypoint by about a
     /// thousandth of the way.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<Positive<values::Weight>>,
     /// Tolerance in m of the distance from `position_m`, positive. Absent: the position is met exactly.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_m: Option<Positive<values::Distance>>,
     /// Tolerance in rad of the angle from `orientation_wxyz`, positive and below π. Absent: the orientation is met
     /// exactly.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub tolerance_rad: Option<Positive<values::Angle>>,
 }
 
@@ -187,10 +164,6 @@ impl Task {
     pub fn instant(&self, end_s: f64) -> f64 {
         self.at_s.map_or(end_s, Number::get)
     }
-}
-
-fn yes() -> bool {
-    true
 }
 
 impl Keys<'_> {
@@ -261,28 +234,16 @@ impl Keys<'_> {
         self.check_enforcement(
             "task",
             task.hard,
-            task.weight.is_some(),
-            (task.tolerance_m.is_some(), task.position_m.is_some()),
-            (task.tolerance_rad, task.orientation_wxyz.is_some()),
+            task.tolerance_rad,
+            given!(task: weight, tolerance_m, position_m, tolerance_rad, orientation_wxyz),
         )?;
-        for (key, is_given) in [
-            ("task.tolerance_m_s", task.tolerance_m_s.is_some()),
-            ("task.tolerance_rad_s", task.tolerance_rad_s.is_some()),
-        ] {
-            if is_given && task.at_rest != AtRest::Tip {
-                return Err(self.contradiction(key, "task.at_rest"));
-            }
-            if is_given && !task.hard {
-                return Err(self.contradiction(key, "task.hard"));
-            }
+        let not_at = |rest: AtRest| ("at_rest", task.at_rest != rest);
+        for tolerance in given!(task: tolerance_m_s, tolerance_rad_s) {
+            let soft = Excludes(tolerance, ("hard", !task.hard));
+            self.relations("task", &[Excludes(tolerance, not_at(AtRest::Tip)), soft])?;
         }
-        for (key, is_given) in [
-            ("task.stays_s", task.stays_s.is_some()),
-            ("task.stays_m", task.stays_m.is_some()),
-        ] {
-            if is_given && task.at_rest != AtRest::Staying {
-                return Err(self.contradiction(key, "task.at_rest"));
-            }
+        for stay in given!(task: stays_s, stays_m) {
+            self.relations("task", &[Excludes(stay, not_at(AtRest::Staying))])?;
         }
         for (index, via) in task.via.iter().enumerate() {
             self.check_via(via, index, task.instant(end), scene)?;
@@ -336,24 +297,21 @@ impl Keys<'_> {
         self.check_enforcement(
             &format!("task.via.{index}"),
             via.hard,
-            via.weight.is_some(),
-            (via.tolerance_m.is_some(), via.position_m.is_some()),
-            (via.tolerance_rad, via.orientation_wxyz.is_some()),
+            via.tolerance_rad,
+            given!(via: weight, tolerance_m, position_m, tolerance_rad, orientation_wxyz),
         )
     }
 
-    /// Checks the enforcement of a goal; `distance` and `angle` have the tolerance of its position and of its orientation, each with
-    /// whether the goal has one.
+    /// Checks the enforcement of a goal.
     fn check_enforcement(
         &self,
         section: &str,
         hard: bool,
-        has_weight: bool,
-        distance: (bool, bool),
-        angle: (Option<Positive<values::Angle>>, bool),
+        angle: Option<Positive<values::Angle>>,
+        [weight, of_position, position, of_orientation, orientation]: [Given; 5],
     ) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
-        if hard && has_weight {
+        if hard && weight.1 {
             let help = format!(
                 "set {} = false to make it a term of the objective",
                 key("hard")
@@ -364,23 +322,10 @@ impl Keys<'_> {
                 Some(help),
             ));
         }
-        let (has_distance, has_position) = distance;
-        let (angle, has_orientation) = angle;
-        for (name, is_given, owner, owned) in [
-            ("tolerance_m", has_distance, "position_m", has_position),
-            (
-                "tolerance_rad",
-                angle.is_some(),
-                "orientation_wxyz",
-                has_orientation,
-            ),
-        ] {
-            if is_given && !owned {
-                return Err(self.missing(&key(owner), &format!("goes with {}", key(name))));
-            }
-            if is_given && !hard {
-                return Err(self.contradiction(&key(name), &key("hard")));
-            }
+        for (tolerance, owner) in [(of_position, position), (of_orientation, orientation)] {
+            let reason = format!("goes with {}", key(tolerance.0));
+            let soft = Excludes(tolerance, ("hard", !hard));
+            self.relations(section, &[Needs(tolerance, owner, &reason), soft])?;
         }
         if let Some(angle) = angle.map(Positive::get)
             && angle >= std::f64::consts::PI

@@ -1,6 +1,5 @@
 //! Time: duration, steps and the contents of the result files.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -10,8 +9,7 @@ use crate::mechanics;
 use crate::task::MOST_STEPS;
 
 /// Duration and time step.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Time {
     /// Duration of a simulation in s, from t = 0; not negative. A solve ends at `task.at_s`, which is this time by
@@ -30,8 +28,7 @@ pub struct Time {
 }
 
 /// Kind of time step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum TimeScheme {
     /// The kind that is predicted to be faster: implicit only if explicit steps would take more than a second and ten
@@ -45,8 +42,7 @@ pub enum TimeScheme {
 }
 
 /// The time step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(from = "TimeStepKey", into = "TimeStepKey")]
 pub enum TimeStep {
     /// A step that suits this rod and the integrator.
@@ -57,19 +53,17 @@ pub enum TimeStep {
 }
 
 /// A positive number of seconds, or "auto".
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected a number of seconds or \"auto\"")]
-#[cfg_attr(feature = "schema", schemars(rename = "TimeStep"))]
+#[schemars(rename = "TimeStep")]
 enum TimeStepKey {
     Word(AutoWord),
-    Seconds(#[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))] f64),
+    Seconds(#[schemars(extend("exclusiveMinimum" = 0))] f64),
 }
 
-#[derive(Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-#[cfg_attr(feature = "schema", schemars(inline))]
+#[schemars(inline)]
 enum AutoWord {
     Auto,
 }
@@ -93,14 +87,12 @@ impl From<TimeStep> for TimeStepKey {
 }
 
 /// Contents of the result files.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Output {
     /// Rows of the trajectory per second, positive. A step that is chosen (`time.step_s = "auto"`) is shortened until
     /// it divides the interval between rows; with a given step, rows fall on the nearest multiple. Absent: every time
     /// step.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub rate_hz: Option<Positive<values::Rate>>,
     /// Diagnostics: with true, a simulation or a solve also writes `diagnostics.npz`: momenta, strains, internal forces, reaction of the
     /// base, balances of momentum and power; the controls of a solve count among the loads. Default: false.

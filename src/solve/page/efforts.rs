@@ -235,7 +235,9 @@ struct Kind {
 /// Returns the kind of an actuator on strains.
 fn kind(density: Density) -> Kind {
     let [word, title, color] = match density {
-        Density::Shortening | Density::Lengthening => ["tendon", "Tensions", "tendon"],
+        Density::Shortening | Density::Threaded { .. } | Density::Lengthening => {
+            ["tendon", "Tensions", "tendon"]
+        }
         Density::Volume => ["chamber", "Pressures", "chamber"],
         Density::Braid { .. } => ["braid", "Pressures in braids", "chamber"],
         Density::Muscle => ["muscle", "Activations", "muscle"],
@@ -339,7 +341,9 @@ fn radius(own: &StrainActuator) -> f64 {
         Density::Braid { fibre, turns } => {
             (fibre * fibre - 1.0).max(0.0).sqrt() / (std::f64::consts::TAU * turns).abs()
         }
-        Density::Shortening | Density::Lengthening | Density::Muscle => 0.0,
+        Density::Shortening | Density::Threaded { .. } | Density::Lengthening | Density::Muscle => {
+            0.0
+        }
     }
 }
 

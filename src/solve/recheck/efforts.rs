@@ -2,7 +2,7 @@
 
 use super::file_check::{DERIVED, FileCheck, ROUNDINGS};
 use crate::control::OptimalControlProblem;
-use crate::mechanics::{Density, Trajectory};
+use crate::mechanics::Trajectory;
 use crate::output::EffortRow;
 use crate::verify::{efforts, hold};
 
@@ -109,7 +109,7 @@ pub(super) fn check(
             let displacement = match rod.actuators.strains().get(i).map(|own| own.density) {
                 _ if !rod.actuators.has_winches() => None,
                 _ if actuator.winch.is_some() => Some(inputs[i]),
-                Some(Density::Shortening) => Some(-changes[i]),
+                Some(density) if density.is_tendon() => Some(-changes[i]),
                 _ => None,
             };
             if let Some(expected) = displacement {

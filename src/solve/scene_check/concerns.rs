@@ -9,8 +9,8 @@ use crate::mechanics::stability::{bent_step, posed_step, resolving_step, stable_
 use crate::mechanics::tangent::{Tangent, own_squared_frequency};
 use crate::mechanics::vibration::{weight_in_words, weight_number};
 use crate::mechanics::{
-    Configuration, Density, EndCondition, NodeSpring, Rod, RodModel, RotaryInertia, StrainRule,
-    TimeScheme, settled,
+    Configuration, EndCondition, NodeSpring, Rod, RodModel, RotaryInertia, StrainRule, TimeScheme,
+    settled,
 };
 use crate::output::summary::{ContactFact, ContactFacts, OutputSize, RestSummary};
 use crate::scene::{RotaryInertia as RotaryInertiaKey, Scene};
@@ -109,7 +109,7 @@ fn pressed(rod: &Rod) -> Option<String> {
             let mut seen = vec![false; rod.actuators.len()];
             let mut sum = 0.0;
             for point in rod.actuators.on(q) {
-                let is_tendon = point.density == Density::Shortening;
+                let is_tendon = point.density.is_tendon();
                 if is_tendon && !std::mem::replace(&mut seen[point.actuator], true) {
                     sum += largest[point.actuator];
                 }

@@ -4,7 +4,6 @@
 //! and its controls are simulated on grids twice and four times as fine. A closed loop is run with every setting, and its error is that of
 //! its tip.
 
-mod assignments;
 mod closed_loop;
 mod control;
 mod features;
@@ -13,6 +12,7 @@ mod front;
 mod lines;
 mod motion;
 mod saved;
+mod setting;
 
 use std::time::{Duration, Instant};
 
@@ -21,17 +21,14 @@ use serde::{Deserialize, Serialize};
 pub use self::features::FeatureCost;
 pub use self::fit::{CostModel, ErrorModel};
 pub use self::front::mark_front;
+pub use self::setting::Setting;
 use super::clock::least;
 use super::course::{Errors, number};
 use super::motion::RunError;
 use crate::clock::{Clock, Seconds};
-use crate::control::{GuessError, Hold};
-use crate::mechanics::{RodModel, StrainRule};
+use crate::control::GuessError;
 use crate::mpc::MpcError;
-use crate::scene::{
-    EstimatorKind, RotaryInertia, Scene, SceneError, SceneSource, TimeScheme, TimeStep,
-};
-use crate::sqp::HessianChoice;
+use crate::scene::{Scene, SceneError, SceneSource, TimeStep};
 use crate::stop::StopSignal;
 use crate::task::{Discretization, prediction::simulation_seconds};
 
@@ -70,128 +67,6 @@ impl Subject {
             Self::OptimalControl => "an optimal-control problem",
             Self::ClosedLoop => "a closed loop",
         }
-    }
-}
-
-/// Discretization and solver settings of a scene.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Setting {
-    /// Strain rule.
-    pub strain: StrainRule,
-    /// Elements.
-    pub elements: usize,
-    /// Integrator.
-    pub integrator: TimeScheme,
-    /// Time step divided by the automatic one.
-    pub step_over_automatic: f64,
-    /// Rotary inertia.
-    pub rotary_inertia: RotaryInertia,
-    /// Model of the section.
-    pub model: RodModel,
-    /// Blocks of the controls.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub blocks: Option<usize>,
-    /// Course of the controls within a block.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub hold: Option<Hold>,
-    /// Tolerance of the solver.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub tolerance: Option<f64>,
-    /// Hessian of the solver.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub hessian: Option<HessianChoice>,
-    /// Time step of a controller's model, s, if it is not the automatic one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub model_step_s: Option<f64>,
-    /// Horizon of a controller, s.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub horizon_s: Option<f64>,
-    /// Length of the blocks of a controller, s.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub block_s: Option<f64>,
-    /// Iterations of a controller per sample.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub iterations: Option<usize>,
-    /// Estimator of a controller.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub estimator: Option<EstimatorKind>,
-}
-
-impl Setting {
-    /// Describes the differences from the `usual` setting in words.
-    #[must_use]
-    pub fn differences(&self, usual: &Self) -> String {
-        let mut words = vec![format!("{} elements", self.elements)];
-        let mut add = |differs: bool, text: String| {
-            if differs {
-                words.push(text);
-            }
-        };
-        add(self.strain != usual.strain, self.strain.name().into());
-        add(
-            self.integrator != usual.integrator,
-            format!("{:?}", self.integrator).to_lowercase(),
-        );
-        add(
-            self.step_over_automatic != usual.step_over_automatic,
-            format!("step x {}", self.step_over_automatic),
-        );
-        add(
-            self.rotary_inertia != usual.rotary_inertia,
-            format!("inertia of {:?}s", self.rotary_inertia).to_lowercase(),
-        );
-        add(
-            self.model != usual.model,
-            format!("{} model", self.model.name()),
-        );
-        let number = |own: Option<f64>| own.unwrap_or(f64::NAN);
-        let count = |own: Option<usize>| own.unwrap_or(0);
-        add(
-            self.blocks != usual.blocks,
-            format!("{} blocks", count(self.blocks)),
-        );
-        if let Some(hold) = self.hold {
-            add(
-                self.hold != usual.hold,
-                format!("{hold:?} hold").to_lowercase(),
-            );
-        }
-        add(
-            self.tolerance != usual.tolerance,
-            format!("tolerance {:e}", number(self.tolerance)),
-        );
-        if let Some(hessian) = self.hessian {
-            add(
-                self.hessian != usual.hessian,
-                format!("{} Hessian", hessian.name()),
-            );
-        }
-        add(
-            self.model_step_s != usual.model_step_s,
-            match self.model_step_s {
-                Some(step) => format!("steps of {step} s"),
-                None => "automatic steps".into(),
-            },
-        );
-        add(
-            self.horizon_s != usual.horizon_s,
-            format!("horizon {} s", number(self.horizon_s)),
-        );
-        add(
-            self.block_s != usual.block_s,
-            format!("blocks of {} s", number(self.block_s)),
-        );
-        add(
-            self.iterations != usual.iterations,
-            format!("{} iterations", count(self.iterations)),
-        );
-        if let Some(estimator) = self.estimator {
-            add(
-                self.estimator != usual.estimator,
-                format!("estimator {estimator:?}").to_lowercase(),
-            );
-        }
-        words.join(", ")
     }
 }
 
@@ -370,8 +245,7 @@ pub struct Tradeoff {
 pub struct Models {
     /// Models of the time.
     pub cost: Vec<CostModel>,
-    /// Returns the number of intervals between the times of a comparison: a multiple of the number of blocks that divides the number of
-    /// steps.
+    /// Models of the error.
     pub error: Vec<ErrorModel>,
 }
 
@@ -645,45 +519,6 @@ impl Work<'_, '_> {
             findings: self.findings,
             complete: !self.cut && !self.sweep.stop.is_raised(),
         }
-    }
-}
-
-impl Setting {
-    /// Tells whether this setting differs from another in its elements at most.
-    fn is_but_for_elements(&self, other: &Self) -> bool {
-        let elements = self.elements;
-        *self
-            == Self {
-                elements,
-                ..other.clone()
-            }
-    }
-
-    /// Returns a scene with this setting, and with the step `step`, s, if given.
-    #[must_use]
-    pub fn applied(&self, scene: &Scene, step: Option<f64>) -> Scene {
-        let own = scene.discretization();
-        let mut out = scene.with_grid(&Discretization {
-            elements: self.elements,
-            strain_rule: self.strain,
-            step: step.or(self.model_step_s),
-            hold: self.hold.unwrap_or(own.hold),
-            blocks: self.blocks.unwrap_or(own.blocks),
-            scheme: None,
-            rotary_inertia: None,
-            ..own
-        });
-        out.time.integrator = self.integrator;
-        out.rod.rotary_inertia = self.rotary_inertia;
-        out.rod.model = self.model;
-        out.set_solver(self.tolerance, self.hessian);
-        out.set_loop(
-            self.horizon_s,
-            self.block_s,
-            self.iterations,
-            self.estimator,
-        );
-        out
     }
 }
 

@@ -30,6 +30,12 @@ use crate::vector::{Lanes, Mat3, Vec3};
 pub enum Density {
     /// `-|p|`: a tendon, whose tension does work as it gets shorter.
     Shortening,
+    /// `-|p| + s² (κ₁² + κ₂²)/24`: a tendon through disks at the distance `s`, between which it is straight. On an arc a chord is shorter than
+    /// the line through the section by that, to second order in `s`.
+    Threaded {
+        /// `s`, m.
+        spacing: f64,
+    },
     /// `|p|`: a rod that pushes.
     Lengthening,
     /// `p·e₃`: a chamber whose section stays plane and keeps its area; the volume divided by that area.
@@ -72,7 +78,7 @@ impl Density {
     #[must_use]
     pub fn effort_unit(self) -> &'static str {
         match self {
-            Self::Shortening | Self::Lengthening => "N",
+            Self::Shortening | Self::Threaded { .. } | Self::Lengthening => "N",
             Self::Volume | Self::Braid { .. } => "Pa",
             Self::Muscle => "",
         }
@@ -82,26 +88,41 @@ impl Density {
     #[must_use]
     pub fn coordinate_unit(self) -> &'static str {
         match self {
-            Self::Shortening | Self::Lengthening => "m",
+            Self::Shortening | Self::Threaded { .. } | Self::Lengthening => "m",
             Self::Volume | Self::Braid { .. } => "m³",
             Self::Muscle => "J",
         }
+    }
+
+    /// Tells whether it is that of a tendon.
+    #[must_use]
+    pub fn is_tendon(self) -> bool {
+        matches!(self, Self::Shortening | Self::Threaded { .. })
     }
 
     /// Returns the factor of `|p|` in a density that is a multiple of it.
     #[inline(always)]
     fn length_sign(self) -> Option<f64> {
         match self {
-            Self::Shortening => Some(-1.0),
+            Self::Shortening | Self::Threaded { .. } => Some(-1.0),
             Self::Lengthening => Some(1.0),
             Self::Volume | Self::Muscle | Self::Braid { .. } => None,
         }
     }
 
-    /// Returns the density itself, for `λ` and `κ₃`, or for the axial component of `p` of a [`Self::Volume`].
+    /// Returns the factor of `κ₁² + κ₂²` in a density that has them, m²; zero of others.
+    #[inline(always)]
+    fn bend(self) -> f64 {
+        match self {
+            Self::Threaded { spacing } => spacing * spacing / 24.0,
+            _ => 0.0,
+        }
+    }
+
+    /// Returns the part of the density that depends on `λ` and `κ₃`, or for the axial component of `p` of a [`Self::Volume`].
     fn value(self, stretch: f64, twist: f64) -> f64 {
         match self {
-            Self::Shortening => -stretch,
+            Self::Shortening | Self::Threaded { .. } => -stretch,
             Self::Lengthening | Self::Volume => stretch,
             Self::Muscle => {
                 let [a, b, c, d] = MUSCLE;
@@ -122,7 +143,7 @@ impl Density {
         let simd = stretch.simd;
         let one = Lanes::splat(simd, 1.0);
         let along_stretch = match self {
-            Self::Shortening => -one,
+            Self::Shortening | Self::Threaded { .. } => -one,
             Self::Lengthening | Self::Volume => one,
             Self::Muscle => -muscle_force(stretch),
             Self::Braid { fibre, turns } => {
@@ -154,7 +175,7 @@ impl Density {
             twist: zero,
         };
         match self {
-            Self::Shortening | Self::Lengthening | Self::Volume => {}
+            Self::Shortening | Self::Threaded { .. } | Self::Lengthening | Self::Volume => {}
             Self::Muscle => bends.stretch = -muscle_slope(stretch),
             Self::Braid { fibre, turns } => {
                 let one = Lanes::splat(simd, 1.0);
@@ -244,7 +265,14 @@ impl<S: Simd> ActivePoint<S> {
         let length = (line.dot(line) + LEAST_SQUARE).sqrt();
         if let Some(sign) = density.length_sign() {
             let g = line * (self.weight * sign / length);
-            return (g, self.moment(g));
+            let mut moment = self.moment(g);
+            let bend = density.bend();
+            if bend != 0.0 {
+                let slope = self.weight * self.inverse_length * (2.0 * bend);
+                moment.x = moment.x + psi.x * slope;
+                moment.y = moment.y + psi.y * slope;
+            }
+            return (g, moment);
         }
         let Slopes { stretch, twist } =
             density.slopes(length * self.inverse_length, psi.z * self.inverse_length);
@@ -309,6 +337,14 @@ impl<S: Simd> ActivePoint<S> {
             pull = weight * sign;
             across = pull * inverse;
             along = -across;
+            let bend = density.bend();
+            if bend != 0.0 {
+                let slope = weight * self.inverse_length * (2.0 * bend);
+                first.angular.x = first.angular.x + psi.x * slope;
+                first.angular.y = first.angular.y + psi.y * slope;
+                let [x, y, _] = &mut second.angular.rows;
+                (x.x, y.y) = (x.x + slope, y.y + slope);
+            }
         } else {
             let (stretch, twist) = (length * self.inverse_length, psi.z * self.inverse_length);
             let slopes = density.slopes(stretch, twist);
@@ -392,7 +428,9 @@ impl ActivePoint<pulp::Scalar> {
                 Density::Volume => line.z,
                 _ => line.norm(),
             };
-            density.value(stretch.value * inverse, psi.z.value * inverse)
+            let [x, y] = [psi.x, psi.y].map(|own| own.value * inverse);
+            let bent = density.bend() * (x * x + y * y);
+            density.value(stretch.value * inverse, psi.z.value * inverse) + bent
         };
         let mean = linear.iter().map(of).sum::<f64>() / linear.len() as f64;
         self.weight.value / inverse * mean

@@ -285,7 +285,7 @@ impl StrainActuator {
         }
         require("turns of an actuator", turns, |_| true, "finite")?;
         if let Some(winch) = &self.winch {
-            let is_tendon = self.density == Density::Shortening && self.scale == 1.0;
+            let is_tendon = self.density.is_tendon() && self.scale == 1.0;
             let only = "that of a tendon";
             require("scale of a winch", self.scale, |_| is_tendon, only)?;
             require(

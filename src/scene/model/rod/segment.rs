@@ -1,52 +1,41 @@
 //! Segments of the rod, each with a material, a section and a stress-free curvature of its own.
 
-#[cfg(feature = "schema")]
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Material, Parts, Rod};
 use crate::mechanics::SectionProfile;
 use crate::scene::error::DescribeError;
-use crate::scene::keys::{Checked, Keys};
+use crate::scene::keys::{Checked, Excludes, Keys, given};
 use crate::scene::model::{Inertia, Section, ShapeKey, Stiffness, Transverse};
 use crate::scene::values::{self, Number, Positive, digits, known};
 
 /// A piece of the arm with a material, a section or a stress-free curvature of its own. Segments follow one another from
 /// base to tip and make up the whole arm. An element ends where two of them meet.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Segment {
     /// Length in m, positive; either this or `fraction`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub length_m: Option<Positive<values::Length>>,
     /// Length as a fraction of `rod.length_m`, positive; either this or `length_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub fraction: Option<Positive<values::Part>>,
     /// Material of the segment. Absent: `[rod.material]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub material: Option<Material>,
     /// Shape and size of the section. Absent: `[rod.section]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub section: Option<Section>,
     /// Stiffness of the section; instead of `material` and `section`, goes with `inertia`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub stiffness: Option<Stiffness>,
     /// Inertia of the section; instead of `material` and `section`, goes with `stiffness`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia: Option<Inertia>,
     /// Radius in m of a segment that has no section, for pictures and for the distance from obstacles. Absent:
     /// `rod.display_radius_m`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub display_radius_m: Option<Positive<values::Radius>>,
     /// Stress-free shape of the segment. Absent: that of `[rod.reference]`.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub reference: Option<SegmentReference>,
 }
 
 /// The shape in which a segment carries no stress.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SegmentReference {
     /// Curvature about the two transverse axes and twist about the arm's axis, in 1/m, body frame.
@@ -179,30 +168,18 @@ impl Rod {
 
 impl Keys<'_> {
     pub(super) fn check_segments(&self, rod: &Rod) -> Checked {
-        for (other, is_given) in [
-            ("rod.stiffness", rod.stiffness.is_some()),
-            ("rod.inertia", rod.inertia.is_some()),
-        ] {
-            if is_given {
-                return Err(self.contradiction(other, "rod.segment"));
-            }
-        }
+        let [stiffness, inertia, segments] = given!(rod: stiffness, inertia, segment);
+        let rows = [Excludes(stiffness, segments), Excludes(inertia, segments)];
+        self.relations("rod", &rows)?;
         let mut roll: Option<(usize, f64)> = None;
         for (index, segment) in rod.segment.iter().enumerate() {
             let name = format!("rod.segment.{index}");
             let key = |part: &str| format!("{name}.{part}");
-            self.exactly_one(
-                &name,
-                &[
-                    ("length_m", segment.length_m.is_some()),
-                    ("fraction", segment.fraction.is_some()),
-                ],
-            )?;
+            self.exactly_one(&name, &given!(segment: length_m, fraction))?;
             let parts = rod.parts_of(segment);
             self.check_parts(&name, &parts)?;
-            if parts.section.is_some() && segment.display_radius_m.is_some() {
-                return Err(self.contradiction(&key("display_radius_m"), &key("section")));
-            }
+            let (radius, section) = (given!(segment: display_radius_m), parts.section.is_some());
+            self.relations(&name, &[Excludes(radius, ("section", section))])?;
             if let Some(reference) = &segment.reference {
                 self.finite(&key("reference.curvature_1_m"), &reference.curvature_1_m)?;
             }
