@@ -200,7 +200,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("     t/s   |B|/mT  |G|/(T/m)  magnets/mm");
     let (mut field, mut slope) = (0.0_f64, 0.0_f64);
     for k in 0..=last {
-        let u = discrete.acting[0].controls(&solution.wrenches_at(k));
+        let u = discrete.acting[0].controls(discrete.inputs(&solution.controls_at(k)));
         let now = Vector3::new(u[0], u[1], u[2]).norm();
         field = field.max(now);
         slope = u[3..].iter().fold(slope, |most, g| most.max(g.abs()));

@@ -448,14 +448,9 @@ fn thrown(
             if attempt.outcome.status != SqpStatus::Converged {
                 return Ok(None);
             }
-            let largest = |of: fn(&Wrench) -> f64| {
-                (free
-                    .problem
-                    .wrenches(&attempt.outcome.point.variables)
-                    .iter())
-                .map(of)
-                .fold(0.0, f64::max)
-            };
+            let found = (free.problem).coefficients(&attempt.outcome.point.variables);
+            let wrenches = free.problem.wrenches(&found);
+            let largest = |of: fn(&Wrench) -> f64| wrenches.iter().map(of).fold(0.0, f64::max);
             let force_max = (part * largest(|u| u.force.norm())).max(1.1 * force.norm());
             let moment_max = (part * largest(|u| u.moment.norm())).max(1.1 * moment.norm());
             let _ = writeln!(toml, "force_max_n = {force_max}");
@@ -609,7 +604,7 @@ struct Outcome {
     /// Largest distance of the tip from its target over the length, with the last wrench held, on a finer grid.
     leaves: Option<f64>,
     /// Coefficients of the last solve that converged.
-    coefficients: Option<Vec<Wrench>>,
+    coefficients: Option<Vec<f64>>,
     /// Objective and largest force over those of a tip that stops for an instant.
     beside_passing: Option<[f64; 2]>,
 }
@@ -707,9 +702,9 @@ impl Outcome {
     fn take(
         &mut self,
         (setup, toml): &(OptimalControl, String),
-        previous: Option<Vec<Wrench>>,
+        previous: Option<Vec<f64>>,
         deadline: Option<Duration>,
-    ) -> Option<(Vec<&'static str>, Option<Vec<Wrench>>)> {
+    ) -> Option<(Vec<&'static str>, Option<Vec<f64>>)> {
         let ocp = &setup.problem;
         self.size = format!(
             "K {} N {} blocks {} {}{} {}",
@@ -743,7 +738,7 @@ impl Outcome {
         self.objective = attempt.outcome.objective;
         self.status = format!("{:?}", attempt.outcome.status);
         let converged = attempt.outcome.status == SqpStatus::Converged;
-        let found = converged.then(|| ocp.wrenches(&attempt.outcome.point.variables));
+        let found = converged.then(|| ocp.coefficients(&attempt.outcome.point.variables));
         self.coefficients.clone_from(&found);
         match verdict {
             Ok(failed) => {
@@ -883,7 +878,7 @@ fn certify(
     let outcome = &attempt.outcome;
     let check = setup.certify(&Solution {
         trajectory: &outcome.point.trajectory,
-        coefficients: &setup.problem.wrenches(&outcome.point.variables),
+        coefficients: &setup.problem.coefficients(&outcome.point.variables),
         multipliers: MultiplierRecord::of(&program, outcome).borrowed(),
     })?;
     let failed = (check.items.iter())
@@ -904,7 +899,7 @@ fn certify(
 fn beside_passing(
     (setup, toml): &(OptimalControl, String),
     objective: f64,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     overrides: &[String],
 ) -> Option<[f64; 2]> {
     let mut overrides = overrides.to_vec();
@@ -916,12 +911,12 @@ fn beside_passing(
         &passing.settings,
         StopSignal::default(),
     )?;
-    let peak = |coefficients: &[Wrench]| {
-        (coefficients.iter())
+    let peak = |coefficients: &[f64]| {
+        (setup.problem.wrenches(coefficients).iter())
             .map(|u| u.force.norm())
             .fold(0.0, f64::max)
     };
-    let passed = setup.problem.wrenches(&attempt.outcome.point.variables);
+    let passed = setup.problem.coefficients(&attempt.outcome.point.variables);
     (attempt.outcome.status == SqpStatus::Converged).then(|| {
         [
             objective / attempt.outcome.objective,

@@ -13,7 +13,7 @@ use std::error::Error;
 use std::ops::ControlFlow;
 
 use softarm::control::{Attempt, Guess, first_point, search};
-use softarm::mechanics::{Trajectory, Wrench};
+use softarm::mechanics::Trajectory;
 use softarm::scene::Scene;
 use softarm::sqp::SqpStatus;
 
@@ -88,7 +88,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 struct Computed {
     resolved: String,
     objective: f64,
-    coefficients: Vec<Wrench>,
+    coefficients: Vec<f64>,
     /// The optimal motion.
     optimal: Trajectory,
     /// The motion that the arm makes if nobody does anything.
@@ -119,7 +119,7 @@ fn compute(name: &str, text: &str, overrides: &[String]) -> Result<Computed, Box
     Ok(Computed {
         resolved: setup.resolved.to_toml(),
         objective: outcome.objective,
-        coefficients: problem.wrenches(&outcome.point.variables),
+        coefficients: problem.coefficients(&outcome.point.variables),
         optimal,
         uncontrolled: uncontrolled.trajectory,
         tip_error: (reached - target).norm(),

@@ -100,7 +100,7 @@ fn reach(seconds: usize) -> Result<Reach, Box<dyn Error>> {
 
     let problem = &solution.problem.discrete;
     let trajectory = solution.trajectory();
-    let wrenches = &solution.coefficients;
+    let wrenches = problem.wrenches(&solution.coefficients);
     let tip = problem.rod.tip();
     let start = problem.initial.configuration.positions[tip];
     let ahead = (Vector3::from(TARGET) - start).normalize();

@@ -107,7 +107,7 @@ fn compare(name: &str, settings: [&str; 3]) {
     .remove(0);
     let program = Transcription::new(problem, 1);
     let outcome = &attempt.outcome;
-    let coefficients = problem.wrenches(&outcome.point.variables);
+    let coefficients = problem.coefficients(&outcome.point.variables);
     let multipliers = MultiplierRecord::of(&program, outcome);
     let solution = Solution {
         trajectory: &outcome.point.trajectory,

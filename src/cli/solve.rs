@@ -15,7 +15,6 @@ use crate::control::{
     Attempt, GuessError, Holding, ModelMismatch, NotFound, OptimalControlProblem, Search,
     SearchEvent, TipDeviation, TrackingError, holding, search_telling,
 };
-use crate::mechanics::Wrench;
 use crate::memory::of_solve;
 use crate::output::summary::{NOT_CHECKED, SolveSummary};
 use crate::output::{ResultKind, RunDirectory};
@@ -169,7 +168,7 @@ fn not_held(scene: &Scene, problem: &OptimalControlProblem) -> Option<String> {
 /// Solves a problem from all starts, checks what they find, and tells on the way.
 fn attempt(
     setup: &OptimalControl,
-    previous: Option<Vec<Wrench>>,
+    previous: Option<Vec<f64>>,
     arguments: &SolveArguments,
     global: &Global,
     console: &Console,
@@ -330,7 +329,11 @@ fn announce(setup: &OptimalControl, console: &Console) {
 /// Returns what costs as much as `size` of scaled controls: a force or a moment on the first actuated node, or the change of the effort of
 /// the first actuator whose effort is a control.
 fn price_in_words(problem: &OptimalControlProblem, size: f64) -> String {
-    if let Some(first) = problem.wrench_actuators().iter().find(|node| node.acts()) {
+    if let Some(first) = problem
+        .wrench_actuators()
+        .into_iter()
+        .find(|node| node.acts())
+    {
         let force =
             (first.force.acts()).then(|| format!("a force of {:.3e} N", size * first.force.scale));
         let moment = (first.moment.acts())

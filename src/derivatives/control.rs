@@ -11,8 +11,8 @@ use super::point::{number, random_state, random_variables, vector};
 use super::{Block, DerivativeError, gather};
 use crate::control::problem::GoalRow;
 use crate::control::{
-    ControlGrid, LiftedPoint, Objective, OptimalControlProblem, PathConstraint, PathLimit, RodView,
-    Transcription,
+    ActsOn, ControlGrid, LiftedPoint, Objective, OptimalControlProblem, PathConstraint, PathLimit,
+    RodView, Transcription,
 };
 use crate::mechanics::actuator::flat;
 use crate::mechanics::linearization::StateTangent;
@@ -127,7 +127,7 @@ fn terms(whole: &Objective) -> Vec<(String, Objective)> {
     terms
 }
 
-/// Returns the kinds of variables that are moved together: forces, moments, and residuals of soft goals.
+/// Returns the kinds of variables that are moved together: forces and what drives actuators, moments, and residuals of soft goals.
 fn kinds(problem: &OptimalControlProblem) -> Vec<Vec<usize>> {
     let components = problem.actuated_components();
     let n_controls = problem.n_controls();
@@ -136,7 +136,8 @@ fn kinds(problem: &OptimalControlProblem) -> Vec<Vec<usize>> {
         let kind = if i >= n_controls {
             2
         } else {
-            usize::from(components[i % components.len()].axis >= 3)
+            let own = problem.channels[components[i % components.len()].channel].on;
+            usize::from(matches!(own, ActsOn::Moment { .. }))
         };
         kinds[kind].push(i);
     }
@@ -314,8 +315,9 @@ fn actuator_block(problem: &OptimalControlProblem, index: usize, rng: &mut Rng) 
     let nodes = actuator.nodes(rod);
     let n = 6 * nodes.len();
     let scale = |place: &usize| {
-        let carrier = &problem.actuators[acting.first + place / 6];
-        [&carrier.force, &carrier.moment][place % 6 / 3].scale
+        problem
+            .channel_of_input(*place)
+            .map_or(1.0, |own| own.scale)
     };
     let scales: Vec<f64> = acting.places.iter().map(scale).collect();
     let jacobian = |at: &StateView, u: &[f64]| {

@@ -234,7 +234,7 @@ impl Motion {
         Self {
             nodes,
             pose: NUMBER * POSE * nodes * times,
-            signals: NUMBER * SIGNALS * 6.0 * problem.actuators.len() as f64 * times
+            signals: NUMBER * SIGNALS * problem.n_numbers() as f64 * times
                 + EFFORT_NODE * nodes * efforts * times,
         }
     }

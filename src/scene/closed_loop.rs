@@ -182,8 +182,7 @@ impl Scene {
 
         let mut resolved = self.resolved(&arm, &discretization);
         resolved.time.step_s = asked.step.map_or(TimeStep::Auto, TimeStep::Seconds);
-        let tip = posed.discrete.wrench_actuators().first();
-        resolved.objective = Some(self.resolved_objective(&posed.discrete, tip));
+        resolved.objective = Some(self.resolved_objective(&posed.discrete));
         resolved.mpc = Some(Mpc {
             horizon_s: Some(known(horizon)),
             due_s: due,
@@ -455,7 +454,7 @@ fn with_weights_of(mut task: Task, problem: &OptimalControlProblem) -> Task {
         track.weight = Some(chosen.weight);
         track.rotation_weight = Some(chosen.rotation_weight);
     }
-    let tip = problem.wrench_actuators().first();
+    let tip = problem.wrench_actuators().into_iter().next();
     task.cost.force_scale = tip.map(|tip| tip.force.scale);
     task.cost.moment_scale = tip.map(|tip| tip.moment.scale);
     task

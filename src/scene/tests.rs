@@ -433,10 +433,10 @@ blocks = 4
             Scene::from_toml("my.toml", &format!("{text}{bounds}\n"), &[]).unwrap();
         let problem = scene.optimal_control(&source).unwrap().problem;
         let found: Vec<usize> = (problem.actuated_components().iter())
-            .map(|component| component.axis)
+            .filter_map(|component| Some(problem.of_wrench(component)?.1))
             .collect();
         assert_eq!(found, axes, "{bounds}");
-        assert_eq!(problem.actuators[0].force.bound, bound, "{bounds}");
+        assert_eq!(problem.channels[0].channel.bound, bound, "{bounds}");
         let (again, _) = Scene::from_toml("again.toml", &scene.to_toml(), &[]).unwrap();
         assert_eq!(again, scene, "{bounds}");
     }
@@ -451,7 +451,7 @@ fn moments_are_priced_by_the_section_they_act_on() {
         let overrides = ["rod.elements=100", "task.at_rest=\"tip\"", control].map(str::to_string);
         let (scene, source) = Scene::load("reach-tapered", &overrides).unwrap();
         let setup = scene.optimal_control(&source).unwrap();
-        let tip = &setup.problem.actuators[0];
+        let tip = &setup.problem.wrench_actuators()[0];
         (setup.problem.rod, tip.force.scale, tip.moment.scale)
     };
     let (rod, force, moment) = scales("control={force_max_n = 1, moment_max_n_m = 1}");

@@ -11,7 +11,7 @@ use super::model::{
 use super::rows::{SAME_INTERVAL, row_grid};
 use super::source::SceneSource;
 use super::values::{Number, digits, known};
-use crate::control::{ActuatedNode, FeedbackWeights, Guess, OptimalControlProblem, Search};
+use crate::control::{FeedbackWeights, Guess, OptimalControlProblem, Search};
 use crate::mechanics::rotation::{exp, from_quaternion};
 use crate::mechanics::rows;
 use crate::mechanics::{Mesh, Rod, RotaryInertia, State, TimeGrid, TimeScheme};
@@ -290,7 +290,7 @@ impl Scene {
                     definition.tolerance_rad_s = Some(known(spin));
                 }
             }
-            resolved.objective = Some(self.resolved_objective(&problem, problem.actuators.first()));
+            resolved.objective = Some(self.resolved_objective(&problem));
             resolved.solver = Some(solver.clone());
             resolved
         };
@@ -605,11 +605,8 @@ impl Scene {
 
 impl Scene {
     /// Returns the objective with the weights that were chosen for a problem, and the scales of the actuator on its tip.
-    pub(super) fn resolved_objective(
-        &self,
-        problem: &OptimalControlProblem,
-        tip: Option<&ActuatedNode>,
-    ) -> Objective {
+    pub(super) fn resolved_objective(&self, problem: &OptimalControlProblem) -> Objective {
+        let tip = problem.wrench_actuators().into_iter().next();
         let mut objective = self.objective.clone().unwrap_or_default();
         for (track, tracking) in objective.track.iter_mut().zip(&problem.objective.tracking) {
             track.take_weights(tracking);

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use crate::control::{Hold, NamedControl, OptimalControlProblem};
-use crate::mechanics::Wrench;
 #[cfg(feature = "cli")]
 use crate::output::read_controls;
 use crate::output::{ControlRow, OutputError, write_controls};
@@ -17,20 +16,20 @@ fn headings(named: &[NamedControl]) -> Vec<String> {
 /// times. Where the arm stays after the task, a row follows for the time after the horizon.
 pub(super) fn control_rows(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> Vec<ControlRow> {
     let named = problem.named_controls();
     let edges = problem.control.edge_times();
     let times = problem.control.coefficient_times();
-    let row = |[t_start, t_end]: [f64; 2], coefficient: &[Wrench]| ControlRow {
+    let row = |[t_start, t_end]: [f64; 2], coefficient: &[f64]| ControlRow {
         t_start,
         t_end,
         values: (named.iter().map(|own| own.value(coefficient))).collect(),
     };
-    let n = problem.actuators.len();
+    let n = problem.n_numbers();
     let end = problem.grid.duration();
     // The last controls are held for a time where the arm stays.
-    let held = (problem.stay.iter()).map(|stay| row([end, end + stay.seconds], &stay.wrenches));
+    let held = (problem.stay.iter()).map(|stay| row([end, end + stay.seconds], &stay.controls));
     (0..problem.control.n_coefficients())
         .map(|j| {
             let interval = match problem.control.hold {
@@ -70,10 +69,10 @@ pub(super) fn read_rows(
 }
 
 /// Returns the coefficients of the controls in rows of the problem.
-pub(super) fn coefficients_of(rows: &[ControlRow], problem: &OptimalControlProblem) -> Vec<Wrench> {
+pub(super) fn coefficients_of(rows: &[ControlRow], problem: &OptimalControlProblem) -> Vec<f64> {
     let named = problem.named_controls();
-    let (n, n_coefficients) = (problem.actuators.len(), problem.control.n_coefficients());
-    let mut out = vec![Wrench::default(); n * n_coefficients];
+    let (n, n_coefficients) = (problem.n_numbers(), problem.control.n_coefficients());
+    let mut out = vec![0.0; n * n_coefficients];
     for (j, row) in rows.iter().take(n_coefficients).enumerate() {
         for (own, value) in named.iter().zip(&row.values) {
             own.write(*value, &mut out[j * n..][..n]);

@@ -19,7 +19,7 @@ use crate::output::DiagnosticsRecord;
 #[cfg(feature = "cli")]
 pub(crate) fn diagnostics(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> Result<DiagnosticsRecord, StepError> {
     let mut record = DiagnosticsRecord::empty(&problem.rod);
     visit(problem, coefficients, 1, |t, found, power| {
@@ -34,7 +34,7 @@ pub(crate) fn diagnostics(
 /// [`StepError`] of the integrator.
 pub(super) fn visit(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     stride: usize,
     mut see: impl FnMut(f64, &Diagnostics, &PowerBalance),
 ) -> Result<(), StepError> {

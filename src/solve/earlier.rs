@@ -1,13 +1,12 @@
 //! The controls of an earlier solution, on the grid of another problem.
 
 use crate::control::{NamedControl, OptimalControlProblem};
-use crate::mechanics::Wrench;
 use crate::scene::OptimalControl;
 
 /// An earlier solution: its problem and the coefficients of its controls.
 pub(crate) struct Earlier {
     pub problem: OptimalControlProblem,
-    pub coefficients: Vec<Wrench>,
+    pub coefficients: Vec<f64>,
 }
 
 impl Earlier {
@@ -26,9 +25,9 @@ impl Earlier {
 
     /// Returns the coefficients of another problem: the values of the earlier controls of the same name and unit at the times of its
     /// coefficients, and the controls at rest where there was none.
-    pub fn controls(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
+    pub fn controls(&self, problem: &OptimalControlProblem) -> Vec<f64> {
         let earlier = &self.problem;
-        let (n, n_earlier) = (problem.actuators.len(), earlier.actuators.len());
+        let (n, n_earlier) = (problem.n_numbers(), earlier.n_numbers());
         let last = earlier.grid.n_steps;
         let (named, before) = (problem.named_controls(), earlier.named_controls());
         let same = |own: &NamedControl| {
@@ -38,11 +37,11 @@ impl Earlier {
             .filter_map(|own| Some((own, same(own)?)))
             .collect();
         let times = problem.control.coefficient_times();
-        let mut out = vec![Wrench::default(); n * times.len()];
+        let mut out = vec![0.0; n * times.len()];
         for (out, t) in out.chunks_mut(n.max(1)).zip(times) {
             let k = ((t / earlier.grid.step).round() as usize).min(last);
-            let at: Vec<Wrench> = (0..n_earlier)
-                .map(|a| (earlier.control).value(k, |j| self.coefficients[j * n_earlier + a]))
+            let at: Vec<f64> = (0..n_earlier)
+                .map(|i| (earlier.control).value(k, |j| self.coefficients[j * n_earlier + i]))
                 .collect();
             for (own, other) in &pairs {
                 own.write(other.value(&at), out);

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::control::{self, OptimalControlProblem};
-use crate::mechanics::{Configuration, Rod, Trajectory, Wrench};
+use crate::mechanics::{Configuration, Rod, Trajectory};
 use crate::output::summary::SlackSummary;
 use crate::output::{EffortRow, MotionRecord};
 
@@ -11,7 +11,7 @@ use crate::output::{EffortRow, MotionRecord};
 /// plus its rate times the lag. `None` if no actuator has a lag.
 pub(crate) fn commands(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     k: usize,
     efforts: &[f64],
 ) -> Option<Vec<f64>> {
@@ -21,12 +21,10 @@ pub(crate) fn commands(
         if lag == 0.0 {
             continue;
         }
-        let n = problem.actuators.len();
+        let n = problem.n_numbers();
         let along = |lag: f64| -> f64 {
             let weights = problem.control.command_weights(k, lag);
-            let term = |&(j, weight): &(usize, f64)| {
-                weight * coefficients[j * n + component.actuator].to_array()[component.axis]
-            };
+            let term = |&(j, weight): &(usize, f64)| weight * coefficients[j * n + component.index];
             weights.iter().map(term).sum()
         };
         out.get_or_insert_with(|| efforts.to_vec())[driven.actuator] +=
@@ -109,7 +107,7 @@ pub(crate) fn slack(rod: &Rod, rows: &[EffortRow]) -> Vec<SlackSummary> {
 /// Returns the fraction of the time nodes of a motion at which the tendon of each winch has no tension.
 pub(crate) fn slack_of_motion(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     motion: &Trajectory,
 ) -> Vec<SlackSummary> {
     let found = control::slack_of_motion(problem, motion, coefficients);

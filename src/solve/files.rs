@@ -11,7 +11,7 @@ use super::page::{SolvePage, iteration, sensitivity, solve_page};
 use super::solution::{Solution, stopped_steps_per_row};
 use super::summary::summarize;
 use crate::mechanics::signal::EffortTable;
-use crate::mechanics::{Energy, NodalState, State, Wrench};
+use crate::mechanics::{Energy, NodalState, State};
 #[cfg(feature = "cli")]
 use crate::output::DiagnosticsRecord;
 use crate::output::summary::SolveSummary;
@@ -182,10 +182,7 @@ fn motion_record(solution: &Solution, examined: &Examined) -> MotionRecord {
     let stride = solution.steps_per_row(examined);
     let last = trajectory.n_times() - 1;
     for k in (0..last).step_by(stride).chain([last]) {
-        let wrench = match problem.wrench_actuators() {
-            [] => Wrench::default(),
-            _ => control.at(k).wrenches[0],
-        };
+        let wrench = control.at(k).wrenches.first().copied().unwrap_or_default();
         let state = State::at_rest(trajectory.configuration(k));
         let energy = examined.check.as_ref().map_or_else(
             || Energy::of(&problem.rod, &state),

@@ -24,7 +24,7 @@ pub struct Solution {
     pub attempt: Attempt,
     /// Coefficients of the wrenches: all actuators of the first coefficient of the [control grid](crate::control::ControlGrid), then those
     /// of the next.
-    pub coefficients: Vec<Wrench>,
+    pub coefficients: Vec<f64>,
     /// Multipliers of goals, limits and bounds.
     pub multipliers: MultiplierRecord,
     /// Constraints with the largest violation or, where none is violated, the smallest margin.
@@ -63,7 +63,7 @@ impl Solution {
             .map(|values| worst_constraints(&program, outcome, &values))
             .unwrap_or_default();
         Self {
-            coefficients: problem.discrete.wrenches(&outcome.point.variables),
+            coefficients: problem.discrete.coefficients(&outcome.point.variables),
             multipliers: MultiplierRecord::of(&program, outcome),
             worst,
             settings: settings.clone(),
@@ -108,17 +108,20 @@ impl Solution {
         &self.attempt.outcome.point.trajectory
     }
 
-    /// Returns the wrenches of all actuators at time node `k`.
+    /// Returns the controls at time node `k`: wrenches on nodes, and inputs of other actuators.
+    #[must_use]
+    pub fn controls_at(&self, k: usize) -> Vec<f64> {
+        let discrete = &self.problem.discrete;
+        let n = discrete.n_numbers();
+        (0..n)
+            .map(|index| (discrete.control).value(k, |j| self.coefficients[j * n + index]))
+            .collect()
+    }
+
+    /// Returns the wrenches on the [actuated nodes](OptimalControlProblem::actuated_nodes) at time node `k`.
     #[must_use]
     pub fn wrenches_at(&self, k: usize) -> Vec<Wrench> {
-        let discrete = &self.problem.discrete;
-        let n = discrete.actuators.len();
-        (0..n)
-            .map(|a| {
-                let coefficient = |j: usize| self.coefficients[j * n + a];
-                discrete.control.value(k, coefficient)
-            })
-            .collect()
+        self.problem.discrete.wrenches(&self.controls_at(k))
     }
 
     /// Returns the solution in the form that the check reads.

@@ -13,7 +13,7 @@ use super::solution::Solution;
 use crate::control::{
     Attempt, Feedback, OptimalControlProblem, SolveLog, observe, tracking_errors,
 };
-use crate::mechanics::{Trajectory, Wrench};
+use crate::mechanics::Trajectory;
 use crate::output::json_value;
 use crate::output::summary::{
     AttemptSummary, CheckRecord, LargestDistance, LargestSpeed, NOT_CHECKED, NamedConstraint,
@@ -111,7 +111,7 @@ pub(crate) fn summarize(
 /// The results of a motion, with its check or the reason why there is none.
 pub(super) fn reached(
     problem: &OptimalControlProblem,
-    (coefficients, motion): (&[Wrench], &Trajectory),
+    (coefficients, motion): (&[f64], &Trajectory),
     check: Option<&ForwardCheck>,
     unchecked: Option<Stop>,
 ) -> Reached {
@@ -179,13 +179,16 @@ fn stays(problem: &OptimalControlProblem, check: Option<&ForwardCheck>) -> Optio
     Some(StaysSummary {
         seconds: stay.seconds,
         allowed_m: stay.distance,
-        wrench: (problem.wrench_actuators().iter().zip(&stay.wrenches))
-            .filter(|(node, _)| node.acts())
-            .map(|(_, wrench)| wrench.to_array())
-            .collect(),
+        wrench: (problem
+            .wrench_actuators()
+            .iter()
+            .zip(problem.wrenches(&stay.controls)))
+        .filter(|(node, _)| node.acts())
+        .map(|(_, wrench)| wrench.to_array())
+        .collect(),
         controls: (problem.named_controls().into_iter())
             .map(|own| NamedValue {
-                value: own.value(&stay.wrenches),
+                value: own.value(&stay.controls),
                 unit: own.unit,
                 name: own.name,
             })

@@ -1,7 +1,6 @@
 //! Solves a problem on finer and finer grids until the check of its solution finds it accurate enough.
 
 use super::grid::{self, End, Estimate, Grid, HOUR, LONGEST, Measured, Order, Rule};
-use crate::mechanics::Wrench;
 use crate::output::summary::{AccuracySummary, Level};
 use crate::scene::{OptimalControl, Scene};
 use crate::solve::{Chosen, Earlier};
@@ -37,9 +36,9 @@ pub(crate) struct SolvedOnGrids {
 /// Those of `pose` and `solve`.
 pub(crate) fn solve_on_grids<E>(
     scene: &Scene,
-    (mut setup, mut previous): (OptimalControl, Option<Vec<Wrench>>),
+    (mut setup, mut previous): (OptimalControl, Option<Vec<f64>>),
     pose: impl Fn(&Scene) -> Result<OptimalControl, E>,
-    mut solve: impl FnMut(&OptimalControl, Option<Vec<Wrench>>) -> Result<Chosen, E>,
+    mut solve: impl FnMut(&OptimalControl, Option<Vec<f64>>) -> Result<Chosen, E>,
     tell: impl Fn(&str),
 ) -> Result<SolvedOnGrids, E> {
     let mut chosen = solve(&setup, previous.take())?;

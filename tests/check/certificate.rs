@@ -10,11 +10,11 @@ use common::{Dice, bases, busy_arm, finer_at_rest, methods, random_state};
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
     Bound, Channel, ControlGrid, Enforcement, Goal, GoalPart, Guess, Hold, LiftedPoint,
-    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, PathMultiplier, Shape,
-    Transcription, first_point, simulated,
+    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, PathMultiplier,
+    PlacedChannel, Shape, Transcription, first_point, simulated,
 };
 use softarm::mechanics::stability::stable_step;
-use softarm::mechanics::{ControlSignal, Rod, RodParameters, TimeGrid, TimeScheme, Wrench};
+use softarm::mechanics::{ControlSignal, Rod, RodParameters, TimeGrid, TimeScheme};
 use softarm::scene::Scene;
 use softarm::sqp::{
     HessianChoice, LiftedProgram as _, LinearizationRequest, SqpOutcome, SqpSettings, SqpStatus,
@@ -33,7 +33,7 @@ struct Solved {
     problem: OptimalControlProblem,
     outcome: SqpOutcome<LiftedPoint>,
     path: Vec<PathMultiplier>,
-    rates: Vec<[f64; 6]>,
+    rates: Vec<f64>,
 }
 
 impl Solved {
@@ -81,14 +81,14 @@ impl Solved {
         }
     }
 
-    fn wrenches(&self) -> Vec<Wrench> {
-        self.problem.wrenches(&self.outcome.point.variables)
+    fn controls(&self) -> Vec<f64> {
+        self.problem.coefficients(&self.outcome.point.variables)
     }
 
     fn deep_check(&self) -> ForwardCheck {
         let solution = Solution {
             trajectory: &self.outcome.point.trajectory,
-            coefficients: &self.wrenches(),
+            coefficients: &self.controls(),
             multipliers: self.multipliers(),
         };
         let mut check = forward_check(
@@ -106,7 +106,7 @@ impl Solved {
     fn worst(
         &self,
         part: &str,
-        wrenches: &[Wrench],
+        wrenches: &[f64],
         multipliers: &SolutionMultipliers,
     ) -> (f64, Option<NamedRow>) {
         let found = kkt::recompute(
@@ -177,11 +177,7 @@ fn curvature_is_that_of_the_values() {
         let (parameters, mut problem) = reach(Hold::Constant);
         if let Some(limits) = limits {
             problem.goals[0].at_rest = false;
-            let actuator = &mut problem.actuators[0];
-            for (channel, limit) in [&mut actuator.force, &mut actuator.moment]
-                .into_iter()
-                .zip(limits)
-            {
+            for (PlacedChannel { channel, .. }, limit) in problem.channels.iter_mut().zip(limits) {
                 channel.bound = Some(Bound::Norm(limit * channel.scale));
             }
         }
@@ -296,7 +292,7 @@ fn rest_within_a_tolerance() {
     assert!(errors[0] < 0.5 && errors[1] < 0.2 * errors[0], "{errors:?}");
 
     let (_, solved) = gain(coarse * scales[0], coarse * scales[1]);
-    let wrenches = solved.wrenches();
+    let wrenches = solved.controls();
     let (scaled, _) = solved.worst("stationarity", &wrenches, &solved.multipliers());
     assert!(scaled < 1e-6);
     for at in [3, 6] {
@@ -334,16 +330,16 @@ fn saddles_are_not_certified() {
     let (parameters, problem) = past_a_ball(0.0);
     let mut in_plane = problem.clone();
     let free = 1e6;
-    in_plane.actuators[0].force.bound = Some(Bound::PerAxis(Vector3::new(free, 0.0, free)));
-    in_plane.actuators[0].moment.bound = Some(Bound::PerAxis(Vector3::new(0.0, free, 0.0)));
-    let best = Solved::of(parameters.clone(), in_plane).wrenches();
+    in_plane.channels[0].channel.bound = Some(Bound::PerAxis(Vector3::new(free, 0.0, free)));
+    in_plane.channels[1].channel.bound = Some(Bound::PerAxis(Vector3::new(0.0, free, 0.0)));
+    let best = Solved::of(parameters.clone(), in_plane).controls();
     let start = simulated(&problem, &best).unwrap();
     let staying = SqpSettings {
         hessian: HessianChoice::GaussNewton,
         ..SqpSettings::default()
     };
     let solved = Solved::from(start, parameters, problem, &staying);
-    for wrench in solved.wrenches() {
+    for wrench in solved.problem.wrenches(&solved.controls()) {
         assert!(wrench.force.y.abs() < 1e-9);
     }
     let check = solved.deep_check();
@@ -398,7 +394,7 @@ fn past_a_ball(aside: f64) -> (RodParameters, OptimalControlProblem) {
 #[test]
 fn worst_rows_are_named() {
     let (parameters, mut problem) = reach(Hold::Constant);
-    problem.actuators[0].force.bound = Some(Bound::Norm(1e3));
+    problem.channels[0].channel.bound = Some(Bound::Norm(1e3));
     problem.path.push(PathConstraint {
         name: "wall".into(),
         limit: PathLimit::Clearance {
@@ -414,7 +410,8 @@ fn worst_rows_are_named() {
         enforcement: PathEnforcement::Hard,
     });
     let mut solved = Solved::of(parameters, problem);
-    let wrenches = solved.wrenches();
+    let controls = solved.controls();
+    let wrenches = solved.problem.wrenches(&controls);
     let parts = [
         "stationarity",
         "equalities",
@@ -423,12 +420,14 @@ fn worst_rows_are_named() {
         "complementarity",
     ];
     for part in parts {
-        let (scaled, _) = solved.worst(part, &wrenches, &solved.multipliers());
+        let (scaled, _) = solved.worst(part, &controls, &solved.multipliers());
         assert!(scaled < 1e-7, "{part}: {scaled}");
     }
 
-    let mut other = wrenches.clone();
-    other[2].moment *= 1.001;
+    let mut other = controls.clone();
+    for number in &mut other[6 * 2 + 3..6 * 3] {
+        *number *= 1.001;
+    }
     let (scaled, row) = solved.worst("stationarity", &other, &solved.multipliers());
     let row = row.unwrap();
     let scale = solved.problem.rod.scales.moment;
@@ -445,8 +444,8 @@ fn worst_rows_are_named() {
     assert!((row.time_s - 0.15).abs() < 1e-12);
     assert!((row.value / change - 1.0).abs() < 1e-3);
 
-    other.clone_from(&wrenches);
-    other[3].force = Vector3::new(0.0, 1005.0, 0.0);
+    other.clone_from(&controls);
+    other[6 * 3..6 * 3 + 3].copy_from_slice(&[0.0, 1005.0, 0.0]);
     let (_, row) = solved.worst("inequalities", &other, &solved.multipliers());
     let row = row.unwrap();
     assert_eq!(
@@ -461,13 +460,13 @@ fn worst_rows_are_named() {
         item: 2,
         multiplier: -0.5,
     });
-    let (_, row) = solved.worst("signs", &wrenches, &solved.multipliers());
+    let (_, row) = solved.worst("signs", &controls, &solved.multipliers());
     let row = row.unwrap();
     assert_eq!((row.name.as_str(), row.node), ("wall", Some(2)));
     assert!((row.time_s - 0.06).abs() < 1e-12 && (row.value + 0.5).abs() < 1e-12);
 
     solved.path[0].multiplier = 0.5;
-    let (_, row) = solved.worst("complementarity", &wrenches, &solved.multipliers());
+    let (_, row) = solved.worst("complementarity", &controls, &solved.multipliers());
     let row = row.unwrap();
     // Node 2 stands 1.5 m above the wall or a little less.
     println!("{row:?}");
@@ -477,7 +476,7 @@ fn worst_rows_are_named() {
     if let Some(position) = &mut solved.problem.goals[0].position {
         position.y += 1e-3;
     }
-    let (_, row) = solved.worst("equalities", &wrenches, &solved.multipliers());
+    let (_, row) = solved.worst("equalities", &controls, &solved.multipliers());
     let row = row.unwrap();
     assert_eq!((row.name.as_str(), row.component), ("task.position_m", "y"));
     assert!((row.value + 1e-3).abs() < 1e-9 && (row.time_s - 0.3).abs() < 1e-12);
@@ -511,11 +510,9 @@ fn momentum_balances_to_rounding() {
             let goal = Goal::reach(&rod, grid, Vector3::zeros());
             let mut problem =
                 OptimalControlProblem::least_effort(rod, grid, initial, control, channels, goal);
-            let wrenches: Vec<Wrench> = (0..5)
-                .map(|_| Wrench {
-                    force: dice.vector(0.3),
-                    moment: dice.vector(0.03),
-                })
+            let wrenches: Vec<f64> = (0..5)
+                .flat_map(|_| [dice.vector(0.3), dice.vector(0.03)])
+                .flat_map(|vector| [vector.x, vector.y, vector.z])
                 .collect();
             let signal: ControlSignal = problem.signal(&problem.control, &wrenches);
             let mut motion = replay(&problem.rod, grid, &problem.initial, &signal)
@@ -580,8 +577,8 @@ fn disturbances_of_a_resting_arm_do_not_grow() {
 fn errors_of_the_control_are_those_of_what_is_used() {
     let moved = [1.0, 10.0].map(|factor| {
         let (parameters, mut problem) = reach(Hold::Constant);
-        problem.actuators[0].force.scale *= factor;
-        problem.actuators[0].moment.scale *= factor;
+        problem.channels[0].channel.scale *= factor;
+        problem.channels[1].channel.scale *= factor;
         problem.objective.effort *= factor * factor;
         let solved = Solved::of(parameters, problem);
         let found = solved.deep_check().growth.unwrap().tip_from_control;

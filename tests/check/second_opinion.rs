@@ -263,7 +263,7 @@ fn reduced(program: &Transcription, v: &[f64], pull: &dyn Fn(&[f64]) -> Vec<f64>
 /// The short reach, its force within `bound`.
 fn bounded(hold: Hold, bound: Option<Bound>) -> OptimalControlProblem {
     let (_, mut problem) = reach(hold);
-    problem.actuators[0].force.bound = bound;
+    problem.channels[0].channel.bound = bound;
     problem
 }
 

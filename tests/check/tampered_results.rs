@@ -16,7 +16,6 @@ use npyz::{NpyFile, WriteOptions, WriterBuilder as _};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use softarm::control::{PathMultiplier, simulated};
-use softarm::mechanics::Wrench;
 use softarm::output::{ControlRow, MotionRecord, read_controls, write_controls};
 use softarm::scene::Scene;
 use softarm::verify::{SolutionMultipliers, kkt};
@@ -714,11 +713,11 @@ proptest! {
     fn any_multipliers_are_judged(
         goals in prop::collection::vec(any::<f64>(), 0..6),
         path in prop::collection::vec((0..4usize, 0..200usize, 0..60usize, any::<f64>()), 0..6),
-        rates in prop::collection::vec(prop::array::uniform6(-1.0..1.0f64), 0..8),
+        rates in prop::collection::vec(-1.0..1.0f64, 0..48),
     ) {
         let (scene, source) = Scene::from_toml("scene.toml", &scene(), &[]).unwrap();
         let problem = scene.optimal_control(&source).unwrap().problem;
-        let coefficients = vec![Wrench::default(); 6];
+        let coefficients = vec![0.0; 6 * problem.n_numbers()];
         let point = simulated(&problem, &coefficients).unwrap();
         let path: Vec<PathMultiplier> = (path.into_iter())
             .map(|(constraint, time_node, item, multiplier)| PathMultiplier {

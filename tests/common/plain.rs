@@ -289,7 +289,7 @@ pub fn force_slope(motion: &Motion, trajectory: &Trajectory, k: usize) -> DMatri
         let at = StateView::of(rod, &motion.grid, trajectory, k);
         for acting in &control.acting {
             let nodes = acting.actuator.nodes(rod);
-            let u = acting.controls(control.at(k).wrenches);
+            let u = acting.controls(control.at(k).inputs);
             let matrix = acting.actuator.configuration_jacobian(&at, &u);
             for i in 0..6 * nodes.len() {
                 for j in 0..6 * nodes.len() {

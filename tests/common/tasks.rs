@@ -151,7 +151,9 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
         control: ControlGrid::new(Hold::Cubic, 4, BUSY_STEPS, grid.step).unwrap(),
         acting: Vec::new(),
         efforts: None,
-        actuators: vec![actuator(rod.tip()), actuator(2)],
+        channels: [rod.tip(), 2]
+            .map(|node| actuator(node).channels())
+            .concat(),
         goals: vec![via, near],
         path: limits(),
         objective: Objective {

@@ -8,7 +8,7 @@ use common::tasks::reach;
 use nalgebra::{Matrix3, Vector3};
 use softarm::control::{Bound, Hold, Observation, OptimalControlProblem, observe};
 use softarm::mechanics::rotation::exp;
-use softarm::mechanics::{Configuration, Trajectory, Wrench};
+use softarm::mechanics::{Configuration, Trajectory};
 
 /// The reach of a meter of silicone with a radius of 5 cm and four elements, and its arm as an arc of the given curvature at the last time.
 fn bent(curvature: f64) -> (OptimalControlProblem, Trajectory) {
@@ -34,8 +34,8 @@ fn bent(curvature: f64) -> (OptimalControlProblem, Trajectory) {
     (problem, trajectory)
 }
 
-fn quiet(problem: &OptimalControlProblem) -> Vec<Wrench> {
-    vec![Wrench::default(); problem.control.n_coefficients()]
+fn quiet(problem: &OptimalControlProblem) -> Vec<f64> {
+    vec![0.0; problem.control.n_coefficients() * problem.n_numbers()]
 }
 
 /// An arc of curvature κ: its elements bend by κ/4, which is too much beyond half a radian, and its surface is strained by 5 cm times κ
@@ -83,11 +83,11 @@ fn static_need_is_that_of_a_cantilever() {
     let delta = 0.01;
     // At the height of a cantilever that a force at its tip bends: 3 δ²/(5 L) lower.
     problem.goals[0].position = Some(Vector3::new(delta, 0.0, 1.0 - 0.6 * delta * delta));
-    problem.actuators[0].moment.bound = Some(Bound::Norm(0.0));
+    problem.channels[1].channel.bound = Some(Bound::Norm(0.0));
     let needed = 3.0 * problem.rod.scales.force * delta;
-    problem.actuators[0].force.bound = Some(Bound::Norm(2.0 * needed));
+    problem.channels[0].channel.bound = Some(Bound::Norm(2.0 * needed));
     assert_eq!(observe(&problem, &trajectory, &quiet(&problem)), []);
-    problem.actuators[0].force.bound = Some(Bound::Norm(0.5 * needed));
+    problem.channels[0].channel.bound = Some(Bound::Norm(0.5 * needed));
     match &observe(&problem, &trajectory, &quiet(&problem))[..] {
         // Shear adds `3 EI/(GA L²)` = 0.6 % to the deflection, four elements and the spring that holds the tip a little more.
         [Observation::StaticNeed { force, bound }] => {
@@ -96,7 +96,7 @@ fn static_need_is_that_of_a_cantilever() {
         }
         other => panic!("{other:?}"),
     }
-    problem.actuators[0].moment.bound = None;
+    problem.channels[1].channel.bound = None;
     assert_eq!(observe(&problem, &trajectory, &quiet(&problem)), []);
 }
 
@@ -124,10 +124,11 @@ fn cheap_moments_are_named() {
     let mut shape = trajectory.configuration(last);
     shape.rotations[4] = exp(&Vector3::new(0.0, 0.4, 0.0));
     trajectory.push(&shape);
-    let mut wrenches = quiet(&problem);
-    wrenches[0].force = Vector3::new(problem.actuators[0].force.scale, 0.0, 0.0);
-    wrenches[1].moment = Vector3::new(0.0, 0.1 * problem.actuators[0].moment.scale, 0.0);
-    let observed = observe(&problem, &trajectory, &wrenches);
+    let mut controls = quiet(&problem);
+    // A force along x in the first coefficient, a moment about y in the second one.
+    controls[0] = problem.channels[0].channel.scale;
+    controls[6 + 4] = 0.1 * problem.channels[1].channel.scale;
+    let observed = observe(&problem, &trajectory, &controls);
     match &observed[..] {
         [
             Observation::CheapMoment {
@@ -136,11 +137,11 @@ fn cheap_moments_are_named() {
         ] => {
             assert_eq!(*node, 4);
             assert!((price - 0.01).abs() < 1e-12);
-            problem.actuators[0].moment.scale = *scale;
+            problem.channels[1].channel.scale = *scale;
         }
         other => panic!("{other:?}"),
     }
-    assert_eq!(observe(&problem, &trajectory, &wrenches), []);
+    assert_eq!(observe(&problem, &trajectory, &controls), []);
     for sentence in &observed {
         assert!(sentence.to_string().contains("objective.moment_scale_n_m"));
     }

@@ -55,12 +55,13 @@ fn free_rod(
         control,
         acting: Vec::new(),
         efforts: None,
-        actuators: (0..2)
+        channels: (0..2)
             .map(|node| ActuatedNode {
                 node,
                 force: Channel::new(1.0, None),
                 moment: Channel::new(1.0, None),
             })
+            .flat_map(|own| own.channels())
             .collect(),
         goals: (0..2).map(|node| goal(node, &rod)).collect(),
         path: Vec::new(),
@@ -211,7 +212,7 @@ fn free_rod_is_carried_by_a_double_integrator() {
         let h = problem.grid.step;
         let mass = 0.5;
         let expected = rest_to_rest(&problem, d.norm(), |p| [h * p / mass, h / mass]);
-        let u = problem.wrenches(&outcome.point.variables);
+        let u = problem.wrenches(&problem.coefficients(&outcome.point.variables));
         let worst = differs(&u, &expected, |w| [w.force, w.moment], &d.normalize());
         let cost = expected.dot(&(effort(&problem.control) * &expected));
         println!(
@@ -262,7 +263,7 @@ fn free_rod_is_turned_by_a_double_integrator() {
         let sine = h * p / inertia;
         [sine.asin(), h / (inertia * (1.0 - sine * sine).sqrt())]
     });
-    let u = problem.wrenches(&outcome.point.variables);
+    let u = problem.wrenches(&problem.coefficients(&outcome.point.variables));
     let worst = differs(&u, &expected, |w| [w.moment, w.force], &Vector3::z());
     let cost = expected.dot(&(effort(&problem.control) * &expected));
     println!(
@@ -291,7 +292,8 @@ fn obeys_the_impulse_law(
     u: &[Wrench],
 ) {
     let trajectory = &outcome.point.trajectory;
-    let control = problem.signal(&problem.control, u);
+    let numbers: Vec<f64> = u.iter().flat_map(|own| own.to_array()).collect();
+    let control = problem.signal(&problem.control, &numbers);
     let h = problem.grid.step;
     let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
     let mut largest = 0.0f64;
@@ -437,7 +439,7 @@ fn small_deflections_are_linear_quadratic() {
         problem.goals[0].position = Some(Vector3::new(deflection, 0.0, 1.0 - drop));
 
         let outcome = solved(&problem);
-        let u = problem.wrenches(&outcome.point.variables);
+        let u = problem.wrenches(&problem.coefficients(&outcome.point.variables));
         let scaled = |force: f64, moment: f64| (force / scales.force).hypot(moment / scales.moment);
         let largest = (0..count)
             .map(|j| scaled(expected[j], expected[count + j]))
@@ -518,9 +520,9 @@ fn minimum_time_is_bang_bang() {
     const FORCE: f64 = 0.8;
     let mut problem = timed_push(Hold::Constant, 8, DISTANCE, 1.0);
     problem.objective.effort = 1e-6;
-    for actuator in &mut problem.actuators {
+    for own in problem.channels.iter_mut().step_by(2) {
         let limits = Vector3::repeat(0.5 * FORCE);
-        actuator.force.bound = Some(Bound::PerAxis(limits));
+        own.channel.bound = Some(Bound::PerAxis(limits));
     }
     let (duration, outcome) = timed(&problem);
     let best = 2.0 * (MASS * DISTANCE / FORCE).sqrt();
@@ -528,7 +530,7 @@ fn minimum_time_is_bang_bang() {
         (duration / best - 1.0).abs() < 1e-4,
         "{duration} and {best}"
     );
-    let coefficients = problem.wrenches(&outcome.point.variables);
+    let coefficients = problem.wrenches(&problem.coefficients(&outcome.point.variables));
     for (i, wrench) in coefficients.iter().enumerate() {
         let sign = if i / 2 < 4 { 1.0 } else { -1.0 };
         assert!(

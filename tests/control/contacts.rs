@@ -83,11 +83,12 @@ fn problem(
         [channel(0.01), channel(1e-3)],
         goal,
     );
-    problem.actuators.push(ActuatedNode {
+    let beside = ActuatedNode {
         node: 3,
         force: channel(0.05),
         moment: channel(0.01),
-    });
+    };
+    problem.channels.extend(beside.channels());
     problem
 }
 

@@ -95,7 +95,7 @@ fn assert_same(one: &OptimalControlProblem, other: &OptimalControlProblem) {
     assert_eq!(one.duration, other.duration);
     assert_eq!(one.initial, other.initial);
     assert_eq!(one.control, other.control);
-    assert_eq!(one.actuators, other.actuators);
+    assert_eq!(one.channels, other.channels);
     assert_eq!(one.goals, other.goals);
     assert_eq!(one.path, other.path);
     assert_eq!(one.objective, other.objective);
@@ -156,8 +156,8 @@ fn places_stay_where_they_are() {
         ),
         (coarse.discrete.goals[0].node, fine.discrete.goals[0].node),
         (
-            coarse.discrete.actuators[1].node,
-            fine.discrete.actuators[1].node,
+            coarse.discrete.actuated_nodes()[1],
+            fine.discrete.actuated_nodes()[1],
         ),
         (coarse.discrete.rod.tip(), fine.discrete.rod.tip()),
     ] {
@@ -378,7 +378,7 @@ fn problems_can_be_described_as_scenes() {
         assert_eq!(one.grid, other.grid, "{name}");
         assert_eq!(one.control, other.control, "{name}");
         assert_eq!(one.duration, other.duration, "{name}");
-        assert_eq!(one.actuators, other.actuators, "{name}");
+        assert_eq!(one.channels, other.channels, "{name}");
         assert_eq!(one.objective, other.objective, "{name}");
         assert_eq!(one.radii, other.radii, "{name}");
         assert_eq!(one.rod.nodes, other.rod.nodes, "{name}");

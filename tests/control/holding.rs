@@ -56,7 +56,7 @@ fn tensions(problem: &OptimalControlProblem) -> Option<Vec<f64>> {
         return None;
     };
     let own = problem.efforts.as_ref().expect("efforts");
-    let of = |place: usize| held.wrenches[own.first + place / 6].to_array()[place % 6];
+    let of = |place: usize| problem.inputs(&held.controls)[place];
     Some(own.places.iter().map(|place| of(*place)).collect())
 }
 
@@ -223,7 +223,7 @@ fn efforts_with_a_lag_are_held_inside_their_bounds() {
         let discrete = &problem.discrete;
         let own = discrete.efforts.as_ref().expect("efforts");
         let stay = discrete.stay.as_ref().expect("the arm stays");
-        let of = |place: usize| stay.wrenches[own.first + place / 6].to_array()[place % 6];
+        let of = |place: usize| discrete.inputs(&stay.controls)[place];
         let held: Vec<f64> = own.places.iter().map(|place| 0.3 + of(*place)).collect();
         let least = held.iter().copied().fold(f64::INFINITY, f64::min);
         assert!(
@@ -238,14 +238,12 @@ fn efforts_with_a_lag_are_held_inside_their_bounds() {
             solution.status()
         );
         // Commands within a block, from the values of a polynomial of third degree.
-        let (control, n) = (&discrete.control, discrete.actuators.len());
+        let (control, n) = (&discrete.control, discrete.n_numbers());
         let fine = control.refined(8);
         for k in 0..=fine.n_steps() {
             for place in &own.places {
-                let effort = |j: usize| {
-                    let all = solution.coefficients[j * n + own.first + place / 6].to_array();
-                    all[place % 6]
-                };
+                let effort =
+                    |j: usize| discrete.inputs(&solution.coefficients[j * n..][..n])[*place];
                 let weights = fine.command_weights(k, lag);
                 let command = 0.3 + weights.iter().map(|&(j, w)| w * effort(j)).sum::<f64>();
                 assert!(
@@ -349,8 +347,8 @@ fn wrenches_that_feed_fast_motions_are_not_held() {
         ..discrete.grid
     };
     let mut stepper = Stepper::new(rod, grid, state);
-    let nodes: Vec<usize> = discrete.actuators.iter().map(|own| own.node).collect();
-    let held = NodeWrenches::on(&nodes, &stay.wrenches);
+    let (nodes, wrenches) = (discrete.actuated_nodes(), discrete.wrenches(&stay.controls));
+    let held = NodeWrenches::on(&nodes, &wrenches);
     let mut farthest = [0.0_f64; 2];
     for k in 0..grid.n_steps {
         stepper.advance([held; 2]).unwrap();

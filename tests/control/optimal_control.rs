@@ -63,11 +63,13 @@ impl Case {
             control: ControlGrid::new(Hold::Constant, 5, n_steps, step).unwrap(),
             acting: Vec::new(),
             efforts: None,
-            actuators: vec![ActuatedNode {
+            channels: (ActuatedNode {
                 node: rod.tip(),
                 force: Channel::new(scales.force, None),
                 moment: Channel::new(scales.moment, None),
-            }],
+            })
+            .channels()
+            .to_vec(),
             goals: vec![Goal::reach(
                 &rod,
                 TimeGrid {
@@ -117,8 +119,8 @@ impl Case {
     fn rebuilt(mut self) -> Self {
         let rod = Rod::new(&self.parameters).unwrap();
         self.problem.initial = State::at_rest(rod.rest.clone());
-        self.problem.actuators[0].force.scale = rod.scales.force;
-        self.problem.actuators[0].moment.scale = rod.scales.moment;
+        self.problem.channels[0].channel.scale = rod.scales.force;
+        self.problem.channels[1].channel.scale = rod.scales.moment;
         self.problem.rod = rod.into();
         self
     }
@@ -178,7 +180,7 @@ impl Case {
             &|own| finer_at_rest(&self.parameters, own.elements),
             &Solution {
                 trajectory: &point.trajectory,
-                coefficients: &self.problem.wrenches(&point.variables),
+                coefficients: &self.problem.coefficients(&point.variables),
                 multipliers: SolutionMultipliers::of_goals(multipliers),
             },
             &common::on_its_own_grid(),
@@ -220,11 +222,13 @@ fn pushed_rod(n_blocks: usize, distance: f64) -> Case {
         control: ControlGrid::new(Hold::Constant, n_blocks, n_steps, step).unwrap(),
         acting: Vec::new(),
         efforts: None,
-        actuators: vec![ActuatedNode {
+        channels: (ActuatedNode {
             node: rod.tip(),
             force: Channel::new(2.0, Some(Bound::PerAxis(Vector3::new(0.0, 0.0, 1e3)))),
             moment: Channel::new(1.0, Some(Bound::Norm(0.0))),
-        }],
+        })
+        .channels()
+        .to_vec(),
         goals: vec![Goal {
             enforcement: Enforcement::Soft { weight: 1e6 },
             ..Goal::reach(
@@ -302,7 +306,7 @@ fn pushed_rod_is_a_double_integrator() {
         &mut |_| ControlFlow::Continue(()),
     );
     assert_eq!(outcome.status, SqpStatus::Converged);
-    let u = problem.wrenches(&outcome.point.variables);
+    let u = problem.wrenches(&problem.coefficients(&outcome.point.variables));
     for wrench in &u {
         assert_eq!(wrench.moment, Vector3::zeros());
         assert_eq!((wrench.force.x, wrench.force.y), (0.0, 0.0));
@@ -429,7 +433,9 @@ const SURE: f64 = 1e-2;
 #[test]
 fn bounds_hold() {
     let free = Case::pass().solved();
-    let wrenches = Case::pass().problem.wrenches(&free.point.variables);
+    let wrenches = Case::pass()
+        .problem
+        .wrenches(&Case::pass().problem.coefficients(&free.point.variables));
     let norm = wrenches.iter().fold(0.0f64, |m, w| m.max(w.force.norm()));
     let axis = wrenches.iter().fold(0.0f64, |m, w| m.max(w.force.x.abs()));
     for bound in [
@@ -440,9 +446,11 @@ fn bounds_hold() {
             upper: Vector3::repeat(0.9 * axis),
         },
     ] {
-        let case = Case::pass().with(|p| p.actuators[0].force.bound = Some(bound));
+        let case = Case::pass().with(|p| p.channels[0].channel.bound = Some(bound));
         let outcome = case.solved();
-        let u = case.problem.wrenches(&outcome.point.variables);
+        let u = case
+            .problem
+            .wrenches(&case.problem.coefficients(&outcome.point.variables));
         let limit = match bound {
             Bound::Norm(limit) => limit,
             Bound::PerAxis(limits) => limits.x,
@@ -452,7 +460,7 @@ fn bounds_hold() {
             assert!(bound.violation(&wrench.force) < 1e-9 * limit);
         }
         let normals = &outcome.multipliers.normals;
-        let scale = case.problem.actuators[0].force.scale;
+        let scale = case.problem.channels[0].channel.scale;
         let largest = normals.iter().flatten().fold(0.0f64, |m, z| m.max(z.abs()));
         let mut n_active = 0;
         match bound {
@@ -489,19 +497,30 @@ fn bounds_hold() {
     }
 }
 
-/// A moment that is bounded by 0 is no variable, and exactly zero; the force alone finds its way.
+/// A moment that is bounded by 0 is no variable, and exactly zero; the force alone finds its way, as if there were no such channel.
 #[test]
 fn unactuated_moment_is_zero() {
     let case = Case::reach().with(|p| {
-        p.actuators[0].moment.bound = Some(Bound::Norm(0.0));
+        p.channels[1].channel.bound = Some(Bound::Norm(0.0));
         p.goals[0].at_rest = false;
     });
     let outcome = case.solved();
     assert_eq!(outcome.point.variables.len(), 3 * 5);
-    for wrench in case.problem.wrenches(&outcome.point.variables) {
+    for wrench in case
+        .problem
+        .wrenches(&case.problem.coefficients(&outcome.point.variables))
+    {
         assert_eq!(wrench.moment, Vector3::zeros());
     }
     let check = case.check(&outcome.point, &outcome.multipliers.constraints);
+    assert!(check.is_certified(), "{:?}", failed(&check));
+    let alone = Case::reach().with(|p| {
+        p.channels.truncate(1);
+        p.goals[0].at_rest = false;
+    });
+    let found = alone.solved();
+    assert_eq!(found.point.variables, outcome.point.variables);
+    let check = alone.check(&found.point, &found.multipliers.constraints);
     assert!(check.is_certified(), "{:?}", failed(&check));
 }
 
@@ -527,7 +546,7 @@ fn both_guesses_are_certified() {
 #[test]
 fn earlier_controls_come_first() {
     let case = Case::reach();
-    let tried = |previous: Vec<Wrench>| {
+    let tried = |previous: Vec<f64>| {
         let how = Search {
             previous: Some(previous),
             ..Search::default()
@@ -538,15 +557,12 @@ fn earlier_controls_come_first() {
         assert_eq!(best.outcome.status, SqpStatus::Converged);
         (best.from, best.outcome.history.len() - 1)
     };
-    let solution = case.problem.wrenches(&case.solved().point.variables);
+    let solution = case.problem.coefficients(&case.solved().point.variables);
     let (from, iterations) = tried(solution);
     assert_eq!(from, "previous");
     assert!(iterations <= 2, "{iterations}");
-    let violent = Wrench {
-        force: Vector3::new(1e9, 0.0, 0.0),
-        ..Wrench::default()
-    };
-    let broken = vec![violent; case.problem.control.n_coefficients()];
+    let violent = [1e9, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let broken = violent.repeat(case.problem.control.n_coefficients());
     assert_eq!(tried(broken).0, "rest");
 }
 
@@ -660,7 +676,7 @@ fn check_recomputes_the_gradient() {
         let found = kkt::recompute(
             problem,
             &point.trajectory,
-            &problem.wrenches(&point.variables),
+            &problem.coefficients(&point.variables),
             &SolutionMultipliers::of_goals(&y),
         );
         let stationarity = found.residual.stationarity;
@@ -804,7 +820,12 @@ fn reach_while_the_base_moves(scheme: TimeScheme, internal_damping: f64) {
     let rod = Rod::new(&case.parameters).unwrap();
     case.problem.initial = rod.at_rest_on_base(rod.rest.clone());
     case.problem.goals[0].node = rod.tip();
-    case.problem.actuators[0].node = rod.tip();
+    let tip = case.problem.wrench_actuators()[0];
+    let tip = ActuatedNode {
+        node: rod.tip(),
+        ..tip
+    };
+    case.problem.channels = tip.channels().to_vec();
     case.problem.rod = rod.into();
     let base = case
         .problem
@@ -831,7 +852,7 @@ fn reach_while_the_base_moves(scheme: TimeScheme, internal_damping: f64) {
     let found = kkt::recompute(
         &case.problem,
         &outcome.point.trajectory,
-        &case.problem.wrenches(&outcome.point.variables),
+        &case.problem.coefficients(&outcome.point.variables),
         &SolutionMultipliers::of_goals(&outcome.multipliers.constraints),
     );
     assert!(found.residual.feasibility > 1.0);
@@ -846,7 +867,9 @@ fn staying_costs_nothing() {
     let outcome = case.solve_from(Guess::Rest);
     assert_eq!(outcome.status, SqpStatus::Converged);
     assert!(outcome.objective < 1e-12);
-    let wrenches = case.problem.wrenches(&outcome.point.variables);
+    let wrenches = case
+        .problem
+        .wrenches(&case.problem.coefficients(&outcome.point.variables));
     assert!(wrenches.iter().all(|w| w == &Wrench::default()));
     let check = case.check(&outcome.point, &outcome.multipliers.constraints);
     println!("{:?} {:?}", check.kkt, failed(&check));

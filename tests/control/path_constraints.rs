@@ -176,16 +176,14 @@ fn gradient_and_hessian_by_independent_routes() {
         let path = program.path_multipliers(&multipliers.inequalities);
         // Without bounds the check's stationarity is that of the gradient itself, over the same largest term.
         let mut free = problem.clone();
-        for actuator in &mut free.actuators {
-            for channel in [&mut actuator.force, &mut actuator.moment] {
-                channel.bound = None;
-                channel.rate_bound = None;
-            }
+        for own in &mut free.channels {
+            own.channel.bound = None;
+            own.channel.rate_bound = None;
         }
         let found = kkt::recompute(
             &free,
             &point.trajectory,
-            &problem.wrenches(&point.variables),
+            &problem.coefficients(&point.variables),
             &SolutionMultipliers {
                 goals: &multipliers.constraints,
                 path: &path,
@@ -253,7 +251,7 @@ fn checked(
         &|own| finer_at_rest(parameters, own.elements),
         &Solution {
             trajectory: &outcome.point.trajectory,
-            coefficients: &problem.wrenches(&outcome.point.variables),
+            coefficients: &problem.coefficients(&outcome.point.variables),
             multipliers: SolutionMultipliers {
                 goals: &outcome.multipliers.constraints,
                 path: &path,
@@ -469,7 +467,7 @@ fn rates_are_bounded() {
     let (parameters, free) = reach_past(None);
     let free_outcome = solved(&free);
     let fastest = |problem: &OptimalControlProblem, outcome: &SqpOutcome<LiftedPoint>| {
-        let u = problem.wrenches(&outcome.point.variables);
+        let u = problem.wrenches(&problem.coefficients(&outcome.point.variables));
         let gaps = problem.control.rate_gaps();
         (u.windows(2).zip(gaps))
             .map(|(u, gap)| (u[1].force - u[0].force) / gap)
@@ -483,7 +481,7 @@ fn rates_are_bounded() {
         (Bound::PerAxis(Vector3::repeat(0.6 * axis)), 1),
     ] {
         let mut problem = free.clone();
-        problem.actuators[0].force.rate_bound = Some(bound);
+        problem.channels[0].channel.rate_bound = Some(bound);
         let outcome = solved(&problem);
         assert_eq!(outcome.status, SqpStatus::Converged, "{bound:?}");
         assert!(outcome.objective > free_outcome.objective);
@@ -514,10 +512,11 @@ fn points_on_the_way_and_several_actuators() {
     assert!((passed - Vector3::new(0.1, 0.2, 0.9)).norm() < 1e-9);
     let check = checked(&parameters, &problem, &one);
     assert!(check.kkt.max() < 1e-6, "{:?}", check.kkt);
-    problem.actuators.push(ActuatedNode {
+    let middle = ActuatedNode {
         node: 4,
-        ..problem.actuators[0]
-    });
+        ..problem.wrench_actuators()[0]
+    };
+    problem.channels.extend(middle.channels());
     let two = solved_from(&problem, Guess::Rest);
     assert_eq!(two.status, SqpStatus::Converged);
     assert!(two.objective < one.objective);

@@ -74,7 +74,7 @@ fn checked(setup: &OptimalControl, outcome: &SqpOutcome<LiftedPoint>) -> Forward
     let multipliers = MultiplierRecord::of(&program, outcome);
     let solution = Solution {
         trajectory: &outcome.point.trajectory,
-        coefficients: &setup.problem.wrenches(&outcome.point.variables),
+        coefficients: &setup.problem.coefficients(&outcome.point.variables),
         multipliers: multipliers.borrowed(),
     };
     setup.certify(&solution).unwrap()
@@ -229,7 +229,7 @@ fn points_beside_the_optimum_are_not_stationary() {
         for (i, v) in outcome.point.variables.iter_mut().enumerate() {
             *v *= 1.0 + if i % 3 == 0 { size } else { -0.5 * size };
         }
-        let coefficients = setup.problem.wrenches(&outcome.point.variables);
+        let coefficients = setup.problem.coefficients(&outcome.point.variables);
         outcome.point = simulated(&setup.problem, &coefficients).unwrap();
         let own = residual(&setup, &outcome).stationarity;
         let check = checked(&setup, &outcome);
@@ -257,7 +257,7 @@ fn default_weight_misses_a_ten_thousandth() {
     for overrides in cases {
         let setup = setup(overrides);
         let problem = &setup.problem;
-        let (rod, actuator) = (&problem.rod, &problem.actuators[0]);
+        let (rod, actuator) = (&problem.rod, problem.wrench_actuators()[0]);
         // EI/L² and EI/L of a cantilever: f L³/3EI and m L²/2EI.
         let acts = |channel: &softarm::control::Channel| {
             f64::from(u8::from(
@@ -352,7 +352,7 @@ fn speeds_are_followed() {
 fn default_weight_of_an_orientation_misses_a_ten_thousandth() {
     for overrides in [&[][..], &["objective.effort=1e-3"]] {
         let problem = nodding(overrides).problem;
-        let held = problem.actuators[0].moment.scale / problem.rod.scales.moment;
+        let held = problem.channels[1].channel.scale / problem.rod.scales.moment;
         let weight = problem.objective.tracking[0].rotation_weight * held * held;
         let missed = problem.objective.effort / (problem.objective.effort + weight);
         assert!((missed / 1e-4 - 1.0).abs() < 1e-3, "{missed}");

@@ -3,8 +3,8 @@
 use faer::Mat;
 use nalgebra::{Matrix3, Matrix6, Vector3};
 use softarm::control::{
-    ActuatedNode, Bound, Channel, ControlGrid, Goal, Hold, LiftedPoint, OptimalControlProblem,
-    Transcription,
+    ActsOn, Bound, Channel, ControlGrid, Goal, Hold, LiftedPoint, OptimalControlProblem,
+    PlacedChannel, Transcription,
 };
 use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::rotation::hat;
@@ -175,20 +175,18 @@ fn problem(
     let goal = Goal::reach(&rod, grid, Vector3::new(0.05, 0.02, 0.28));
     let mut problem =
         OptimalControlProblem::least_effort(rod, grid, initial, control, [none, none], goal);
-    problem.actuators[0].force = channel(0.01);
-    problem.actuators.push(ActuatedNode {
-        node: 0,
-        force: channel(0.05),
-        moment: channel(0.2),
-    });
+    problem.channels[0].channel = channel(0.01);
+    let effort = |scale| PlacedChannel {
+        on: ActsOn::Effort,
+        channel: channel(scale),
+    };
+    (problem.channels).extend([0.05, 0.05, 0.05, 0.2].map(effort));
     // The tendon, the field, the first cable and the own one are driven, the others given.
     problem.efforts = Some(Efforts {
         actuators: vec![0, 1, 3, 5],
-        first: 1,
         places: vec![0, 1, 2, 3],
         gains: vec![1.0; 4],
     });
-    problem.actuators[1].moment.axes = [true, false, false];
     problem
 }
 
@@ -353,19 +351,16 @@ fn a_cable_and_a_magnet_written_anew_are_the_built_in_ones() {
             OptimalControlProblem::least_effort(rod, grid, initial, control, [none, none], goal);
         problem.objective.energy = 1.0;
         problem.objective.samples = 10;
-        let one = Channel {
-            axes: [true, true, false],
-            ..Channel::new(0.05, None)
+        let on = if own {
+            ActsOn::Own { count: 1 }
+        } else {
+            ActsOn::Effort
         };
-        problem.actuators.push(ActuatedNode {
-            node: 0,
-            force: one,
-            moment: none,
-        });
+        let channel = Channel::new(0.05, None);
+        problem.channels.extend([PlacedChannel { on, channel }; 2]);
         if own {
             let acting = |actuator, place| Acting {
                 actuator,
-                first: 1,
                 places: vec![place],
             };
             problem.acting = vec![
@@ -375,7 +370,6 @@ fn a_cable_and_a_magnet_written_anew_are_the_built_in_ones() {
         } else {
             problem.efforts = Some(Efforts {
                 actuators: vec![0, 1],
-                first: 1,
                 places: vec![0, 1],
                 gains: vec![1.0; 2],
             });

@@ -3,8 +3,8 @@
 use faer::Mat;
 use nalgebra::{SVector, Vector3};
 use softarm::control::{
-    ActuatedNode, Bound, Channel, ControlGrid, Goal, Hold, LiftedPoint, OptimalControlProblem,
-    Transcription,
+    ActsOn, Bound, Channel, ControlGrid, Goal, Hold, LiftedPoint, OptimalControlProblem,
+    PlacedChannel, Transcription,
 };
 use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::rotation::exp;
@@ -90,22 +90,18 @@ fn problem(parameters: &RodParameters) -> OptimalControlProblem {
     let goal = Goal::reach(&rod, grid, Vector3::new(0.05, 0.02, 0.28));
     let mut problem =
         OptimalControlProblem::least_effort(rod, grid, initial, control, [none, none], goal);
-    let efforts = |scale: f64| channel([scale; 3]);
-    problem.actuators[0].force = channel([0.01; 3]);
-    problem.actuators.push(ActuatedNode {
-        node: 0,
-        force: efforts(0.2),
-        moment: efforts(0.5),
-    });
+    let effort = |scale: f64| PlacedChannel {
+        on: ActsOn::Effort,
+        channel: channel([scale; 3]),
+    };
+    problem.channels[0].channel = channel([0.01; 3]);
+    problem.channels.extend([0.2, 0.2, 0.5].map(effort));
     // The chamber and the braid, whose unit is another, are given; the tendon, the rod and the muscle are driven.
     problem.efforts = Some(Efforts {
         actuators: vec![0, 1, 3],
-        first: 1,
-        places: vec![0, 1, 3],
+        places: vec![0, 1, 2],
         gains: vec![1.0; 3],
     });
-    problem.actuators[1].force.axes = [true, true, false];
-    problem.actuators[1].moment.axes = [true, false, false];
     problem
 }
 
@@ -275,10 +271,7 @@ fn rates_of_tensions_are_bounded() {
         let check = solution.certify().expect("a check");
         assert!(check.is_certified(), "{rate:?}: {:?}", check.kkt);
         let step = solution.problem.discrete.grid.step;
-        let at = |k: usize| -> Vec<f64> {
-            let wrenches = solution.wrenches_at(k);
-            wrenches.iter().flat_map(|w| w.to_array()).collect()
-        };
+        let at = |k: usize| -> Vec<f64> { solution.controls_at(k) };
         let fastest = (0..solution.problem.discrete.grid.n_steps)
             .flat_map(|k| at(k + 1).into_iter().zip(at(k)))
             .map(|(next, now)| (next - now).abs() / step)
@@ -416,27 +409,26 @@ fn a_tendon_written_anew_is_the_built_in_one() {
             OptimalControlProblem::least_effort(rod, grid, initial, control, [none, none], goal);
         problem.objective.energy = 1.0;
         problem.objective.samples = 10;
-        let one = Channel {
+        let channel = Channel {
             axes: [true, false, false],
             ..Channel::new(0.2, None)
         };
-        problem.actuators.push(ActuatedNode {
-            node: 0,
-            force: one,
-            moment: none,
-        });
+        let on = if own {
+            ActsOn::Own { count: 1 }
+        } else {
+            ActsOn::Effort
+        };
+        problem.channels.push(PlacedChannel { on, channel });
         if own {
             problem.acting = vec![Acting {
                 actuator: SharedActuator::new(OwnTendon {
                     offset: Vector3::new(offset[0], offset[1], 0.0),
                 }),
-                first: 1,
                 places: vec![0],
             }];
         } else {
             problem.efforts = Some(Efforts {
                 actuators: vec![0],
-                first: 1,
                 places: vec![0],
                 gains: vec![1.0; 1],
             });

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use softarm::control::{
-    ActuatedNode, Bound, Channel, ControlGrid, Goal, Hold, OptimalControlProblem,
+    ActsOn, Bound, Channel, ControlGrid, Goal, Hold, OptimalControlProblem, PlacedChannel,
 };
 use softarm::derivatives::{Verdict, check};
 use softarm::mechanics::signal::EffortTable;
@@ -80,22 +80,16 @@ fn problem(
     let goal = Goal::reach(&rod, grid, Vector3::new(0.05, 0.02, 0.28));
     let mut problem =
         OptimalControlProblem::least_effort(rod, grid, initial, control, [none, none], goal);
-    problem.actuators[0].force = Channel::new(0.01, Some(Bound::PerAxis(Vector3::repeat(0.01))));
-    let carriers = [
-        [along_first(3e-3), along_first(2e-3)],
-        [along_first(0.1), none],
-    ];
+    problem.channels[0].channel = Channel::new(0.01, Some(Bound::PerAxis(Vector3::repeat(0.01))));
     problem
-        .actuators
-        .extend(carriers.map(|[force, moment]| ActuatedNode {
-            node: 0,
-            force,
-            moment,
+        .channels
+        .extend([3e-3, 2e-3, 0.1].map(|size| PlacedChannel {
+            on: ActsOn::Effort,
+            channel: along_first(size),
         }));
     problem.efforts = Some(Efforts {
         actuators: vec![0, 1, 3],
-        first: 1,
-        places: vec![0, 3, 6],
+        places: vec![0, 1, 2],
         gains: vec![1.0; 3],
     });
     problem
@@ -216,14 +210,15 @@ fn winches_reach_and_stay() {
         );
         let check = solution.certify().expect("a check");
         assert!(check.is_certified(), "{hold:?}");
-        // The carrier of both inputs, which are differences from the displacement at rest.
-        let first = solution.coefficients[0].to_array();
+        // Both inputs are differences from the displacement at rest.
+        let n = solution.problem.discrete.n_numbers();
+        let first = &solution.coefficients[..n];
         let largest = first.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         assert!(largest < 1e-12 * 0.03, "begins at rest: {first:?}");
         if scheme == TimeScheme::Implicit {
             assert_tensions_retrace(&arm, &solution);
             let mut changed = solution.clone();
-            changed.coefficients[4].force.x *= 1.02;
+            changed.coefficients[4 * n] *= 1.02;
             let check = changed.certify().expect("a check");
             assert!(!check.is_certified(), "{hold:?}: another displacement");
         }
@@ -389,12 +384,9 @@ fn lagging_tensions_reach_within_the_bounds_of_their_commands() {
         let [mut least, mut most] = [f64::INFINITY, f64::NEG_INFINITY];
         for k in 0..=problem.grid.n_steps {
             let weights = grid.command_weights(k, lag);
-            let n = problem.actuators.len();
-            let carrier = n - 1;
-            for axis in [0, 3] {
-                let of = |(j, w): &(usize, f64)| {
-                    w * solution.coefficients[j * n + carrier].to_array()[axis]
-                };
+            let n = problem.n_numbers();
+            for input in n - 2..n {
+                let of = |(j, w): &(usize, f64)| w * solution.coefficients[j * n + input];
                 let command = 0.05 + weights.iter().map(of).sum::<f64>();
                 (least, most) = (least.min(command), most.max(command));
             }

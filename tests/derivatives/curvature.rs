@@ -381,12 +381,7 @@ impl Blocks {
 
     /// No wrench at all.
     fn nothing(&self) -> ControlSignal {
-        ControlSignal {
-            acting: Vec::new(),
-            efforts: None,
-            nodes: vec![self.node],
-            wrenches: vec![Wrench::default(); self.n_steps + 1],
-        }
+        ControlSignal::on(vec![self.node], vec![Wrench::default(); self.n_steps + 1])
     }
 
     /// What the columns see of an adjoint.
@@ -469,12 +464,7 @@ impl Case {
                 n_steps,
             },
             initial,
-            control: ControlSignal {
-                acting: Vec::new(),
-                efforts: None,
-                nodes: vec![node],
-                wrenches,
-            },
+            control: ControlSignal::on(vec![node], wrenches),
             forms,
             own,
             blocks: Blocks {

@@ -10,8 +10,8 @@ use common::{Dice, Method, bases, busy_arm, methods, random_signal, random_state
 use faer::Mat;
 use nalgebra::{DMatrix, DVector, Vector3};
 use softarm::control::{
-    Feedback, FeedbackWeights, Guess, Hold, OptimalControlProblem, Quantity, Transcription,
-    first_point,
+    ControlKind, Feedback, FeedbackWeights, Guess, Hold, OptimalControlProblem, Quantity,
+    Transcription, first_point,
 };
 use softarm::mechanics::linearization::Motion;
 use softarm::mechanics::rotation::{exp, hat, log};
@@ -264,7 +264,7 @@ fn undamped_transitions_are_symplectic() {
     }
 }
 
-fn optimum(problem: &OptimalControlProblem) -> Vec<Wrench> {
+fn optimum(problem: &OptimalControlProblem) -> Vec<f64> {
     let (start, _) = first_point(problem, Guess::StaticPath, None).unwrap();
     let program = Transcription::new(problem, 1);
     let settings = SqpSettings::default();
@@ -272,13 +272,13 @@ fn optimum(problem: &OptimalControlProblem) -> Vec<Wrench> {
         ControlFlow::Continue(())
     });
     assert_eq!(outcome.status, SqpStatus::Converged);
-    problem.wrenches(&outcome.point.variables)
+    problem.coefficients(&outcome.point.variables)
 }
 
 /// Where the motion ends from a perturbed start, with or without feedback.
 fn end_of(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     feedback: Option<&Feedback>,
     start: &State,
 ) -> State {
@@ -345,7 +345,10 @@ fn closed_loops_end_where_the_linear_one_does() {
         let (mut open, mut closed) = (change.clone(), change.clone());
         for (j, edge) in edges.windows(2).enumerate() {
             let inputs: Vec<(usize, usize)> = (feedback.inputs.iter())
-                .map(|own| (own.node().unwrap(), own.component.axis))
+                .map(|own| match own.kind {
+                    ControlKind::Wrench { node, component } => (node, component),
+                    other => panic!("{other:?}"),
+                })
                 .collect();
             let map = transition(&motion, &trajectory, edge[0]..edge[1], &inputs, 1).unwrap();
             let input = -(dense(&feedback.gains[j]) * &closed);
@@ -456,7 +459,7 @@ fn mismatches_are_motions_of_other_arms() {
 fn growth_is_that_of_the_energy() {
     let (_, mut problem) = reach(Hold::Constant);
     Arc::make_mut(&mut problem.rod).viscous_damping = 0.0;
-    let nothing = vec![Wrench::default(); 5];
+    let nothing = vec![0.0; 5 * problem.n_numbers()];
     let weights = FeedbackWeights::default();
     let signal = problem.signal(&problem.control, &nothing);
     let (step, n_steps) = (problem.grid.step, problem.grid.n_steps);

@@ -61,12 +61,7 @@ impl Blocks {
                 }
             });
         }
-        ControlSignal {
-            nodes: self.nodes.clone(),
-            wrenches,
-            acting: Vec::new(),
-            efforts: None,
-        }
+        ControlSignal::on(self.nodes.clone(), wrenches)
     }
 }
 

@@ -281,18 +281,20 @@ fn the_force_that_holds_a_target_is_found() {
     });
     let shape = static_equilibrium(&rod, &rod.rest, 1.0, &NodeSpring::default()).expect("a shape");
     let target: [f64; 3] = shape.positions[rod.tip()].into();
-    let found = held(&scene("force_max_n = 1\nmoment_max_n_m = 0", target));
+    let alone = scene("force_max_n = 1\nmoment_max_n_m = 0", target);
+    let wrench = |held: &Held| alone.wrenches(&held.controls)[0];
+    let found = held(&alone);
     // The goal is met to 1e-6 of the length; the tip's stiffness is at most EA/L in force per length.
     let stiffness = rod.elements[0].linear_stiffness.z;
-    assert!((found.wrenches[0].force - force).norm() < 1e-6 * stiffness);
-    assert!((found.wrenches[0].force - force).norm() < 0.01 * force.norm());
+    assert!((wrench(&found).force - force).norm() < 1e-6 * stiffness);
+    assert!((wrench(&found).force - force).norm() < 0.01 * force.norm());
     match holding(&scene("force_max_n = 0.03\nmoment_max_n_m = 0", target)).expect("a verdict") {
         Holding::CannotBeHeld {
             why: CannotHold::AboveBounds(need),
             nearest: Some((nearest, distance)),
         } => {
-            assert!((need.excess[0][0] - (force.norm() - 0.03)).abs() < 1e-3 * force.norm());
-            assert!(nearest.is_stable && nearest.wrenches[0].force.norm() < 0.03 * (1.0 + 1e-5));
+            assert!((need.excess[0] - (force.norm() - 0.03)).abs() < 1e-3 * force.norm());
+            assert!(nearest.is_stable && wrench(&nearest).force.norm() < 0.03 * (1.0 + 1e-5));
             assert!(distance > 0.0);
         }
         other => panic!("{other:?}"),
@@ -300,17 +302,17 @@ fn the_force_that_holds_a_target_is_found() {
     // With a moment as well, the effort is no larger, and less force does.
     let free = scene("force_max_n = 1\nmoment_max_n_m = 1", target);
     let both = held(&free);
-    let actuator = &free.actuators[0];
+    let actuator = free.wrench_actuators()[0];
     let effort = |held: &Held| {
-        let wrench = &held.wrenches[0];
+        let wrench = wrench(held);
         (wrench.force / actuator.force.scale).norm_squared()
             + (wrench.moment / actuator.moment.scale).norm_squared()
     };
     assert!(effort(&both) < effort(&found) * (1.0 + 1e-6));
     // A force that alone is too weak holds it with a moment.
     let weak = held(&scene("force_max_n = 0.055\nmoment_max_n_m = 1", target));
-    assert!(weak.wrenches[0].moment.norm() > 0.0);
-    assert!(weak.wrenches[0].force.norm() < 0.055 * (1.0 + 1e-5));
+    assert!(wrench(&weak).moment.norm() > 0.0);
+    assert!(wrench(&weak).force.norm() < 0.055 * (1.0 + 1e-5));
 }
 
 #[track_caller]
@@ -342,7 +344,7 @@ fn the_force_that_presses_a_wire_together_is_found() {
         let goal = (problem.goals.iter().find_map(|goal| goal.position)).expect("a position");
         // It bends the wire to the side and presses it together: more than the few EI/L² of a bend, less than the 20.19 EI/L² under which a
         // straight wire between a clamp and a pin buckles.
-        let force = need.wrenches[0].force;
+        let force = problem.wrenches(&need.controls)[0].force;
         let unit = problem.rod.scales.force;
         assert!((1.0..20.19).contains(&(force.norm() / unit)), "{force:?}");
         assert!(

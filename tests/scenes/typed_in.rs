@@ -26,7 +26,7 @@ fn certified(name: &str, text: &str) -> usize {
     let check = setup
         .certify(&Solution {
             trajectory: &outcome.point.trajectory,
-            coefficients: &setup.problem.wrenches(&outcome.point.variables),
+            coefficients: &setup.problem.coefficients(&outcome.point.variables),
             multipliers: SolutionMultipliers {
                 goals: &outcome.multipliers.constraints,
                 path: &program.path_multipliers(&outcome.multipliers.inequalities),

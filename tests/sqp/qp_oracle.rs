@@ -66,11 +66,13 @@ fn problem(look: Look) -> OptimalControlProblem {
         control: ControlGrid::new(look.hold, BLOCKS, look.steps, step).unwrap(),
         acting: Vec::new(),
         efforts: None,
-        actuators: vec![ActuatedNode {
+        channels: (ActuatedNode {
             node: tip,
             force: Channel::new(scales.force, None),
             moment: Channel::new(scales.moment, None),
-        }],
+        })
+        .channels()
+        .to_vec(),
         goals: vec![Goal {
             name: "task".into(),
             node: tip,
@@ -787,16 +789,16 @@ fn confined_step_equals_the_full_one() {
                 (factor_condensed(&linearization).0, point)
             };
             let reached: Vec<f64> = at.variables.iter().zip(&free).map(|(v, d)| v + d).collect();
-            let wrenches = problem.wrenches(&reached);
+            let wrenches = problem.wrenches(&problem.coefficients(&reached));
             let largest = wrenches.iter().fold(0.0f64, |m, w| m.max(w.force.norm()));
             let mut trust_radius = f64::INFINITY;
             match confinement {
                 Confinement::Norms => {
-                    problem.actuators[0].force.bound = Some(Bound::Norm(0.95 * largest));
+                    problem.channels[0].channel.bound = Some(Bound::Norm(0.95 * largest));
                 }
                 Confinement::PerAxis => {
                     let axis = wrenches.iter().fold(0.0f64, |m, w| m.max(w.force.amax()));
-                    problem.actuators[0].force.bound =
+                    problem.channels[0].channel.bound =
                         Some(Bound::PerAxis(Vector3::repeat(0.85 * axis)));
                 }
                 Confinement::TrustRegion => {
@@ -804,9 +806,9 @@ fn confined_step_equals_the_full_one() {
                     trust_radius = 0.6 * norm;
                 }
                 Confinement::OutOfReach => {
-                    problem.actuators[0].force.bound = Some(Bound::Norm(0.1 * largest));
-                    problem.actuators[0].moment.bound =
-                        Some(Bound::Norm(2.0 * problem.actuators[0].moment.scale));
+                    problem.channels[0].channel.bound = Some(Bound::Norm(0.1 * largest));
+                    problem.channels[1].channel.bound =
+                        Some(Bound::Norm(2.0 * problem.channels[1].channel.scale));
                 }
             }
             let program = Transcription::new(&problem, 1);

@@ -10,8 +10,8 @@ use common::{Dice, RULES};
 use faer::Mat;
 use nalgebra::Vector3;
 use softarm::control::{
-    Bound, Enforcement, Guess, Hold, LiftedPoint, OptimalControlProblem, PathConstraint,
-    PathEnforcement, PathLimit, Shape, Transcription, first_point,
+    ActsOn, Bound, Enforcement, Guess, Hold, LiftedPoint, OptimalControlProblem, PathConstraint,
+    PathEnforcement, PathLimit, PlacedChannel, Shape, Transcription, first_point,
 };
 use softarm::mechanics::{BaseCondition, Place, Rod, RodModel, RodParameters, StrainRule};
 use softarm::sqp::quadratic_program::{KeptStates, QuadraticProgram};
@@ -129,9 +129,11 @@ fn bent(hessian: &Mat<f64>, change: &[f64]) -> f64 {
 fn problems() -> Vec<(&'static str, OptimalControlProblem)> {
     let (_, plain) = reach(Hold::Constant);
     let mut bounded = plain.clone();
-    for actuator in &mut bounded.actuators {
-        actuator.force.bound = Some(Bound::Norm(0.5 * actuator.force.scale));
-        actuator.moment.bound = Some(Bound::PerAxis(Vector3::repeat(0.3 * actuator.moment.scale)));
+    for PlacedChannel { on, channel } in &mut bounded.channels {
+        channel.bound = Some(match on {
+            ActsOn::Moment { .. } => Bound::PerAxis(Vector3::repeat(0.3 * channel.scale)),
+            _ => Bound::Norm(0.5 * channel.scale),
+        });
     }
     let mut soft = plain.clone();
     soft.goals[0].enforcement = Enforcement::Soft { weight: 50.0 };

@@ -232,13 +232,14 @@ fn problem(text: &str, overrides: &[&str]) -> OptimalControlProblem {
 /// The arm of a problem with a held wrench as loads.
 fn loaded(problem: &OptimalControlProblem, held: &Held) -> Rod {
     let mut rod = Rod::clone(&problem.rod);
-    for (actuator, wrench) in problem.actuators.iter().zip(&held.wrenches) {
+    let wrenches = problem.wrenches(&held.controls);
+    for (node, wrench) in (problem.actuated_nodes().into_iter()).zip(wrenches) {
         for (force, moment, frame) in [
             (wrench.force, Vector3::zeros(), LoadFrame::Spatial),
             (Vector3::zeros(), wrench.moment, LoadFrame::Body),
         ] {
             rod.loads.push(Load {
-                node: actuator.node,
+                node,
                 force,
                 moment,
                 frame,
@@ -257,7 +258,7 @@ fn assert_holds(problem: &OptimalControlProblem, held: &Held) {
     assert!(
         held.is_stable && held.is_within_bounds(),
         "{:?}",
-        held.wrenches
+        held.controls
     );
     assert!((held.shape.positions[tip] - target).norm() < 1e-6 * length);
     let rod = loaded(problem, held);
@@ -312,8 +313,9 @@ fn targets_are_held_by_all_that_acts() {
         let (scene, source) = Scene::load("reach", &overrides).expect("a scene");
         scene.optimal_control(&source).expect("a problem").problem
     };
-    let both = held(&reach(&[]));
-    assert!(both.wrenches[0].moment.norm() > 0.0);
+    let wrench = |problem: &OptimalControlProblem, held: &Held| problem.wrenches(&held.controls)[0];
+    let free = reach(&[]);
+    assert!(wrench(&free, &held(&free)).moment.norm() > 0.0);
     let force_alone = reach(&["control.moment_max_n_m=0"]);
     match holding(&force_alone).unwrap() {
         Holding::CannotBeHeld { why, .. } => assert!(
@@ -330,8 +332,8 @@ fn targets_are_held_by_all_that_acts() {
         "control.force_max_n=[20, 0, 20]",
         place,
     ]));
-    let difference = (space.wrenches[0].force - plane.wrenches[0].force).norm();
-    assert!(difference < 1e-4 * space.wrenches[0].force.norm());
+    let [space, plane] = [space, plane].map(|held| wrench(&free, &held).force);
+    assert!((space - plane).norm() < 1e-4 * space.norm());
 }
 
 /// A force of 1.6 N balances this target, and the arm leaves it: the equilibrium is unstable, as small motions about it say too. The nearest target
@@ -346,7 +348,7 @@ fn balance_is_not_hold() {
     else {
         panic!("held")
     };
-    let force = balanced.wrenches[0].force.norm();
+    let force = problem.wrenches(&balanced.controls)[0].force.norm();
     assert!((force - 1.59).abs() < 0.01, "{force}");
     let rod = loaded(&problem, &balanced);
     let motions = SmallMotions::about(&rod, &balanced.shape, 1.0);

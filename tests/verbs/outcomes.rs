@@ -14,11 +14,11 @@ use std::time::{Duration, Instant};
 use nalgebra::Vector3;
 use serde_json::Value;
 use softarm::control::{
-    Bound, Enforcement, Goal, Guess, OptimalControlProblem, PathEnforcement, PathLimit, Shape,
-    Transcription, first_point,
+    Bound, Enforcement, Goal, Guess, OptimalControlProblem, PathEnforcement, PathLimit,
+    PlacedChannel, Shape, Transcription, first_point,
 };
 use softarm::mechanics::rotation::log;
-use softarm::mechanics::{State, Stepper, Wrench};
+use softarm::mechanics::{State, Stepper};
 use softarm::scene::Scene;
 use softarm::sqp::{SqpStatus, solve};
 use tempfile::TempDir;
@@ -219,8 +219,9 @@ impl Run {
                     .contains(worst["name"].as_str().unwrap())
             );
         }
-        for (u, actuator) in coefficients.iter().zip(problem.actuators.iter().cycle()) {
-            for (u, channel) in [(u.force, actuator.force), (u.moment, actuator.moment)] {
+        for own in coefficients.chunks(problem.n_numbers()) {
+            for (at, PlacedChannel { channel, .. }) in problem.channels.iter().enumerate() {
+                let u = problem.vector(own, at);
                 let over = channel.bound.map_or(0.0, |bound| excess(&bound, &u));
                 // The accuracy of a subproblem.
                 assert!(
@@ -236,7 +237,7 @@ impl Run {
     }
 
     /// The problem and the controls that were written.
-    fn read(&self) -> (OptimalControlProblem, Vec<Wrench>) {
+    fn read(&self) -> (OptimalControlProblem, Vec<f64>) {
         let path = self.result.join("scene.toml");
         let (scene, source) = Scene::load(path.to_str().unwrap(), &[]).unwrap();
         let problem = scene.optimal_control(&source).unwrap().problem;
@@ -245,7 +246,7 @@ impl Run {
         let coefficients = (text.lines().skip(1))
             .flat_map(|line| {
                 let cells = line.split(',').skip(2);
-                let mut own = vec![Wrench::default(); problem.actuators.len()];
+                let mut own = vec![0.0; problem.n_numbers()];
                 for (control, cell) in named.iter().zip(cells) {
                     control.write(cell.parse().unwrap(), &mut own);
                 }
@@ -269,7 +270,7 @@ fn excess(bound: &Bound, u: &Vector3<f64>) -> f64 {
 struct Motion(Vec<State>);
 
 impl Motion {
-    fn replay(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Self {
+    fn replay(problem: &OptimalControlProblem, coefficients: &[f64]) -> Self {
         let control = problem.signal(&problem.control, coefficients);
         let (rod, grid) = (&problem.rod, problem.grid);
         let mut integrator = Stepper::new(rod, grid.step, problem.initial.clone());

@@ -17,23 +17,24 @@ use mechanics::{
 /// The thing that a component of the control acts on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Target {
-    /// A node, as a component of its wrench.
-    Node,
+    /// A node, and the component of its wrench.
+    Node(usize, usize),
     /// A user-defined actuator, and the index of its control.
     Own(usize, usize),
     /// Actuators of the rod, those that the component [drives](OptimalControlProblem::driven_by).
     Efforts,
 }
 
-/// Returns what every component acts on.
+/// Returns the target of every component.
 pub(super) fn targets(problem: &OptimalControlProblem, components: &[Component]) -> Vec<Target> {
     (components.iter())
-        .map(|component| {
-            let own =
-                (problem.own_control(component)).map(|(actuator, i)| Target::Own(actuator, i));
-            let effort = || problem.is_effort(component).then_some(Target::Efforts);
-            own.or_else(effort).unwrap_or(Target::Node)
-        })
+        .map(
+            |component| match (problem.of_wrench(component), problem.own_control(component)) {
+                (Some((node, component)), _) => Target::Node(node, component),
+                (None, Some((actuator, control))) => Target::Own(actuator, control),
+                (None, None) => Target::Efforts,
+            },
+        )
         .collect()
 }
 
@@ -82,7 +83,7 @@ impl<'a> ActingAlong<'a> {
                 (0..=problem.grid.n_steps)
                     .map(|k| {
                         let at = StateView::of(rod, &problem.grid, trajectory, k);
-                        let u = acting.controls(signal.at(k).wrenches);
+                        let u = acting.controls(signal.at(k).inputs);
                         acting.actuator.control_jacobian(&at, &u)
                     })
                     .collect()
@@ -161,7 +162,7 @@ impl<'a> ActingAlong<'a> {
         visit: &mut dyn FnMut(usize, usize, f64),
     ) {
         let (actuator, control) = match target {
-            Target::Node => return,
+            Target::Node(..) => return,
             Target::Own(actuator, control) => (actuator, control),
             Target::Efforts => {
                 for (index, gain) in self.problem.driven_by(control) {
@@ -255,7 +256,7 @@ impl<'a> ActingAlong<'a> {
             let here = change.at(k);
             wrenches.extend(here.iter().map(|(_, wrench)| *wrench));
             for (acting, jacobians) in self.problem.acting.iter().zip(&self.jacobians) {
-                let du = acting.controls(here.wrenches);
+                let du = acting.controls(here.inputs);
                 let row = |i: usize| -> f64 {
                     (du.iter().enumerate())
                         .map(|(j, du)| jacobians[k][(i, j)] * du)
@@ -302,7 +303,7 @@ impl<'a> ActingAlong<'a> {
         for k in 0..=problem.grid.n_steps {
             let at = StateView::of(&problem.rod, &motion.grid, trajectory, k);
             for (index, (acting, nodes)) in problem.acting.iter().zip(&self.nodes).enumerate() {
-                let u = acting.controls(self.signal.at(k).wrenches);
+                let u = acting.controls(self.signal.at(k).inputs);
                 let covector: Vec<Wrench> = (nodes.iter())
                     .map(|&node| costates.wrench(motion, k, node))
                     .collect();

@@ -1,14 +1,12 @@
 //! Advice for a motion that did not converge or is not resolved: elements that bend more than they resolve, strains beyond the elastic law,
 //! waves within a block of the controls, targets that the bounds cannot hold, and parts of a wrench that are cheap.
 
-use nalgebra::Vector3;
-
 use super::hold::Hold;
 use super::holding::{CannotHold, Holding, holding};
-use super::problem::{Bound, OptimalControlProblem};
+use super::problem::{ActsOn, Bound, OptimalControlProblem};
 use mechanics::signal::EffortTable;
 use mechanics::stability::stable_step;
-use mechanics::{MOST_ELEMENTS, Rod, Trajectory, Wrench};
+use mechanics::{MOST_ELEMENTS, Rod, Trajectory};
 
 /// A property of a motion that may explain why no solution was found or the motion is not resolved. Its text tells where, how much, and
 /// what to change.
@@ -151,7 +149,7 @@ const BRIEF: f64 = 0.05;
 pub fn observe(
     problem: &OptimalControlProblem,
     trajectory: &Trajectory,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> Vec<Observation> {
     let mut out = Vec::new();
     let peaks = Peaks::of(problem, trajectory);
@@ -236,7 +234,7 @@ impl Peaks {
 pub fn slack_of_motion(
     problem: &OptimalControlProblem,
     trajectory: &Trajectory,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> Vec<(usize, f64)> {
     let rod = &problem.rod;
     if !rod.actuators.has_winches() {
@@ -272,7 +270,7 @@ pub fn slack_of(rod: &Rod, efforts: &[f64]) -> Vec<(usize, f64)> {
 fn slack_tendon(
     problem: &OptimalControlProblem,
     trajectory: &Trajectory,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> Option<Observation> {
     let driven = |actuator| {
         let efforts = problem.efforts.as_ref();
@@ -289,10 +287,12 @@ fn slack_tendon(
 
 /// Returns the tip force that balances the arm at its last target if it exceeds its bound and the tip is to stop there.
 fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
-    let [actuator] = &problem.actuators[..] else {
+    let all = problem.wrench_actuators();
+    let [actuator] = &all[..] else {
         return None;
     };
-    let is_asked = problem.final_goals().any(|goal| goal.at_rest)
+    let is_asked = problem.controls_only_wrenches()
+        && problem.final_goals().any(|goal| goal.at_rest)
         && actuator.node == problem.rod.tip()
         && !actuator.moment.acts();
     let (true, Some(Bound::Norm(bound))) = (is_asked, actuator.force.bound) else {
@@ -303,7 +303,7 @@ fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
     };
     match why {
         CannotHold::AboveBounds(held) | CannotHold::Unstable(held) if !held.is_within_bounds() => {
-            let force = held.wrenches[0].force.norm();
+            let force = problem.wrenches(&held.controls)[0].force.norm();
             Some(Observation::StaticNeed { force, bound })
         }
         _ => None,
@@ -313,27 +313,31 @@ fn static_need(problem: &OptimalControlProblem) -> Option<Observation> {
 /// Returns a moment whose cost is small beside that of the forces, if the arm bends most at its node.
 fn cheap_moment(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     peaks: &Peaks,
 ) -> Option<Observation> {
     let most = peaks.angle.as_ref()?;
-    let n = problem.actuators.len().max(1);
-    let largest = |actuator: usize, part: fn(&Wrench) -> Vector3<f64>| {
+    let n = problem.n_numbers().max(1);
+    let largest = |channel: usize| {
         (coefficients.chunks(n))
-            .filter_map(|wrenches| wrenches.get(actuator))
-            .map(|wrench| part(wrench).norm())
+            .map(|own| problem.vector(own, channel).norm())
             .fold(0.0, f64::max)
     };
-    let force = (problem.wrench_actuators().iter().enumerate())
-        .map(|(a, actuator)| largest(a, |wrench| wrench.force) / actuator.force.scale)
+    let channels = || problem.channels.iter().enumerate();
+    let force = channels()
+        .filter(|(_, own)| matches!(own.on, ActsOn::Force { .. }))
+        .map(|(at, own)| largest(at) / own.channel.scale)
         .fold(0.0, f64::max);
-    (problem.wrench_actuators().iter().enumerate()).find_map(|(a, actuator)| {
-        let moment = largest(a, |wrench| wrench.moment);
-        let price = (moment / actuator.moment.scale / force).powi(2);
-        let is_beside = most.element + 1 == actuator.node || most.element == actuator.node;
+    channels().find_map(|(at, own)| {
+        let ActsOn::Moment { node } = own.on else {
+            return None;
+        };
+        let moment = largest(at);
+        let price = (moment / own.channel.scale / force).powi(2);
+        let is_beside = most.element + 1 == node || most.element == node;
         let is_cheap = moment > 0.0 && price < CHEAP && is_beside;
         is_cheap.then(|| Observation::CheapMoment {
-            node: actuator.node,
+            node,
             moment,
             price,
             scale: moment / force,

@@ -28,7 +28,7 @@ use faer::matrix_free::eigen::{PartialEigenParams, partial_svd, partial_svd_scra
 use faer::{Accum, Col, Mat, Par, Side};
 
 use super::acting::{ActingAlong, Target, targets};
-use super::named::NamedControl;
+use super::named::{ControlKind, NamedControl};
 use super::problem::OptimalControlProblem;
 use super::transcription::Transcription;
 use mechanics::forms::NODE_COMPONENTS;
@@ -126,7 +126,7 @@ impl Feedback {
     pub fn along(
         problem: &OptimalControlProblem,
         trajectory: &Trajectory,
-        coefficients: &[Wrench],
+        coefficients: &[f64],
         weights: &FeedbackWeights,
         n_threads: usize,
     ) -> Result<Self, FeedbackError> {
@@ -223,14 +223,12 @@ impl Feedback {
     pub fn correction(&self, j: usize, state: &State) -> Vec<(usize, Wrench)> {
         (self.inputs.iter().zip(self.input_changes(j, state)))
             .filter_map(|(input, value)| {
-                let axis = input.component.axis;
+                let ControlKind::Wrench { node, component } = input.kind else {
+                    return None;
+                };
                 let mut wrench = Wrench::default();
-                if axis < 3 {
-                    wrench.force[axis] = value;
-                } else {
-                    wrench.moment[axis - 3] = value;
-                }
-                Some((input.node()?, wrench))
+                wrench[component] = value;
+                Some((node, wrench))
             })
             .collect()
     }
@@ -245,7 +243,7 @@ impl Feedback {
 pub fn block_transitions(
     problem: &OptimalControlProblem,
     trajectory: &Trajectory,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     n_threads: usize,
 ) -> Result<Vec<Transition>, StepError> {
     let components = problem.actuated_components();
@@ -259,10 +257,8 @@ pub fn block_transitions(
     let visit: &InputVisitor = &|k, visit| {
         for (index, component) in components.iter().enumerate() {
             match (targets[index], &acting) {
-                (Target::Node, _) | (_, None) => {
-                    let node = problem.actuators[component.actuator].node;
-                    visit(index, node, component.axis, 1.0);
-                }
+                (Target::Node(node, component), _) => visit(index, node, component, 1.0),
+                (_, None) => {}
                 // The input is constant over the block.
                 (target, Some(acting)) => {
                     let mut visit_own = |node, axis, slope| visit(index, node, axis, slope);
@@ -308,7 +304,7 @@ fn check_weights(weights: &FeedbackWeights) -> Result<(), FeedbackError> {
 /// Returns the states of the motion under the controls at the edges of the blocks.
 fn states_at_edges(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> Result<Vec<State>, StepError> {
     let control = problem.signal(&problem.control, coefficients);
     let edges = problem.control.edges();

@@ -4,14 +4,14 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::holding::held_at;
-use super::problem::{ActuatedNode, Goal, OptimalControlProblem};
+use super::problem::{ActsOn, Goal, OptimalControlProblem};
 use super::tracking::Tracking;
 use super::transcription::{LiftedPoint, simulate};
 use super::turns::{long_turns, longer_ways, quarter_turns};
 use mechanics::equilibrium::{EquilibriumError, NodeSpring, nearby_equilibrium_until};
 use mechanics::rotation::{exp, log};
 use mechanics::strain_coordinates::between;
-use mechanics::{Configuration, StepError, Trajectory, Wrench};
+use mechanics::{Configuration, StepError, Trajectory};
 use stop::{Stop, StopSignal};
 
 /// Kind of an initial guess.
@@ -100,7 +100,7 @@ pub fn first_point(
         stop: StopSignal::default(),
         ..problem.clone()
     };
-    let none = vec![Wrench::default(); problem.control.n_coefficients() * problem.actuators.len()];
+    let none = vec![0.0; problem.control.n_coefficients() * problem.n_numbers()];
     Ok((simulated(problem, &none)?, Guess::Rest))
 }
 
@@ -110,7 +110,7 @@ pub fn first_point(
 /// Returns the [`StepError`] of the integrator.
 pub fn simulated(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> Result<LiftedPoint, StepError> {
     let signal = problem.signal(&problem.control, coefficients);
     Ok(LiftedPoint {
@@ -119,10 +119,10 @@ pub fn simulated(
     })
 }
 
-/// One shape of the path, and the wrenches of all actuators that hold it.
+/// One shape of the path, and the controls that hold it.
 struct Waypoint {
     shape: Configuration,
-    hold: Vec<Wrench>,
+    hold: Vec<f64>,
 }
 
 /// The path to one goal: the time of its end, as a fraction of the horizon, and the goal itself.
@@ -250,8 +250,8 @@ impl Waypoint {
         let (shape, spring) = leg.pulled(problem, before, t)?;
         // Where no wrench acts on the tip, the other actuators hold it at a goal, in another shape. A detour need not be reached.
         let pushes = problem.actuated_components().iter().any(|component| {
-            let actuator = problem.wrench_actuators().get(component.actuator);
-            actuator.is_some_and(|actuator| actuator.node == tip)
+            let place = problem.of_wrench(component);
+            place.is_some_and(|(node, _)| node == tip)
         });
         let to = (leg.position, leg.rotation);
         if !pushes
@@ -261,18 +261,12 @@ impl Waypoint {
             return Ok(Self { shape, hold });
         }
         let pull = spring.wrench(&shape.positions[tip], &shape.rotations[tip]);
-        let n_wrenches = problem.wrench_actuators().len();
-        let hold = (problem.actuators.iter().enumerate()).map(|(a, actuator)| {
-            if a < n_wrenches && actuator.node == tip {
-                pull
-            } else {
-                Wrench::default()
-            }
+        let hold = problem.of_vectors(|channel, _| match problem.channels[channel].on {
+            ActsOn::Force { node } if node == tip => pull.force,
+            ActsOn::Moment { node } if node == tip => pull.moment,
+            _ => Vector3::zeros(),
         });
-        Ok(Self {
-            hold: hold.collect(),
-            shape,
-        })
+        Ok(Self { shape, hold })
     }
 }
 
@@ -323,7 +317,7 @@ impl StaticPath {
         let mut path = Self {
             waypoints: vec![Waypoint {
                 shape: shape.clone(),
-                hold: vec![Wrench::default(); problem.actuators.len()],
+                hold: vec![0.0; problem.n_numbers()],
             }],
             ends: Vec::new(),
         };
@@ -331,7 +325,7 @@ impl StaticPath {
             let waypoint = match &problem.stay {
                 Some(stay) if leg.end == 1.0 => Waypoint {
                     shape: stay.shape.clone(),
-                    hold: stay.wrenches.clone(),
+                    hold: stay.controls.clone(),
                 },
                 _ => {
                     let waypoint = Waypoint::after(problem, &shape, &leg)?;
@@ -363,14 +357,10 @@ impl StaticPath {
 
     /// Returns the coefficients of the wrenches that hold the shapes, within their bounds; on the way to a place where the arm need not
     /// stay, those of the tip alone.
-    fn holds(&self, problem: &OptimalControlProblem) -> Vec<Wrench> {
+    fn holds(&self, problem: &OptimalControlProblem) -> Vec<f64> {
         let horizon = problem.grid.duration();
         (problem.control.coefficient_times().into_iter())
-            .flat_map(|t| {
-                let hold = self.hold(t / horizon);
-                (problem.actuators.iter().zip(hold))
-                    .map(|(actuator, hold)| within_bounds(actuator, hold))
-            })
+            .flat_map(|t| problem.within_bounds(&self.hold(t / horizon)))
             .collect()
     }
 
@@ -407,21 +397,10 @@ impl StaticPath {
         }
     }
 
-    fn hold(&self, t: f64) -> Vec<Wrench> {
+    fn hold(&self, t: f64) -> Vec<f64> {
         let (from, to, fraction) = self.segment(t);
         (from.hold.iter().zip(&to.hold))
-            .map(|(from, to)| Wrench {
-                force: from.force + (to.force - from.force) * fraction,
-                moment: from.moment + (to.moment - from.moment) * fraction,
-            })
+            .map(|(from, to)| from + (to - from) * fraction)
             .collect()
-    }
-}
-
-/// Returns the wrench scaled back into the actuator's bounds.
-fn within_bounds(actuator: &ActuatedNode, wrench: Wrench) -> Wrench {
-    Wrench {
-        force: actuator.force.within(&wrench.force),
-        moment: actuator.moment.within(&wrench.moment),
     }
 }

@@ -2,17 +2,17 @@
 
 use nalgebra::Matrix3;
 
+use mechanics::Configuration;
 use mechanics::tangent::Tangent;
-use mechanics::{Configuration, Wrench};
 
 /// An equilibrium, and the controls that hold it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Held {
-    /// The wrench of every actuator, in the order of [`OptimalControlProblem::actuators`](super::OptimalControlProblem::actuators): force in the spatial frame, N, and moment in the
-    /// node's body frame, N m; for user-defined actuators their controls.
-    pub wrenches: Vec<Wrench>,
-    /// Excess over each actuator's bounds: force in N, moment in N m; zero within the bounds.
-    pub excess: Vec<[f64; 2]>,
+    /// The controls: a coefficient of [the problem's](super::OptimalControlProblem), whose
+    /// [`wrenches`](super::OptimalControlProblem::wrenches) are those on its nodes.
+    pub controls: Vec<f64>,
+    /// By how much the vector of every channel exceeds its bound; 0 within.
+    pub excess: Vec<f64>,
     /// The shape at the equilibrium.
     pub shape: Configuration,
     /// Tells whether small deviations stay small under constant controls: no motion of the arm's elements grows.
@@ -35,7 +35,7 @@ impl Held {
     /// Tells whether all controls are within their bounds.
     #[must_use]
     pub fn is_within_bounds(&self) -> bool {
-        self.excess.iter().flatten().all(|excess| *excess == 0.0)
+        self.excess.iter().all(|excess| *excess == 0.0)
     }
 
     /// Returns the stiffness of that node along its softest direction, N/m; 0 for a free arm.

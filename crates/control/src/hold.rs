@@ -2,8 +2,6 @@
 
 use faer::Mat;
 
-use mechanics::Wrench;
-
 /// The course of the controls within a block.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -43,6 +41,17 @@ pub struct ControlGrid {
 
 /// The coefficients that act at one time, with their weights; unused entries have weight 0 and repeat an index.
 pub type Weights = [(usize, f64); 4];
+
+/// Returns the sum of coefficients by their weights.
+pub(super) fn weigh(weights: &Weights, coefficient: impl Fn(usize) -> f64) -> f64 {
+    let mut sum = 0.0;
+    for &(j, weight) in weights {
+        if weight != 0.0 {
+            sum += coefficient(j) * weight;
+        }
+    }
+    sum
+}
 
 /// Points and weights of Gauss-Legendre quadrature on [0, 1], exact for the squares of cubics.
 const QUADRATURE: [(f64, f64); 4] = [
@@ -196,16 +205,8 @@ impl ControlGrid {
 
     /// Returns the value of the function at time node `k`, from the coefficients.
     #[must_use]
-    pub fn value(&self, k: usize, coefficient: impl Fn(usize) -> Wrench) -> Wrench {
-        let mut sum = Wrench::default();
-        for (j, weight) in self.weights(k) {
-            if weight != 0.0 {
-                let u = coefficient(j);
-                sum.force += u.force * weight;
-                sum.moment += u.moment * weight;
-            }
-        }
-        sum
+    pub fn value(&self, k: usize, coefficient: impl Fn(usize) -> f64) -> f64 {
+        weigh(&self.weights(k), coefficient)
     }
 
     /// Returns the symmetric matrix `M` with `∫ |u|² dt = Σ_ij M_ij u_i u_j` per component, s.
@@ -328,18 +329,12 @@ impl ControlGrid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Vector3;
 
     const HOLDS: [Hold; 3] = [Hold::Constant, Hold::Linear, Hold::Cubic];
 
     /// Returns the force along x at time node `k`.
     fn force(grid: &ControlGrid, k: usize, coefficients: &[f64]) -> f64 {
-        grid.value(k, |j| Wrench {
-            force: Vector3::x() * coefficients[j],
-            ..Wrench::default()
-        })
-        .force
-        .x
+        grid.value(k, |j| coefficients[j])
     }
 
     fn quadratic(matrix: &Mat<f64>, u: &[f64]) -> f64 {

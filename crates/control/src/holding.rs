@@ -35,7 +35,7 @@ use self::statics::{Statics, Target};
 pub use self::verdict::{CannotHold, Holding, HoldingError, NotFound};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
-use super::problem::{GoalPart, OptimalControlProblem};
+use super::problem::{ActsOn, GoalPart, OptimalControlProblem};
 use super::tensions::Winches;
 use mechanics::equilibrium::{
     EquilibriumError, NodeSpring, ends_are_held, nearby_equilibrium_until, static_equilibrium_until,
@@ -188,8 +188,8 @@ fn floating(statics: &Statics, target: Target) -> Holding {
         return drifts;
     };
     Holding::Held(Box::new(Held {
-        wrenches: statics.wrenches(&controls),
-        excess: vec![[0.0; 2]; statics.problem.actuators.len()],
+        controls: statics.coefficient(&controls),
+        excess: vec![0.0; statics.problem.channels.len()],
         is_stable: true,
         least_squared_frequency: first.squared_frequency,
         growth_rate: None,
@@ -377,12 +377,7 @@ impl Search<'_> {
             } else {
                 &mut findings.unstable
             };
-            let excess = |held: &Held| {
-                held.excess
-                    .iter()
-                    .flatten()
-                    .fold(0.0, |a: f64, b| a.max(*b))
-            };
+            let excess = |held: &Held| held.excess.iter().fold(0.0, |a: f64, b| a.max(*b));
             if note
                 .as_ref()
                 .is_none_or(|other| excess(&held) < excess(other))
@@ -460,8 +455,10 @@ impl Search<'_> {
             let channel = problem.channel(component);
             let bounds = channel
                 .bound
-                .and_then(|bound| bound.interval(component.axis % 3));
-            let Some(ends) = bounds.filter(|_| problem.is_effort(component)) else {
+                .and_then(|bound| bound.interval(component.axis));
+            let Some(ends) =
+                bounds.filter(|_| problem.channels[component.channel].on == ActsOn::Effort)
+            else {
                 continue;
             };
             for end in ends
@@ -675,29 +672,21 @@ impl Search<'_> {
             .settled(&point.shape, &point.controls, &NodeSpring::default())
             .filter(|settled| self.is_same(settled, &point.shape))
             .unwrap_or_else(|| point.shape.clone());
-        let wrenches = statics.wrenches(&point.controls);
-        let mut excess: Vec<[f64; 2]> = (wrenches.iter().zip(&problem.actuators))
-            .map(|(wrench, actuator)| {
-                [
-                    (&actuator.force, &wrench.force),
-                    (&actuator.moment, &wrench.moment),
-                ]
-                .map(|(channel, value)| channel.violation(value))
-            })
+        let controls = statics.coefficient(&point.controls);
+        let mut excess: Vec<f64> = (problem.channels.iter().enumerate())
+            .map(|(at, own)| own.channel.violation(&problem.vector(&controls, at)))
             .collect();
         // The bounds of actuators with a lag are those of their commands.
         for (at, component) in statics.components.iter().enumerate() {
             let value = point.controls[at] * problem.channel(component).scale;
             let beyond = statics.ends[at]
                 .map_or(0.0, |[lower, upper]| f64::max(lower - value, value - upper));
-            let own = &mut excess[component.actuator][component.axis / 3];
+            let own = &mut excess[component.channel];
             *own = own.max(beyond);
         }
-        for (own, actuator) in excess.iter_mut().zip(&problem.actuators) {
-            for (own, channel) in own.iter_mut().zip([&actuator.force, &actuator.moment]) {
-                if *own <= FEASIBLE * channel.scale {
-                    *own = 0.0;
-                }
+        for (excess, own) in excess.iter_mut().zip(&problem.channels) {
+            if *excess <= FEASIBLE * own.channel.scale {
+                *excess = 0.0;
             }
         }
         let tangent = statics.tangent(&shape, &point.controls, &NodeSpring::default());
@@ -707,7 +696,7 @@ impl Search<'_> {
         let free = self.target.node.checked_sub(rod.first_free_node())?;
         let compliance = tangent.compliance(free)?;
         Some(Held {
-            wrenches,
+            controls,
             excess,
             shape,
             is_stable,

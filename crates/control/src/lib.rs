@@ -16,7 +16,7 @@
 //! let Holding::CannotBeHeld { why: CannotHold::Unstable(balanced), nearest } = holding(&problem)? else {
 //!     panic!("a force alone balances this arm there, and does not hold it")
 //! };
-//! println!("{:.2} N, growing with {:?} 1/s", balanced.wrenches[0].force.norm(), balanced.growth_rate);
+//! println!("{:.2} N, growing with {:?} 1/s", problem.wrenches(&balanced.controls)[0].force.norm(), balanced.growth_rate);
 //! println!("{:.3} m away it can be held", nearest.map_or(f64::NAN, |(_, distance)| distance));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -84,8 +84,8 @@ pub use path::{PathConstraint, PathEnforcement, PathLimit, PathMultiplier, RodVi
 #[doc(hidden)]
 pub use problem::named_axes;
 pub use problem::{
-    ActuatedNode, Bound, Channel, DurationConflict, Enforcement, FreeDuration, Goal, GoalPart,
-    Objective, OptimalControlProblem,
+    ActsOn, ActuatedNode, Bound, Channel, DurationConflict, Enforcement, FreeDuration, Goal,
+    GoalPart, Objective, OptimalControlProblem, PlacedChannel,
 };
 #[doc(hidden)]
 pub use problem::{Component, GoalRow};

@@ -1,7 +1,9 @@
 //! The controls of a problem by name and unit.
 
+use std::ops::Range;
+
 use super::problem::{Component, OptimalControlProblem};
-use mechanics::{Mesh, Wrench};
+use mechanics::Mesh;
 
 /// A control as files, certificates, arrays and pages show it: a number with a name and a unit.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,8 +14,8 @@ pub struct NamedControl {
     pub unit: &'static str,
     /// The object that it moves.
     pub kind: ControlKind,
-    /// Place of its coefficients among those of the problem.
-    pub component: Component,
+    /// Index among the numbers of a coefficient of the problem's controls.
+    pub index: usize,
     /// Value where the coefficient is zero, in `unit`: the given effort of an actuator, such as the pretension of a tendon; 0 for others.
     pub rest: f64,
 }
@@ -25,6 +27,8 @@ pub enum ControlKind {
     Wrench {
         /// Index of the node.
         node: usize,
+        /// Component: 0..3 force, 3..6 moment.
+        component: usize,
     },
     /// A control of a user-defined actuator.
     Own,
@@ -36,19 +40,19 @@ pub enum ControlKind {
 }
 
 impl NamedControl {
-    /// Returns component `axis` (0..3 force, 3..6 moment) of the wrench number `actuator`, on a node.
+    /// Returns a component (0..3 force, 3..6 moment) of the wrench on a node, as the number `index` of a coefficient.
     #[must_use]
-    pub fn on_node(mesh: &Mesh, node: usize, actuator: usize, axis: usize) -> Self {
-        let (part, unit) = match axis {
+    pub fn on_node(mesh: &Mesh, (node, component): (usize, usize), index: usize) -> Self {
+        let (part, unit) = match component {
             0..3 => ("force", "N"),
             _ => ("moment", "N m"),
         };
-        let letter = ["x", "y", "z"][axis % 3];
+        let letter = ["x", "y", "z"][component % 3];
         Self {
             name: format!("{} {part} {letter}", place(mesh, node)),
             unit,
-            kind: ControlKind::Wrench { node },
-            component: Component { actuator, axis },
+            kind: ControlKind::Wrench { node, component },
+            index,
             rest: 0.0,
         }
     }
@@ -63,31 +67,20 @@ impl NamedControl {
     #[must_use]
     pub fn node(&self) -> Option<usize> {
         match self.kind {
-            ControlKind::Wrench { node } => Some(node),
+            ControlKind::Wrench { node, .. } => Some(node),
             ControlKind::Own | ControlKind::Effort { .. } => None,
         }
     }
 
     /// Returns the value for one coefficient of the problem's controls.
     #[must_use]
-    pub fn value(&self, coefficient: &[Wrench]) -> f64 {
-        let Component { actuator, axis } = self.component;
-        let own = &coefficient[actuator];
-        self.rest
-            + match axis.checked_sub(3) {
-                None => own.force[axis],
-                Some(axis) => own.moment[axis],
-            }
+    pub fn value(&self, coefficient: &[f64]) -> f64 {
+        self.rest + coefficient[self.index]
     }
 
     /// Writes the value to one coefficient of the problem's controls, as the inverse of [`Self::value`].
-    pub fn write(&self, value: f64, coefficient: &mut [Wrench]) {
-        let Component { actuator, axis } = self.component;
-        let own = &mut coefficient[actuator];
-        match axis.checked_sub(3) {
-            None => own.force[axis] = value - self.rest,
-            Some(axis) => own.moment[axis] = value - self.rest,
-        }
+    pub fn write(&self, value: f64, coefficient: &mut [f64]) {
+        coefficient[self.index] = value - self.rest;
     }
 }
 
@@ -116,10 +109,11 @@ pub fn distinguish(controls: &mut [NamedControl]) {
     }
 }
 
-/// Returns the words with which the names of the controls of one vector begin: `tip force`, or the whole name of a single one.
-pub fn name_of_vector(controls: &[NamedControl], actuator: usize, part: usize) -> String {
+/// Returns the words with which the names of the controls of one channel begin: `tip force`, or the whole name of a single one. The numbers
+/// are those [of the channel](OptimalControlProblem::numbers_of).
+pub fn name_of_channel(controls: &[NamedControl], numbers: &Range<usize>) -> String {
     let mut names = (controls.iter())
-        .filter(|own| own.component.actuator == actuator && own.component.axis / 3 == part)
+        .filter(|own| numbers.contains(&own.index))
         .map(|own| own.name.as_str());
     let Some(first) = names.next() else {
         return "control".into();
@@ -149,7 +143,7 @@ impl OptimalControlProblem {
                 name,
                 unit: if unit.is_empty() { "1" } else { unit },
                 kind,
-                component,
+                index: component.index,
                 rest,
             };
             if let Some((index, control)) = self.own_control(&component) {
@@ -162,18 +156,17 @@ impl OptimalControlProblem {
                 let drive = self.rod.actuators.iter().nth(driven.actuator)?;
                 Some((driven.actuator, drive))
             });
-            match drive {
-                Some((actuator, drive)) => own(
+            match (drive, self.of_wrench(&component)) {
+                (None, Some(place)) => {
+                    NamedControl::on_node(&self.rod.mesh, place, component.index)
+                }
+                (None, None) => own("control".into(), "1", ControlKind::Own, 0.0),
+                (Some((actuator, drive)), _) => own(
                     drive.name.clone(),
                     drive.input_unit(),
                     ControlKind::Effort { actuator },
                     drive.effort(0.0),
                 ),
-                None => {
-                    let node = self.actuators[component.actuator].node;
-                    let Component { actuator, axis } = component;
-                    NamedControl::on_node(&self.rod.mesh, node, actuator, axis)
-                }
             }
         };
         let mut out: Vec<_> = (self.actuated_components().into_iter())

@@ -3,11 +3,16 @@
 mod channel;
 mod goal;
 
+use std::ops::Range;
 use std::sync::Arc;
 
-pub use self::channel::{ActuatedNode, Bound, Channel, Component, Driven, named_axes};
+use nalgebra::Vector3;
+
+pub use self::channel::{
+    ActsOn, ActuatedNode, Bound, Channel, Component, Driven, PlacedChannel, named_axes,
+};
 pub use self::goal::{Enforcement, Goal, GoalPart, GoalRow};
-use super::hold::ControlGrid;
+use super::hold::{ControlGrid, weigh};
 use super::path::{PathConstraint, PathEnforcement, PathLimit};
 use super::stay::Stay;
 use super::term::StateCost;
@@ -54,8 +59,11 @@ pub struct FreeDuration {
     pub price: f64,
 }
 
-/// The problem to minimize the objective over wrenches on some nodes, subject to the discrete equations of motion, the bounds, the goals,
-/// and the path constraints.
+/// The problem to minimize the objective over the controls, subject to the discrete equations of motion, the bounds, the goals, and the
+/// path constraints.
+///
+/// A coefficient of the controls is a list of [numbers](Self::n_numbers), channel by channel; the controls are functions of time by as many
+/// such lists as the [grid](ControlGrid) has coefficients, one after the other.
 #[derive(Clone, Debug)]
 pub struct OptimalControlProblem {
     /// The rod, shared with the problems that are derived from this one.
@@ -70,12 +78,11 @@ pub struct OptimalControlProblem {
     pub initial: State,
     /// Blocks of the control.
     pub control: ControlGrid,
-    /// Controllable wrenches; no node occurs twice.
-    pub actuators: Vec<ActuatedNode>,
-    /// User-defined actuators. Their controls are the last of the `actuators`, in the order of force and moment.
+    /// What the numbers of the controls are: forces and moments on nodes first, no two of them on the same force or moment.
+    pub channels: Vec<PlacedChannel>,
+    /// User-defined actuators, whose controls are numbers of later channels.
     pub acting: Vec<Acting>,
-    /// The actuators of the rod whose efforts are controls, beside their given efforts; `None` if there are none. The efforts follow the
-    /// controls of user-defined actuators among the `actuators`, in the order of force and moment.
+    /// The actuators of the rod whose efforts follow from numbers of later channels, beside their given efforts; `None` if there are none.
     pub efforts: Option<Efforts>,
     /// Goals to be reached.
     pub goals: Vec<Goal>,
@@ -154,11 +161,13 @@ impl OptimalControlProblem {
             duration: None,
             initial,
             control,
-            actuators: vec![ActuatedNode {
+            channels: (ActuatedNode {
                 node: rod.tip(),
                 force,
                 moment,
-            }],
+            })
+            .channels()
+            .to_vec(),
             acting: Vec::new(),
             efforts: None,
             goals: vec![goal],
@@ -266,36 +275,82 @@ impl OptimalControlProblem {
     /// Returns the actuated components, in the order of the variables of one coefficient.
     #[must_use]
     pub fn actuated_components(&self) -> Vec<Component> {
-        (0..self.actuators.len())
-            .flat_map(|actuator| (0..6).map(move |axis| Component { actuator, axis }))
-            .filter(|component| self.is_control(component))
-            .filter(|component| self.channel(component).acts_along(component.axis % 3))
+        (self.components())
+            .filter(|component| self.channel(component).acts_along(component.axis))
             .collect()
+    }
+
+    /// Returns all components, in the order of the numbers of a coefficient.
+    fn components(&self) -> impl Iterator<Item = Component> {
+        let first_input = self.first_input();
+        let places = (self.channels.iter().enumerate())
+            .flat_map(|(channel, own)| (0..own.on.count()).map(move |axis| (channel, axis)));
+        (places.enumerate()).map(move |(index, (channel, axis))| Component {
+            index,
+            channel,
+            axis,
+            input: index.checked_sub(first_input),
+        })
+    }
+
+    /// Returns the number of numbers in a coefficient of the controls, those included that no bound lets act.
+    #[must_use]
+    pub fn n_numbers(&self) -> usize {
+        self.channels.iter().map(|own| own.on.count()).sum()
+    }
+
+    /// Returns the places of a channel's numbers in a coefficient of the controls.
+    #[must_use]
+    pub fn numbers_of(&self, channel: usize) -> Range<usize> {
+        let before = self.channels[..channel].iter();
+        let first = before.map(|own| own.on.count()).sum();
+        first..first + self.channels[channel].on.count()
+    }
+
+    /// Returns the vector that a channel has in a coefficient of the controls; components beyond its numbers are zero.
+    #[must_use]
+    pub fn vector(&self, coefficient: &[f64], channel: usize) -> Vector3<f64> {
+        let own = &coefficient[self.numbers_of(channel)];
+        Vector3::from_fn(|axis, _| own.get(axis).copied().unwrap_or(0.0))
+    }
+
+    /// Returns a coefficient of the controls from the vector of every channel.
+    pub fn of_vectors(&self, mut vector: impl FnMut(usize, &Channel) -> Vector3<f64>) -> Vec<f64> {
+        let mut out = Vec::with_capacity(self.n_numbers());
+        for (channel, own) in self.channels.iter().enumerate() {
+            let numbers = vector(channel, &own.channel);
+            out.extend(numbers.iter().take(own.on.count()));
+        }
+        out
+    }
+
+    /// Returns a coefficient of the controls moved within the bounds of its channels.
+    #[must_use]
+    pub fn within_bounds(&self, coefficient: &[f64]) -> Vec<f64> {
+        self.of_vectors(|at, channel| channel.within(&self.vector(coefficient, at)))
     }
 
     /// Returns the channel of a component.
     #[must_use]
     pub fn channel(&self, component: &Component) -> &Channel {
-        let actuator = &self.actuators[component.actuator];
-        if component.axis < 3 {
-            &actuator.force
-        } else {
-            &actuator.moment
-        }
+        &self.channels[component.channel].channel
     }
 
-    /// Tells whether a component exists: in a wrench, or as a control of a user-defined actuator.
-    fn is_control(&self, component: &Component) -> bool {
-        component.actuator < self.wrench_actuators().len()
-            || self.own_control(component).is_some()
-            || self.is_effort(component)
+    /// Returns the node and the component of its wrench (0..3 force, 3..6 moment) that a component is, if it is one.
+    #[must_use]
+    pub fn of_wrench(&self, component: &Component) -> Option<(usize, usize)> {
+        match self.channels[component.channel].on {
+            ActsOn::Force { node } => Some((node, component.axis)),
+            ActsOn::Moment { node } => Some((node, 3 + component.axis)),
+            ActsOn::Own { .. } | ActsOn::Effort => None,
+        }
     }
 
     /// Returns the indices of the user-defined actuator and of its control, if the component is one.
     #[must_use]
     pub fn own_control(&self, component: &Component) -> Option<(usize, usize)> {
         (self.acting.iter().enumerate()).find_map(|(index, acting)| {
-            let place = 6 * component.actuator.checked_sub(acting.first)? + component.axis;
+            let place = component.input?;
             let control = acting.places.iter().position(|own| *own == place)?;
             Some((index, control))
         })
@@ -304,21 +359,12 @@ impl OptimalControlProblem {
     /// Returns the indices of the driven actuators of the rod whose efforts follow from the component, if it drives some, with the effort of
     /// each per unit of it.
     pub fn driven_by(&self, component: &Component) -> impl Iterator<Item = (usize, f64)> + use<'_> {
-        let Component { actuator, axis } = *component;
+        let place = component.input;
         (self.efforts.iter()).flat_map(move |efforts| {
-            let place = actuator
-                .checked_sub(efforts.first)
-                .map(|own| 6 * own + axis);
             (efforts.places.iter().zip(&efforts.gains).enumerate())
                 .filter(move |(_, (own, _))| Some(**own) == place)
                 .map(|(index, (_, gain))| (index, *gain))
         })
-    }
-
-    /// Tells whether a component drives actuators of the rod.
-    #[must_use]
-    pub fn is_effort(&self, component: &Component) -> bool {
-        self.driven_by(component).next().is_some()
     }
 
     /// Returns the actuators of the rod whose efforts are controls, with the channels of these. Of several that one control drives it is the
@@ -334,17 +380,14 @@ impl OptimalControlProblem {
     /// Returns the actuators of the rod whose efforts follow from controls, with the components that these are.
     pub fn driven_components(&self) -> impl Iterator<Item = (Driven, Component)> {
         (self.efforts.iter()).flat_map(|efforts| {
-            (efforts.places.iter().enumerate()).map(|(index, &place)| {
-                let component = Component {
-                    actuator: efforts.first + place / 6,
-                    axis: place % 6,
-                };
+            (efforts.places.iter().enumerate()).filter_map(|(index, &place)| {
+                let component = (self.components()).find(|own| own.input == Some(place))?;
                 let driven = Driven {
                     actuator: efforts.actuators[index],
                     gain: efforts.gains[index],
                     leads: !efforts.places[..index].contains(&place),
                 };
-                (driven, component)
+                Some((driven, component))
             })
         })
     }
@@ -361,22 +404,86 @@ impl OptimalControlProblem {
         !self.acting.is_empty() || self.efforts.is_some() || self.rod.actuators.has_winches()
     }
 
-    /// Returns the actuators that are wrenches on nodes.
-    #[must_use]
-    pub fn wrench_actuators(&self) -> &[ActuatedNode] {
-        let own = self.acting.first().map(|acting| acting.first);
-        let efforts = self.efforts.as_ref().map(|efforts| efforts.first);
-        let first = own.into_iter().chain(efforts).min();
-        &self.actuators[..first.unwrap_or(self.actuators.len())]
-    }
-
-    /// Returns the nodes with a controllable wrench.
+    /// Returns the nodes with a controllable wrench, in the order of their first channels.
     #[must_use]
     pub fn actuated_nodes(&self) -> Vec<usize> {
-        self.wrench_actuators()
-            .iter()
-            .map(|actuator| actuator.node)
+        let mut out = Vec::new();
+        for node in self.channels.iter().filter_map(|own| own.on.node()) {
+            if !out.contains(&node) {
+                out.push(node);
+            }
+        }
+        out
+    }
+
+    /// Returns the channels of the [actuated nodes](Self::actuated_nodes); a force or moment that is no control has the one without.
+    #[must_use]
+    pub fn wrench_actuators(&self) -> Vec<ActuatedNode> {
+        let on = |on: ActsOn| {
+            let own = self.channels.iter().find(|own| own.on == on);
+            own.map_or(Channel::NONE, |own| own.channel)
+        };
+        (self.actuated_nodes().into_iter())
+            .map(|node| ActuatedNode {
+                node,
+                force: on(ActsOn::Force { node }),
+                moment: on(ActsOn::Moment { node }),
+            })
             .collect()
+    }
+
+    /// Tells whether all controls are wrenches on nodes.
+    #[must_use]
+    pub fn controls_only_wrenches(&self) -> bool {
+        self.channels.iter().all(|own| own.on.node().is_some())
+    }
+
+    /// Returns the wrenches on the [actuated nodes](Self::actuated_nodes) in a coefficient of the controls, or in several, one after the
+    /// other.
+    #[must_use]
+    pub fn wrenches(&self, coefficients: &[f64]) -> Vec<Wrench> {
+        let (n_nodes, places) = self.wrench_places();
+        let mut out = Vec::new();
+        for own in coefficients.chunks(self.n_numbers().max(1)) {
+            let first = out.len();
+            out.resize(first + n_nodes, Wrench::default());
+            for ((at, component), number) in places.iter().zip(own) {
+                out[first + at][*component] = *number;
+            }
+        }
+        out
+    }
+
+    /// Returns the number of actuated nodes, and the node, by its index among those, and component of its wrench that each of the first
+    /// numbers of a coefficient is.
+    fn wrench_places(&self) -> (usize, Vec<(usize, usize)>) {
+        let nodes = self.actuated_nodes();
+        let places = self.components().filter_map(|component| {
+            let (node, of_wrench) = self.of_wrench(&component)?;
+            let at = nodes.iter().position(|own| *own == node)?;
+            Some((at, of_wrench))
+        });
+        (nodes.len(), places.collect())
+    }
+
+    /// Returns the inputs of a signal in a coefficient of the controls.
+    #[must_use]
+    pub fn inputs<'a>(&self, coefficient: &'a [f64]) -> &'a [f64] {
+        &coefficient[self.first_input()..]
+    }
+
+    /// Returns the channel of an input of a signal.
+    #[must_use]
+    pub fn channel_of_input(&self, input: usize) -> Option<&Channel> {
+        let mut components = self.components();
+        let found = components.find(|own| own.input == Some(input))?;
+        Some(&self.channels[found.channel].channel)
+    }
+
+    /// Returns the number of numbers that are components of wrenches.
+    fn first_input(&self) -> usize {
+        let of_wrenches = self.channels.iter().filter(|own| own.on.node().is_some());
+        of_wrenches.map(|own| own.on.count()).sum()
     }
 
     /// Returns the least tensions of the tendons that should [stay taut](PathLimit::Taut), by the index of their actuator on the rod.
@@ -429,7 +536,7 @@ impl OptimalControlProblem {
     pub fn duration_conflict(&self) -> Option<(DurationConflict, String)> {
         self.duration?;
         let by_norm = |channel: &Channel| matches!(channel.rate_bound, Some(Bound::Norm(_)));
-        if (self.actuators.iter()).any(|a| by_norm(&a.force) || by_norm(&a.moment)) {
+        if self.channels.iter().any(|own| by_norm(&own.channel)) {
             let what = "a bound on the magnitude of a rate; give one per axis".into();
             return Some((DurationConflict::Rate, what));
         }
@@ -480,64 +587,62 @@ impl OptimalControlProblem {
                 .count()
     }
 
-    /// Returns the coefficients of the wrenches from the solver's scaled variables: coefficient by coefficient, all actuators of each.
+    /// Returns the coefficients of the controls from the solver's scaled variables.
     #[must_use]
-    pub fn wrenches(&self, variables: &[f64]) -> Vec<Wrench> {
+    pub fn coefficients(&self, variables: &[f64]) -> Vec<f64> {
         let components = self.actuated_components();
-        let mut out = vec![Wrench::default(); self.control.n_coefficients() * self.actuators.len()];
+        let n = self.n_numbers();
+        let mut out = vec![0.0; self.control.n_coefficients() * n];
         if components.is_empty() {
             return out;
         }
         let chunks = variables[..self.n_controls()].chunks(components.len());
         for (j, chunk) in chunks.enumerate() {
             for (component, v) in components.iter().zip(chunk) {
-                let wrench = &mut out[j * self.actuators.len() + component.actuator];
-                let value = v * self.channel(component).unit();
-                if component.axis < 3 {
-                    wrench.force[component.axis] = value;
-                } else {
-                    wrench.moment[component.axis - 3] = value;
-                }
+                out[j * n + component.index] = v * self.channel(component).unit();
             }
         }
         out
     }
 
-    /// Returns the scaled variables of wrenches, as the inverse of [`Self::wrenches`] on the actuated components; residuals of goals are
-    /// zero.
+    /// Returns the scaled variables of coefficients, as the inverse of [`Self::coefficients`] on the actuated components; residuals of goals
+    /// are zero.
     #[must_use]
-    pub fn variables(&self, wrenches: &[Wrench]) -> Vec<f64> {
+    pub fn variables(&self, coefficients: &[f64]) -> Vec<f64> {
         let components = self.actuated_components();
-        let mut variables: Vec<f64> = wrenches
-            .chunks(self.actuators.len().max(1))
-            .flat_map(|wrenches| {
-                components.iter().map(|component| {
-                    let wrench = &wrenches[component.actuator];
-                    let value = if component.axis < 3 {
-                        wrench.force[component.axis]
-                    } else {
-                        wrench.moment[component.axis - 3]
-                    };
-                    value / self.channel(component).unit()
-                })
+        let mut variables: Vec<f64> = (coefficients.chunks(self.n_numbers().max(1)))
+            .flat_map(|own| {
+                let scaled = |c: &Component| own[c.index] / self.channel(c).unit();
+                components.iter().map(scaled)
             })
             .collect();
         variables.resize(self.n_variables(), 0.0);
         variables
     }
 
-    /// Returns the wrenches at every time node of `grid`, which is the control's own grid or a refinement.
+    /// Returns the controls at every time node of `grid`, which is the control's own grid or a refinement.
     #[must_use]
-    pub fn signal(&self, grid: &ControlGrid, coefficients: &[Wrench]) -> ControlSignal {
-        let n = self.actuators.len();
-        let wrenches = (0..=grid.n_steps())
-            .flat_map(|k| {
-                (0..n).map(move |actuator| grid.value(k, |j| coefficients[j * n + actuator]))
-            })
-            .collect();
+    pub fn signal(&self, grid: &ControlGrid, coefficients: &[f64]) -> ControlSignal {
+        let n = self.n_numbers();
+        let (n_nodes, places) = self.wrench_places();
+        let n_inputs = n - places.len();
+        let n_times = grid.n_steps() + 1;
+        let mut wrenches = vec![Wrench::default(); n_nodes * n_times];
+        let mut inputs = Vec::with_capacity(n_inputs * n_times);
+        for k in 0..n_times {
+            let weights = grid.weights(k);
+            let value = |index: usize| weigh(&weights, |j| coefficients[j * n + index]);
+            let here = &mut wrenches[k * n_nodes..][..n_nodes];
+            for (index, &(at, component)) in places.iter().enumerate() {
+                here[at][component] = value(index);
+            }
+            inputs.extend((places.len()..n).map(value));
+        }
         ControlSignal {
             nodes: self.actuated_nodes(),
             wrenches,
+            n_inputs,
+            inputs,
             acting: self.acting.clone(),
             efforts: self.efforts.clone(),
         }

@@ -15,7 +15,6 @@ use super::problem::OptimalControlProblem;
 use super::tensions::Winches;
 use super::transcription::{LiftedPoint, Transcription};
 use super::turns::long_turns;
-use mechanics::Wrench;
 use mechanics::rotation::{exp, log};
 use sqp::{IterationRecord, LiftedProgram, SqpOutcome, SqpSettings, SqpStatus, solve};
 use stop::Stop;
@@ -36,8 +35,8 @@ pub enum Continuation {
 pub struct Search {
     /// Kind of the initial guess; `None` tries one after the other until a solve converges.
     pub guess: Option<Guess>,
-    /// Coefficients of a known solution, those of all actuators together, from which the search starts first.
-    pub previous: Option<Vec<Wrench>>,
+    /// Coefficients of the controls of a known solution, from which the search starts first.
+    pub previous: Option<Vec<f64>>,
     /// Continuation from easier problems.
     pub continuation: Option<Continuation>,
     /// Number of starts, at least 1; those after the first take detours chosen by `seed`.
@@ -137,7 +136,7 @@ pub fn search_telling(
 /// The initial guess of one solve.
 #[derive(Clone, Copy)]
 enum First<'a> {
-    Previous(&'a [Wrench]),
+    Previous(&'a [f64]),
     Guess(Guess),
     /// Static shapes by a detour of this number.
     Detour(usize),
@@ -374,7 +373,7 @@ struct Stages<'a> {
 
 impl<'a> Stages<'a> {
     fn solve(mut self) -> Result<Option<Staged>, GuessError> {
-        let mut warm: Option<Vec<Wrench>> = match self.start.first {
+        let mut warm: Option<Vec<f64>> = match self.start.first {
             First::Previous(previous) => Some(previous.to_vec()),
             First::Guess(_) | First::Detour(_) => None,
         };
@@ -412,7 +411,7 @@ impl<'a> Stages<'a> {
             }
             // The solution of a failed stage is not used for the next one.
             warm = (outcome.status == SqpStatus::Converged)
-                .then(|| here.wrenches(&outcome.point.variables));
+                .then(|| here.coefficients(&outcome.point.variables));
         }
         unreachable!("the last stage returns")
     }
@@ -515,7 +514,7 @@ impl<'a> Stages<'a> {
         if is_done {
             return outcome;
         }
-        let controls = kinked.wrenches(&outcome.point.variables);
+        let controls = kinked.coefficients(&outcome.point.variables);
         let start = match outcome.status {
             SqpStatus::Converged => outcome.point,
             // A tendon that pushes somewhere has led to states that the arm does not have.

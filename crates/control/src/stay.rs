@@ -12,7 +12,7 @@ use super::held::Held;
 use mechanics::forms::NODE_COMPONENTS;
 use mechanics::rotation::{log, log_tangent};
 use mechanics::slow_modes::{GROUP, SlowModes};
-use mechanics::{BaseCondition, Configuration, FormTerm, Rod, State, Wrench};
+use mechanics::{BaseCondition, Configuration, FormTerm, Rod, State};
 
 /// Fraction of the allowed distance (`task.stays_m`) that the motion after the arrival may use, half of it (decision 81). The rest is for
 /// fast waves and for the grid: on a finer one, the equilibrium of the same wrench lies elsewhere. The check measures the distance itself.
@@ -23,9 +23,9 @@ const MOTION_SHARE: f64 = 0.5;
 pub struct Stay {
     /// Index of the goal to which the stay belongs.
     pub goal: usize,
-    /// Wrench of every actuator from the end of the horizon on, which is the last coefficient of the control.
-    pub wrenches: Vec<Wrench>,
-    /// The equilibrium under these wrenches.
+    /// Controls from the end of the horizon on, which are their last coefficient.
+    pub controls: Vec<f64>,
+    /// The equilibrium under these controls.
     pub shape: Configuration,
     /// Duration of the stay, s.
     pub seconds: f64,
@@ -67,7 +67,7 @@ impl Stay {
             goal,
             compliance: modes.compliance(),
             is_stable: held.is_stable,
-            wrenches: held.wrenches,
+            controls: held.controls,
             shape: held.shape,
             seconds,
             distance,

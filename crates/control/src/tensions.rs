@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 
 use super::problem::{Bound, Component, OptimalControlProblem};
 use super::transcription::LiftedPoint;
-use mechanics::{Configuration, Wrench};
+use mechanics::Configuration;
 
 /// Largest tension, as a multiple of that of a winch at its least displacement in an arm that does not give way: a cap, since the way of a
 /// tendon may be longer in an arm that is bent.
@@ -81,11 +81,7 @@ impl<'a> Winches<'a> {
         for own in &self.all {
             let given = (rod.actuators.iter().nth(own.actuator)).map_or(0.0, |own| own.effort(0.0));
             let flexibility = rod.winch_flexibility(own.actuator, given).unwrap_or(1.0);
-            let carrier = &mut out.actuators[own.component.actuator];
-            let channel = match own.component.axis {
-                0..3 => &mut carrier.force,
-                _ => &mut carrier.moment,
-            };
+            let channel = &mut out.channels[own.component.channel].channel;
             channel.scale /= flexibility;
             channel.lag = 0.0;
             channel.rate_bound = None;
@@ -105,23 +101,23 @@ impl<'a> Winches<'a> {
         (out.path).retain(|path| !path.limit.depends_on_inputs());
         if let Some(stay) = &self.problem.stay {
             let mut stay = (**stay).clone();
-            stay.wrenches = self.tensions(&stay.wrenches, &stay.shape);
+            stay.controls = self.tensions(&stay.controls, &stay.shape);
             out.stay = Some(Arc::new(stay));
         }
         out
     }
 
     /// Returns controls with displacements as those with the tensions that they make in a shape.
-    fn tensions(&self, wrenches: &[Wrench], shape: &Configuration) -> Vec<Wrench> {
-        self.changed(wrenches, shape, |own, given, control, y| {
+    fn tensions(&self, controls: &[f64], shape: &Configuration) -> Vec<f64> {
+        self.changed(controls, shape, |own, given, control, y| {
             let law = (self.problem.rod.actuators).law(own.actuator, given + control, y);
             law.effort.max(own.least) - own.first
         })
     }
 
     /// Returns controls with tensions as those with the displacements that make these tensions in a shape.
-    pub fn displacements(&self, wrenches: &[Wrench], shape: &Configuration) -> Vec<Wrench> {
-        self.changed(wrenches, shape, |own, given, control, y| {
+    pub fn displacements(&self, controls: &[f64], shape: &Configuration) -> Vec<f64> {
+        self.changed(controls, shape, |own, given, control, y| {
             let tension = (own.first + control).max(0.0);
             let actuators = &self.problem.rod.actuators;
             (actuators.displacement(own.actuator, tension, y)).map_or(0.0, |z| z - given)
@@ -130,40 +126,33 @@ impl<'a> Winches<'a> {
 
     fn changed(
         &self,
-        wrenches: &[Wrench],
+        controls: &[f64],
         shape: &Configuration,
         change: impl Fn(&DrivenWinch, f64, f64, f64) -> f64,
-    ) -> Vec<Wrench> {
+    ) -> Vec<f64> {
         let rod = &self.problem.rod;
         let coordinates = rod.actuator_coordinates(&shape.positions, &shape.rotations);
         let given = rod.actuators.efforts(self.problem.grid.start);
-        let mut out = wrenches.to_vec();
+        let mut out = controls.to_vec();
         for own in &self.all {
-            let carrier = &mut out[own.component.actuator];
-            let vector = [&mut carrier.force, &mut carrier.moment];
-            let value = &mut vector[own.component.axis / 3][own.component.axis % 3];
+            let value = &mut out[own.component.index];
             *value = change(own, given[own.actuator], *value, coordinates[own.actuator]);
         }
         out
     }
 
     /// Returns the coefficients of displacements that follow from a motion under tensions, within their bounds.
-    pub fn reeled(&self, twin: &OptimalControlProblem, point: &LiftedPoint) -> Vec<Wrench> {
+    pub fn reeled(&self, twin: &OptimalControlProblem, point: &LiftedPoint) -> Vec<f64> {
         let problem = self.problem;
-        let coefficients = twin.wrenches(&point.variables);
-        let n = problem.actuators.len().max(1);
+        let coefficients = twin.coefficients(&point.variables);
+        let n = problem.n_numbers().max(1);
         let last = problem.grid.n_steps;
         (problem.control.coefficient_times().into_iter())
             .zip(coefficients.chunks(n))
             .flat_map(|(t, own)| {
                 let k = ((t / problem.grid.step).round().max(0.0) as usize).min(last);
                 let out = self.displacements(own, &point.trajectory.configuration(k));
-                (out.into_iter().zip(&problem.actuators))
-                    .map(|(wrench, actuator)| Wrench {
-                        force: actuator.force.within(&wrench.force),
-                        moment: actuator.moment.within(&wrench.moment),
-                    })
-                    .collect::<Vec<_>>()
+                problem.within_bounds(&out)
             })
             .collect()
     }

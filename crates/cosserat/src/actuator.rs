@@ -202,35 +202,20 @@ impl PartialEq for SharedActuator {
     }
 }
 
-/// Returns the number at a place among the wrenches from `first` on: six for each wrench, force before moment.
-pub(crate) fn component_at(wrenches: &[Wrench], first: usize, place: usize) -> f64 {
-    let wrench = &wrenches[first + place / 6];
-    let axis = place % 6;
-    if axis < 3 {
-        wrench.force[axis]
-    } else {
-        wrench.moment[axis - 3]
-    }
-}
-
-/// A user-defined actuator, and the places of its controls in a [signal](super::ControlSignal).
+/// A user-defined actuator, and the places of its controls among the inputs of a [signal](super::ControlSignal).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Acting {
     /// The actuator.
     pub actuator: SharedActuator,
-    /// Index of the first of the signal's wrenches, at one time node, whose components are controls of the actuator.
-    pub first: usize,
-    /// Place of every control from there on: six for each wrench, force before moment.
+    /// Index of every control among the inputs of a time node.
     pub places: Vec<usize>,
 }
 
 impl Acting {
-    /// Returns the controls of one time node, from all wrenches of the signal there.
+    /// Returns the controls of one time node, from all inputs of the signal there.
     #[must_use]
-    pub fn controls(&self, wrenches: &[Wrench]) -> Vec<f64> {
-        (self.places.iter())
-            .map(|&place| component_at(wrenches, self.first, place))
-            .collect()
+    pub fn controls(&self, inputs: &[f64]) -> Vec<f64> {
+        self.places.iter().map(|&place| inputs[place]).collect()
     }
 
     /// Returns the wrenches on the nodes under the given controls.

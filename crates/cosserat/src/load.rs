@@ -40,6 +40,27 @@ impl Wrench {
     }
 }
 
+/// Component 0..3 of the force, 3..6 of the moment.
+impl std::ops::Index<usize> for Wrench {
+    type Output = f64;
+
+    fn index(&self, component: usize) -> &f64 {
+        match component.checked_sub(3) {
+            None => &self.force[component],
+            Some(axis) => &self.moment[axis],
+        }
+    }
+}
+
+impl std::ops::IndexMut<usize> for Wrench {
+    fn index_mut(&mut self, component: usize) -> &mut f64 {
+        match component.checked_sub(3) {
+            None => &mut self.force[component],
+            Some(axis) => &mut self.moment[axis],
+        }
+    }
+}
+
 /// Frame in which a vector is given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

@@ -1,19 +1,21 @@
-//! Control wrenches on nodes of the rod, as functions of time.
+//! Controls as functions of time: wrenches on nodes of the rod, and inputs of actuators.
 
-use super::actuator::{Acting, StateView, component_at};
+use super::actuator::{Acting, StateView};
 use super::configuration::Trajectory;
 use super::load::Wrench;
 use super::rod::Rod;
 use super::strain_actuator::RodActuators;
 use super::time::TimeGrid;
 
-/// Wrenches on some nodes at one time node. They have no effect on a held or driven node.
+/// Wrenches on some nodes, and inputs of actuators, at one time node. A wrench has no effect on a held or driven node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NodeWrenches<'a> {
     /// Indices of the nodes; the wrenches of a repeated node add up.
     pub nodes: &'a [usize],
-    /// A wrench for each of the nodes, followed by the controls of user-defined actuators and by efforts, six to a wrench.
+    /// A wrench for each of the nodes.
     pub wrenches: &'a [Wrench],
+    /// Controls of user-defined actuators, and what drives efforts.
+    pub inputs: &'a [f64],
     /// User-defined actuators.
     pub acting: &'a [Acting],
     /// Efforts of the actuators of the rod.
@@ -25,6 +27,7 @@ impl<'a> NodeWrenches<'a> {
     pub const NONE: Self = Self {
         nodes: &[],
         wrenches: &[],
+        inputs: &[],
         acting: &[],
         efforts: None,
     };
@@ -47,22 +50,20 @@ impl<'a> NodeWrenches<'a> {
     /// Returns nodes and wrenches of the user-defined actuators at a configuration.
     pub fn acting_on(self, at: StateView<'a>) -> impl Iterator<Item = (usize, Wrench)> {
         (self.acting.iter())
-            .flat_map(move |acting| acting.wrenches(&at, &acting.controls(self.wrenches)))
+            .flat_map(move |acting| acting.wrenches(&at, &acting.controls(self.inputs)))
     }
 }
 
-/// The places of efforts among the wrenches of a signal.
+/// The places of efforts among the inputs of a signal.
 ///
-/// A number of the signal may drive several actuators, as a motor that pulls one tendon and lets another out: then they have the same place.
+/// An input of the signal may drive several actuators, as a motor that pulls one tendon and lets another out: then they have the same place.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Efforts {
     /// Indices of the actuators of the rod that the signal drives; their given efforts add up with those of the signal.
     pub actuators: Vec<usize>,
-    /// Index of the first of the signal's wrenches, at one time node, whose components are efforts.
-    pub first: usize,
-    /// Place of the number that drives every actuator from there on: six for each wrench, force before moment.
+    /// Index, among the inputs of a time node, of the one that drives each actuator.
     pub places: Vec<usize>,
-    /// Effort of every driven actuator per unit of its number.
+    /// Effort of every driven actuator per unit of its input.
     pub gains: Vec<f64>,
 }
 
@@ -80,7 +81,7 @@ impl NodeWrenches<'_> {
     #[must_use]
     pub fn effort(&self, index: usize) -> f64 {
         self.efforts.map_or(0.0, |efforts| {
-            efforts.gains[index] * component_at(self.wrenches, efforts.first, efforts.places[index])
+            efforts.gains[index] * self.inputs[efforts.places[index]]
         })
     }
 
@@ -200,14 +201,17 @@ pub fn interval_effort(
     0.5 * (start + end)
 }
 
-/// Wrenches on the same nodes at every time node. The default is no control, on any time grid.
+/// Wrenches on the same nodes, and as many inputs, at every time node. The default is no control, on any time grid.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ControlSignal {
     /// Indices of the nodes.
     pub nodes: Vec<usize>,
-    /// Wrenches in the order of time: one for each node, followed by the controls of user-defined actuators, six to a wrench, at time node
-    /// 0, then at 1, up to `N`.
+    /// Wrenches in the order of time: one for each node at time node 0, then at 1, up to `N`.
     pub wrenches: Vec<Wrench>,
+    /// Number of inputs at one time node.
+    pub n_inputs: usize,
+    /// Controls of user-defined actuators and what drives efforts, in the order of time.
+    pub inputs: Vec<f64>,
     /// User-defined actuators.
     pub acting: Vec<Acting>,
     /// Efforts of the actuators of the rod.
@@ -231,28 +235,17 @@ impl ControlSignal {
         Self::on(vec![rod.tip()], wrenches)
     }
 
-    /// Returns the number of wrenches of one time node, including those that hold controls.
-    #[must_use]
-    pub fn width(&self) -> usize {
-        let carriers = |first: usize, places: &[usize]| {
-            let last = places.iter().max();
-            last.map_or(0, |place| first + place / 6 + 1)
-        };
-        let own = (self.acting.iter()).map(|acting| carriers(acting.first, &acting.places));
-        let efforts = (self.efforts.iter()).map(|efforts| carriers(efforts.first, &efforts.places));
-        own.chain(efforts).fold(self.nodes.len(), usize::max)
-    }
-
-    /// Returns the wrenches of time node `k`.
+    /// Returns the controls of time node `k`.
     ///
     /// # Panics
     /// Panics if the signal ends before `k`.
     #[must_use]
     pub fn at(&self, k: usize) -> NodeWrenches<'_> {
-        let n = self.width();
+        let (n_nodes, n_inputs) = (self.nodes.len(), self.n_inputs);
         NodeWrenches {
             nodes: &self.nodes,
-            wrenches: &self.wrenches[k * n..][..n],
+            wrenches: &self.wrenches[k * n_nodes..][..n_nodes],
+            inputs: &self.inputs[k * n_inputs..][..n_inputs],
             acting: &self.acting,
             efforts: self.efforts.as_ref(),
         }
@@ -265,26 +258,23 @@ impl ControlSignal {
         nodes.extend((self.acting.iter()).flat_map(|acting| acting.actuator.nodes(rod)));
         let efforts = self.efforts.as_ref().map(|efforts| Efforts {
             actuators: efforts.actuators.clone(),
-            first: nodes.len(),
             places: (0..efforts.places.len()).collect(),
             gains: vec![1.0; efforts.places.len()],
         });
         let mut wrenches = Vec::with_capacity(nodes.len() * (grid.n_steps + 1));
+        let mut inputs = Vec::new();
         for k in 0..=grid.n_steps {
             let here = self.at(k);
             wrenches.extend(here.iter().map(|(_, wrench)| *wrench));
             let view = StateView::of(rod, grid, trajectory, k);
             wrenches.extend(here.acting_on(view).map(|(_, wrench)| wrench));
-            let values = here.effort_values();
-            wrenches.extend(values.chunks(6).map(|values| {
-                Wrench::from_array(std::array::from_fn(|i| {
-                    values.get(i).copied().unwrap_or(0.0)
-                }))
-            }));
+            inputs.extend(here.effort_values());
         }
         Self {
             nodes,
             wrenches,
+            n_inputs: efforts.as_ref().map_or(0, |own| own.places.len()),
+            inputs,
             acting: Vec::new(),
             efforts,
         }

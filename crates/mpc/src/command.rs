@@ -1,7 +1,7 @@
 //! The command of one sample: wrenches on nodes of the model, and efforts of the actuators in the arm.
 
 use control::{ControlKind, NamedControl};
-use mechanics::{Efforts, NodeWrenches, Rod, Wrench};
+use mechanics::{ControlSignal, Efforts, NodeWrenches, Rod, Wrench};
 
 /// The wrenches and efforts that act until the next sample, linear in time.
 #[derive(Debug, Default, PartialEq)]
@@ -56,17 +56,15 @@ impl Clone for Command {
 }
 
 impl Command {
-    /// Adds the wrenches at time `t` to those of all nodes, and the efforts that act to those after them, in this [order](ControlOrder).
-    pub(crate) fn add_at(&self, t: f64, all: &mut [Wrench]) {
+    /// Adds the wrenches at time `t` to those of all nodes, and the efforts that act to those of all actuators.
+    pub(super) fn add_at(&self, t: f64, all: &mut Controls) {
         let s = self.fraction(t);
         for (node, (from, to)) in self.nodes.iter().zip(self.from.iter().zip(&self.to)) {
-            all[*node].force += from.force * (1.0 - s) + to.force * s;
-            all[*node].moment += from.moment * (1.0 - s) + to.moment * s;
+            all.wrenches[*node].force += from.force * (1.0 - s) + to.force * s;
+            all.wrenches[*node].moment += from.moment * (1.0 - s) + to.moment * s;
         }
-        let n = all.len();
-        let carriers = &mut all[n - self.efforts_from.len().div_ceil(6)..];
-        for place in 0..self.efforts_from.len() {
-            *component_mut(carriers, place) += self.acting_effort(place, t);
+        for (actuator, out) in self.with_efforts(&mut all.efforts) {
+            *out += self.acting_effort(actuator, t);
         }
     }
 
@@ -88,35 +86,48 @@ impl Command {
         (named.iter())
             .map(|own| match own.kind {
                 ControlKind::Effort { actuator } => own.rest + efforts[actuator],
-                ControlKind::Wrench { .. } | ControlKind::Own => own.value(wrenches),
+                ControlKind::Wrench { node, component } => {
+                    let at = self.nodes.iter().position(|own| *own == node);
+                    at.map_or(0.0, |at| wrenches[at][component])
+                }
+                ControlKind::Own => own.rest,
             })
             .collect()
     }
 
-    /// Writes the efforts that act at time `t`, beyond the given ones, to the wrenches that carry them, six to a wrench.
-    pub(super) fn write_efforts_at(&self, t: f64, carriers: &mut [Wrench]) {
-        for place in 0..self.efforts_from.len() {
-            *component_mut(carriers, place) = self.acting_effort(place, t);
+    /// Writes the efforts of all actuators that act at time `t`, beyond the given ones.
+    pub(super) fn write_efforts_at(&self, t: f64, efforts: &mut [f64]) {
+        for (actuator, out) in self.with_efforts(efforts) {
+            *out = self.acting_effort(actuator, t);
         }
     }
 
     /// Writes the commanded efforts at time `t` as [`Self::write_efforts_at`] writes those that act.
-    pub(super) fn write_commanded_at(&self, t: f64, carriers: &mut [Wrench]) {
-        for place in 0..self.efforts_from.len() {
-            *component_mut(carriers, place) = self.commanded_effort(place, t);
+    pub(super) fn write_commanded_at(&self, t: f64, efforts: &mut [f64]) {
+        for (actuator, out) in self.with_efforts(efforts) {
+            *out = self.commanded_effort(actuator, t);
         }
     }
 
-    fn commanded_effort(&self, place: usize, t: f64) -> f64 {
-        let s = self.fraction(t);
-        self.efforts_from[place] * (1.0 - s) + self.efforts_to[place] * s
+    /// Returns the actuators that have an effort in the command, with a number for each.
+    fn with_efforts<'a>(
+        &self,
+        efforts: &'a mut [f64],
+    ) -> impl Iterator<Item = (usize, &'a mut f64)> + use<'a> {
+        efforts.iter_mut().enumerate().take(self.efforts_from.len())
     }
 
-    fn acting_effort(&self, place: usize, t: f64) -> f64 {
-        let commanded = self.commanded_effort(place, t);
-        match self.lags.get(place) {
+    fn commanded_effort(&self, actuator: usize, t: f64) -> f64 {
+        let s = self.fraction(t);
+        self.efforts_from[actuator] * (1.0 - s) + self.efforts_to[actuator] * s
+    }
+
+    fn acting_effort(&self, actuator: usize, t: f64) -> f64 {
+        let commanded = self.commanded_effort(actuator, t);
+        match self.lags.get(actuator) {
             Some(&lag) if lag > 0.0 => {
-                lagging(self.efforts_acting[place], commanded, t - self.start, lag)
+                let acting = self.efforts_acting[actuator];
+                lagging(acting, commanded, t - self.start, lag)
             }
             _ => commanded,
         }
@@ -132,20 +143,33 @@ pub(super) fn lagging(acting: f64, commanded: f64, after: f64, lag: f64) -> f64 
     commanded + (acting - commanded) * (-after.max(0.0) / lag).exp()
 }
 
-/// Returns the number at a place among wrenches, six for each of them.
-pub(super) fn component_mut(wrenches: &mut [Wrench], place: usize) -> &mut f64 {
-    let wrench = &mut wrenches[place / 6];
-    match (place % 6).checked_sub(3) {
-        None => &mut wrench.force[place % 6],
-        Some(axis) => &mut wrench.moment[axis],
+/// The controls of a motion at one instant: wrenches on some nodes of a rod, and the efforts that add to the given ones of all its
+/// actuators.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Controls {
+    pub wrenches: Vec<Wrench>,
+    pub efforts: Vec<f64>,
+}
+
+impl Controls {
+    /// Replaces the wrenches, and lets no effort act.
+    pub fn begin_with(&mut self, wrenches: &[Wrench]) {
+        self.wrenches.copy_from_slice(wrenches);
+        self.efforts.fill(0.0);
+    }
+
+    /// Lets nothing act.
+    pub fn clear(&mut self) {
+        self.wrenches.fill(Wrench::default());
+        self.efforts.fill(0.0);
     }
 }
 
-/// The order in memory of the controls of a motion at one instant: wrenches on some nodes of a rod, then the efforts that add to the given
-/// ones of all its actuators, six to a wrench.
+/// The nodes and actuators on which the [`Controls`] of a motion act.
 #[derive(Clone, Debug)]
 pub(super) struct ControlOrder {
     pub nodes: Vec<usize>,
+    /// All actuators of the rod; `None` if it has none.
     pub efforts: Option<Efforts>,
 }
 
@@ -154,13 +178,12 @@ impl ControlOrder {
     pub fn on(nodes: Vec<usize>, rod: &Rod) -> Self {
         let n_actuators = rod.actuators.len();
         Self {
+            nodes,
             efforts: (n_actuators > 0).then(|| Efforts {
                 actuators: (0..n_actuators).collect(),
-                first: nodes.len(),
                 places: (0..n_actuators).collect(),
                 gains: vec![1.0; n_actuators],
             }),
-            nodes,
         }
     }
 
@@ -173,27 +196,37 @@ impl ControlOrder {
     pub fn place(&mut self, nodes: impl Iterator<Item = usize>) {
         self.nodes.clear();
         self.nodes.extend(nodes);
-        if let Some(efforts) = &mut self.efforts {
-            efforts.first = self.nodes.len();
-        }
     }
 
-    /// Returns the number of wrenches, with those that carry efforts.
-    pub fn n_wrenches(&self) -> usize {
-        let efforts = self.efforts.as_ref();
-        self.nodes.len() + efforts.map_or(0, |efforts| efforts.places.len().div_ceil(6))
+    /// Returns the number of actuators.
+    pub fn n_efforts(&self) -> usize {
+        (self.efforts.as_ref()).map_or(0, |efforts| efforts.places.len())
     }
 
     /// Returns no control.
-    pub fn none(&self) -> Vec<Wrench> {
-        vec![Wrench::default(); self.n_wrenches()]
+    pub fn none(&self) -> Controls {
+        Controls {
+            wrenches: vec![Wrench::default(); self.nodes.len()],
+            efforts: vec![0.0; self.n_efforts()],
+        }
     }
 
     /// Returns the controls of a motion.
-    pub fn of<'a>(&'a self, wrenches: &'a [Wrench]) -> NodeWrenches<'a> {
+    pub fn of<'a>(&'a self, controls: &'a Controls) -> NodeWrenches<'a> {
         NodeWrenches {
+            inputs: &controls.efforts,
             efforts: self.efforts.as_ref(),
-            ..NodeWrenches::on(&self.nodes, wrenches)
+            ..NodeWrenches::on(&self.nodes, &controls.wrenches)
         }
+    }
+
+    /// Returns a signal of the efforts alone at some time nodes, all zero; `None` for a rod without actuators.
+    pub fn signal_of_efforts(&self, n_time_nodes: usize) -> Option<ControlSignal> {
+        self.efforts.is_some().then(|| ControlSignal {
+            n_inputs: self.n_efforts(),
+            inputs: vec![0.0; self.n_efforts() * n_time_nodes],
+            efforts: self.efforts.clone(),
+            ..ControlSignal::default()
+        })
     }
 }

@@ -19,11 +19,11 @@ use self::outlet::Outlet;
 pub use self::settings::{EffortFrom, MpcSettings};
 use self::steps::Divided;
 pub use self::steps::with_long_steps;
-use super::command::Command;
+use super::command::{Command, Controls};
 use super::error::MpcError;
 use super::estimator::Motions;
 use super::holding::HeldControls;
-use super::horizon::Horizon;
+use super::horizon::{Horizon, Part};
 use super::knots::Knots;
 use super::subproblem::{Subproblem, SubproblemEnd};
 use control::named::distinguish;
@@ -103,7 +103,7 @@ pub struct Controller {
     prediction: Motions,
     in_period: Divided,
     /// Controls at both ends of a step.
-    wrenches: [Vec<Wrench>; 2],
+    controls: [Controls; 2],
     /// Tells whether a command acts; before the first one there is no jump.
     acts: bool,
     record: SampleRecord,
@@ -224,19 +224,20 @@ impl Controller {
     }
 
     /// Returns the numbers of a [command](Command) by name: components of the wrenches on its nodes, among them what user-defined actuators
-    /// exert, and efforts of actuators in the arm. Number `actuator` of a component counts the nodes of the command.
+    /// exert, and efforts of actuators in the arm. The index of a component of a wrench is that in this list.
     pub fn commanded(&self) -> Vec<NamedControl> {
         let horizon = &self.horizon;
         let mesh = &horizon.problem.rod.mesh;
         let acts = |node: usize, axis: usize| {
             let mut effects = horizon.effects.iter().flatten();
-            effects.any(|effect| (effect.0, effect.1) == (node, axis))
+            effects.any(|effect| effect.on == Part::Node(node, axis))
         };
-        let mut out = Vec::new();
-        for (at, &node) in self.command.nodes.iter().enumerate() {
-            let axes = (0..6).filter(|axis| acts(node, *axis));
-            out.extend(axes.map(|axis| NamedControl::on_node(mesh, node, at, axis)));
-        }
+        let of_wrenches = (self.command.nodes.iter())
+            .flat_map(|node| (0..6).map(move |component| (*node, component)))
+            .filter(|(node, component)| acts(*node, *component));
+        let mut out: Vec<NamedControl> = (of_wrenches.enumerate())
+            .map(|(index, place)| NamedControl::on_node(mesh, place, index))
+            .collect();
         let named = horizon.problem.named_controls().into_iter();
         out.extend(named.filter(|own| matches!(own.kind, ControlKind::Effort { .. })));
         distinguish(&mut out);
@@ -267,7 +268,7 @@ impl Controller {
     }
 
     /// Returns the actuators of the task, with their bounds.
-    pub(super) fn actuators(&self) -> &[ActuatedNode] {
+    pub(super) fn actuators(&self) -> Vec<ActuatedNode> {
         self.horizon.problem.wrench_actuators()
     }
 
@@ -311,16 +312,15 @@ impl Controller {
         let wanted = &mut self.outlet.wanted;
         (wanted.start, wanted.end) = (start, start + self.settings.period);
         let horizon = &self.horizon;
-        let actuators = horizon.problem.wrench_actuators();
         for (c, (component, scale)) in (horizon.components.iter().zip(&horizon.scales)).enumerate()
         {
             let acting = self.acting[c];
             (wanted.from[c], wanted.to[c]) = match aim {
                 Aim::Follow(wrench) => {
-                    let own = actuators.get(component.actuator);
-                    let acts = own.is_some_and(|own| own.node == followed);
-                    let value = wrench.to_array()[component.axis] / scale;
-                    let value = if acts { value } else { 0.0 };
+                    let value = match horizon.problem.of_wrench(component) {
+                        Some((node, component)) if node == followed => wrench[component] / scale,
+                        _ => 0.0,
+                    };
                     (value, value)
                 }
                 Aim::Part(part) if horizon.knots.hold() == Hold::Constant => {
@@ -328,9 +328,8 @@ impl Controller {
                 }
                 Aim::Part(part) => (acting, part * acting),
                 Aim::Stay => {
-                    let held = (horizon.problem.stay.as_ref()).map_or(0.0, |stay| {
-                        stay.wrenches[component.actuator].to_array()[component.axis] / scale
-                    });
+                    let held = (horizon.problem.stay.as_ref())
+                        .map_or(0.0, |stay| stay.controls[component.index] / scale);
                     let value = held + self.cancelling[c];
                     (value, value)
                 }
@@ -632,7 +631,7 @@ impl Controller {
             horizon,
             prediction,
             command,
-            wrenches: [now, next],
+            controls: [now, next],
             ..
         } = self;
         let n_steps = ((command.end - command.start) / step).round() as usize;
@@ -646,9 +645,9 @@ impl Controller {
             disturbing,
             ..
         } = horizon;
-        let fill = |k: usize, wrenches: &mut [Wrench]| {
-            wrenches.copy_from_slice(disturbing);
-            command.add_at(command.start + k as f64 * step, wrenches);
+        let fill = |k: usize, controls: &mut Controls| {
+            controls.begin_with(disturbing);
+            command.add_at(command.start + k as f64 * step, controls);
         };
         let model = (&*problem.rod, parameters);
         let outcome = prediction.run(model, step, (command.start, start), |stepper| {

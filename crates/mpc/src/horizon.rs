@@ -20,7 +20,7 @@ use faer::{Accum, Mat, Par};
 use nalgebra::{Matrix3, Vector3};
 
 use self::columns::{Columns, WinchSlopes};
-use super::command::{ControlOrder, component_mut};
+use super::command::{ControlOrder, Controls};
 use super::error::MpcError;
 use super::estimator::{Disturbance, ModelParameters, Motions};
 use super::knots::Knots;
@@ -31,9 +31,7 @@ use control::{Component, Enforcement, Goal, OptimalControlProblem, Shape, residu
 use mechanics::forms::NODE_COMPONENTS;
 use mechanics::linearization::{Motion, StateTangent};
 use mechanics::sensitivity::{EffortPulls, RepeatedReverse};
-use mechanics::{
-    ControlSignal, Efforts, Rod, State, StepError, TimeGrid, TimeScheme, Trajectory, Wrench,
-};
+use mechanics::{ControlSignal, Rod, State, StepError, TimeGrid, TimeScheme, Trajectory, Wrench};
 use stop::StopSignal;
 
 /// Negligible error of a tracked quantity, divided by the length, or in rad: a tenth of the default accuracy of a scene, 1e-3. Plans that
@@ -41,9 +39,34 @@ use stop::StopSignal;
 /// same, with twice the value to three digits.
 const NEGLIGIBLE: f64 = 1e-4;
 
-/// Effect of one unit of a control component on a node: the node, the component of its wrench, and the force or moment in N or N m. The
-/// effort of an actuator in the arm stands in the wrenches after those of the nodes ([`ControlOrder`]).
-type Effect = (usize, usize, f64);
+/// The part of the [`Controls`] that one unit of a control component changes, and by how much.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Effect {
+    pub on: Part,
+    /// Force or moment, N or N m, or effort.
+    pub size: f64,
+}
+
+/// A part of the [`Controls`] of a motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Part {
+    /// A node, and a component of its wrench: force before moment.
+    Node(usize, usize),
+    /// The effort of an actuator in the arm.
+    Effort(usize),
+}
+
+/// Adds the wrenches and efforts of `amount` units of a component.
+fn add_effects(effects: &[Effect], amount: f64, controls: &mut Controls) {
+    for Effect { on, size } in effects {
+        match *on {
+            Part::Node(node, component) => {
+                controls.wrenches[node][component] += amount * size;
+            }
+            Part::Effort(actuator) => controls.efforts[actuator] += amount * size,
+        }
+    }
+}
 
 /// Returns the effects of every component; `None` if an actuator of one's own is not linear.
 fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<Vec<Vec<Effect>>> {
@@ -56,19 +79,19 @@ fn effects(problem: &OptimalControlProblem, components: &[Component]) -> Option<
             ))
         })
         .collect::<Option<Vec<_>>>()?;
-    let of = |component: &Component| match problem.own_control(component) {
-        None if problem.is_effort(component) => (problem.driven_by(component))
-            .map(|(index, gain)| (driven[index], gain))
-            .map(|(actuator, gain)| (problem.rod.n_nodes() + actuator / 6, actuator % 6, gain))
+    let effect = |on, size| Effect { on, size };
+    let of = |component: &Component| match (
+        problem.of_wrench(component),
+        problem.own_control(component),
+    ) {
+        (Some((node, component)), _) => vec![effect(Part::Node(node, component), 1.0)],
+        (None, None) => (problem.driven_by(component))
+            .map(|(index, gain)| effect(Part::Effort(driven[index]), gain))
             .collect(),
-        None => {
-            let node = problem.actuators[component.actuator].node;
-            vec![(node, component.axis, 1.0)]
-        }
-        Some((index, control)) => {
+        (None, Some((index, control))) => {
             let (nodes, map) = &maps[index];
             let rows = (0..map.nrows()).filter(|row| map[(*row, control)] != 0.0);
-            rows.map(|row| (nodes[row / 6], row % 6, map[(row, control)]))
+            rows.map(|row| effect(Part::Node(nodes[row / 6], row % 6), map[(row, control)]))
                 .collect()
         }
     };
@@ -102,19 +125,6 @@ fn refuse_unsupported(problem: &OptimalControlProblem) -> Result<(), MpcError> {
         ));
     }
     Ok(())
-}
-
-/// Returns the memory for the efforts of a plan along a motion; `None` without actuators of the arm.
-fn efforts_along(order: &ControlOrder, n_nodes: usize, grid: TimeGrid) -> Option<ControlSignal> {
-    let n_carriers = order.n_wrenches() - n_nodes;
-    order.efforts.as_ref().map(|own| ControlSignal {
-        wrenches: vec![Wrench::default(); n_carriers * (grid.n_steps + 1)],
-        efforts: Some(Efforts {
-            first: 0,
-            ..own.clone()
-        }),
-        ..ControlSignal::default()
-    })
 }
 
 /// Returns the motion that stays in its first configuration.
@@ -191,7 +201,7 @@ pub(super) struct Horizon {
     /// Order of the controls of a motion.
     pub order: ControlOrder,
     /// Controls at the two ends of a step.
-    wrenches: [Vec<Wrench>; 2],
+    controls: [Controls; 2],
     /// Efforts of the plan along the last roll-out; `None` without actuators of the arm. Below it, the wrenches of unit efforts there of
     /// those that are driven on strains; `None` if none is.
     efforts: Option<ControlSignal>,
@@ -206,7 +216,7 @@ pub(super) struct Horizon {
     pub stop: StopSignal,
     /// Parameters by which the model of the present horizon differs from the one without a disturbance.
     parameters: ModelParameters,
-    /// Disturbing wrench of every node, constant in time, and no effort.
+    /// Disturbing wrench of every node, constant in time.
     pub disturbing: Vec<Wrench>,
     /// By how much later commands act than they say, s.
     delay: f64,
@@ -254,9 +264,8 @@ impl Horizon {
         let n = knots.most(grid.duration()) * components.len();
         knots.place(grid.start, grid.time(grid.n_steps));
         let start = problem.initial.clone();
-        let n_nodes = problem.rod.n_nodes();
         let order = ControlOrder::on_all(&problem.rod);
-        let efforts = efforts_along(&order, n_nodes, grid);
+        let efforts = order.signal_of_efforts(grid.n_steps + 1);
         let Drivers {
             of_efforts,
             on_strains,
@@ -296,8 +305,8 @@ impl Horizon {
         };
         Ok(Self {
             motions: Motions::new(&problem.rod, grid.step, Disturbance::NONE.parameters()),
-            wrenches: [(); 2].map(|()| order.none()),
-            disturbing: order.none(),
+            controls: [(); 2].map(|()| order.none()),
+            disturbing: order.none().wrenches,
             order,
             efforts,
             pulls,
@@ -341,8 +350,10 @@ impl Horizon {
     /// Returns the nodes on which components act, those of wrenches before those of actuators of one's own, each once.
     pub fn actuated_nodes(&self) -> Vec<usize> {
         let mut nodes = self.problem.actuated_nodes();
-        for &(node, _, _) in self.effects.iter().flatten() {
-            if node < self.problem.rod.n_nodes() && !nodes.contains(&node) {
+        for effect in self.effects.iter().flatten() {
+            if let Part::Node(node, _) = effect.on
+                && !nodes.contains(&node)
+            {
                 nodes.push(node);
             }
         }
@@ -493,7 +504,7 @@ impl Horizon {
             knots,
             grid,
             order,
-            wrenches: [now, next],
+            controls: [now, next],
             efforts,
             disturbing,
             trajectory,
@@ -508,21 +519,19 @@ impl Horizon {
             ..
         } = self;
         let n = components.len();
-        let fill = |k: usize, wrenches: &mut [Wrench]| {
-            wrenches.copy_from_slice(disturbing);
+        let fill = |k: usize, controls: &mut Controls| {
+            controls.begin_with(disturbing);
             for (coefficient, weight) in knots.at_node(grid, k) {
                 let own = &plan[coefficient * n..][..n];
                 for ((effects, v), scale) in effects.iter().zip(own).zip(scales.iter()) {
-                    add_effects(effects, weight * v * scale, wrenches);
+                    add_effects(effects, weight * v * scale, controls);
                 }
             }
         };
-        let n_nodes = problem.rod.n_nodes();
-        let n_carriers = order.n_wrenches() - n_nodes;
-        let mut note = |k: usize, wrenches: &[Wrench]| {
+        let mut note = |k: usize, controls: &Controls| {
             if let Some(efforts) = efforts {
-                let carriers = &mut efforts.wrenches[k * n_carriers..][..n_carriers];
-                carriers.copy_from_slice(&wrenches[n_nodes..]);
+                let n = controls.efforts.len();
+                efforts.inputs[k * n..][..n].copy_from_slice(&controls.efforts);
             }
         };
         trajectory.positions.clear();
@@ -691,12 +700,5 @@ fn evaluated<'a>(
             momenta: [&end.linear_momentum, &end.angular_momentum],
         },
         grid,
-    }
-}
-
-/// Adds the wrenches, or the effort, of `amount` units of a component to those of all nodes.
-pub(super) fn add_effects(effects: &[Effect], amount: f64, wrenches: &mut [Wrench]) {
-    for &(node, component, effect) in effects {
-        *component_mut(wrenches, 6 * node + component) += amount * effect;
     }
 }

@@ -1,6 +1,6 @@
 //! The plant: the system that a controller acts on.
 
-use super::command::{Command, ControlOrder};
+use super::command::{Command, ControlOrder, Controls};
 use super::transfer::Transfer;
 use mechanics::{Rod, State, StepError, Stepper, TimeGrid, Wrench};
 
@@ -30,7 +30,7 @@ pub struct RodPlant<'a> {
     /// Nearest own node of every node of the model.
     nearest: Vec<usize>,
     order: ControlOrder,
-    wrenches: [Vec<Wrench>; 2],
+    controls: [Controls; 2],
 }
 
 impl<'a> RodPlant<'a> {
@@ -45,7 +45,7 @@ impl<'a> RodPlant<'a> {
             nearest: transfer.nearest(),
             transfer,
             order: ControlOrder::on(Vec::new(), rod),
-            wrenches: [Vec::new(), Vec::new()],
+            controls: [Controls::default(), Controls::default()],
             rod,
             step,
         }
@@ -77,19 +77,20 @@ impl Plant for RodPlant<'_> {
         let Self {
             order,
             nearest,
-            wrenches: [now, next],
+            controls: [now, next],
             ..
         } = self;
         order.place(command.nodes.iter().map(|node| nearest[*node]));
-        now.resize(order.n_wrenches(), Wrench::default());
-        next.resize(order.n_wrenches(), Wrench::default());
+        for controls in [&mut *now, &mut *next] {
+            (controls.wrenches).resize(order.nodes.len(), Wrench::default());
+            controls.efforts.resize(order.n_efforts(), 0.0);
+        }
         let steps = ((command.end - command.start) / self.step).round() as usize;
         for k in 0..steps {
             let at = |k: usize| command.start + k as f64 * self.step;
             for (t, out) in [(at(k), &mut *now), (at(k + 1), &mut *next)] {
-                let (wrenches, efforts) = out.split_at_mut(command.nodes.len());
-                command.at(t, wrenches);
-                command.write_efforts_at(t, efforts);
+                command.at(t, &mut out.wrenches);
+                command.write_efforts_at(t, &mut out.efforts);
             }
             self.stepper.advance([order.of(now), order.of(next)])?;
         }

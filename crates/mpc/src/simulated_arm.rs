@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::command::{Command, ControlOrder, component_mut};
+use super::command::{Command, ControlOrder, Controls};
 use super::error::MpcError;
 use super::signal::EARLY;
 use super::transfer::Transfer;
@@ -158,9 +158,9 @@ pub struct SimulatedArm<'a> {
     sent: VecDeque<Command>,
     /// Own nodes on which commands act, and the present controls.
     order: ControlOrder,
-    acting: Vec<Wrench>,
-    next: Vec<Wrench>,
-    wanted: Vec<Wrench>,
+    acting: Controls,
+    next: Controls,
+    wanted: Controls,
     /// Commanded efforts in the middle of a step, for actuators with a lag.
     halfway: Vec<f64>,
 }
@@ -292,7 +292,7 @@ impl<'a> SimulatedArm<'a> {
     /// Returns the present wrenches on the nodes of the commands.
     #[must_use]
     pub fn acting(&self) -> &[Wrench] {
-        &self.acting
+        &self.acting.wrenches
     }
 
     /// Returns the present effort of every actuator in the arm, in its unit.
@@ -324,32 +324,28 @@ impl<'a> SimulatedArm<'a> {
     pub fn advance(&mut self, until: f64) -> Result<(), StepError> {
         let last = (until / self.step - EARLY).ceil().max(0.0) as usize;
         while self.n_steps < last {
-            let n = self.order.nodes.len();
             if self.efforts.iter().any(|(own, _)| own.lag > 0.0) {
                 self.want(self.time() + 0.5 * self.step);
-                for (place, halfway) in self.halfway.iter_mut().enumerate() {
-                    *halfway = *component_mut(&mut self.wanted[n..], place);
-                }
+                self.halfway.copy_from_slice(&self.wanted.efforts);
             }
             self.want(self.time() + self.step);
+            let (acting, wanted) = (&self.acting.wrenches, &self.wanted.wrenches);
             for (next, (acting, wanted)) in
-                (self.next[..n].iter_mut()).zip(self.acting.iter().zip(&self.wanted))
+                (self.next.wrenches.iter_mut()).zip(acting.iter().zip(wanted))
             {
                 *next = self.actuators.follow(acting, wanted, self.step);
             }
             for (place, (dynamics, given)) in self.efforts.iter().enumerate() {
-                let [from, to] = [&mut self.acting, &mut self.wanted]
-                    .map(|all| *component_mut(&mut all[n..], place));
+                let [from, to] = [&self.acting, &self.wanted].map(|all| all.efforts[place]);
                 // A constant command is followed exactly, also one that begins at a time node.
                 let to = if dynamics.lag > 0.0 {
                     self.halfway[place]
                 } else {
                     to
                 };
-                *component_mut(&mut self.next[n..], place) =
-                    dynamics.follow(*given, from, to, self.step);
+                self.next.efforts[place] = dynamics.follow(*given, from, to, self.step);
             }
-            let on = |wrenches| self.order.of(wrenches);
+            let on = |controls| self.order.of(controls);
             self.stepper.advance([on(&self.acting), on(&self.next)])?;
             std::mem::swap(&mut self.acting, &mut self.next);
             self.n_steps += 1;
@@ -364,7 +360,7 @@ impl<'a> SimulatedArm<'a> {
         while (self.sent.get(1)).is_some_and(|next| next.start <= told + rounding) {
             self.sent.pop_front();
         }
-        self.wanted.fill(Wrench::default());
+        self.wanted.clear();
         let Some(command) = self
             .sent
             .front()
@@ -380,10 +376,11 @@ impl<'a> SimulatedArm<'a> {
         {
             let own = self.nearest[*node];
             if let Some(at) = self.order.nodes.iter().position(|other| *other == own) {
-                self.wanted[at].force += from.force * (1.0 - s) + to.force * s;
-                self.wanted[at].moment += from.moment * (1.0 - s) + to.moment * s;
+                let wanted = &mut self.wanted.wrenches[at];
+                wanted.force += from.force * (1.0 - s) + to.force * s;
+                wanted.moment += from.moment * (1.0 - s) + to.moment * s;
             }
         }
-        command.write_commanded_at(told, &mut self.wanted[self.order.nodes.len()..]);
+        command.write_commanded_at(told, &mut self.wanted.efforts);
     }
 }

@@ -18,9 +18,9 @@ pub struct MultiplierRecord {
     /// Multipliers of the active rows of path constraints.
     pub path: Vec<PathMultiplier>,
     /// Normals of the bounds on rates.
-    pub rates: Vec<[f64; 6]>,
+    pub rates: Vec<f64>,
     /// Normals of the bounds on commands.
-    pub commands: Vec<[f64; 6]>,
+    pub commands: Vec<f64>,
 }
 
 /// The contents of the file: as [`MultiplierRecord`], but the normals have a row for every interval, with a number for every
@@ -34,25 +34,25 @@ struct MultiplierFile {
     commands: Vec<Vec<f64>>,
 }
 
-/// Returns the rows of a file with the normals of every actuator, interval by interval.
-fn by_control(problem: &OptimalControlProblem, normals: &[[f64; 6]]) -> Vec<Vec<f64>> {
+/// Returns the rows of a file from the normals of all numbers of the controls, interval by interval.
+fn by_control(problem: &OptimalControlProblem, normals: &[f64]) -> Vec<Vec<f64>> {
     let components = problem.actuated_components();
-    (normals.chunks(problem.actuators.len().max(1)))
-        .map(|of| (components.iter().map(|own| of[own.actuator][own.axis])).collect())
+    (normals.chunks(problem.n_numbers().max(1)))
+        .map(|of| components.iter().map(|own| of[own.index]).collect())
         .collect()
 }
 
-/// Returns the normals of every actuator in the rows of a file, or the length of a row that is not of this problem.
-fn by_actuator(problem: &OptimalControlProblem, rows: &[Vec<f64>]) -> Result<Vec<[f64; 6]>, usize> {
+/// Returns the normals of all numbers of the controls from the rows of a file, or the length of a row that is not of this problem.
+fn by_number(problem: &OptimalControlProblem, rows: &[Vec<f64>]) -> Result<Vec<f64>, usize> {
     let components = problem.actuated_components();
-    let n = problem.actuators.len();
-    let mut out = vec![[0.0; 6]; n * rows.len()];
+    let n = problem.n_numbers();
+    let mut out = vec![0.0; n * rows.len()];
     for (i, row) in rows.iter().enumerate() {
         if row.len() != components.len() {
             return Err(row.len());
         }
         for (own, value) in components.iter().zip(row) {
-            out[n * i + own.actuator][own.axis] = *value;
+            out[n * i + own.index] = *value;
         }
     }
     Ok(out)
@@ -110,10 +110,10 @@ pub fn read_multipliers(
         let rows = constraint.limit.n_items(&problem.rod) as u64;
         sum.saturating_add(rows.saturating_mul(constraint.time_nodes.len() as u64))
     });
-    let rates = (problem.control.n_coefficients() * problem.actuators.len()) as u64;
+    let rates = (problem.control.n_coefficients() * problem.n_numbers()) as u64;
     // At most four rows of commands begin at a coefficient.
     let commands = rates.saturating_mul(4);
-    // A row of a path takes six lines, a row of rates or commands eight.
+    // A row of a path takes six lines, a number of rates or commands one, and their row two.
     let entries = (path_rows.saturating_add(rates).saturating_add(commands))
         .saturating_mul(8)
         .saturating_add(goals + 64);
@@ -125,7 +125,7 @@ pub fn read_multipliers(
             reason: error.to_string(),
         })?;
     let normals = |rows: &[Vec<f64>]| {
-        by_actuator(problem, rows).map_err(|length| {
+        by_number(problem, rows).map_err(|length| {
             let n_controls = problem.actuated_components().len();
             let reason = format!(
                 "a row of {length} normals, but scene.toml describes {n_controls} controls"

@@ -128,6 +128,7 @@ impl Acting {
 struct Packed<'a> {
     acting: &'a Acting,
     wrenches: Vec<Wrench>,
+    inputs: Vec<f64>,
     efforts: Option<Efforts>,
 }
 
@@ -136,10 +137,10 @@ impl<'a> Packed<'a> {
         let m = acting.efforts[0].len();
         Self {
             acting,
-            wrenches: Vec::with_capacity(acting.nodes.len() + m.div_ceil(6)),
+            wrenches: Vec::with_capacity(acting.nodes.len()),
+            inputs: Vec::with_capacity(m),
             efforts: (m > 0).then(|| Efforts {
                 actuators: (0..m).collect(),
-                first: acting.nodes.len(),
                 places: (0..m).collect(),
                 gains: vec![1.0; m],
             }),
@@ -151,6 +152,7 @@ impl<'a> Packed<'a> {
     fn pack(&mut self, rod: &Rod, part: f64, t: f64) {
         let between = |a: f64, b: f64| a + (b - a) * part;
         self.wrenches.clear();
+        self.inputs.clear();
         let [from, to] = &self.acting.wrenches;
         self.wrenches
             .extend(from.iter().zip(to).map(|(from, to)| Wrench {
@@ -160,21 +162,15 @@ impl<'a> Packed<'a> {
         let [from, to] = &self.acting.efforts;
         if !from.is_empty() {
             let given = rod.actuators.efforts(t);
-            let more: Vec<f64> = (from.iter().zip(to).zip(given))
-                .map(|((from, to), given)| between(*from, *to) - given)
-                .collect();
-            for six in more.chunks(6) {
-                let at = |i: usize| six.get(i).copied().unwrap_or(0.0);
-                self.wrenches.push(Wrench {
-                    force: Vector3::from_fn(|i, _| at(i)),
-                    moment: Vector3::from_fn(|i, _| at(3 + i)),
-                });
-            }
+            let more = (from.iter().zip(to).zip(given))
+                .map(|((from, to), given)| between(*from, *to) - given);
+            self.inputs.extend(more);
         }
     }
 
     fn view(&self) -> NodeWrenches<'_> {
         NodeWrenches {
+            inputs: &self.inputs,
             efforts: self.efforts.as_ref(),
             ..NodeWrenches::on(&self.acting.nodes, &self.wrenches)
         }

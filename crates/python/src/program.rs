@@ -14,7 +14,8 @@ use super::{beside, raise, read, scene_error};
 use crate::arrays::{Numbers, numbers};
 use softarm::cli::Told;
 use softarm::control::{
-    Guess, LiftedPoint, OptimalControlProblem, Transcription, block_transitions, first_point,
+    ControlKind, Guess, LiftedPoint, OptimalControlProblem, Transcription, block_transitions,
+    first_point,
 };
 use softarm::mechanics::Trajectory;
 use softarm::scene::OptimalControl;
@@ -171,14 +172,17 @@ impl Program {
     fn components(&self) -> Vec<(String, Option<usize>, f64, f64)> {
         let problem = self.problem();
         (problem.named_controls().into_iter())
-            .map(|own| {
-                let axis = own.component.axis;
-                let unit = problem.channel(&own.component).unit();
-                match own.node() {
-                    None => (own.name, None, unit, own.rest),
-                    Some(node) => {
-                        let kind = if axis < 3 { "force" } else { "moment" };
-                        (kind.to_string(), Some(3 * node + axis % 3), unit, own.rest)
+            .zip(problem.actuated_components())
+            .map(|(own, component)| {
+                let unit = problem.channel(&component).unit();
+                match own.kind {
+                    ControlKind::Wrench { node, component } => {
+                        let kind = if component < 3 { "force" } else { "moment" };
+                        let axis = 3 * node + component % 3;
+                        (kind.to_string(), Some(axis), unit, own.rest)
+                    }
+                    ControlKind::Own | ControlKind::Effort { .. } => {
+                        (own.name, None, unit, own.rest)
                     }
                 }
             })
@@ -351,7 +355,7 @@ impl Program {
     ) -> PyResult<Vec<Block<'py>>> {
         let variables = self.variables(&variables)?;
         let found = self.interruptibly(py, move |problem| {
-            let coefficients = problem.wrenches(&variables);
+            let coefficients = problem.coefficients(&variables);
             let point = at(&Transcription::new(problem, 1), &variables)?;
             block_transitions(problem, &point.trajectory, &coefficients, 1)
                 .map_err(|error| Failure(error.to_string()))

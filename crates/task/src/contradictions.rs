@@ -295,7 +295,7 @@ fn largest_force(problem: &OptimalControlProblem) -> Option<f64> {
     let rod = &problem.rod;
     let wrenches = problem.wrench_actuators();
     let others = !rod.actuators.is_empty() || rod.actuators.act_on_poses();
-    if others || wrenches.len() < problem.actuators.len() {
+    if others || !problem.controls_only_wrenches() {
         return None;
     }
     let mut sum = rod.mass() * rod.gravity.norm();

@@ -217,11 +217,11 @@ impl Task {
         let actuators = self.actuators(&rod);
         let default_weights =
             default_weights(self.cost.effort, &rod, &actuators, !self.efforts.is_empty());
-        let (carriers, acting) = own::acting(&self.own_actuators, actuators.len(), &rod, &initial)?;
-        let mut actuators: Vec<_> = actuators.into_iter().chain(carriers).collect();
-        let (carriers, efforts) =
-            effort::efforts(&self.efforts, actuators.len(), chosen.hold, &rod)?;
-        actuators.extend(carriers);
+        let (own, acting) = own::acting(&self.own_actuators, &rod, &initial)?;
+        let n_own = own.iter().map(|own| own.on.count()).sum();
+        let (of_efforts, efforts) = effort::efforts(&self.efforts, n_own, chosen.hold, &rod)?;
+        let on_nodes = actuators.iter().flat_map(ActuatedNode::channels);
+        let channels = on_nodes.chain(own).chain(of_efforts).collect();
         // A rate of samples is counted on the longest duration, so that it does not depend on where the search begins.
         let samples_on = match self.free_duration {
             None => grid,
@@ -244,7 +244,7 @@ impl Task {
             grid,
             initial,
             control,
-            actuators,
+            channels,
             acting,
             efforts,
             rod: Arc::new(rod),

@@ -3,7 +3,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use super::error::DiscretizeError;
-use control::{ActuatedNode, Bound, Channel, Hold};
+use control::{ActsOn, Bound, Channel, Hold, PlacedChannel};
 use mechanics::{Efforts, PlacedFunction, Rod};
 
 /// An actuator of the [arm](super::Arm) whose effort the optimizer chooses.
@@ -39,8 +39,7 @@ pub struct Follows {
     pub gain: f64,
 }
 
-/// Returns the carriers of the controls after `first` wrenches, and the place of each control in them: every control has a force or a
-/// moment of its own.
+/// Returns the channels of the controls, and the place of each actuator's control among the inputs of a signal, `first` of which come before.
 ///
 /// # Errors
 /// Returns [`DiscretizeError`] for an actuator that the rod does not have or that is named twice, bounds without the pretension between
@@ -50,7 +49,7 @@ pub(super) fn efforts(
     first: usize,
     hold: Hold,
     rod: &Rod,
-) -> Result<(Vec<ActuatedNode>, Option<Efforts>), DiscretizeError> {
+) -> Result<(Vec<PlacedChannel>, Option<Efforts>), DiscretizeError> {
     if controls.is_empty() {
         return Ok((Vec::new(), None));
     }
@@ -60,10 +59,7 @@ pub(super) fn efforts(
     let mut channels = (leaders.iter())
         .map(|control| channel(control, controls, hold, rod))
         .collect::<Result<Vec<_>, _>>()?;
-    let mut out = Efforts {
-        first,
-        ..Efforts::default()
-    };
+    let mut out = Efforts::default();
     for control in controls {
         let (leader, gain) = match control.follows {
             None => (control.actuator, 1.0),
@@ -81,11 +77,12 @@ pub(super) fn efforts(
             narrow(&mut channels[at], &own, gain)?;
         }
         out.actuators.push(control.actuator);
-        out.places.push(3 * at);
+        out.places.push(first + at);
         out.gains.push(gain);
     }
-    let carriers = ActuatedNode::carrying(0, &channels).collect();
-    Ok((carriers, Some(out)))
+    let on = ActsOn::Effort;
+    let channels = (channels.into_iter()).map(|channel| PlacedChannel { on, channel });
+    Ok((channels.collect(), Some(out)))
 }
 
 fn refuse<T>(what: &'static str, value: f64, expected: &'static str) -> Result<T, DiscretizeError> {

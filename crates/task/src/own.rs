@@ -2,23 +2,22 @@
 
 use super::definition::OwnActuator;
 use super::error::DiscretizeError;
-use control::{ActuatedNode, Channel};
+use control::{ActsOn, PlacedChannel};
 use mechanics::actuator::Acting;
 use mechanics::{Actuator, Rod, State, StateView, Wrench};
 
-/// Returns the nodes that carry the controls after `first` wrenches, and the place of each control in them: every group has a force or a
-/// moment of its own.
+/// Returns the channels of the controls, which follow those of wrenches, and the place of each control among their numbers.
 pub(super) fn acting(
     own: &[OwnActuator],
-    first: usize,
     rod: &Rod,
     start: &State,
-) -> Result<(Vec<ActuatedNode>, Vec<Acting>), DiscretizeError> {
-    let (mut carriers, mut acting) = (Vec::new(), Vec::new());
+) -> Result<(Vec<PlacedChannel>, Vec<Acting>), DiscretizeError> {
+    let (mut channels, mut acting) = (Vec::new(), Vec::new());
+    let mut next = 0;
     for OwnActuator { actuator, controls } in own {
         check(&**actuator, rod, start)?;
-        let mut places = Vec::new();
-        for (index, group) in controls.iter().enumerate() {
+        let first = next;
+        for group in controls {
             if !(1..=3).contains(&group.count) {
                 return refuse("own_actuator.controls.count", group.count, "1, 2 or 3");
             }
@@ -30,22 +29,22 @@ pub(super) fn acting(
                     expected: "a positive size",
                 });
             }
-            places.extend((0..group.count).map(|axis| 3 * index + axis));
+            next += group.count;
+            channels.push(PlacedChannel {
+                on: ActsOn::Own { count: group.count },
+                channel: group.channel,
+            });
         }
-        if places.len() != actuator.n_controls() {
+        if next - first != actuator.n_controls() {
             let expected = "as many controls in its groups as the actuator has";
-            return refuse("own_actuator.controls", places.len(), expected);
+            return refuse("own_actuator.controls", next - first, expected);
         }
         acting.push(Acting {
             actuator: actuator.clone(),
-            first: first + carriers.len(),
-            places,
+            places: (first..next).collect(),
         });
-        let node = actuator.nodes(rod)[0];
-        let channels: Vec<Channel> = controls.iter().map(|group| group.channel).collect();
-        carriers.extend(ActuatedNode::carrying(node, &channels));
     }
-    Ok((carriers, acting))
+    Ok((channels, acting))
 }
 
 fn refuse<T>(

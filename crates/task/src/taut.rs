@@ -85,7 +85,7 @@ fn slack_tendons(problem: &OptimalControlProblem, stay: &Stay) -> Vec<usize> {
         };
         for (item, &(actuator, _)) in tendons.iter().enumerate() {
             let control = NodeWrenches {
-                wrenches: &stay.wrenches,
+                inputs: problem.inputs(&stay.controls),
                 efforts: problem.efforts.as_ref(),
                 ..NodeWrenches::NONE
             };

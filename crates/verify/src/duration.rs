@@ -1,13 +1,11 @@
 //! Stationarity along a free duration, or an active limit of it, from slightly longer and shorter motions.
 
-use nalgebra::Vector3;
-
 use super::hold::{self, Spline};
-use super::kkt::controls::{control_cost, scales};
+use super::kkt::controls::{control_cost, vectors};
 use super::kkt::motion::Conditions;
 use super::probe::{Motion, roll_out};
 use super::{CheckError, Solution};
-use control::{Bound, OptimalControlProblem};
+use control::{Bound, OptimalControlProblem, PlacedChannel};
 use mechanics::differences;
 
 /// Relative change of the duration in the differences, which are of fourth order.
@@ -87,24 +85,21 @@ fn terms(
 
 /// Returns `Σ z·command`: the term of the bounds on commands whose value changes with the duration.
 fn commanded(problem: &OptimalControlProblem, solution: &Solution) -> f64 {
-    let n = problem.actuators.len();
     let spline = Spline::of(problem);
+    let n = problem.channels.len();
+    let normals = vectors(problem, solution.multipliers.commands);
+    let coefficients = vectors(problem, solution.coefficients);
     let mut sum = 0.0;
-    for a in 0..n {
-        let own = [&problem.actuators[a].force, &problem.actuators[a].moment];
-        for (c, scale) in scales(problem, a).into_iter().enumerate() {
-            if own[c].lag == 0.0 {
+    for (c, PlacedChannel { channel, .. }) in problem.channels.iter().enumerate() {
+        if channel.lag == 0.0 {
+            continue;
+        }
+        for (row, weights) in spline.command_rows(channel.lag).iter().enumerate() {
+            let Some(z) = normals.get(row * n + c) else {
                 continue;
-            }
-            for (row, weights) in spline.command_rows(own[c].lag).iter().enumerate() {
-                let Some(z) = solution.multipliers.commands.get(row * n + a) else {
-                    continue;
-                };
-                for &(j, weight) in weights {
-                    let u = solution.coefficients[j * n + a].to_array();
-                    sum +=
-                        (0..3).map(|i| z[3 * c + i] * u[3 * c + i]).sum::<f64>() * weight / scale;
-                }
+            };
+            for &(j, weight) in weights {
+                sum += z.dot(&coefficients[j * n + c]) * weight / channel.unit();
             }
         }
     }
@@ -120,31 +115,24 @@ fn leeway(multiplier: f64, limit: f64) -> f64 {
 }
 
 /// Returns `Σ |z| limit`: the term of the bounds on rates.
-fn rate_room(problem: &OptimalControlProblem, rates: &[[f64; 6]]) -> f64 {
-    let n = problem.actuators.len();
+fn rate_room(problem: &OptimalControlProblem, rates: &[f64]) -> f64 {
+    let n = problem.channels.len();
     let gaps = Spline::of(problem).gaps();
     let mut sum = 0.0;
-    for (i, normals) in rates.iter().enumerate() {
-        let (step, a) = (i / n, i % n);
-        let bounds = [
-            problem.actuators[a].force.rate_bound,
-            problem.actuators[a].moment.rate_bound,
-        ];
-        for (c, scale) in scales(problem, a).into_iter().enumerate() {
-            let normal = Vector3::from_column_slice(&normals[3 * c..3 * c + 3]);
-            let room = match bounds[c] {
-                Some(Bound::PerAxis(limits)) => (0..3).map(|i| leeway(normal[i], limits[i])).sum(),
-                Some(Bound::Between { lower, upper }) => (0..3)
-                    .map(|i| match normal[i] {
-                        z if z < 0.0 => leeway(z, -lower[i]),
-                        z => leeway(z, upper[i]),
-                    })
-                    .sum(),
-                Some(Bound::Norm(limit)) => normal.norm() * limit,
-                None => 0.0,
-            };
-            sum += room * gaps[step] / scale;
-        }
+    for (i, normal) in vectors(problem, rates).iter().enumerate() {
+        let (step, channel) = (i / n, &problem.channels[i % n].channel);
+        let room = match channel.rate_bound {
+            Some(Bound::PerAxis(limits)) => (0..3).map(|i| leeway(normal[i], limits[i])).sum(),
+            Some(Bound::Between { lower, upper }) => (0..3)
+                .map(|i| match normal[i] {
+                    z if z < 0.0 => leeway(z, -lower[i]),
+                    z => leeway(z, upper[i]),
+                })
+                .sum(),
+            Some(Bound::Norm(limit)) => normal.norm() * limit,
+            None => 0.0,
+        };
+        sum += room * gaps[step] / channel.unit();
     }
     sum
 }

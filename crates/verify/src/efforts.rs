@@ -20,9 +20,7 @@ pub fn inputs(rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Vec<f64> {
         .collect();
     if let Some(efforts) = control.efforts {
         for (i, &actuator) in efforts.actuators.iter().enumerate() {
-            let place = efforts.places[i];
-            let numbers = control.wrenches[efforts.first + place / 6].to_array();
-            out[actuator] += efforts.gains[i] * numbers[place % 6];
+            out[actuator] += efforts.gains[i] * control.inputs[efforts.places[i]];
         }
     }
     out

@@ -117,26 +117,24 @@ pub(super) fn examine(probe: &Probe, tip: &DMatrix<f64>) -> Result<Growth, Check
     })
 }
 
-/// Returns the largest displacement of the tip if every coefficient of a force or moment is off by the largest of them, to first order, m.
+/// Returns the largest displacement of the tip if every coefficient of a channel is off by the largest of them, to first order, m.
 fn moved_by_controls(probe: &Probe, tip: &DMatrix<f64>) -> f64 {
     let components = probe.problem.actuated_components();
     let width = components.len();
     let mut sum = 0.0;
-    for a in 0..probe.problem.actuators.len() {
-        for channel in 0..2 {
-            let of_vector: Vec<usize> = (components.iter().enumerate())
-                .filter(|(_, c)| c.actuator == a && c.axis / 3 == channel)
-                .map(|(i, _)| i)
-                .collect();
-            let columns = |j: usize| of_vector.iter().map(move |i| j * width + i);
-            let count = probe.variables.len() / width.max(1);
-            let size = |j: usize| columns(j).map(|i| probe.variables[i].powi(2)).sum::<f64>();
-            let largest = (0..count).map(size).fold(0.0, f64::max).sqrt();
-            for j in 0..count {
-                let slope = tip.select_columns(&columns(j).collect::<Vec<_>>());
-                if !slope.is_empty() {
-                    sum += largest * slope.singular_values().max();
-                }
+    for channel in 0..probe.problem.channels.len() {
+        let of_vector: Vec<usize> = (components.iter().enumerate())
+            .filter(|(_, c)| c.channel == channel)
+            .map(|(i, _)| i)
+            .collect();
+        let columns = |j: usize| of_vector.iter().map(move |i| j * width + i);
+        let count = probe.variables.len() / width.max(1);
+        let size = |j: usize| columns(j).map(|i| probe.variables[i].powi(2)).sum::<f64>();
+        let largest = (0..count).map(size).fold(0.0, f64::max).sqrt();
+        for j in 0..count {
+            let slope = tip.select_columns(&columns(j).collect::<Vec<_>>());
+            if !slope.is_empty() {
+                sum += largest * slope.singular_values().max();
             }
         }
     }

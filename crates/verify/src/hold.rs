@@ -15,7 +15,7 @@
 use nalgebra::{DMatrix, Vector3};
 
 use control::{Hold, OptimalControlProblem};
-use mechanics::{ControlSignal, Wrench};
+use mechanics::ControlSignal;
 
 /// A hold over the blocks of a problem.
 #[derive(Clone, Debug)]
@@ -275,30 +275,32 @@ fn lobatto() -> [(f64, f64); 5] {
     ]
 }
 
-/// The wrenches on the actuated nodes at every time node of a grid whose steps are `factor` times shorter.
+/// The controls at every time node of a grid whose steps are `factor` times shorter.
 pub fn signal(
     problem: &OptimalControlProblem,
     factor: usize,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> ControlSignal {
     let spline = Spline::of(problem);
-    let n = problem.actuators.len();
-    let mut wrenches = Vec::with_capacity((problem.grid.n_steps * factor + 1) * n);
-    for k in 0..=problem.grid.n_steps * factor {
-        let weights = spline.weights(k, factor);
-        wrenches.extend((0..n).map(|a| {
-            let mut sum = Wrench::default();
-            for &(j, weight) in &weights {
-                let u = &coefficients[j * n + a];
-                sum.force += u.force * weight;
-                sum.moment += u.moment * weight;
+    let n = problem.n_numbers();
+    let n_times = problem.grid.n_steps * factor + 1;
+    let mut numbers = vec![0.0; n * n_times];
+    for (k, here) in numbers.chunks_exact_mut(n.max(1)).enumerate() {
+        for &(j, weight) in &spline.weights(k, factor) {
+            for (sum, u) in here.iter_mut().zip(&coefficients[j * n..]) {
+                *sum += u * weight;
             }
-            sum
-        }));
+        }
     }
+    let inputs: Vec<f64> = (numbers.chunks_exact(n.max(1)))
+        .flat_map(|here| problem.inputs(here))
+        .copied()
+        .collect();
     ControlSignal {
         nodes: problem.actuated_nodes(),
-        wrenches,
+        wrenches: problem.wrenches(&numbers),
+        n_inputs: inputs.len() / n_times,
+        inputs,
         acting: problem.acting.clone(),
         efforts: problem.efforts.clone(),
     }

@@ -10,7 +10,7 @@ use super::kkt::motion::Conditions;
 use super::limits::Pose;
 use super::{CheckError, ReplayKind, Solution, SolutionMultipliers, samples};
 use control::{OptimalControlProblem, PathEnforcement, PathMultiplier};
-use mechanics::{State, Stepper, Trajectory, Wrench};
+use mechanics::{State, Stepper, Trajectory};
 
 /// A row of a path constraint with a multiplier.
 struct PathTerm {
@@ -46,7 +46,7 @@ pub(super) struct Motion {
 pub(super) fn roll_out(
     problem: &OptimalControlProblem,
     initial: &State,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> Result<Motion, CheckError> {
     let control = hold::signal(problem, 1, coefficients);
     let n = problem.grid.n_steps;
@@ -118,8 +118,8 @@ impl<'a> Probe<'a> {
         out
     }
 
-    pub(super) fn coefficients(&self, variables: &[f64]) -> Vec<Wrench> {
-        self.problem.wrenches(variables)
+    pub(super) fn coefficients(&self, variables: &[f64]) -> Vec<f64> {
+        self.problem.coefficients(variables)
     }
 
     /// Returns the solution's variables moved by `step` along `direction`.
@@ -218,27 +218,31 @@ impl<'a> Probe<'a> {
         });
         let pulled = conditions.control_gradient(&functional, &goals);
         problem.stop.check()?;
-        let n = problem.actuators.len();
+        let n = problem.channels.len();
         let components = problem.actuated_components();
         let (_, slope) = control_cost(problem, &coefficients);
         let pulled = pull_back(problem, &pulled);
         Ok((0..Spline::of(problem).n_coefficients())
             .flat_map(|j| components.iter().map(move |c| (j, c)))
             .map(|(j, c)| {
-                let (at, channel, axis) = (j * n + c.actuator, c.axis / 3, c.axis % 3);
-                pulled[at][channel][axis] + slope[at][channel][axis]
+                let at = j * n + c.channel;
+                pulled[at][c.axis] + slope[at][c.axis]
             })
             .collect())
     }
 
-    /// Returns the variable of a component of a coefficient; `None` if it is not actuated.
-    pub(super) fn variable(&self, at: usize, channel: usize, axis: usize) -> Option<usize> {
-        let n = self.problem.actuators.len();
+    /// Returns the variable of an axis of a channel in a coefficient; `None` if it is not actuated.
+    pub(super) fn variable(
+        &self,
+        coefficient: usize,
+        channel: usize,
+        axis: usize,
+    ) -> Option<usize> {
         let components = self.problem.actuated_components();
         components
             .iter()
-            .position(|c| c.actuator == at % n && c.axis == 3 * channel + axis)
-            .map(|c| at / n * components.len() + c)
+            .position(|c| (c.channel, c.axis) == (channel, axis))
+            .map(|c| coefficient * components.len() + c)
     }
 }
 

@@ -370,7 +370,7 @@ fn step_work(
             rotations: &state.configuration.rotations,
         };
         for own in control.acting {
-            let u = own.controls(control.wrenches);
+            let u = own.controls(control.inputs);
             for (node, wrench) in acting::wrenches(&*own.actuator, &at, &u) {
                 let (dx, turn) = displacement(before, after, node);
                 work += 0.5 * (wrench.force.dot(&dx) + wrench.moment.dot(&turn));

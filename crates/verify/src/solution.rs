@@ -4,15 +4,15 @@ use std::collections::HashMap;
 
 use super::hold::Spline;
 use control::{OptimalControlProblem, PathMultiplier};
-use mechanics::{Trajectory, Wrench};
+use mechanics::Trajectory;
 
 /// A solution to check, as a result directory holds it.
 #[derive(Clone, Copy, Debug)]
 pub struct Solution<'a> {
     /// Configurations at every time node.
     pub trajectory: &'a Trajectory,
-    /// Coefficients of the control, those of all actuators together.
-    pub coefficients: &'a [Wrench],
+    /// Coefficients of the controls, the [numbers](OptimalControlProblem::n_numbers) of each one after the other.
+    pub coefficients: &'a [f64],
     /// Multipliers.
     pub multipliers: SolutionMultipliers<'a>,
 }
@@ -25,11 +25,11 @@ pub struct SolutionMultipliers<'a> {
     /// Multipliers of rows of [`OptimalControlProblem::path`]; absent ones are zero.
     pub path: &'a [PathMultiplier],
     /// Normals of the bounds on the rate of the scaled control from one coefficient to the next, for each step between coefficients and
-    /// each actuator (force, moment); empty without such bounds.
-    pub rates: &'a [[f64; 6]],
+    /// each number of these; empty without such bounds.
+    pub rates: &'a [f64],
     /// Normals of the bounds on the scaled command of channels with a lag, for each end of a block of a linear hold or each Bernstein
-    /// coefficient of a spline, and each actuator; empty without such bounds.
-    pub commands: &'a [[f64; 6]],
+    /// coefficient of a spline, and each number; empty without such bounds.
+    pub commands: &'a [f64],
 }
 
 impl<'a> SolutionMultipliers<'a> {
@@ -72,11 +72,9 @@ impl Solution<'_> {
         let numbers = (self.trajectory.positions.iter().flat_map(|x| x.iter()))
             .chain(self.trajectory.rotations.iter().flat_map(|r| r.iter()));
         require_finite("trajectory", numbers)?;
-        let count = problem.control.n_coefficients() * problem.actuators.len();
-        require_count("coefficients", self.coefficients.len(), count)?;
-        let numbers =
-            (self.coefficients.iter()).flat_map(|u| u.force.iter().chain(u.moment.iter()));
-        require_finite("coefficients", numbers)?;
+        let n = problem.n_numbers();
+        let count = problem.control.n_coefficients();
+        require_rows("coefficients", self.coefficients, (count, n))?;
         self.multipliers.validate(problem)
     }
 }
@@ -90,15 +88,13 @@ impl SolutionMultipliers<'_> {
         require_count("goals", self.goals.len(), problem.goal_rows().len())?;
         require_finite("goals", self.goals.iter())?;
         let steps = problem.control.n_coefficients().saturating_sub(1);
+        let n = problem.n_numbers();
         if !self.rates.is_empty() {
-            let count = steps * problem.actuators.len();
-            require_count("rates", self.rates.len(), count)?;
-            require_finite("rates", self.rates.iter().flatten())?;
+            require_rows("rates", self.rates, (steps, n))?;
         }
         if !self.commands.is_empty() {
-            let count = Spline::of(problem).command_rows(1.0).len() * problem.actuators.len();
-            require_count("commands", self.commands.len(), count)?;
-            require_finite("commands", self.commands.iter().flatten())?;
+            let count = Spline::of(problem).command_rows(1.0).len();
+            require_rows("commands", self.commands, (count, n))?;
         }
         let constraints = &problem.path;
         let mut seen = HashMap::new();
@@ -163,6 +159,24 @@ fn require_count(place: &str, found: usize, expected: usize) -> Result<(), Solut
     require(found == expected, || {
         (place.into(), format!("{found} rows"), expected.to_string())
     })
+}
+
+/// Requires as many rows of `n` finite numbers each.
+fn require_rows(
+    place: &str,
+    numbers: &[f64],
+    (count, n): (usize, usize),
+) -> Result<(), SolutionError> {
+    let found = numbers.len();
+    if n > 0 && found.is_multiple_of(n) {
+        require_count(place, found / n, count)?;
+    } else {
+        require(found == count * n, || {
+            let expected = format!("{count} rows of {n}");
+            (place.into(), format!("{found} numbers"), expected)
+        })?;
+    }
+    require_finite(place, numbers.iter())
 }
 
 fn require_finite<'a>(

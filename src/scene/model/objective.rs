@@ -250,7 +250,7 @@ impl Objective {
     /// The keys of a problem's objective, with the weights and scales that were chosen for it.
     pub(in crate::scene) fn describing(problem: &Problem) -> Self {
         let (cost, chosen) = (&problem.task.cost, &problem.discretization);
-        let tip = problem.discrete.actuators.first();
+        let tip = problem.discrete.wrench_actuators().into_iter().next();
         let tracks = cost.tracks.iter().zip(&problem.discrete.objective.tracking);
         Self {
             effort: known(cost.effort),

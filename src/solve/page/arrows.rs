@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use super::FRAMES;
 use super::fields::pose;
 use crate::control::{Hold, OptimalControlProblem};
-use crate::mechanics::{OfPose, Rod, StateView, Wrench};
+use crate::mechanics::{OfPose, Rod, StateView};
 use crate::output::{ArrowKind, MotionRecord, ReportArrow};
 
 /// Nodes with arrows of one name and kind, at most; of more, these are evenly spread.
@@ -86,7 +86,7 @@ fn single(vectors: &[Vector3<f64>]) -> Vec<[f32; 3]> {
 /// Arrows of the controls.
 pub(super) fn controls(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     record: &MotionRecord,
 ) -> Vec<ReportArrow> {
     let rows = record.thinned_rows(FRAMES);
@@ -119,25 +119,24 @@ pub(super) fn controls(
 /// Largest force (N) and moment (N m) of every wrench actuator.
 pub(super) fn largest_controls(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
 ) -> Vec<[f64; 2]> {
-    let n = problem.actuators.len();
     let control = &problem.control;
-    (0..problem.wrench_actuators().len())
-        .map(|a| {
-            let sizes = |wrench: Wrench| [wrench.force.norm(), wrench.moment.norm()];
-            let all: Vec<[f64; 2]> = if control.hold == Hold::Cubic {
-                (0..=control.n_steps())
-                    .map(|k| sizes(control.value(k, |j| coefficients[j * n + a])))
-                    .collect()
-            } else {
-                // The size of a linear function is largest at an end.
-                (0..control.n_coefficients())
-                    .map(|j| sizes(coefficients[j * n + a]))
-                    .collect()
-            };
-            all.into_iter().fold([0.0, 0.0], |m: [f64; 2], s| {
-                [m[0].max(s[0]), m[1].max(s[1])]
+    let wrenches = if control.hold == Hold::Cubic {
+        problem.signal(control, coefficients).wrenches
+    } else {
+        // The size of a linear function is largest at an end.
+        problem.wrenches(coefficients)
+    };
+    let n = problem.actuated_nodes().len();
+    (0..n)
+        .map(|at| {
+            let own = wrenches.iter().skip(at).step_by(n);
+            own.fold([0.0, 0.0], |m: [f64; 2], wrench| {
+                [
+                    m[0].max(wrench.force.norm()),
+                    m[1].max(wrench.moment.norm()),
+                ]
             })
         })
         .collect()

@@ -4,16 +4,16 @@
 use super::fields::pose;
 use super::{ROWS, add_components, sizes};
 use crate::control::OptimalControlProblem;
+use crate::mechanics::BaseCondition;
 #[cfg(feature = "cli")]
 use crate::mechanics::Rod;
-use crate::mechanics::{BaseCondition, Wrench};
 use crate::output::Columns;
 #[cfg(feature = "cli")]
 use crate::output::{BaseReaction, MotionRecord};
 use crate::solve::diagnostics::visit;
 
 /// The reaction along the motion that the controls make; nothing of a free base, and where the motion breaks down.
-pub(super) fn optimized(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Columns {
+pub(super) fn optimized(problem: &OptimalControlProblem, coefficients: &[f64]) -> Columns {
     if problem.rod.base == BaseCondition::Free {
         return Columns::new();
     }

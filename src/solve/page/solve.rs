@@ -22,7 +22,7 @@ pub(in crate::solve) struct SolvePage<'a> {
     /// The problem, on the grid of the solution.
     pub problem: &'a Problem,
     /// Coefficients of the controls.
-    pub coefficients: &'a [Wrench],
+    pub coefficients: &'a [f64],
     /// The rows of `trajectory.npz`.
     pub record: &'a MotionRecord,
     /// The contents of `summary.json`.
@@ -97,7 +97,7 @@ pub(in crate::solve) fn solve_page(page: SolvePage) -> Result<ReportData, Output
 }
 
 /// Describes the task, and the largest force (N) and moment (N m) of any actuator.
-fn posed(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Value {
+fn posed(problem: &OptimalControlProblem, coefficients: &[f64]) -> Value {
     let goals = || problem.final_goals();
     let position = goals().find_map(|goal| Some((goal.position?, &goal.enforcement)));
     let goal = goals().next().map(|_| {
@@ -109,8 +109,7 @@ fn posed(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Value {
         })
     });
     let stay = problem.stay.as_ref().map(|stay| {
-        // The wrenches of efforts are none.
-        let wrenches = &stay.wrenches[..problem.wrench_actuators().len()];
+        let wrenches = problem.wrenches(&stay.controls);
         let largest = |part: fn(&Wrench) -> f64| {
             let size = wrenches.iter().map(part).fold(0.0, f64::max);
             (size > 0.0).then_some(size)
@@ -213,11 +212,10 @@ pub(super) fn drawn_bound(bound: &Option<Bound>) -> Option<output::Bound> {
 }
 
 /// The tip's wrench, if it is a control; a spline is drawn as a polygon. Efforts have curves of their own.
-fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Option<ReportControls> {
-    let n = problem.actuators.len();
-    let tip = (problem.wrench_actuators().first()).filter(|tip| tip.acts())?;
+fn controls(problem: &OptimalControlProblem, coefficients: &[f64]) -> Option<ReportControls> {
+    let tip = (problem.wrench_actuators().into_iter().next()).filter(|tip| tip.acts())?;
+    let n = problem.actuated_nodes().len();
     let control = &problem.control;
-    let at = |j: usize| coefficients[j * n];
     let (hold, t, wrenches): (_, Vec<f64>, Vec<Wrench>) = match control.hold {
         Hold::Constant | Hold::Linear => (
             if control.hold == Hold::Constant {
@@ -226,7 +224,7 @@ fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Option<
                 output::Hold::Linear
             },
             control.edge_times(),
-            (0..control.n_coefficients()).map(at).collect(),
+            (problem.wrenches(coefficients).into_iter().step_by(n)).collect(),
         ),
         Hold::Cubic => {
             let last = control.n_steps();
@@ -235,7 +233,10 @@ fn controls(problem: &OptimalControlProblem, coefficients: &[Wrench]) -> Option<
             (
                 output::Hold::Linear,
                 nodes().map(|k| problem.grid.time(k)).collect(),
-                nodes().map(|k| control.value(k, at)).collect(),
+                {
+                    let all = problem.signal(control, coefficients).wrenches;
+                    nodes().map(|k| all[k * n]).collect()
+                },
             )
         }
     };

@@ -19,11 +19,18 @@ pub(super) fn check(problem: &OptimalControlProblem, rows: &[ControlRow]) -> Fil
         let at = intervals.len();
         let end = problem.grid.duration();
         intervals.push([end, end + stay.seconds]);
+        // A number is as exact as the vector of which it is a component.
+        let size_of = |own: &NamedControl| {
+            let channel = (0..problem.channels.len())
+                .find(|channel| problem.numbers_of(*channel).contains(&own.index));
+            channel.map_or(0.0, |channel| {
+                problem.vector(&stay.controls, channel).norm()
+            })
+        };
         for (i, own) in named.iter().enumerate() {
             let found = rows.get(at).map_or(f64::NAN, |row| row.values[i]);
-            let wrench = &stay.wrenches[own.component.actuator];
-            let size = wrench.force.norm() + wrench.moment.norm() + own.rest.abs();
-            let expected = own.value(&stay.wrenches);
+            let size = size_of(own) + own.rest.abs();
+            let expected = own.value(&stay.controls);
             out.number(found, expected, ELSEWHERE * size, || {
                 format!("{}, line {}", headings[i], first + at)
             });

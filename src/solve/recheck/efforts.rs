@@ -2,7 +2,7 @@
 
 use super::file_check::{DERIVED, FileCheck, ROUNDINGS};
 use crate::control::OptimalControlProblem;
-use crate::mechanics::{Trajectory, Wrench};
+use crate::mechanics::Trajectory;
 use crate::output::EffortRow;
 use crate::verify::{efforts, hold};
 
@@ -10,21 +10,18 @@ use crate::verify::{efforts, hold};
 fn commands(
     problem: &OptimalControlProblem,
     spline: &hold::Spline,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     k: usize,
     efforts: &[f64],
 ) -> Option<Vec<f64>> {
-    let n = problem.actuators.len();
+    let n = problem.n_numbers();
     let mut out = None;
     for (driven, component) in problem.driven_components() {
         let lag = problem.channel(&component).lag;
         if lag > 0.0 {
             let value = |lag: f64| -> f64 {
                 (spline.command_weights(k, lag).iter())
-                    .map(|&(j, weight)| {
-                        let wrench = coefficients[j * n + component.actuator].to_array();
-                        weight * wrench[component.axis]
-                    })
+                    .map(|&(j, weight)| weight * coefficients[j * n + component.index])
                     .sum()
             };
             out.get_or_insert_with(|| efforts.to_vec())[driven.actuator] +=
@@ -49,7 +46,7 @@ struct Row {
 #[must_use]
 pub(super) fn check(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     trajectory: &Trajectory,
     rows: &[EffortRow],
 ) -> FileCheck {

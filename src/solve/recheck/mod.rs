@@ -22,7 +22,7 @@ use self::file_check::{FileCheck, MOST_NAMES, Mismatch};
 use super::controls::{coefficients_of, read_rows};
 use super::summary::{check_outcome, tip_end};
 use crate::control::{Feedback, OptimalControlProblem, TrackingError, tracking_errors};
-use crate::mechanics::{Trajectory, Wrench};
+use crate::mechanics::Trajectory;
 use crate::output::summary::{CheckRecord, SCHEMA_VERSION, TipEnd, was_checked};
 use crate::output::{
     ControlRow, END_FILE, MotionRecord, MultiplierRecord, OutputError, read_efforts, read_end,
@@ -62,7 +62,7 @@ pub(crate) struct SavedSolution<'a> {
     setup: &'a OptimalControl,
     rows: Vec<ControlRow>,
     record: MotionRecord,
-    coefficients: Vec<Wrench>,
+    coefficients: Vec<f64>,
     trajectory: Trajectory,
     multipliers: MultiplierRecord,
 }
@@ -392,6 +392,6 @@ fn trajectory_of(record: &MotionRecord) -> Trajectory {
 pub(crate) fn read_coefficients(
     directory: &Path,
     problem: &OptimalControlProblem,
-) -> Result<Vec<Wrench>, RecheckError> {
+) -> Result<Vec<f64>, RecheckError> {
     Ok(coefficients_of(&read_rows(directory, problem)?, problem))
 }

@@ -16,7 +16,7 @@ use crate::verify::{ForwardCheck, hold};
 #[must_use]
 pub(super) fn check(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     check: &ForwardCheck,
     record: &MotionRecord,
     energies: bool,
@@ -24,7 +24,8 @@ pub(super) fn check(
     let mut out = FileCheck::of("trajectory.npz");
     let rod = &problem.rod;
     let signal = hold::signal(problem, 1, coefficients);
-    let largest = |part: fn(&Wrench) -> f64| coefficients.iter().map(part).fold(0.0, f64::max);
+    let wrenches = problem.wrenches(coefficients);
+    let largest = |part: fn(&Wrench) -> f64| wrenches.iter().map(part).fold(0.0, f64::max);
     let allowed = [
         ROUNDINGS * largest(|u| u.force.amax()),
         ROUNDINGS * largest(|u| u.moment.amax()),
@@ -43,10 +44,8 @@ pub(super) fn check(
             ROUNDINGS * problem.grid.duration(),
             || format!("t, row {k}"),
         );
-        // The first actuator is that of the tip, if any is a wrench.
-        let first = signal.at(k).wrenches.first().copied();
-        let tip = first.filter(|_| !problem.wrench_actuators().is_empty());
-        let tip = tip.unwrap_or_default();
+        // The first wrench is that of the tip.
+        let tip = signal.at(k).wrenches.first().copied().unwrap_or_default();
         for axis in 0..3 {
             let at = 3 * k + axis;
             out.number(record.tip_force[at], tip.force[axis], allowed[0], || {

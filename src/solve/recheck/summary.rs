@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::document::{Allowed, Comparison, Table};
 use super::file_check::{DERIVED, ELSEWHERE, FileCheck, ROUNDINGS};
 use crate::control::{Feedback, OptimalControlProblem};
-use crate::mechanics::{Trajectory, Wrench};
+use crate::mechanics::Trajectory;
 use crate::output::json_value;
 use crate::output::summary::{ProblemFacts, Reached, SCHEMA_VERSION, Sensitivities, was_checked};
 use crate::solve::summary::{problem_facts, reached, sensitivities};
@@ -38,7 +38,7 @@ pub(super) struct Expected<'a> {
     /// Tolerance of the solver.
     pub tolerance: f64,
     /// Coefficients of the control.
-    pub coefficients: &'a [Wrench],
+    pub coefficients: &'a [f64],
     /// Configurations of the solution.
     pub trajectory: &'a Trajectory,
     /// Multipliers of the goals.

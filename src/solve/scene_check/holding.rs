@@ -95,21 +95,22 @@ fn nearest_summary(
 }
 
 fn wrenches(problem: &OptimalControlProblem, held: &Held) -> Vec<[f64; 6]> {
-    let n = problem.wrench_actuators().len();
-    held.wrenches[..n].iter().map(Wrench::to_array).collect()
+    let wrenches = problem.wrenches(&held.controls);
+    wrenches.iter().map(Wrench::to_array).collect()
 }
 
 fn controls(problem: &OptimalControlProblem, held: &Held) -> Vec<Vec<f64>> {
     let mut efforts = problem.rod.actuators.efforts(problem.grid.duration());
+    let inputs = problem.inputs(&held.controls);
     let control = NodeWrenches {
-        wrenches: &held.wrenches,
+        inputs,
         efforts: problem.efforts.as_ref(),
         ..NodeWrenches::NONE
     };
     control.add_efforts(&mut efforts);
     let driven = problem.efforts.iter().flat_map(|own| &own.actuators);
     (problem.acting.iter())
-        .map(|acting| acting.controls(&held.wrenches))
+        .map(|acting| acting.controls(inputs))
         .chain(driven.map(|&actuator| vec![efforts[actuator]]))
         .collect()
 }

@@ -341,8 +341,10 @@ fn actuators(problem: &OptimalControlProblem) -> Vec<ActuatorSummary> {
     let own = (problem.acting.iter()).map(|acting| {
         let (name, unit) = acting.actuator.named_controls();
         let n = acting.places.len();
-        let bounds = (problem.actuators.get(acting.first))
-            .map_or_else(String::new, |group| bounded(&group.force, unit));
+        let first = acting.places.first();
+        let bounds = first
+            .and_then(|place| problem.channel_of_input(*place))
+            .map_or_else(String::new, |channel| bounded(channel, unit));
         ActuatorSummary {
             node: acting
                 .actuator

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::control::{Attempt, ControlGrid, Hold, OptimalControlProblem, search};
 use crate::mechanics::stability::automatic_step;
-use crate::mechanics::{ControlSignal, Rod, State, StepError, StrainRule, TimeGrid, Wrench};
+use crate::mechanics::{ControlSignal, Rod, State, StepError, StrainRule, TimeGrid};
 use crate::memory::of_solve;
 use crate::scene::{OptimalControl, Scene, TimeScheme};
 use crate::sqp::{HessianChoice, SADDLE_GAIN, SqpStatus};
@@ -319,7 +319,7 @@ impl Solved {
             posed.with_time_scale(self.attempt.time_scale)
         };
         let discrete = &problem.discrete;
-        let coefficients = discrete.wrenches(&self.attempt.outcome.point.variables);
+        let coefficients = discrete.coefficients(&self.attempt.outcome.point.variables);
         let n_blocks = discrete.control.n_blocks();
         let times = times(discrete.grid.n_steps, n_blocks);
         let mut courses = Vec::new();
@@ -386,7 +386,7 @@ fn times(n_steps: usize, n_blocks: usize) -> usize {
 /// Returns the controls of a problem on a rod with `factor` times the elements and with `parts` steps for each one.
 fn replay(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     rod: &Rod,
     start: &State,
     (factor, parts): (usize, usize),

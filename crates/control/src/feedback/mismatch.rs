@@ -68,7 +68,7 @@ impl Feedback {
     pub fn mismatches(
         &self,
         problem: &OptimalControlProblem,
-        coefficients: &[Wrench],
+        coefficients: &[f64],
         trajectory: &Trajectory,
     ) -> Result<Vec<ModelMismatch>, StepError> {
         let mut out = Vec::new();
@@ -144,7 +144,7 @@ impl Quantity {
 fn deviation(
     arm: &Rod,
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     planned: &Trajectory,
     gains: Option<&Feedback>,
 ) -> Result<TipDeviation, StepError> {

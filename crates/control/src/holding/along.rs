@@ -7,10 +7,10 @@ use super::program::{Aim, Demand, HoldingPoint, LITTLE, NEARER};
 use super::statics::{Statics, Target};
 use super::{MOST_CONTROLS, MOST_ELEMENTS, Search};
 use crate::problem::{Component, OptimalControlProblem};
+use mechanics::Configuration;
 use mechanics::equilibrium::NodeSpring;
 use mechanics::forces::NodalForces;
 use mechanics::tangent::own_squared_frequency;
-use mechanics::{Configuration, Wrench};
 
 /// An equilibrium that is led along a reference.
 #[derive(Clone, Debug)]
@@ -32,7 +32,7 @@ pub struct HoldingControls {
 }
 
 /// Returns the equilibrium of least effort with a node at a pose, position (m) and rotation (body to space), under the loads of time `t`
-/// (s), and the wrenches of all actuators that hold it, from a shape with the node about there; `None` if none is found, for a free arm, and
+/// (s), and the coefficient of the controls that hold it, from a shape with the node about there; `None` if none is found, for a free arm, and
 /// where the search would take too long. It may be unstable.
 pub fn held_at(
     problem: &OptimalControlProblem,
@@ -40,7 +40,7 @@ pub fn held_at(
     (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
     t: f64,
     shape: &Configuration,
-) -> Option<(Configuration, Vec<Wrench>)> {
+) -> Option<(Configuration, Vec<f64>)> {
     let rod = &problem.rod;
     let n_controls = problem.actuated_components().len();
     if !rod.is_held() || rod.n_elements() > MOST_ELEMENTS || n_controls > MOST_CONTROLS {
@@ -62,15 +62,15 @@ pub fn held_at(
         start: shape.clone(),
     };
     let point = search.solve(&Demand::of(Aim::Hold), &first)?;
-    let wrenches = statics.wrenches(&point.controls);
-    Some((point.shape, wrenches))
+    let controls = statics.coefficient(&point.controls);
+    Some((point.shape, controls))
 }
 
 /// Returns the statics under the loads of time `t`, s, with the bounds of efforts and commands as they are.
 fn statics_at(problem: &OptimalControlProblem, t: f64) -> Statics<'_> {
     let components = problem.actuated_components();
     let within = |component: &Component| {
-        (problem.channel(component).bound).and_then(|bound| bound.interval(component.axis % 3))
+        (problem.channel(component).bound).and_then(|bound| bound.interval(component.axis))
     };
     Statics {
         unit: own_squared_frequency(&problem.rod),
@@ -178,7 +178,7 @@ fn bearing(
     let is_free = |c: usize| {
         let component = &statics.components[c];
         let channel = statics.problem.channel(component);
-        let interval = (channel.bound).and_then(|bound| bound.interval(component.axis % 3));
+        let interval = (channel.bound).and_then(|bound| bound.interval(component.axis));
         interval.is_none_or(|[least, most]| {
             let value = controls[c] * channel.scale;
             let room = AT_A_BOUND * channel.scale;

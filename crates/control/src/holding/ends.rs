@@ -23,7 +23,7 @@ pub(super) fn ends(problem: &OptimalControlProblem, component: &Component) -> Op
     let channel = problem.channel(component);
     let [lower, upper] = match channel.bound {
         None => [f64::NEG_INFINITY, f64::INFINITY],
-        Some(bound) => bound.interval(component.axis % 3)?,
+        Some(bound) => bound.interval(component.axis)?,
     };
     if channel.lag == 0.0 || !(lower < upper) {
         return Some([lower, upper]);

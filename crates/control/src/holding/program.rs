@@ -565,36 +565,32 @@ fn factored(tangent: &Tangent) -> Result<TangentLu, Failure> {
 /// Returns the bounds of the controls.
 fn bounds(statics: &Statics) -> Vec<ConvexSet> {
     let mut out = Vec::new();
-    for (index, actuator) in statics.problem.actuators.iter().enumerate() {
-        for (channel, axes) in [(&actuator.force, 0..3), (&actuator.moment, 3..6)] {
-            let own = || {
-                (statics.components.iter().enumerate())
-                    .filter(|(_, c)| c.actuator == index && axes.contains(&c.axis))
-            };
-            match channel.bound {
-                Some(Bound::Norm(limit)) if limit.is_finite() && own().next().is_some() => {
-                    out.push(ConvexSet::ball(
-                        own().map(|(at, _)| at),
-                        limit / channel.scale,
-                    ));
-                }
-                Some(Bound::PerAxis(_) | Bound::Between { .. }) => {
-                    for (at, _) in own() {
-                        let Some(ends) = statics.ends[at] else {
-                            continue;
-                        };
-                        let [lower, upper] = ends.map(|end| end / channel.scale);
-                        if lower.is_finite() || upper.is_finite() {
-                            out.push(ConvexSet::Interval {
-                                index: at,
-                                lower,
-                                upper,
-                            });
-                        }
+    for (index, own) in statics.problem.channels.iter().enumerate() {
+        let channel = &own.channel;
+        let own = || (statics.components.iter().enumerate()).filter(|(_, c)| c.channel == index);
+        match channel.bound {
+            Some(Bound::Norm(limit)) if limit.is_finite() && own().next().is_some() => {
+                out.push(ConvexSet::ball(
+                    own().map(|(at, _)| at),
+                    limit / channel.scale,
+                ));
+            }
+            Some(Bound::PerAxis(_) | Bound::Between { .. }) => {
+                for (at, _) in own() {
+                    let Some(ends) = statics.ends[at] else {
+                        continue;
+                    };
+                    let [lower, upper] = ends.map(|end| end / channel.scale);
+                    if lower.is_finite() || upper.is_finite() {
+                        out.push(ConvexSet::Interval {
+                            index: at,
+                            lower,
+                            upper,
+                        });
                     }
                 }
-                Some(Bound::Norm(_)) | None => {}
             }
+            Some(Bound::Norm(_)) | None => {}
         }
     }
     out
@@ -629,11 +625,13 @@ mod tests {
             duration: None,
             initial: State::at_rest(rod.rest.clone()),
             control: ControlGrid::new(Hold::Constant, 10, 100, 0.01).expect("a grid"),
-            actuators: vec![ActuatedNode {
+            channels: (ActuatedNode {
                 node: rod.tip(),
                 force: channel(rod.scales.force),
                 moment: channel(rod.scales.force * rod.scales.length),
-            }],
+            })
+            .channels()
+            .to_vec(),
             acting: Vec::new(),
             efforts: None,
             goals: Vec::new(),

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-use crate::problem::{Component, OptimalControlProblem};
+use crate::problem::{ActsOn, Component, OptimalControlProblem};
 use crate::term::DIFFERENCE;
 use mechanics::actuator::Acting;
 use mechanics::block_tridiagonal::BlockTridiagonal;
@@ -95,39 +95,30 @@ impl Statics<'_> {
         self.rod().n_nodes() - self.rod().first_free_node()
     }
 
-    /// Returns the wrenches of all actuators, in the order of the problem's controls.
-    pub fn wrenches(&self, controls: &[f64]) -> Vec<Wrench> {
-        let mut out = vec![Wrench::default(); self.problem.actuators.len()];
+    /// Returns the coefficient of the problem's controls.
+    pub fn coefficient(&self, controls: &[f64]) -> Vec<f64> {
+        let mut out = vec![0.0; self.problem.n_numbers()];
         for (component, value) in self.components.iter().zip(controls) {
-            let value = value * self.problem.channel(component).scale;
-            let wrench = &mut out[component.actuator];
-            if component.axis < 3 {
-                wrench.force[component.axis] = value;
-            } else {
-                wrench.moment[component.axis - 3] = value;
-            }
+            out[component.index] = value * self.problem.channel(component).scale;
         }
         out
     }
 
-    /// Returns the controls of wrenches of all actuators.
-    pub fn controls(&self, wrenches: &[Wrench]) -> Vec<f64> {
+    /// Returns the controls of a coefficient.
+    pub fn controls(&self, coefficient: &[f64]) -> Vec<f64> {
         (self.components.iter())
-            .map(|component| {
-                let value = wrenches[component.actuator].to_array()[component.axis];
-                value / self.problem.channel(component).scale
-            })
+            .map(|own| coefficient[own.index] / self.problem.channel(own).scale)
             .collect()
     }
 
     /// Returns the rod with all inputs of its actuators, those of the controls among them, where the effort of a winch depends on the whole
     /// of its input; otherwise the rod as it is, to which [`Self::efforts`] add.
-    fn rod_under(&self, wrenches: &[Wrench]) -> Cow<'_, Rod> {
+    fn rod_under(&self, coefficient: &[f64]) -> Cow<'_, Rod> {
         let rod = self.rod();
         if !rod.actuators.has_winches() {
             return Cow::Borrowed(rod);
         }
-        let inputs = self.inputs(wrenches);
+        let inputs = self.inputs(coefficient);
         Cow::Owned(Rod {
             actuators: rod.actuators.with_efforts(&inputs),
             ..rod.clone()
@@ -135,24 +126,24 @@ impl Statics<'_> {
     }
 
     /// Returns all inputs of the rod's actuators.
-    fn inputs(&self, wrenches: &[Wrench]) -> Vec<f64> {
+    fn inputs(&self, coefficient: &[f64]) -> Vec<f64> {
         let mut out = self.rod().actuators.efforts(self.time);
-        self.add_controls(wrenches, &mut out);
+        self.add_controls(coefficient, &mut out);
         out
     }
 
     /// Returns the part of the controls in the efforts of the rod's actuators, which adds to that of [`Self::rod_under`].
-    fn efforts(&self, wrenches: &[Wrench]) -> Vec<f64> {
+    fn efforts(&self, coefficient: &[f64]) -> Vec<f64> {
         let mut out = vec![0.0; self.rod().actuators.len()];
         if !self.rod().actuators.has_winches() {
-            self.add_controls(wrenches, &mut out);
+            self.add_controls(coefficient, &mut out);
         }
         out
     }
 
-    fn add_controls(&self, wrenches: &[Wrench], out: &mut [f64]) {
+    fn add_controls(&self, coefficient: &[f64], out: &mut [f64]) {
         let control = NodeWrenches {
-            wrenches,
+            inputs: self.problem.inputs(coefficient),
             efforts: self.problem.efforts.as_ref(),
             ..NodeWrenches::NONE
         };
@@ -170,13 +161,16 @@ impl Statics<'_> {
 
     /// Returns the wrenches on nodes under the controls.
     pub fn nodal(&self, shape: &Configuration, controls: &[f64]) -> Vec<(usize, Wrench)> {
-        let wrenches = self.wrenches(controls);
-        let mut out: Vec<(usize, Wrench)> = (self.problem.wrench_actuators().iter())
-            .zip(&wrenches)
-            .map(|(actuator, wrench)| (actuator.node, *wrench))
+        let coefficient = self.coefficient(controls);
+        let wrenches = self.problem.wrenches(&coefficient);
+        let mut out: Vec<(usize, Wrench)> = (self.problem.actuated_nodes().into_iter())
+            .zip(wrenches)
             .collect();
         for acting in &self.problem.acting {
-            out.extend(acting.wrenches(&self.view(shape), &acting.controls(&wrenches)));
+            out.extend(acting.wrenches(
+                &self.view(shape),
+                &acting.controls(self.problem.inputs(&coefficient)),
+            ));
         }
         out
     }
@@ -188,11 +182,11 @@ impl Statics<'_> {
         controls: &[f64],
         springs: &NodeSpring,
     ) -> Vec<Vector6<f64>> {
-        let wrenches = self.wrenches(controls);
-        let rod = &*self.rod_under(&wrenches);
+        let coefficient = self.coefficient(controls);
+        let rod = &*self.rod_under(&coefficient);
         let mut forces = NodalForces::zeros(rod.n_nodes());
         forces.evaluate(rod, &shape.positions, &shape.rotations, self.time);
-        let efforts = self.efforts(&wrenches);
+        let efforts = self.efforts(&coefficient);
         forces.add_active(rod, &shape.positions, &shape.rotations, &efforts);
         let at = springs.node;
         let pull = springs.wrench(&shape.positions[at], &shape.rotations[at]);
@@ -227,8 +221,8 @@ impl Statics<'_> {
         controls: &[f64],
         springs: &NodeSpring,
     ) -> Tangent {
-        let wrenches = self.wrenches(controls);
-        let rod = &*self.rod_under(&wrenches);
+        let coefficient = self.coefficient(controls);
+        let rod = &*self.rod_under(&coefficient);
         let first = rod.first_free_node();
         let mut out = Tangent::stiffness(rod, shape, self.time);
         let add = |out: &mut Tangent, row: usize, column: usize, block: Matrix6<f64>| {
@@ -239,7 +233,7 @@ impl Statics<'_> {
         };
         let at = springs.node;
         add(&mut out, at, at, springs.stiffness(&shape.rotations[at]));
-        let efforts = self.efforts(&wrenches);
+        let efforts = self.efforts(&coefficient);
         if !efforts.is_empty() {
             let mut active = BlockTridiagonal::zeros(self.n_free());
             for q in 0..rod.n_elements() {
@@ -259,7 +253,7 @@ impl Statics<'_> {
         }
         for acting in self.looking() {
             let nodes = acting.actuator.nodes(rod);
-            let u = acting.controls(&wrenches);
+            let u = acting.controls(self.problem.inputs(&coefficient));
             let slope = acting
                 .actuator
                 .configuration_jacobian(&self.view(shape), &u);
@@ -283,10 +277,10 @@ impl Statics<'_> {
     pub fn columns(&self, shape: &Configuration, controls: &[f64]) -> Vec<Vec<Vector6<f64>>> {
         let rod = self.rod();
         let first = rod.first_free_node();
-        let wrenches = self.wrenches(controls);
+        let coefficient = self.coefficient(controls);
         let own: Vec<_> = (self.problem.acting.iter())
             .map(|acting| {
-                let u = acting.controls(&wrenches);
+                let u = acting.controls(self.problem.inputs(&coefficient));
                 let nodes = acting.actuator.nodes(rod);
                 (
                     nodes,
@@ -304,18 +298,17 @@ impl Statics<'_> {
                         column[node - first] +=
                             Vector6::from_fn(|k, _| scale * slope[(6 * i + k, control)]);
                     }
-                } else if let Some(unit) = self.unit_effort(component, scale, shape, &wrenches) {
+                } else if let Some(unit) = self.unit_effort(component, scale, shape, &coefficient) {
                     let mut forces = NodalForces::zeros(rod.n_nodes());
                     forces.add_active(rod, &shape.positions, &shape.rotations, &unit);
                     for (node, column) in (first..).zip(&mut column) {
                         let (f, m) = (&forces.forces[node], &forces.moments[node]);
                         *column = Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z);
                     }
-                } else {
-                    let node = self.problem.actuators[component.actuator].node;
-                    if node >= first {
-                        column[node - first][component.axis] = scale;
-                    }
+                } else if let Some((node, component)) = self.problem.of_wrench(component)
+                    && node >= first
+                {
+                    column[node - first][component] = scale;
                 }
                 rod.project_joints(&mut column);
                 column
@@ -329,16 +322,19 @@ impl Statics<'_> {
         component: &Component,
         change: f64,
         shape: &Configuration,
-        wrenches: &[Wrench],
+        coefficient: &[f64],
     ) -> Option<Vec<f64>> {
-        if !self.problem.is_effort(component) {
+        if self.problem.channels[component.channel].on != ActsOn::Effort {
             return None;
         }
         let actuators = &self.rod().actuators;
         let mut out = vec![0.0; actuators.len()];
         let along = actuators.has_winches().then(|| {
             let (x, r) = (&shape.positions, &shape.rotations);
-            (self.rod().actuator_coordinates(x, r), self.inputs(wrenches))
+            (
+                self.rod().actuator_coordinates(x, r),
+                self.inputs(coefficient),
+            )
         });
         for (index, gain) in self.problem.driven_by(component) {
             let actuator = self.problem.efforts.as_ref()?.actuators[index];
@@ -379,8 +375,12 @@ impl Statics<'_> {
         let first = rod.first_free_node();
         let length = rod.scales.length;
         let mut moved = shape.clone();
-        let wrenches = self.wrenches(controls);
-        let efforts = rod.efforts_at(self.inputs(&wrenches), &shape.positions, &shape.rotations);
+        let coefficient = self.coefficient(controls);
+        let efforts = rod.efforts_at(
+            self.inputs(&coefficient),
+            &shape.positions,
+            &shape.rotations,
+        );
         let along_states = (first..rod.n_nodes())
             .map(|node| {
                 Vector6::from_fn(|component, _| {
@@ -411,7 +411,7 @@ impl Statics<'_> {
                 let component = &self.components[i];
                 let scale = self.problem.channel(component).scale;
                 // The stiffness is linear in efforts.
-                if let Some(unit) = self.unit_effort(component, scale, shape, &wrenches) {
+                if let Some(unit) = self.unit_effort(component, scale, shape, &coefficient) {
                     let all = 0..rod.n_nodes();
                     let posed = self.posed_form(shape, (Posed::Driven, &unit), all, &mode.shape);
                     return self.active_form(shape, &unit, 0..rod.n_elements(), &mode.shape)
@@ -530,10 +530,10 @@ impl Statics<'_> {
     fn own_form(&self, shape: &Configuration, controls: &[f64], q: &[Vector6<f64>]) -> f64 {
         let rod = self.rod();
         let first = rod.first_free_node();
-        let wrenches = self.wrenches(controls);
+        let coefficient = self.coefficient(controls);
         let forms = self.looking().map(|acting| {
             let nodes = acting.actuator.nodes(rod);
-            let u = acting.controls(&wrenches);
+            let u = acting.controls(self.problem.inputs(&coefficient));
             let slope = acting
                 .actuator
                 .configuration_jacobian(&self.view(shape), &u);
@@ -608,8 +608,10 @@ impl Statics<'_> {
 
     /// Tells whether a control has a potential: a force in the spatial frame, or an effort of an actuator of the rod.
     pub fn has_potential(&self, component: &Component) -> bool {
-        let is_effort = self.problem.is_effort(component);
-        is_effort || (component.axis < 3 && self.problem.own_control(component).is_none())
+        match self.problem.channels[component.channel].on {
+            ActsOn::Force { .. } | ActsOn::Effort => true,
+            ActsOn::Moment { .. } | ActsOn::Own { .. } => false,
+        }
     }
 
     /// Tells whether controls without a potential act.

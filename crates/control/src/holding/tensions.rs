@@ -44,10 +44,10 @@ fn held_by(winches: &Winches, search: &Search) -> Option<Held> {
         start: search.start.clone(),
     };
     let accepted = |point: &HoldingPoint| {
-        let wrenches = statics.wrenches(&point.controls);
-        let wrenches = winches.displacements(&wrenches, &point.shape);
+        let tensions = statics.coefficient(&point.controls);
+        let displacements = winches.displacements(&tensions, &point.shape);
         let held = search.held(&HoldingPoint {
-            controls: own.controls(&wrenches),
+            controls: own.controls(&displacements),
             shape: point.shape.clone(),
         })?;
         let is_there = held.is_stable && held.is_within_bounds() && held.crosses.is_none();
@@ -81,7 +81,7 @@ fn held_by(winches: &Winches, search: &Search) -> Option<Held> {
     }
     let (held, _) = twin.nearest_of_starts()?;
     accepted(&HoldingPoint {
-        controls: statics.controls(&held.wrenches),
+        controls: statics.controls(&held.controls),
         shape: held.shape.clone(),
     })
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-/// Limit of one of the two vectors of a wrench.
+/// Limit of the vector of a [channel](Channel).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
     /// `|u| ≤ limit`: a second-order cone.
@@ -77,7 +77,7 @@ pub fn named_axes(axes: [bool; 3]) -> String {
     format!(", along {} alone", named.join(" and "))
 }
 
-/// One of the two vectors of a wrench.
+/// One to three numbers of the controls that form a vector: a force, a moment, or others of one unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Channel {
     /// Magnitude that counts as 1 in the cost, N or N m; also in the solver, unless a [smaller bound](Self::unit) replaces it.
@@ -179,11 +179,62 @@ impl Channel {
     }
 }
 
-/// A controllable wrench on one node, or six controls of a [user-defined actuator](mechanics::Actuator), or six efforts of
-/// [actuators on the strains](mechanics::StrainActuator).
+/// What a channel of the controls acts on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ActsOn {
+    /// The force on a node by its three components, spatial frame.
+    Force {
+        /// Index of the node.
+        node: usize,
+    },
+    /// The moment on a node by its three components, body frame.
+    Moment {
+        /// Index of the node.
+        node: usize,
+    },
+    /// A [user-defined actuator](mechanics::Actuator), as one to three of its controls.
+    Own {
+        /// Number of these controls.
+        count: usize,
+    },
+    /// The efforts of [actuators of the rod](mechanics::StrainActuator) that one number drives.
+    Effort,
+}
+
+impl ActsOn {
+    /// Returns the number of numbers in a channel.
+    #[must_use]
+    pub fn count(self) -> usize {
+        match self {
+            Self::Force { .. } | Self::Moment { .. } => 3,
+            Self::Own { count } => count,
+            Self::Effort => 1,
+        }
+    }
+
+    /// Returns the node on whose wrench the channel acts.
+    #[must_use]
+    pub fn node(self) -> Option<usize> {
+        match self {
+            Self::Force { node } | Self::Moment { node } => Some(node),
+            Self::Own { .. } | Self::Effort => None,
+        }
+    }
+}
+
+/// A channel of the controls with what it acts on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlacedChannel {
+    /// What it acts on.
+    pub on: ActsOn,
+    /// Scale and limits of its numbers.
+    pub channel: Channel,
+}
+
+/// A controllable wrench on one node: two [channels](PlacedChannel).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActuatedNode {
-    /// Index of the node; for a user-defined actuator its first node.
+    /// Index of the node.
     pub node: usize,
     /// Force, spatial frame.
     pub force: Channel,
@@ -198,23 +249,29 @@ impl ActuatedNode {
         self.force.acts() || self.moment.acts()
     }
 
-    /// Returns the carriers of channels on a node: each has a force or a moment of its own.
-    pub fn carrying(node: usize, channels: &[Channel]) -> impl Iterator<Item = Self> {
-        channels.chunks(2).map(move |pair| Self {
-            node,
-            force: pair[0],
-            moment: pair.get(1).copied().unwrap_or(Channel::NONE),
-        })
+    /// Returns force and moment as channels of the controls.
+    #[must_use]
+    pub fn channels(&self) -> [PlacedChannel; 2] {
+        let Self { node, .. } = *self;
+        [
+            (ActsOn::Force { node }, self.force),
+            (ActsOn::Moment { node }, self.moment),
+        ]
+        .map(|(on, channel)| PlacedChannel { on, channel })
     }
 }
 
-/// One scalar of an actuator's wrench.
+/// One number of the controls: a component of the vector that its channel is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Component {
-    /// Index of the actuator.
-    pub actuator: usize,
-    /// 0..3 force, 3..6 moment.
+    /// Index among the numbers of a coefficient of the controls.
+    pub index: usize,
+    /// Index of its channel.
+    pub channel: usize,
+    /// Index among the numbers of its channel.
     pub axis: usize,
+    /// Index among the inputs of a [signal](mechanics::ControlSignal); `None` for a component of a wrench.
+    pub input: Option<usize>,
 }
 
 /// An actuator of the rod that a control drives.

@@ -231,14 +231,14 @@ impl<'a> Transcription<'a> {
         self.path_starts[self.path.len()]
     }
 
-    /// Returns the normals of the bounds on rates, for every step between coefficients and every actuator, from those of all sets; empty
-    /// without such bounds.
+    /// Returns the normals of the bounds on rates, for every step between coefficients and every number of these, from those of all sets;
+    /// empty without such bounds.
     #[must_use]
-    pub fn rate_normals(&self, normals: &[Vec<f64>]) -> Vec<[f64; 6]> {
+    pub fn rate_normals(&self, normals: &[Vec<f64>]) -> Vec<f64> {
         let n_components = self.components.len();
-        let n = self.problem.actuators.len();
+        let n = self.problem.n_numbers();
         let steps = self.problem.control.n_coefficients() - 1;
-        let mut out = vec![[0.0; 6]; steps * n];
+        let mut out = vec![0.0; steps * n];
         let mut any = false;
         // The later coefficient of a difference tells the step to which it belongs.
         let mut add = |row: &[(usize, f64)], normal: f64| {
@@ -247,7 +247,7 @@ impl<'a> Transcription<'a> {
             };
             let component = self.components[later % n_components];
             let step = later / n_components - 1;
-            out[step * n + component.actuator][component.axis] += sign * normal;
+            out[step * n + component.index] += sign * normal;
             any = true;
         };
         let is_command =
@@ -269,18 +269,17 @@ impl<'a> Transcription<'a> {
         if any { out } else { Vec::new() }
     }
 
-    /// Returns the normals of the bounds on commands, for every [row](ControlGrid::command_rows) and every actuator, from those of all sets;
-    /// empty without such bounds.
+    /// Returns the normals of the bounds on commands, for every [row](ControlGrid::command_rows) and every number of a coefficient, from
+    /// those of all sets; empty without such bounds.
     #[must_use]
-    pub fn command_normals(&self, normals: &[Vec<f64>]) -> Vec<[f64; 6]> {
-        let n = self.problem.actuators.len();
+    pub fn command_normals(&self, normals: &[Vec<f64>]) -> Vec<f64> {
+        let n = self.problem.n_numbers();
         let n_rows = self.commands.iter().map(|own| own.row + 1).max();
-        let mut out = vec![[0.0; 6]; n_rows.unwrap_or(0) * n];
+        let mut out = vec![0.0; n_rows.unwrap_or(0) * n];
         for own in &self.commands {
-            let Component { actuator, axis } = own.component;
             // A program that could not begin has none.
             let normal = normals.get(own.set).and_then(|normal| normal.first());
-            out[own.row * n + actuator][axis] += own.sign * normal.unwrap_or(&0.0);
+            out[own.row * n + own.component.index] += own.sign * normal.unwrap_or(&0.0);
         }
         out
     }
@@ -320,7 +319,7 @@ impl<'a> Transcription<'a> {
     }
 
     pub(super) fn signal(&self, variables: &[f64]) -> ControlSignal {
-        let coefficients = self.problem.wrenches(variables);
+        let coefficients = self.problem.coefficients(variables);
         self.problem.signal(&self.problem.control, &coefficients)
     }
 

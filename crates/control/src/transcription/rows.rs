@@ -130,10 +130,7 @@ impl ControlColumns for Columns<'_> {
                 }
             };
             match (self.targets[at], self.acting) {
-                (Target::Node, _) => {
-                    let node = self.problem.actuators[component.actuator].node;
-                    visit_at(node, component.axis, 1.0);
-                }
+                (Target::Node(node, component), _) => visit_at(node, component, 1.0),
                 (target, Some(acting)) => acting.visit(k, (component, target), &mut visit_at),
                 (_, None) => {}
             }

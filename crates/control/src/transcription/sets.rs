@@ -3,7 +3,7 @@
 use crate::problem::{Bound, Channel, Component, GoalRow, OptimalControlProblem};
 use sqp::ConvexSet;
 
-/// The actuated variables of one vector of an actuator at one coefficient.
+/// The actuated variables of one channel at one coefficient.
 pub(super) struct ChannelVariables<'a> {
     channel: &'a Channel,
     indices: Vec<usize>,
@@ -18,20 +18,16 @@ impl<'a> ChannelVariables<'a> {
     ) -> Vec<Self> {
         let base = coefficient * components.len();
         let mut out = Vec::new();
-        for (actuator, definition) in problem.actuators.iter().enumerate() {
-            for (channel, axes) in [(&definition.force, 0..3), (&definition.moment, 3..6)] {
-                let (indices, axes) = components
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, c)| c.actuator == actuator && axes.contains(&c.axis))
-                    .map(|(at, c)| (base + at, c.axis % 3))
-                    .unzip();
-                out.push(Self {
-                    channel,
-                    indices,
-                    axes,
-                });
-            }
+        for (index, own) in problem.channels.iter().enumerate() {
+            let (indices, axes) = (components.iter().enumerate())
+                .filter(|(_, c)| c.channel == index)
+                .map(|(at, c)| (base + at, c.axis))
+                .unzip();
+            out.push(Self {
+                channel: &own.channel,
+                indices,
+                axes,
+            });
         }
         out
     }
@@ -90,12 +86,10 @@ pub(super) fn convex_sets(
     let mut sets = Vec::new();
     let gaps = problem.control.rate_gaps();
     let last = problem.control.n_coefficients() - 1;
-    // The last coefficient is the wrench that holds the arm.
+    // The last coefficient holds the arm.
     let held = problem.stay.as_ref().map(|stay| {
         let value = |component: &Component| {
-            let wrench = &stay.wrenches[component.actuator];
-            let vector = [&wrench.force, &wrench.moment][component.axis / 3];
-            vector[component.axis % 3] / problem.channel(component).unit()
+            stay.controls[component.index] / problem.channel(component).unit()
         };
         components.iter().map(value).collect::<Vec<f64>>()
     });
@@ -168,8 +162,7 @@ fn push_command_sets(
     for (at, component) in components.iter().enumerate() {
         let channel = problem.channel(component);
         let bound = channel.bound.filter(|_| channel.lag > 0.0);
-        let Some([lower, upper]) = bound.and_then(|bound| bound.interval(component.axis % 3))
-        else {
+        let Some([lower, upper]) = bound.and_then(|bound| bound.interval(component.axis)) else {
             continue;
         };
         let rows = problem.control.command_rows(channel.lag);

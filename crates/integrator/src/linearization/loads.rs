@@ -49,7 +49,7 @@ pub(crate) fn acting_derivatives(
     if let Some(control) = motion.control.filter(|control| !control.acting.is_empty()) {
         let at = StateView::of(motion.rod, &motion.grid, trajectory, k);
         out.extend(control.acting.iter().map(|acting| {
-            let u = acting.controls(control.at(k).wrenches);
+            let u = acting.controls(control.at(k).inputs);
             ActingDerivative {
                 nodes: acting.actuator.nodes(motion.rod),
                 matrix: acting.actuator.configuration_jacobian(&at, &u),

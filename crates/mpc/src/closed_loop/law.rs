@@ -84,7 +84,7 @@ impl TipLaw {
                 "a spring and a damper need a reference: give the task a track or a target",
             ));
         }
-        let own = (controller.actuators().iter())
+        let own = (controller.actuators().into_iter())
             .find(|actuator| actuator.node == controller.followed() && actuator.force.acts());
         let Some(bound) = own.map(|actuator| actuator.force.bound) else {
             return Err(MpcError::Unsupported(

@@ -32,9 +32,7 @@ pub(super) fn channels(horizon: &Horizon) -> impl Iterator<Item = (Range<usize>,
     std::iter::from_fn(move || {
         let first = components.get(start)?;
         let n = (components[start..].iter())
-            .take_while(|other| {
-                other.actuator == first.actuator && other.axis / 3 == first.axis / 3
-            })
+            .take_while(|other| other.channel == first.channel)
             .count();
         let range = start..start + n;
         start = range.end;
@@ -51,7 +49,7 @@ pub(super) fn vector(
 ) -> Vector3<f64> {
     let mut out = Vector3::zeros();
     for c in range.clone() {
-        out[horizon.components[c].axis % 3] = scaled[c] * channel.scale;
+        out[horizon.components[c].axis] = scaled[c] * channel.scale;
     }
     out
 }
@@ -144,7 +142,7 @@ impl Controller {
                     continue;
                 }
                 for c in range.clone() {
-                    let axis = horizon.components[c].axis % 3;
+                    let axis = horizon.components[c].axis;
                     let never = channel.rate_bound.is_some_and(|rate| !rate.actuates(axis));
                     subproblem.fixed[base + c] = never;
                 }
@@ -238,7 +236,7 @@ impl Controller {
                 };
                 for c in range.clone() {
                     let j = coefficient * n_components + c;
-                    inside[j] = at[horizon.components[c].axis % 3] / channel.scale - plan[j];
+                    inside[j] = at[horizon.components[c].axis] / channel.scale - plan[j];
                 }
             }
         }
@@ -284,7 +282,7 @@ fn bounded(
         }
         Some(Bound::PerAxis(limits)) => {
             for c in range.clone() {
-                let limit = limits[horizon.components[c].axis % 3] * unit;
+                let limit = limits[horizon.components[c].axis] * unit;
                 // An axis without a bound has no row, nor has a fixed one.
                 if limit > 0.0 && limit.is_finite() {
                     subproblem.rows.push(row(c));
@@ -294,7 +292,7 @@ fn bounded(
         }
         Some(Bound::Between { lower, upper }) => {
             for c in range.clone() {
-                let axis = horizon.components[c].axis % 3;
+                let axis = horizon.components[c].axis;
                 let (lower, upper) = (lower[axis] * unit, upper[axis] * unit);
                 if lower.is_finite() && upper.is_finite() {
                     subproblem.rows.push(row(c));

@@ -91,14 +91,15 @@ impl Controller {
         for ((free, component), scale) in
             (self.cancelling.iter_mut().zip(&self.horizon.components)).zip(&self.horizon.scales)
         {
-            let wrenches = self.horizon.problem.wrench_actuators();
-            let is_at_tip =
-                (wrenches.get(component.actuator)).is_some_and(|own| own.node == rod_tip);
-            let value = match component.axis.checked_sub(3) {
-                None => tip.force[component.axis] + weight[component.axis],
-                Some(axis) => tip.moment[axis],
+            let value = match self.horizon.problem.of_wrench(component) {
+                Some((node, axis @ 0..3)) if node == rod_tip => tip.force[axis] + weight[axis],
+                Some((node, axis)) if node == rod_tip => tip.moment[axis - 3],
+                _ => {
+                    *free = 0.0;
+                    continue;
+                }
             };
-            *free = if is_at_tip { -value / scale } else { 0.0 };
+            *free = -value / scale;
         }
         Ok(())
     }

@@ -101,7 +101,7 @@ impl Controller {
             prediction: Motions::new(&horizon.problem.rod, in_period.step, horizon.parameters()),
             state: horizon.start.clone(),
             in_period,
-            wrenches: [(); 2].map(|()| horizon.order.none()),
+            controls: [(); 2].map(|()| horizon.order.none()),
             acts: false,
             record: SampleRecord {
                 iterations: 0,

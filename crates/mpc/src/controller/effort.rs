@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{Controller, EffortFrom};
 use crate::holding::{Along, HeldControls, Holding, ReferencePose};
+use crate::horizon::{Effect, Part};
 use control::{Channel, ControlsAlong, OptimalControlProblem, Tracking};
 use mechanics::Wrench;
 use mechanics::rotation::log;
@@ -114,7 +115,7 @@ impl Controller {
     fn turns(&self) -> bool {
         let followed = self.followed();
         let mut effects = self.horizon.effects.iter().flatten();
-        effects.any(|&(node, axis, _)| node == followed && axis >= 3)
+        effects.any(|own| matches!(own.on, Part::Node(node, 3..) if node == followed))
     }
 
     fn reference_pose(&self, t: f64, turns: bool) -> ReferencePose {
@@ -151,15 +152,22 @@ impl Controller {
         let (problem, node) = (&horizon.problem, self.followed());
         let reference = self.reference_pose(0.0, self.turns());
         let start = &problem.initial.configuration;
-        let acts_there = |effects: &Vec<_>| matches!(effects[..], [(at, _, _)] if at == node);
-        if !horizon.effects.iter().all(acts_there) {
-            return None;
-        }
+        // Component of the wrench on the node that a unit of a control has alone, and its size.
+        let alone = |effects: &Vec<Effect>| match effects[..] {
+            [
+                Effect {
+                    on: Part::Node(at, component),
+                    size,
+                },
+            ] if at == node => Some((component, size)),
+            _ => None,
+        };
+        let there: Vec<(usize, f64)> = horizon.effects.iter().map(alone).collect::<Option<_>>()?;
         let of = (self.rod(), node);
         let led = Holding::along(of, start, |_| reference, [1.0, 0.0], &horizon.stop)?;
         let wrench = led.wrench(0.0).to_array();
-        let controls = (horizon.effects.iter().zip(&horizon.scales))
-            .map(|(effects, scale)| wrench[effects[0].1] / (effects[0].2 * scale))
+        let controls = (there.iter().zip(&horizon.scales))
+            .map(|((component, size), scale)| wrench[*component] / (size * scale))
             .collect();
         Some(ControlsAlong::from(controls, led.shape))
     }
@@ -170,7 +178,7 @@ impl Controller {
     pub fn reference_need(&self) -> Option<ReferenceNeed> {
         let problem = &self.horizon.problem;
         let node = followed(problem);
-        let acts = (problem.wrench_actuators().iter())
+        let acts = (problem.wrench_actuators().into_iter())
             .find(|actuator| actuator.node == node && actuator.force.axes != [false; 3])
             .filter(|actuator| problem.efforts.is_none() || actuator.force.acts())?;
         let holding = self.holding()?;

@@ -8,7 +8,7 @@
 //! instant counts by what it adds to the effort at the end of the sample, so that the effort is then that of the plan. This mean is within
 //! the bounds of the command.
 
-use super::super::horizon::{Horizon, add_effects};
+use super::super::horizon::{Horizon, Part};
 use super::bounds::{channels, is_slow, part_within, vector};
 use crate::command::{Command, lagging};
 use control::Hold;
@@ -135,7 +135,7 @@ impl Outlet {
                 let whole = of(&sent.to);
                 let within = channel.within(&whole);
                 if within != whole {
-                    sent.to[c] = within[horizon.components[c].axis % 3] / channel.scale;
+                    sent.to[c] = within[horizon.components[c].axis] / channel.scale;
                 }
                 continue;
             }
@@ -144,7 +144,7 @@ impl Outlet {
                 let to = channel.within(&whole);
                 let part = rate.map_or(1.0, |rate| part_within(&rate, time, &(to - from)));
                 for c in range.clone() {
-                    let axis = horizon.components[c].axis % 3;
+                    let axis = horizon.components[c].axis;
                     out[c] = if !whole.iter().all(|value| value.is_finite()) {
                         acting[c]
                     } else if part == 1.0 && to[axis] == whole[axis] {
@@ -174,7 +174,6 @@ impl Outlet {
             to,
         } = &self.sent;
         (command.start, command.end) = (*start, *end);
-        let n_nodes = horizon.problem.rod.n_nodes();
         command.efforts_acting.fill(0.0);
         for (own, out, efforts) in [
             (from, &mut command.from, &mut command.efforts_from),
@@ -186,15 +185,18 @@ impl Outlet {
                 let lags = self.lags[c] > 0.0;
                 let v = if lags { to[c] } else { own[c] };
                 for effect in effects {
-                    if let Some(carrier) = effect.0.checked_sub(n_nodes) {
-                        let place = 6 * carrier + effect.1;
-                        efforts[place] += v * scale * effect.2;
-                        if lags {
-                            command.efforts_acting[place] = from[c] * scale * effect.2;
+                    match effect.on {
+                        Part::Effort(actuator) => {
+                            efforts[actuator] += v * scale * effect.size;
+                            if lags {
+                                command.efforts_acting[actuator] = from[c] * scale * effect.size;
+                            }
                         }
-                    } else if let Some(at) = command.nodes.iter().position(|node| *node == effect.0)
-                    {
-                        add_effects(&[(at, effect.1, effect.2)], v * scale, out);
+                        Part::Node(node, component) => {
+                            if let Some(at) = command.nodes.iter().position(|own| *own == node) {
+                                out[at][component] += v * scale * effect.size;
+                            }
+                        }
                     }
                 }
             }

@@ -1,8 +1,8 @@
 //! Motions of the model that begin at an estimate.
 
-use crate::command::{Command, ControlOrder};
+use crate::command::{Command, ControlOrder, Controls};
 use crate::signal::EARLY;
-use mechanics::{ControlSignal, Efforts, Rod, State, StepError, Stepper, TimeGrid, Wrench};
+use mechanics::{ControlSignal, Rod, State, StepError, Stepper, TimeGrid};
 
 use super::{Disturbance, EstimateError, ModelParameters, Motions};
 
@@ -17,7 +17,7 @@ pub struct Predictor {
     motions: Motions,
     order: ControlOrder,
     /// Controls at both ends of a step.
-    wrenches: [Vec<Wrench>; 2],
+    controls: [Controls; 2],
     /// State at the end of the last motion.
     end: State,
 }
@@ -57,7 +57,7 @@ impl Predictor {
             parameters: Disturbance::NONE.parameters(),
             model: model.clone(),
             longest_step,
-            wrenches: [(); 2].map(|()| order.none()),
+            controls: [(); 2].map(|()| order.none()),
             order,
             end: State::at_rest(model.rest.clone()),
         }
@@ -187,16 +187,16 @@ impl Predictor {
             parameters,
             motions,
             order,
-            wrenches: [now, next],
+            controls: [now, next],
             end,
             ..
         } = self;
         let start = steps.time(0);
         let model = (&*rod, *parameters);
         motions.run(model, steps.step, (start, end), |stepper| {
-            write_wrenches(rod, command, start, disturbance, now);
+            write_controls(rod, command, start, disturbance, now);
             for k in 0..steps.n {
-                write_wrenches(rod, command, steps.time(k + 1), disturbance, next);
+                write_controls(rod, command, steps.time(k + 1), disturbance, next);
                 stepper.advance([order.of(now), order.of(next)])?;
                 visit(stepper);
                 std::mem::swap(now, next);
@@ -207,38 +207,32 @@ impl Predictor {
 
     /// Writes the efforts of a command at the time nodes of some steps, for the linearization of their motion.
     pub(super) fn write_efforts(&self, steps: Steps, command: &Command, out: &mut ControlSignal) {
-        let Some(efforts) = &self.order.efforts else {
+        let n = self.order.n_efforts();
+        if n == 0 {
             return;
-        };
-        let n_carriers = efforts.places.len().div_ceil(6);
-        out.wrenches.clear();
-        (out.wrenches).resize(n_carriers * (steps.n + 1), Wrench::default());
-        for (k, carriers) in out.wrenches.chunks_exact_mut(n_carriers).enumerate() {
-            command.write_efforts_at(steps.time(k), carriers);
+        }
+        out.inputs.clear();
+        out.inputs.resize(n * (steps.n + 1), 0.0);
+        for (k, efforts) in out.inputs.chunks_exact_mut(n).enumerate() {
+            command.write_efforts_at(steps.time(k), efforts);
         }
     }
 
-    /// Returns a signal without wrenches that carries efforts; `None` for a rod without actuators.
+    /// Returns the memory for [`Self::write_efforts`]; `None` for a rod without actuators.
     pub(super) fn signal_of_efforts(&self) -> Option<ControlSignal> {
-        self.order.efforts.as_ref().map(|own| ControlSignal {
-            efforts: Some(Efforts {
-                first: 0,
-                ..own.clone()
-            }),
-            ..ControlSignal::default()
-        })
+        self.order.signal_of_efforts(0)
     }
 }
 
 /// Writes the controls of a command and a disturbance at time `t`.
-fn write_wrenches(
+fn write_controls(
     rod: &Rod,
     command: &Command,
     t: f64,
     disturbance: &Disturbance,
-    out: &mut [Wrench],
+    out: &mut Controls,
 ) {
-    out.fill(Wrench::default());
-    disturbance.add_to(rod, out);
+    out.clear();
+    disturbance.add_to(rod, &mut out.wrenches);
     command.add_at(t, out);
 }

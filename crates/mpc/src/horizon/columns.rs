@@ -1,6 +1,6 @@
 //! The columns of the plan's coefficients in the linearized motion.
 
-use super::Effect;
+use super::{Effect, Part};
 use crate::knots::Knots;
 use mechanics::linearization::Motion;
 use mechanics::sensitivity::{ControlColumns, EffortColumns, EffortPulls};
@@ -78,9 +78,9 @@ impl ControlColumns for Columns<'_> {
             }
             for (at, (effects, scale)) in self.effects.iter().zip(self.scales).enumerate() {
                 let column = coefficient * self.effects.len() + at;
-                for &(node, component, effect) in effects {
-                    if node < self.rod.n_nodes() {
-                        visit(column, node, component, weight * scale * effect);
+                for effect in effects {
+                    if let Part::Node(node, component) = effect.on {
+                        visit(column, node, component, weight * scale * effect.size);
                     }
                 }
             }

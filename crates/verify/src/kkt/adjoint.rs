@@ -10,15 +10,53 @@ use super::spin::Spin;
 use super::stresses::StressLink;
 use crate::interval::{Nine, Strained};
 use crate::{acting, dual, efforts, interval};
-use control::GoalPart;
+use control::{ActsOn, GoalPart, OptimalControlProblem};
 use mechanics::differences;
 use mechanics::rotation::exp;
 use mechanics::{Efforts, RodModel, TimeScheme, Wrench};
 
+/// Derivatives of a functional along the controls at every time node, in the order of the [signal](mechanics::ControlSignal).
+#[derive(Clone, Debug)]
+pub(crate) struct Pulled {
+    /// Along the wrench on every actuated node.
+    pub wrenches: Vec<Wrench>,
+    /// Along every input.
+    pub inputs: Vec<f64>,
+    nodes: Vec<usize>,
+    n_inputs: usize,
+}
+
+impl Pulled {
+    /// Returns the derivatives along the vector of a channel of the problem at time node `k`.
+    pub fn along(&self, problem: &OptimalControlProblem, k: usize, channel: usize) -> Vector3<f64> {
+        let on_node = |node: usize| {
+            let at = self.nodes.iter().position(|own| *own == node);
+            at.map_or_else(Wrench::default, |at| {
+                self.wrenches[k * self.nodes.len() + at]
+            })
+        };
+        match problem.channels[channel].on {
+            ActsOn::Force { node } => on_node(node).force,
+            ActsOn::Moment { node } => on_node(node).moment,
+            ActsOn::Own { .. } | ActsOn::Effort => {
+                let numbers = problem.numbers_of(channel);
+                // The inputs are the last numbers of a coefficient.
+                let first = numbers.start + self.n_inputs - problem.n_numbers();
+                let own = &self.inputs[k * self.n_inputs + first..][..numbers.len()];
+                Vector3::from_fn(|axis, _| own.get(axis).copied().unwrap_or(0.0))
+            }
+        }
+    }
+
+    /// Returns the derivatives along the inputs of time node `k`.
+    fn inputs_at(&mut self, k: usize) -> &mut [f64] {
+        &mut self.inputs[k * self.n_inputs..][..self.n_inputs]
+    }
+}
+
 impl Conditions<'_> {
-    /// Solves the adjoint equations backward in time and returns the derivative of a functional along the wrench on every actuated node at
-    /// every time node, in the order of the signal. Multipliers of goals enter here only where the goals depend on momenta.
-    pub(crate) fn control_gradient(&self, functional: &Functional, goals: &[f64]) -> Vec<Wrench> {
+    /// Solves the adjoint equations backward in time and returns the derivatives of a functional along the controls. Multipliers of goals enter here only where the goals depend on momenta.
+    pub(crate) fn control_gradient(&self, functional: &Functional, goals: &[f64]) -> Pulled {
         let rod = self.rod();
         let (h, n) = (self.problem.grid.step, self.problem.grid.n_steps);
         let (first, count) = (rod.first_free_node(), rod.n_nodes());
@@ -52,8 +90,13 @@ impl Conditions<'_> {
         };
         hold(&mut lx, &mut lr);
         let nodes = &self.control.nodes;
-        let width = self.control.width();
-        let mut out = vec![Wrench::default(); (n + 1) * width];
+        let n_inputs = self.control.n_inputs;
+        let mut out = Pulled {
+            wrenches: vec![Wrench::default(); (n + 1) * nodes.len()],
+            inputs: vec![0.0; (n + 1) * n_inputs],
+            nodes: nodes.clone(),
+            n_inputs,
+        };
         for k in (0..=n).rev() {
             if self.problem.stop.check_at(k).is_err() {
                 break;
@@ -64,12 +107,12 @@ impl Conditions<'_> {
                 ceta[q] += functional.eta[k * count + q];
             }
             for (i, &node) in nodes.iter().enumerate() {
-                out[k * width + i] = Wrench {
+                out.wrenches[k * nodes.len() + i] = Wrench {
                     force: weight * lx[node],
                     moment: weight * lr[node],
                 };
             }
-            self.add_own_controls(k, weight, [&lx, &lr], &mut out[k * width..][..width]);
+            self.add_own_controls(k, weight, [&lx, &lr], out.inputs_at(k));
             self.add_efforts(k, weight, [&lx, &lr], &mut out);
             self.add_force_covectors(k, weight, &lx, &lr, &mut cx, &mut ceta);
             if k == 0 {
@@ -209,7 +252,7 @@ impl Conditions<'_> {
                 let Some(index) = driven.actuators.iter().position(|own| *own == actuator) else {
                     continue;
                 };
-                add_along_input(driven, index, covector, &mut out[k * width..]);
+                add_along_input(driven, index, covector, out.inputs_at(k));
             }
         }
         out
@@ -314,7 +357,7 @@ impl Conditions<'_> {
                 weight * (force.tr_mul(&lx[load.node]) + moment.tr_mul(&lr[load.node]));
         }
         for own in &self.control.acting {
-            let u = own.controls(self.control.at(k).wrenches);
+            let u = own.controls(self.control.at(k).inputs);
             let view = self.view(k);
             acting::add_slopes(&*own.actuator, &view, &u, weight, [lx, lr], [cx, ceta]);
         }
@@ -385,38 +428,33 @@ impl Conditions<'_> {
         }
     }
 
-    /// Adds the derivatives of a functional along the controls of user-defined actuators at time node `k`, at their places among the
-    /// wrenches.
+    /// Adds the derivatives of a functional along the controls of user-defined actuators at time node `k`, at their places among the inputs.
     fn add_own_controls(
         &self,
         k: usize,
         weight: f64,
         covectors: [&[Vector3<f64>]; 2],
-        out: &mut [Wrench],
+        out: &mut [f64],
     ) {
         for own in &self.control.acting {
-            let u = own.controls(self.control.at(k).wrenches);
-            for (control, place) in own.places.iter().enumerate() {
-                let (carrier, axis) = (own.first + place / 6, place % 6);
-                let definition = &self.problem.actuators[carrier];
-                let channel = [&definition.force, &definition.moment][axis / 3];
+            let u = own.controls(self.control.at(k).inputs);
+            for (control, &place) in own.places.iter().enumerate() {
+                let channel = self.problem.channel_of_input(place);
+                let scale = channel.map_or(1.0, |channel| channel.scale);
                 let (actuator, view) = (&*own.actuator, self.view(k));
-                let slope =
-                    acting::control_slope(actuator, &view, &u, control, channel.scale, covectors);
-                let carrier = &mut out[carrier];
-                let vector = [&mut carrier.force, &mut carrier.moment];
-                vector[axis / 3][axis % 3] += weight * slope;
+                let slope = acting::control_slope(actuator, &view, &u, control, scale, covectors);
+                out[place] += weight * slope;
             }
         }
     }
 
-    /// Adds the derivatives along the efforts of the forces at time node `k`, at their places among the wrenches.
+    /// Adds the derivatives along the efforts of the forces at time node `k`, at their places among the inputs.
     fn add_efforts(
         &self,
         k: usize,
         weight: f64,
         covectors: [&[Vector3<f64>]; 2],
-        out: &mut [Wrench],
+        out: &mut Pulled,
     ) {
         let (x, r) = (
             self.trajectory.positions_at(k),
@@ -425,10 +463,9 @@ impl Conditions<'_> {
         if let Some(driven) =
             (self.control.efforts.as_ref()).filter(|_| self.rod().actuators.act_on_poses())
         {
-            let width = self.control.width();
             for (index, &actuator) in driven.actuators.iter().enumerate() {
                 let work = efforts::posed_work(self.rod(), (x, r), actuator, covectors);
-                add_along_input(driven, index, weight * work, &mut out[k * width..]);
+                add_along_input(driven, index, weight * work, out.inputs_at(k));
             }
         }
         if self.rod().scheme == TimeScheme::Explicit && self.control.efforts.is_some() {
@@ -449,7 +486,7 @@ impl Conditions<'_> {
         start: usize,
         weight: f64,
         covectors: [&[Vector3<f64>]; 2],
-        out: &mut [Wrench],
+        out: &mut Pulled,
     ) {
         if self.rod().scheme == TimeScheme::Implicit && self.control.efforts.is_some() {
             let ends = [self.strains(start), self.strains(start + 1)];
@@ -464,7 +501,7 @@ impl Conditions<'_> {
     }
 
     /// Adds `weight` times the work of the multipliers in the pull of a unit of every input, for the stress at the strains `at` under the
-    /// inputs of all actuators and the derivative of strains at a time node, to the wrenches of the time nodes in `shares`.
+    /// inputs of all actuators and the derivative of strains at a time node, to the inputs of the time nodes in `shares`.
     fn add_effort_slopes(
         &self,
         strained: &[Strained],
@@ -472,13 +509,12 @@ impl Conditions<'_> {
         shares: &[(usize, f64)],
         weight: f64,
         [lx, lr]: [&[Vector3<f64>]; 2],
-        out: &mut [Wrench],
+        out: &mut Pulled,
     ) {
         let Some(driven) = &self.control.efforts else {
             return;
         };
         let rod = self.rod();
-        let width = self.control.width();
         let slopes = efforts::slopes_in(rod, inputs, |q| at[q]);
         for (index, &actuator) in driven.actuators.iter().enumerate() {
             let mut unit = vec![0.0; rod.actuators.len()];
@@ -493,8 +529,8 @@ impl Conditions<'_> {
                 slope -= efforts::stress(rod, q, &at[q], &unit).dot(&along);
             }
             slope *= slopes[actuator];
-            for (k, share) in shares {
-                add_along_input(driven, index, weight * share * slope, &mut out[k * width..]);
+            for &(k, share) in shares {
+                add_along_input(driven, index, weight * share * slope, out.inputs_at(k));
             }
         }
     }
@@ -550,11 +586,8 @@ impl Conditions<'_> {
     }
 }
 
-/// Adds the derivative along the input of a driven actuator, by its index among those, to the place of the control that drives it, among the
-/// wrenches of one time node.
-fn add_along_input(driven: &Efforts, index: usize, slope: f64, out: &mut [Wrench]) {
-    let place = driven.places[index];
-    let carrier = &mut out[driven.first + place / 6];
-    let vector = [&mut carrier.force, &mut carrier.moment];
-    vector[place % 6 / 3][place % 3] += driven.gains[index] * slope;
+/// Adds the derivative along the input of a driven actuator, by its index among those, to those of the control that drives it, among the
+/// inputs of one time node.
+fn add_along_input(driven: &Efforts, index: usize, slope: f64, out: &mut [f64]) {
+    out[driven.places[index]] += driven.gains[index] * slope;
 }

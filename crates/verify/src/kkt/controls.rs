@@ -1,35 +1,23 @@
 //! The conditions on the controls: their cost, the gradient of the Lagrangian, bounds and their normals.
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, Vector3};
 
+use super::adjoint::Pulled;
 use super::rows::{Place, Worst, per};
 use crate::hold::Spline;
 use crate::solution::SolutionMultipliers;
-use control::named::name_of_vector;
-use control::{Bound, NamedControl, OptimalControlProblem};
-use mechanics::Wrench;
-
-/// Force and moment of one coefficient of one actuator, scaled.
-pub(crate) type Pair = [Vector3<f64>; 2];
-
-fn parts(wrench: &Wrench) -> Pair {
-    [wrench.force, wrench.moment]
-}
-
-/// Returns, for both channels of actuator `a`, the magnitude that counts as 1 in the solver.
-pub(crate) fn scales(problem: &OptimalControlProblem, a: usize) -> [f64; 2] {
-    let actuator = &problem.actuators[a];
-    [actuator.force.unit(), actuator.moment.unit()]
-}
+use control::named::name_of_channel;
+use control::{Bound, NamedControl, OptimalControlProblem, PlacedChannel};
 
 /// The controls by name, as the rows of the conditions call them.
 struct Names(Vec<NamedControl>);
 
-/// Vector `part` (0 force, 1 moment) of an actuator, or one of its components.
+/// The numbers of a channel, or one of them.
 #[derive(Clone, Copy)]
-struct Row {
-    actuator: usize,
-    part: usize,
+struct Row<'a> {
+    numbers: &'a Range<usize>,
     axis: Option<usize>,
 }
 
@@ -42,17 +30,13 @@ impl Names {
         value: f64,
         unit: impl FnOnce(&str) -> String,
     ) -> Place {
-        let of_vector = |own: &&NamedControl| {
-            own.component.actuator == row.actuator && own.component.axis / 3 == row.part
-        };
-        let vector = self.0.iter().find(of_vector);
-        let component = row.axis.and_then(|axis| {
-            (self.0.iter().filter(of_vector)).find(|own| own.component.axis % 3 == axis)
-        });
+        let vector = (self.0.iter()).find(|own| row.numbers.contains(&own.index));
+        let index = row.axis.and_then(|axis| row.numbers.clone().nth(axis));
+        let component = index.and_then(|index| self.0.iter().find(|own| own.index == index));
         let name = match component {
             Some(own) => own.name.clone(),
             // A vector as a whole, or a component that may not act.
-            None => name_of_vector(&self.0, row.actuator, row.part),
+            None => name_of_channel(&self.0, row.numbers),
         };
         let own_unit = (vector.map(|own| own.unit)).filter(|unit| *unit != "1");
         Place {
@@ -79,59 +63,63 @@ fn per_second(unit: &str) -> String {
     }
 }
 
-/// Returns the gradient along the scaled coefficients, all actuators of each, of a function with the covectors `pulled` of the wrenches at
-/// the time nodes.
-pub(crate) fn pull_back(problem: &OptimalControlProblem, pulled: &[Wrench]) -> Vec<Pair> {
-    let n = problem.actuators.len();
+/// Returns the gradient along the scaled coefficients of a function with the derivatives `pulled` along the controls at the time nodes: a
+/// vector for every channel of one coefficient after the other.
+pub(crate) fn pull_back(problem: &OptimalControlProblem, pulled: &Pulled) -> Vec<Vector3<f64>> {
+    let n = problem.channels.len();
     let spline = Spline::of(problem);
-    let mut out = vec![[Vector3::zeros(); 2]; spline.n_coefficients() * n];
-    for (k, wrenches) in pulled.chunks(n.max(1)).enumerate() {
+    let mut out = vec![Vector3::zeros(); spline.n_coefficients() * n];
+    for k in 0..=problem.grid.n_steps {
         let weights = spline.weights(k, 1);
-        for (a, wrench) in wrenches.iter().enumerate() {
-            let scales = scales(problem, a);
+        for (c, own) in problem.channels.iter().enumerate() {
+            let part = pulled.along(problem, k, c);
+            let scale = own.channel.unit();
             for &(j, weight) in &weights {
-                for (channel, part) in parts(wrench).iter().enumerate() {
-                    out[j * n + a][channel] += part * (weight * scales[channel]);
-                }
+                out[j * n + c] += part * (weight * scale);
             }
         }
     }
     out
 }
 
+/// Returns the vector of every channel of one coefficient after the other.
+pub(crate) fn vectors(problem: &OptimalControlProblem, numbers: &[f64]) -> Vec<Vector3<f64>> {
+    let n = problem.channels.len();
+    (numbers.chunks_exact(problem.n_numbers().max(1)))
+        .flat_map(|own| (0..n).map(|c| problem.vector(own, c)))
+        .collect()
+}
+
 /// Returns the cost of effort and rate, and its gradient along the scaled coefficients.
 pub(crate) fn control_cost(
     problem: &OptimalControlProblem,
-    coefficients: &[Wrench],
-) -> (f64, Vec<Pair>) {
-    let n = problem.actuators.len();
+    coefficients: &[f64],
+) -> (f64, Vec<Vector3<f64>>) {
+    let n = problem.channels.len();
     let spline = Spline::of(problem);
+    let vectors = vectors(problem, coefficients);
     let mut cost = 0.0;
-    let mut gradient = vec![[Vector3::zeros(); 2]; coefficients.len()];
-    for a in 0..n {
-        let own = &problem.actuators[a];
-        let of_cost = [own.force.scale, own.moment.scale];
-        for (channel, one) in scales(problem, a).into_iter().enumerate() {
-            let scale = of_cost[channel];
-            let scaled: Vec<_> = (coefficients.iter().skip(a).step_by(n))
-                .map(|u| parts(u)[channel] / scale)
-                .collect();
-            let (part, slope) =
-                spline.cost(&scaled, problem.objective.effort, problem.objective.rate);
-            cost += part;
-            for (j, slope) in slope.into_iter().enumerate() {
-                gradient[j * n + a][channel] = slope * (one / scale);
-            }
+    let mut gradient = vec![Vector3::zeros(); vectors.len()];
+    for (c, own) in problem.channels.iter().enumerate() {
+        let scale = own.channel.scale;
+        let scaled: Vec<_> = (vectors.iter().skip(c).step_by(n))
+            .map(|u| u / scale)
+            .collect();
+        let (part, slope) = spline.cost(&scaled, problem.objective.effort, problem.objective.rate);
+        cost += part;
+        for (j, slope) in slope.into_iter().enumerate() {
+            gradient[j * n + c] = slope * (own.channel.unit() / scale);
         }
     }
     (cost, gradient)
 }
 
-/// An active bound on the scaled vector of a channel of a coefficient of an actuator, on its change, or on its command. `normals` are the unit normals of
+/// An active bound on the scaled vector of a channel in a coefficient, on its change, or on its command. `normals` are the unit normals of
 /// the bound, and `curvature` is the second derivative of `multiplier × bound` with respect to the vector.
 pub(crate) struct ActiveBound {
     /// Indices of the coefficients whose weighted sum is bounded, with their weights.
     pub(crate) ends: Vec<(usize, f64)>,
+    /// Index of the channel.
     pub(crate) channel: usize,
     pub(crate) normals: Vec<Vector3<f64>>,
     pub(crate) curvature: Matrix3<f64>,
@@ -159,138 +147,131 @@ pub(crate) const ACTIVE: f64 = 1e-5;
 impl ControlConditions {
     pub(crate) fn of(
         problem: &OptimalControlProblem,
-        coefficients: &[Wrench],
-        pulled: &[Wrench],
+        coefficients: &[f64],
+        pulled: &Pulled,
         multipliers: &SolutionMultipliers,
     ) -> Self {
         let mut out = Self::default();
-        let n = problem.actuators.len();
+        let n = problem.channels.len();
         let mut gradient = pull_back(problem, pulled);
         out.note(problem, &gradient);
         let (cost, slope) = control_cost(problem, coefficients);
         out.cost = cost;
         out.note(problem, &slope);
         for (gradient, slope) in gradient.iter_mut().zip(&slope) {
-            for (g, s) in gradient.iter_mut().zip(slope) {
-                *g += s;
-            }
+            *gradient += slope;
         }
         let names = Names(problem.named_controls());
         let spline = Spline::of(problem);
-        let rates = multipliers.rates;
+        let of_rates = vectors(problem, multipliers.rates);
+        let of_commands = vectors(problem, multipliers.commands);
+        let coefficients = vectors(problem, coefficients);
+        let held = (problem.stay.as_ref()).map(|stay| vectors(problem, &stay.controls));
         let (times, gaps) = (spline.times(), spline.gaps());
-        for a in 0..n {
-            for (c, scale) in scales(problem, a).into_iter().enumerate() {
-                let channel = [&problem.actuators[a].force, &problem.actuators[a].moment][c];
-                let component = |axis| Row {
-                    actuator: a,
-                    part: c,
-                    axis,
+        for (c, PlacedChannel { channel, .. }) in problem.channels.iter().enumerate() {
+            let scale = channel.unit();
+            let numbers = problem.numbers_of(c);
+            let component = |axis| Row {
+                numbers: &numbers,
+                axis,
+            };
+            let whole = |time: f64, what: &str, value: f64| {
+                names.place(component(None), (what, time), value, no_unit)
+            };
+            let at = |j: usize| coefficients[j * n + c];
+            for (j, gap) in gaps.iter().enumerate() {
+                let normal = of_rates.get(j * n + c).copied().unwrap_or_default();
+                gradient[j * n + c] -= normal;
+                gradient[(j + 1) * n + c] += normal;
+                out.largest = out.largest.max(normal.amax());
+                let change = (at(j + 1) - at(j)) / scale;
+                let time = 0.5 * (times[j] + times[j + 1]);
+                let slack = rate_slack(&channel.rate_bound, gap / scale, &change, &normal);
+                (out.complementarity).note(slack, || whole(time, " rate", slack));
+                let Some(bound) = channel.rate_bound else {
+                    continue;
                 };
-                let whole = |time: f64, what: &str, value: f64| {
-                    names.place(component(None), (what, time), value, no_unit)
+                let violation = bound.violation(&(change * (scale / gap)));
+                out.violation = super::worse(out.violation, violation);
+                out.bounds.note(violation * gap / scale, || {
+                    let at = component(Some(change.iamax()));
+                    names.place(at, (" rate", time), violation, per_second)
+                });
+                out.active.push(ActiveBound {
+                    ends: vec![(j + 1, 1.0), (j, -1.0)],
+                    channel: c,
+                    ..normals_of(&bound, &change, &normal)
+                });
+            }
+            let commands = if channel.lag > 0.0 {
+                spline.command_rows(channel.lag)
+            } else {
+                Vec::new()
+            };
+            for (row, weights) in commands.iter().enumerate() {
+                let Some(bound) = channel.bound else {
+                    continue;
                 };
-                let at = |j: usize| parts(&coefficients[j * n + a])[c];
-                for (j, gap) in gaps.iter().enumerate() {
-                    let normal = (rates.get(j * n + a)).map_or_else(Vector3::zeros, |z| {
-                        Vector3::from_column_slice(&z[3 * c..3 * c + 3])
-                    });
-                    gradient[j * n + a][c] -= normal;
-                    gradient[(j + 1) * n + a][c] += normal;
-                    out.largest = out.largest.max(normal.amax());
-                    let change = (at(j + 1) - at(j)) / scale;
-                    let time = 0.5 * (times[j] + times[j + 1]);
-                    let slack = rate_slack(&channel.rate_bound, gap / scale, &change, &normal);
-                    (out.complementarity).note(slack, || whole(time, " rate", slack));
-                    let Some(bound) = channel.rate_bound else {
-                        continue;
-                    };
-                    let violation = bound.violation(&(change * (scale / gap)));
-                    out.violation = super::worse(out.violation, violation);
-                    out.bounds.note(violation * gap / scale, || {
-                        let at = component(Some(change.iamax()));
-                        names.place(at, (" rate", time), violation, per_second)
-                    });
-                    out.active.push(ActiveBound {
-                        ends: vec![((j + 1) * n + a, 1.0), (j * n + a, -1.0)],
-                        channel: c,
-                        ..normals_of(&bound, &change, &normal)
-                    });
+                let normal = of_commands.get(row * n + c).copied().unwrap_or_default();
+                let mut command = Vector3::zeros();
+                for &(j, weight) in weights {
+                    gradient[j * n + c] += normal * weight;
+                    command += at(j) * weight;
                 }
-                let commands = if channel.lag > 0.0 {
-                    spline.command_rows(channel.lag)
-                } else {
-                    Vec::new()
+                out.largest = out.largest.max(normal.amax());
+                let time = times[weights[0].0];
+                let slack = rate_slack(&channel.bound, 1.0 / scale, &(command / scale), &normal);
+                (out.complementarity).note(slack, || whole(time, " command", slack));
+                let violation = bound.violation(&command);
+                out.violation = super::worse(out.violation, violation);
+                out.bounds.note(violation / scale, || {
+                    let at = component(Some(command.iamax()));
+                    names.place(at, (" command", time), violation, str::to_string)
+                });
+                out.active.push(ActiveBound {
+                    ends: weights.clone(),
+                    channel: c,
+                    ..normals_of(&bound, &(command / scale), &normal)
+                });
+            }
+            for (j, time) in times.iter().enumerate() {
+                // A component that may not act has a gradient but is not a variable.
+                let (g, u) = (channel.acting(&gradient[j * n + c]), at(j));
+                // Coefficients that are given are no variables.
+                let given = match &held {
+                    Some(held) if j + 1 == times.len() => Some(held[c]),
+                    _ => (channel.from_rest && j == 0).then(Vector3::zeros),
                 };
-                for (row, weights) in commands.iter().enumerate() {
-                    let Some(bound) = channel.bound else {
-                        continue;
-                    };
-                    let normal = (multipliers.commands.get(row * n + a))
-                        .map_or_else(Vector3::zeros, |z| {
-                            Vector3::from_column_slice(&z[3 * c..3 * c + 3])
-                        });
-                    let mut command = Vector3::zeros();
-                    for &(j, weight) in weights {
-                        gradient[j * n + a][c] += normal * weight;
-                        command += at(j) * weight;
-                    }
-                    out.largest = out.largest.max(normal.amax());
-                    let time = times[weights[0].0];
-                    let slack =
-                        rate_slack(&channel.bound, 1.0 / scale, &(command / scale), &normal);
-                    (out.complementarity).note(slack, || whole(time, " command", slack));
-                    let violation = bound.violation(&command);
-                    out.violation = super::worse(out.violation, violation);
-                    out.bounds.note(violation / scale, || {
-                        let at = component(Some(command.iamax()));
-                        names.place(at, (" command", time), violation, str::to_string)
+                if let Some(given) = given {
+                    let off = u - given;
+                    out.violation = super::worse(out.violation, off.amax());
+                    out.bounds.note(off.amax() / scale, || {
+                        let (at, size) = (component(Some(off.iamax())), off.amax());
+                        names.place(at, (" that is held", *time), size, str::to_string)
                     });
-                    out.active.push(ActiveBound {
-                        ends: weights.iter().map(|&(j, w)| (j * n + a, w)).collect(),
-                        channel: c,
-                        ..normals_of(&bound, &(command / scale), &normal)
-                    });
+                    continue;
                 }
-                for (j, time) in times.iter().enumerate() {
-                    // A component that may not act has a gradient but is not a variable.
-                    let (g, u) = (channel.acting(&gradient[j * n + a][c]), at(j));
-                    // Coefficients that are given are no variables.
-                    let given = match &problem.stay {
-                        Some(stay) if j + 1 == times.len() => Some(parts(&stay.wrenches[a])[c]),
-                        _ => (channel.from_rest && j == 0).then(Vector3::zeros),
-                    };
-                    if let Some(given) = given {
-                        let off = u - given;
-                        out.violation = super::worse(out.violation, off.amax());
-                        out.bounds.note(off.amax() / scale, || {
-                            let (at, size) = (component(Some(off.iamax())), off.amax());
-                            names.place(at, (" that is held", *time), size, str::to_string)
-                        });
-                        continue;
-                    }
-                    let own_bound = channel.coefficient_bound();
-                    let (rest, gap, normal) = normal_cone(&own_bound, &g, &u, scale);
-                    out.stationarity.note(rest.amax(), || {
-                        let (at, value) = (component(Some(rest.iamax())), rest.amax() / scale);
-                        names.place(at, ("", *time), value, per)
-                    });
-                    (out.complementarity).note(gap, || whole(*time, "", gap));
-                    let violation = channel.violation(&u);
-                    out.violation = super::worse(out.violation, violation);
-                    out.bounds.note(violation / scale, || {
-                        let at = component(Some(u.iamax()));
-                        names.place(at, ("", *time), violation, str::to_string)
-                    });
-                    let Some(bound) = own_bound else {
-                        continue;
-                    };
-                    out.active.push(ActiveBound {
-                        ends: vec![(j * n + a, 1.0)],
-                        channel: c,
-                        ..normals_of(&bound, &(u / scale), &normal)
-                    });
-                }
+                let own_bound = channel.coefficient_bound();
+                let (rest, gap, normal) = normal_cone(&own_bound, &g, &u, scale);
+                out.stationarity.note(rest.amax(), || {
+                    let (at, value) = (component(Some(rest.iamax())), rest.amax() / scale);
+                    names.place(at, ("", *time), value, per)
+                });
+                (out.complementarity).note(gap, || whole(*time, "", gap));
+                let violation = channel.violation(&u);
+                out.violation = super::worse(out.violation, violation);
+                out.bounds.note(violation / scale, || {
+                    let at = component(Some(u.iamax()));
+                    names.place(at, ("", *time), violation, str::to_string)
+                });
+                let Some(bound) = own_bound else {
+                    continue;
+                };
+                out.active.push(ActiveBound {
+                    ends: vec![(j, 1.0)],
+                    channel: c,
+                    ..normals_of(&bound, &(u / scale), &normal)
+                });
             }
         }
         let least = ACTIVE * out.largest;
@@ -305,12 +286,10 @@ impl ControlConditions {
     }
 
     /// Takes the size of terms along actuated components only; the others have terms as well, but are not variables.
-    fn note(&mut self, problem: &OptimalControlProblem, terms: &[Pair]) {
-        for (terms, actuator) in terms.iter().zip(problem.actuators.iter().cycle()) {
-            for (term, channel) in terms.iter().zip([&actuator.force, &actuator.moment]) {
-                for axis in (0..3).filter(|&axis| channel.acts_along(axis)) {
-                    self.largest = self.largest.max(term[axis].abs());
-                }
+    fn note(&mut self, problem: &OptimalControlProblem, terms: &[Vector3<f64>]) {
+        for (term, own) in terms.iter().zip(problem.channels.iter().cycle()) {
+            for axis in (0..own.on.count()).filter(|&axis| own.channel.acts_along(axis)) {
+                self.largest = self.largest.max(term[axis].abs());
             }
         }
     }

@@ -22,7 +22,7 @@ use super::SolutionMultipliers;
 use super::hold::{self, Spline};
 use super::worse::worse;
 use control::{Channel, OptimalControlProblem};
-use mechanics::{Trajectory, Wrench};
+use mechanics::Trajectory;
 use sqp::KktResidual;
 
 /// Size, in units of the largest curvature of effort and rate, below which the terms of the gradient count as vanished. With the default
@@ -52,7 +52,7 @@ pub struct RecomputedKkt {
 pub fn recompute(
     problem: &OptimalControlProblem,
     trajectory: &Trajectory,
-    coefficients: &[Wrench],
+    coefficients: &[f64],
     multipliers: &SolutionMultipliers,
 ) -> RecomputedKkt {
     let control = hold::signal(problem, 1, coefficients);
@@ -100,8 +100,7 @@ pub fn recompute(
     let controls = ControlConditions::of(problem, coefficients, &pulled, multipliers);
     // As in the solver, a problem whose terms all vanish is judged against one unit of effort.
     let spline = Spline::of(problem);
-    let channels =
-        (problem.actuators.iter()).flat_map(|actuator| [actuator.force, actuator.moment]);
+    let channels = problem.channels.iter().map(|own| own.channel);
     let part = (channels.filter(Channel::acts))
         .map(|channel| channel.unit() / channel.scale)
         .fold(1.0, f64::min);

@@ -164,7 +164,7 @@ pub(crate) fn applied(
         }
     }
     for own in control.acting {
-        let u = own.controls(control.wrenches);
+        let u = own.controls(control.inputs);
         for (node, wrench) in acting::wrenches(&*own.actuator, at, &u) {
             add(node, &wrench);
         }
