@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, Vector6};
 use super::data::{Kind, Rows};
 use super::least_squares::{Beside, slope};
 use super::{FitError, Model, Pose};
-use crate::mechanics::at_rest::{self, carry_to_base, displace, forces, shape_near};
+use crate::mechanics::at_rest::{self, OfRow, carry_to_base, displace, forces, shape_near};
 use crate::mechanics::equilibrium::EquilibriumError;
 use crate::mechanics::tangent::Tangent;
 use crate::mechanics::{Configuration, Rod};
@@ -175,10 +175,6 @@ impl Model<'_> {
     }
 }
 
-/// Runs a row from the shape of the one before; returns its own, and what is found.
-type OfRow<'a, T> =
-    &'a (dyn Fn(usize, Option<&Configuration>) -> Result<(Configuration, T), FitError> + Sync);
-
 impl Resting<'_> {
     fn remembered(&self) -> Option<&Remembered> {
         self.model.remembered.get(self.case)?.as_ref()
@@ -192,7 +188,7 @@ impl Resting<'_> {
     }
 
     /// Evaluates all rows, run by run, on the threads of the model.
-    fn in_runs<T: Send>(&self, of_row: OfRow<T>) -> Result<Vec<T>, FitError> {
+    fn in_runs<T: Send>(&self, of_row: OfRow<T, FitError>) -> Result<Vec<T>, FitError> {
         at_rest::in_runs(self.rows.len(), self.model.n_threads, of_row)
     }
 

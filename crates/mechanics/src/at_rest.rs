@@ -19,6 +19,10 @@ use stop::StopSignal;
 /// is found does not depend on the number of threads.
 const RUN: usize = 24;
 
+/// A function of a row and of the shape of the row before, that returns the shape of the row with what is found.
+pub type OfRow<'a, T, E> =
+    &'a (dyn Fn(usize, Option<&Configuration>) -> Result<(Configuration, T), E> + Sync);
+
 /// Evaluates rows run by run, on threads; `of_row` gets a row with the shape of the one before, and returns its own with what is found.
 ///
 /// # Errors
@@ -26,7 +30,7 @@ const RUN: usize = 24;
 pub fn in_runs<T: Send, E: Send>(
     n_rows: usize,
     n_threads: usize,
-    of_row: &(dyn Fn(usize, Option<&Configuration>) -> Result<(Configuration, T), E> + Sync),
+    of_row: OfRow<T, E>,
 ) -> Result<Vec<T>, E> {
     let runs: Vec<usize> = (0..n_rows).step_by(RUN).collect();
     let share = runs.len().div_ceil(n_threads.max(1)).max(1);
