@@ -118,7 +118,7 @@ impl Solution {
             .collect()
     }
 
-    /// Returns the wrenches on the [actuated nodes](OptimalControlProblem::actuated_nodes) at time node `k`.
+    /// Returns the wrenches on the actuated nodes at time node `k`.
     #[must_use]
     pub fn wrenches_at(&self, k: usize) -> Vec<Wrench> {
         self.problem.discrete.wrenches(&self.controls_at(k))
