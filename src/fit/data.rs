@@ -426,114 +426,103 @@ impl File<'_> {
     /// Returns the rows of a table that are fitted, and those that are compared only, as far as there are any.
     fn table_cases(&self, table: &Table) -> Result<Vec<Case>, String> {
         let path = self.path.parent().unwrap_or(Path::new("")).join(&table.csv);
-        let text = text_of(&path)?;
-        let mut reader = csv::ReaderBuilder::new()
-            .comment(Some(b'#'))
-            .trim(csv::Trim::All)
-            .from_reader(text.as_bytes());
-        let names = reader
-            .headers()
-            .map_err(|error| at(&path, 1, error))?
-            .clone();
-        let column = |name: &str| {
-            let found = names.iter().position(|head| head == name);
-            found.ok_or_else(|| at(&path, 1, format!("there is no column {name:?}")))
-        };
-        let mut inputs = Vec::new();
-        for (name, input) in &table.inputs {
-            inputs.push((column(name)?, input));
+        let sheet = Sheet::read(&path)?;
+        let columns = TableColumns::of(self, table, &sheet)?;
+        let mut cases = [table.case(false), table.case(true)];
+        let mut apart = std::collections::BTreeSet::new();
+        for row in sheet.rows() {
+            let group = columns.by.map(|by| row.cell(by).to_string());
+            let group_apart = (group.as_ref()).filter(|own| table.held_out_groups.contains(own));
+            apart.extend(group_apart.cloned());
+            let is_apart = table.held_out || group_apart.is_some();
+            columns.add(&row, group, &mut cases[usize::from(is_apart)])?;
         }
-        let mut markers = Vec::new();
-        for (name, own) in &table.positions {
-            let [x, y, z] = own.columns.each_ref().map(|name| column(name));
-            markers.push((self.marker(name)?, [x?, y?, z?], own.times));
+        let unknown = (table.held_out_groups.iter()).find(|own| !apart.contains(*own));
+        if let Some(group) = unknown {
+            return Err(sheet.refused(format!("no row has the group {group:?} of held_out_groups")));
         }
-        let by = table.by.as_deref().map(column).transpose()?;
-        if let (None, Some(group)) = (by, table.held_out_groups.first()) {
-            return Err(at(
-                &path,
-                1,
-                format!("held_out_groups has {group:?}, and by names no column of groups"),
-            ));
-        }
-        let case = |held_out: bool| Case {
-            name: format!(
-                "{}{}",
-                table.name.as_deref().unwrap_or(&table.csv),
-                if held_out && !table.held_out {
-                    ", held out"
-                } else {
-                    ""
-                }
-            ),
-            set: table.set.clone(),
+        let seen = cases.into_iter().filter(|case| !case.sights.is_empty());
+        Ok(seen.collect())
+    }
+}
+
+impl Table {
+    /// Returns the case of its rows before any is read.
+    fn case(&self, held_out: bool) -> Case {
+        let name = self.name.as_deref().unwrap_or(&self.csv);
+        Case {
+            name: match held_out && !self.held_out {
+                true => format!("{name}, held out"),
+                false => name.into(),
+            },
+            set: self.set.clone(),
             kind: Kind::Rows(Rows {
-                keys: inputs.iter().map(|(_, input)| input.key.clone()).collect(),
+                keys: self.inputs.values().map(|own| own.key.clone()).collect(),
                 ..Rows::default()
             }),
             held_out,
             gaps: 0,
             sights: Vec::new(),
+        }
+    }
+}
+
+/// The columns of a table of shapes.
+struct TableColumns<'a> {
+    inputs: Vec<(usize, &'a InputColumn)>,
+    /// Marker, columns of its position, and factor.
+    markers: Vec<(usize, [usize; 3], f64)>,
+    by: Option<usize>,
+}
+
+impl<'a> TableColumns<'a> {
+    fn of(file: &File, table: &'a Table, sheet: &Sheet) -> Result<Self, String> {
+        let mut inputs = Vec::new();
+        for (name, input) in &table.inputs {
+            inputs.push((sheet.column(name)?, input));
+        }
+        let mut markers = Vec::new();
+        for (name, own) in &table.positions {
+            let [x, y, z] = own.columns.each_ref().map(|name| sheet.column(name));
+            markers.push((file.marker(name)?, [x?, y?, z?], own.times));
+        }
+        let by = table.by.as_deref().map(|by| sheet.column(by)).transpose()?;
+        if let (None, Some(group)) = (by, table.held_out_groups.first()) {
+            return Err(sheet.refused(format!(
+                "held_out_groups has {group:?}, and by names no column of groups"
+            )));
+        }
+        Ok(Self {
+            inputs,
+            markers,
+            by,
+        })
+    }
+
+    /// Adds a row to a case.
+    fn add(&self, row: &Row, group: Option<String>, case: &mut Case) -> Result<(), String> {
+        let Kind::Rows(rows) = &mut case.kind else {
+            return Ok(());
         };
-        let mut cases = [case(false), case(true)];
-        let mut seen_groups = std::collections::BTreeSet::new();
-        for record in reader.records() {
-            let record = record.map_err(|error| format!("{}: {error}", path.display()))?;
-            let line = record.position().map_or(0, csv::Position::line);
-            let group = by.map(|by| record.get(by).unwrap_or_default().to_string());
-            let is_apart = (group.as_ref()).is_some_and(|own| table.held_out_groups.contains(own));
-            seen_groups.extend(group.clone().filter(|_| is_apart));
-            let case = &mut cases[usize::from(table.held_out || is_apart)];
-            let number = |index: usize| {
-                let cell = record.get(index).unwrap_or_default();
-                let found = cell.parse().ok().filter(|x: &f64| x.is_finite());
-                found.ok_or_else(|| {
-                    at(
-                        &path,
-                        line,
-                        format!("{cell:?} under {:?} is no number", &names[index]),
-                    )
-                })
-            };
-            let Kind::Rows(rows) = &mut case.kind else {
-                continue;
-            };
-            for (index, input) in &inputs {
-                rows.inputs.push(number(*index)? * input.times + input.plus);
-            }
-            let time = rows.lines.len() as f64;
-            rows.lines.push(line);
-            rows.groups.extend(group);
-            for (marker, columns, times) in &markers {
-                let is_missing = |index: &usize| {
-                    let cell = record.get(*index).unwrap_or_default();
-                    MISSING.iter().any(|word| cell.eq_ignore_ascii_case(word))
-                };
-                if columns.iter().all(is_missing) {
-                    case.gaps += 1;
-                    continue;
-                }
-                let [x, y, z] = columns.map(|index| Ok::<f64, String>(number(index)? * times));
-                case.sights.push(Sight {
+        for (index, input) in &self.inputs {
+            rows.inputs
+                .push(row.number(*index)? * input.times + input.plus);
+        }
+        let time = rows.lines.len() as f64;
+        rows.lines.push(row.line());
+        rows.groups.extend(group);
+        for (marker, columns, times) in &self.markers {
+            match row.position(columns)? {
+                None => case.gaps += 1,
+                Some(position) => case.sights.push(Sight {
                     marker: *marker,
                     time,
-                    position: Some(Vector3::new(x?, y?, z?)),
+                    position: Some(position * *times),
                     orientation: None,
-                });
+                }),
             }
         }
-        let unknown = (table.held_out_groups.iter()).find(|own| !seen_groups.contains(*own));
-        if let Some(group) = unknown {
-            return Err(at(
-                &path,
-                1,
-                format!("no row has the group {group:?} of held_out_groups"),
-            ));
-        }
-        Ok(cases
-            .into_iter()
-            .filter(|case| !case.sights.is_empty())
-            .collect())
+        Ok(())
     }
 }
 
@@ -594,24 +583,13 @@ fn rows(
     sigma: f64,
     marker_of: &dyn Fn(&str) -> Result<usize, String>,
 ) -> Result<(Vec<Sight>, usize), String> {
-    let text = text_of(path)?;
-    let mut reader = csv::ReaderBuilder::new()
-        .comment(Some(b'#'))
-        .trim(csv::Trim::All)
-        .from_reader(text.as_bytes());
-    let names = reader.headers().map_err(|error| at(path, 1, error))?;
-    let head = Head::of(path, names.clone(), marker_of)?;
+    let sheet = Sheet::read(path)?;
+    let head = Head::of(&sheet, marker_of)?;
     let mut sights = Vec::new();
     let mut gaps = 0;
     let mut before = f64::NEG_INFINITY;
-    for record in reader.records() {
-        let record = record.map_err(|error| format!("{}: {error}", path.display()))?;
-        let row = Row {
-            line: record.position().map_or(0, csv::Position::line),
-            head: &head,
-            record,
-        };
-        let time = row.time(before)?;
+    for row in sheet.rows() {
+        let time = row.time(head.time, before)?;
         before = time;
         for own in &head.markers {
             let sight = row.sight(own, time)?;
@@ -627,27 +605,69 @@ fn rows(
     Ok((sights, gaps))
 }
 
+/// A table of a file: the names of its columns, and its rows as text.
+struct Sheet<'a> {
+    path: &'a Path,
+    names: csv::StringRecord,
+    records: Vec<csv::StringRecord>,
+}
+
+impl<'a> Sheet<'a> {
+    fn read(path: &'a Path) -> Result<Self, String> {
+        let text = text_of(path)?;
+        let mut reader = csv::ReaderBuilder::new()
+            .comment(Some(b'#'))
+            .trim(csv::Trim::All)
+            .from_reader(text.as_bytes());
+        let names = reader
+            .headers()
+            .map_err(|error| at(path, 1, error))?
+            .clone();
+        let records: Result<_, _> = reader.records().collect();
+        Ok(Self {
+            path,
+            names,
+            records: records.map_err(|error| format!("{}: {error}", path.display()))?,
+        })
+    }
+
+    /// Returns a complaint about the names of the columns.
+    fn refused(&self, words: String) -> String {
+        at(self.path, 1, words)
+    }
+
+    fn column(&self, name: &str) -> Result<usize, String> {
+        let found = self.names.iter().position(|head| head == name);
+        found.ok_or_else(|| self.refused(format!("there is no column {name:?}")))
+    }
+
+    fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+        self.records.iter().map(|record| Row {
+            sheet: self,
+            record,
+        })
+    }
+}
+
 /// Returns a complaint about a line of a table.
 fn at(path: &Path, line: u64, words: impl std::fmt::Display) -> String {
     format!("{}, line {line}: {words}", path.display())
 }
 
 /// The columns of the table of a recording.
-struct Head<'a> {
-    path: &'a Path,
-    names: csv::StringRecord,
+struct Head {
     /// Column of the time.
     time: usize,
     markers: Vec<Columns>,
 }
 
-impl<'a> Head<'a> {
+impl Head {
     fn of(
-        path: &'a Path,
-        names: csv::StringRecord,
+        sheet: &Sheet,
         marker_of: &dyn Fn(&str) -> Result<usize, String>,
     ) -> Result<Self, String> {
-        let refused = |words: String| at(path, 1, words);
+        let names = &sheet.names;
+        let refused = |words: String| sheet.refused(words);
         let column = |name: &str| names.iter().position(|head| head == name);
         let Some(time) = column("t_s") else {
             return Err(refused("there is no column t_s".into()));
@@ -692,25 +712,24 @@ impl<'a> Head<'a> {
                 _ => {}
             }
         }
-        Ok(Self {
-            path,
-            names,
-            time,
-            markers,
-        })
+        Ok(Self { time, markers })
     }
 }
 
-/// A row of the table of a recording.
+/// A row of a table.
 struct Row<'a> {
-    head: &'a Head<'a>,
-    record: csv::StringRecord,
-    line: u64,
+    sheet: &'a Sheet<'a>,
+    record: &'a csv::StringRecord,
 }
 
 impl Row<'_> {
+    /// Returns its line in the file.
+    fn line(&self) -> u64 {
+        self.record.position().map_or(0, csv::Position::line)
+    }
+
     fn refused(&self, words: String) -> String {
-        at(self.head.path, self.line, words)
+        at(self.sheet.path, self.line(), words)
     }
 
     fn cell(&self, index: usize) -> &str {
@@ -722,7 +741,7 @@ impl Row<'_> {
         (cell.parse().ok().filter(|number: &f64| number.is_finite())).ok_or_else(|| {
             self.refused(format!(
                 "{cell:?} under {:?} is no number",
-                &self.head.names[index]
+                &self.sheet.names[index]
             ))
         })
     }
@@ -737,8 +756,8 @@ impl Row<'_> {
     }
 
     /// Returns the time, s, which is later than that of the row before.
-    fn time(&self, before: f64) -> Result<f64, String> {
-        let t = self.number(self.head.time)?;
+    fn time(&self, column: usize, before: f64) -> Result<f64, String> {
+        let t = self.number(column)?;
         if !(t >= 0.0 && t > before) {
             return Err(self.refused(format!("t_s = {t}: expected times from 0 s on that grow")));
         }
@@ -750,6 +769,15 @@ impl Row<'_> {
         Ok(t)
     }
 
+    /// Returns the position of a marker; `None` if it was not seen.
+    fn position(&self, columns: &[usize; 3]) -> Result<Option<Vector3<f64>>, String> {
+        if !self.has(columns) {
+            return Ok(None);
+        }
+        let [x, y, z] = columns.map(|index| self.number(index));
+        Ok(Some(Vector3::new(x?, y?, z?)))
+    }
+
     /// Returns the pose of a marker at the time of the row, as far as it was seen.
     fn sight(&self, own: &Columns, time: f64) -> Result<Sight, String> {
         let mut sight = Sight {
@@ -758,14 +786,13 @@ impl Row<'_> {
             position: None,
             orientation: None,
         };
-        if let Some(columns) = own.position.filter(|columns| self.has(columns)) {
-            let [x, y, z] = columns.map(|index| self.number(index));
-            sight.position = Some(Vector3::new(x?, y?, z?));
+        if let Some(columns) = &own.position {
+            sight.position = self.position(columns)?;
         }
         if let Some(columns) = own.orientation.filter(|columns| self.has(columns)) {
             let [w, x, y, z] = columns.map(|index| self.number(index));
             let found = rotation([w?, x?, y?, z?]).ok_or_else(|| {
-                let head = &self.head.names[columns[0]];
+                let head = &self.sheet.names[columns[0]];
                 self.refused(format!(
                     "{head:?} and the next are no quaternion of length one; leave the cells of a gap empty"
                 ))

@@ -41,12 +41,10 @@ impl Free {
         for path in times.iter().chain(plus) {
             let mut tables = tables.iter().chain([own]);
             if !is_set(path) && !tables.any(|table| number(table, path).is_some()) {
-                let relation = if plus.is_empty() {
-                    "of which {key} is a factor"
-                } else {
-                    "to which {key} is added"
+                let relation = match plus.is_empty() {
+                    true => format!("of which {key} is a factor"),
+                    false => format!("to which {key} is added"),
                 };
-                let relation = relation.replace("{key}", key);
                 return refuse(format!("{path}, {relation}, has no number in this scene"));
             }
         }

@@ -34,8 +34,8 @@ pub struct Minimum {
 /// Residuals at several points.
 pub type Residuals<E> = Vec<Result<DVector<f64>, E>>;
 
-/// Computes the derivatives of residuals at a point.
-pub type Derivatives<'a, E> = &'a dyn Fn(&[f64]) -> Result<DMatrix<f64>, E>;
+/// Computes the derivatives of the residuals at a point, which are given.
+pub type Derivatives<'a, E> = &'a dyn Fn(&[f64], &DVector<f64>) -> Result<DMatrix<f64>, E>;
 
 /// A problem of least squares in parameters of about one.
 pub struct Problem<'a, E> {
@@ -106,30 +106,17 @@ impl<E> Problem<'_, E> {
         found.swap_remove(0)
     }
 
-    /// Returns the derivatives by central differences, one-sided at a bound and where the residuals of one side cannot be computed, such as
-    /// beside the end of the range of a number.
+    /// Returns the derivatives: those that are given, or [differences](Beside::differences).
     ///
     /// # Errors
-    /// Returns the error of one side where neither can be computed.
+    /// Returns the error of what cannot be computed.
     fn jacobian(&self, at: &[f64], here: &DVector<f64>) -> Result<DMatrix<f64>, E> {
         if let Some(jacobian) = self.jacobian {
-            return jacobian(at);
+            return jacobian(at, here);
         }
-        let Beside { points, widths } = Beside::of(at, &self.bounds);
-        let mut found = (self.residuals)(&points).into_iter();
-        let mut columns = Vec::new();
-        for [rise, fall] in widths {
-            let (Some(ahead), Some(behind)) = (found.next(), found.next()) else {
-                break;
-            };
-            columns.push(match (ahead, behind) {
-                (Ok(ahead), Ok(behind)) => (ahead - behind) / (rise + fall),
-                (Ok(ahead), Err(_)) if rise > 0.0 => (ahead - here) / rise,
-                (Err(_), Ok(behind)) if fall > 0.0 => (here - behind) / fall,
-                (Err(error), _) | (_, Err(error)) => return Err(error),
-            });
-        }
-        Ok(DMatrix::from_columns(&columns))
+        let beside = Beside::of(at, &self.bounds);
+        let found = (self.residuals)(&beside.points);
+        beside.differences(here, found)
     }
 
     /// Returns a step within the bounds; parameters at a bound that the gradient pushes against stay.
@@ -235,17 +222,43 @@ impl Beside {
         }
         Self { points, widths }
     }
+
+    /// Returns the derivatives of residuals by central differences of those at the points, one-sided at a bound and where the residuals of
+    /// one side cannot be computed, such as beside the end of the range of a number; `here` are those in the middle.
+    ///
+    /// # Errors
+    /// Returns the error of one side where neither can be computed.
+    pub fn differences<E>(
+        &self,
+        here: &DVector<f64>,
+        found: Residuals<E>,
+    ) -> Result<DMatrix<f64>, E> {
+        let mut found = found.into_iter();
+        let mut columns = Vec::new();
+        for &[rise, fall] in &self.widths {
+            let (Some(ahead), Some(behind)) = (found.next(), found.next()) else {
+                break;
+            };
+            columns.push(match (ahead, behind) {
+                (Ok(ahead), Ok(behind)) => (ahead - behind) / (rise + fall),
+                (Ok(ahead), Err(_)) if rise > 0.0 => (ahead - here) / rise,
+                (Err(_), Ok(behind)) if fall > 0.0 => (here - behind) / fall,
+                (Err(error), _) | (_, Err(error)) => return Err(error),
+            });
+        }
+        Ok(DMatrix::from_columns(&columns))
+    }
 }
 
-/// Returns the difference of a number ahead and behind over their distance; `here` is needed where one of them is no number.
-pub fn slope(here: f64, [ahead, behind]: [f64; 2], [rise, fall]: [f64; 2]) -> f64 {
-    if ahead.is_finite() && behind.is_finite() {
-        (ahead - behind) / (rise + fall)
-    } else if ahead.is_finite() {
-        (ahead - here) / rise
-    } else {
-        (here - behind) / fall
+/// Returns matrices of `n_columns` columns, one below the other.
+pub fn stacked(parts: &[DMatrix<f64>], n_columns: usize) -> DMatrix<f64> {
+    let mut out = DMatrix::zeros(parts.iter().map(DMatrix::nrows).sum(), n_columns);
+    let mut first = 0;
+    for part in parts {
+        out.rows_mut(first, part.nrows()).copy_from(part);
+        first += part.nrows();
     }
+    out
 }
 
 /// Returns the rows of a matrix times their weights.

@@ -19,7 +19,7 @@ use self::assumed::{Assumed, Kind};
 use self::data::{Case, Marker, Sight};
 pub use self::explained::Explanation;
 use self::free::{Free, number, parameters, refuse_set};
-use self::least_squares::{Beside, Minimum, Problem};
+use self::least_squares::{Beside, Minimum, Problem, stacked};
 pub use self::report::FitSummary;
 use self::resting::Remembered;
 use crate::mechanics::equilibrium::static_equilibrium_until;
@@ -190,7 +190,7 @@ impl Pose {
 
 /// Predicts what was measured.
 struct Model<'a> {
-    /// Of every case that is a table, what is remembered of it.
+    /// The actuators and last shapes of every case that is a table.
     remembered: Vec<Option<Remembered>>,
     source: &'a SceneSource,
     markers: &'a [Marker],
@@ -268,7 +268,7 @@ impl Model<'_> {
         groups: &[std::ops::Range<usize>],
     ) -> Result<Minimum, FitError> {
         let has_tables = self.fitted().any(|case| case.rows().is_some());
-        let jacobian = |at: &[f64]| self.jacobian(at, steps);
+        let jacobian = |at: &[f64], here: &DVector<f64>| self.jacobian(at, here, steps);
         let problem = Problem {
             residuals: &|points: &[Vec<f64>]| self.residuals(points, steps),
             bounds: self.bounds(),
@@ -282,34 +282,33 @@ impl Model<'_> {
         self.parameters.iter().map(Free::scaled_bounds).collect()
     }
 
-    /// Returns the derivatives of the residuals: of tables by the implicit function theorem, of shapes and recordings by differences.
+    /// Returns the derivatives of the residuals `here`: of shapes and recordings by differences, of tables, which come after them, by the
+    /// implicit function theorem.
     ///
     /// # Errors
     /// Returns [`FitError`] where one of these cannot be computed.
-    fn jacobian(&self, at: &[f64], steps: &Steps) -> Result<DMatrix<f64>, FitError> {
+    fn jacobian(
+        &self,
+        at: &[f64],
+        here: &DVector<f64>,
+        steps: &Steps,
+    ) -> Result<DMatrix<f64>, FitError> {
         let beside = Beside::of(at, &self.bounds());
-        let is_other = |case: &usize| self.cases[*case].rows().is_none();
-        let cases: Vec<usize> = (0..self.cases.len())
+        let (tables, others): (Vec<usize>, Vec<usize>) = (0..self.cases.len())
             .filter(|case| !self.cases[*case].held_out)
-            .collect();
-        let others: Vec<usize> = cases.iter().copied().filter(is_other).collect();
-        let mut found = Vec::new();
-        for blocks in self.blocks(&beside.points, steps, None, &others) {
-            found.push(blocks?);
-        }
-        let mut parts = Vec::new();
-        for case in cases {
-            if !is_other(&case) {
-                parts.push(self.table_jacobian(at, case, &beside)?);
-                continue;
-            }
-            let place = others.partition_point(|other| *other < case);
-            let n = found.first().map_or(0, |blocks| blocks[place].len());
-            parts.push(DMatrix::from_fn(n, at.len(), |i, j| {
-                let [rise, fall] = beside.widths[j];
-                let [ahead, behind] = [0, 1].map(|side| found[2 * j + side][place][i]);
-                (ahead - behind) / (rise + fall)
-            }));
+            .partition(|case| self.cases[*case].rows().is_some());
+        let found = (self
+            .blocks(&beside.points, steps, None, &others)
+            .into_iter())
+        .map(|blocks| blocks.map(|blocks| DVector::from_vec(blocks.concat())))
+        .collect();
+        let n = others
+            .iter()
+            .map(|case| 3 * self.cases[*case].n_seen())
+            .sum();
+        let mut parts = vec![beside.differences(&here.rows(0, n).into_owned(), found)?];
+        for case in tables {
+            parts.push(self.table_jacobian(at, case, &beside)?);
         }
         for (j, own) in self.parameters.iter().enumerate() {
             if let Some([_, sigma]) = own.prior {
@@ -318,14 +317,7 @@ impl Model<'_> {
                 parts.push(row);
             }
         }
-        let n = parts.iter().map(DMatrix::nrows).sum();
-        let mut out = DMatrix::zeros(n, at.len());
-        let mut first = 0;
-        for part in parts {
-            out.rows_mut(first, part.nrows()).copy_from(&part);
-            first += part.nrows();
-        }
-        Ok(out)
+        Ok(stacked(&parts, at.len()))
     }
 
     /// Returns the value of a number that the scene or a row has, under the factors and summands of it that are fitted.

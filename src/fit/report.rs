@@ -149,10 +149,10 @@ pub struct CaseSummary {
     pub rms_rad: Option<f64>,
     /// That under the estimates without this case, to first order, m; null for a case that was held out.
     pub left_out_rms_m: Option<f64>,
-    /// Of a table of shapes: the root of the mean square of the distances once the mean of the differences is taken away, m.
+    /// Root of the mean square of the distances of a table of shapes once the mean of the differences is taken away, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub aligned_rms_m: Option<f64>,
-    /// Of a table of shapes: its groups, in the order of the rows.
+    /// Groups of a table of shapes, in the order of the rows.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub groups: Vec<GroupSummary>,
     /// Places that are further off than four standard deviations.

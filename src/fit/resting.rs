@@ -3,12 +3,12 @@
 //! One factorization of the [tangent stiffness](crate::mechanics::at_rest) of a row serves all parameters, and derivatives cost evaluations of
 //! forces in place of equilibria. Parameters that move the base carry the shape with it.
 
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use nalgebra::{DMatrix, Vector6};
+use nalgebra::{DMatrix, DVector, Vector6};
 
-use super::data::{Kind, Rows};
-use super::least_squares::{Beside, slope};
+use super::data::Rows;
+use super::least_squares::{Beside, Residuals, stacked};
 use super::{FitError, Model, Pose};
 use crate::mechanics::at_rest::{self, OfRow, carry_to_base, displace, forces, shape_near};
 use crate::mechanics::equilibrium::EquilibriumError;
@@ -18,7 +18,7 @@ use crate::mechanics::{Configuration, Rod};
 /// Change of an input by which its actuator is found, as a part of the largest one.
 const PROBE: f64 = 0.5;
 
-/// What is remembered of a table: the actuators of its keys, and the last shape of every row.
+/// The actuators of the keys of a table, and the last shape of every row.
 #[derive(Debug)]
 pub struct Remembered {
     /// Index among the actuators of the rod of every key.
@@ -31,6 +31,7 @@ struct Resting<'a> {
     model: &'a Model<'a>,
     case: usize,
     rows: &'a Rows,
+    remembered: &'a Remembered,
     at: &'a [f64],
     rod: Rod,
     /// Factor on all loads and inputs.
@@ -117,7 +118,7 @@ impl Model<'_> {
         let keeps = more.is_empty() && loads == 1.0;
         let found = resting.in_runs(&|row, near| {
             let (rod, shape) = resting.shape(row, near)?;
-            let poses = resting.poses(&rod, &shape, row, at);
+            let poses = resting.poses(&rod, &shape, row);
             if keeps {
                 *resting.slot(row) = Some(shape.clone());
             }
@@ -133,7 +134,8 @@ impl Model<'_> {
         more: &[String],
         loads: f64,
     ) -> Result<Resting<'a>, FitError> {
-        let Kind::Rows(rows) = &self.cases[case].kind else {
+        let remembered = self.remembered.get(case).and_then(Option::as_ref);
+        let Some((rows, remembered)) = self.cases[case].rows().zip(remembered) else {
             return Err(FitError::Data("no table".into()));
         };
         let mut rod = self.rod_at_rest(at, case, more)?;
@@ -142,6 +144,7 @@ impl Model<'_> {
             model: self,
             case,
             rows,
+            remembered,
             at,
             rod,
             loads,
@@ -156,35 +159,35 @@ impl Model<'_> {
         beside: &Beside,
     ) -> Result<DMatrix<f64>, FitError> {
         let resting = self.resting(at, case, &[], 1.0)?;
-        let others: Vec<Resting> = (beside.points.iter())
-            .map(|point| self.resting(point, case, &[], 1.0))
-            .collect::<Result<_, _>>()?;
+        // Numbers beside the end of their range have one side.
+        let others: Vec<Option<Resting>> = (beside.points.iter())
+            .map(|point| self.resting(point, case, &[], 1.0).ok())
+            .collect();
         let found = resting.in_runs(&|row, near| {
             let (rod, shape) = resting.shape(row, near)?;
-            let columns = resting.derivatives(row, (&rod, &shape), &others, &beside.widths)?;
+            let (here, moved) = resting.beside(row, (&rod, &shape), &others)?;
+            let columns = beside.differences(&here, moved);
+            // The reason why a point cannot be computed.
+            let columns = columns.map_err(|index| {
+                let refused = self.resting(&beside.points[index], case, &[], 1.0).err();
+                refused.unwrap_or_else(|| resting.refused(row, "its derivatives are no numbers"))
+            })?;
             Ok((shape, columns))
         })?;
-        let n: usize = found.iter().map(DMatrix::nrows).sum();
-        let mut out = DMatrix::zeros(n, at.len());
-        let mut first = 0;
-        for own in found {
-            out.rows_mut(first, own.nrows()).copy_from(&own);
-            first += own.nrows();
-        }
-        Ok(out)
+        Ok(stacked(&found, at.len()))
     }
 }
 
 impl Resting<'_> {
-    fn remembered(&self) -> Option<&Remembered> {
-        self.model.remembered.get(self.case)?.as_ref()
+    /// Returns a complaint about a row.
+    fn refused(&self, row: usize, words: impl std::fmt::Display) -> FitError {
+        let name = &self.model.cases[self.case].name;
+        FitError::Data(format!("{name}, line {}: {words}", self.rows.lines[row]))
     }
 
-    fn slot(&self, row: usize) -> std::sync::MutexGuard<'_, Option<Configuration>> {
-        static NONE: Mutex<Option<Configuration>> = Mutex::new(None);
-        let slot = self.remembered().map_or(&NONE, |own| &own.shapes[row]);
-        slot.lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner)
+    fn slot(&self, row: usize) -> MutexGuard<'_, Option<Configuration>> {
+        let slot = self.remembered.shapes[row].lock();
+        slot.unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Evaluates all rows, run by run, on the threads of the model.
@@ -195,15 +198,12 @@ impl Resting<'_> {
     /// Returns the rod under the commands of a row.
     fn commanded(&self, row: usize) -> Rod {
         let mut efforts = self.rod.actuators.efforts(0.0);
-        let actuators = self.remembered().map_or(&[][..], |own| &own.actuators);
+        let actuators = &self.remembered.actuators;
         let given = self.rows.keys.iter().zip(self.rows.row(row));
         for (&actuator, (key, &value)) in actuators.iter().zip(given) {
             efforts[actuator] = self.loads * self.model.given(self.at, key, value);
         }
-        Rod {
-            actuators: self.rod.actuators.with_efforts(&efforts),
-            ..self.rod.clone()
-        }
+        self.rod.with_inputs(&efforts)
     }
 
     /// Returns the rod under the commands of a row, and its shape at rest: that next to the one that is remembered, or else next to a shape
@@ -218,73 +218,63 @@ impl Resting<'_> {
         let starts = known.as_ref().into_iter().chain(near);
         let found = shape_near(&rod, starts, self.model.stop).map_err(|error| match error {
             EquilibriumError::Stopped(why) => FitError::Stopped(why),
-            error => {
-                let name = &self.model.cases[self.case].name;
-                FitError::Data(format!("{name}, line {}: {error}", self.rows.lines[row]))
-            }
+            error => self.refused(row, error),
         })?;
         Ok((rod, found))
     }
 
     /// Returns the predictions of the sights of a row.
-    fn poses(&self, rod: &Rod, shape: &Configuration, row: usize, at: &[f64]) -> Vec<Pose> {
+    fn poses(&self, rod: &Rod, shape: &Configuration, row: usize) -> Vec<Pose> {
         let nodes = rod.places();
         let sights = self.model.sights_of_row(self.case, row);
         (sights.iter())
-            .map(|sight| self.model.pose(&nodes, shape, sight.marker, at))
+            .map(|sight| self.model.pose(&nodes, shape, sight.marker, self.at))
             .collect()
     }
 
-    /// Returns the derivatives of the residuals of a row, from the same table at points beside.
-    fn derivatives(
+    /// Returns the residuals of a row, and those to first order of the same row of tables at points beside; a point that cannot be computed has
+    /// its index instead.
+    fn beside(
         &self,
         row: usize,
         (rod, shape): (&Rod, &Configuration),
-        others: &[Resting],
-        widths: &[[f64; 2]],
-    ) -> Result<DMatrix<f64>, FitError> {
-        let lu = Tangent::stiffness(rod, shape, 0.0)
-            .factor()
-            .ok_or_else(|| {
-                let line = self.rows.lines[row];
-                let name = &self.model.cases[self.case].name;
-                FitError::Data(format!(
-                    "{name}, line {line}: the shape at rest is about to buckle"
-                ))
-            })?;
+        others: &[Option<Resting>],
+    ) -> Result<(DVector<f64>, Residuals<usize>), FitError> {
+        let lu = (Tangent::stiffness(rod, shape, 0.0).factor())
+            .ok_or_else(|| self.refused(row, "the shape at rest is about to buckle"))?;
         let here = forces(rod, shape);
-        let beside: Vec<(Rod, Configuration)> = (others.iter())
+        let beside: Vec<_> = (others.iter())
             .map(|other| {
+                let other = other.as_ref()?;
                 let rod = other.commanded(row);
-                let mut moved = shape.clone();
-                carry_to_base(&rod, &mut moved);
-                (rod, moved)
+                let mut shape = shape.clone();
+                carry_to_base(&rod, &mut shape);
+                Some((other, rod, shape))
             })
             .collect();
-        let changes: Vec<Vec<Vector6<f64>>> = (beside.iter())
-            .map(|(rod, shape)| {
+        let changes: Vec<Vec<Vector6<f64>>> = (beside.iter().flatten())
+            .map(|(_, rod, shape)| {
                 let there = forces(rod, shape);
                 there.iter().zip(&here).map(|(a, b)| a - b).collect()
             })
             .collect();
-        let steps = lu.solve(&changes);
+        let mut steps = lu.solve(&changes).into_iter();
+        let moved = beside.into_iter().enumerate().map(|(index, own)| {
+            let (other, rod, mut shape) = own.ok_or(index)?;
+            let step = steps.next().ok_or(index)?;
+            displace(&rod, &mut shape, &step);
+            Ok(other.residuals(row, &rod, &shape))
+        });
+        Ok((self.residuals(row, rod, shape), moved.collect()))
+    }
+
+    /// Returns the residuals of a row in a shape.
+    fn residuals(&self, row: usize, rod: &Rod, shape: &Configuration) -> DVector<f64> {
+        let mut out = Vec::new();
         let sights = self.model.sights_of_row(self.case, row);
-        let residuals = |poses: Vec<Pose>| -> Vec<f64> {
-            let mut out = Vec::new();
-            for (pose, sight) in poses.iter().zip(sights) {
-                self.model.append_residuals(pose, sight, &mut out);
-            }
-            out
-        };
-        let own = residuals(self.poses(rod, shape, row, self.at));
-        let moved: Vec<Vec<f64>> = (beside.into_iter().zip(steps).zip(others))
-            .map(|(((rod, mut shape), step), other)| {
-                displace(&rod, &mut shape, &step);
-                residuals(self.poses(&rod, &shape, row, other.at))
-            })
-            .collect();
-        Ok(DMatrix::from_fn(own.len(), widths.len(), |i, j| {
-            slope(own[i], [moved[2 * j][i], moved[2 * j + 1][i]], widths[j])
-        }))
+        for (pose, sight) in self.poses(rod, shape, row).iter().zip(sights) {
+            self.model.append_residuals(pose, sight, &mut out);
+        }
+        DVector::from_vec(out)
     }
 }

@@ -162,10 +162,7 @@ pub fn shapes_at_rest(
     let n = rod.actuators.len().max(1);
     in_runs(inputs.len() / n, n_threads, &|row, near| {
         let inputs = &inputs[n * row..][..n];
-        let rod = &Rod {
-            actuators: rod.actuators.with_efforts(inputs),
-            ..rod.clone()
-        };
+        let rod = &rod.with_inputs(inputs);
         let shape = shape_near(rod, near, stop).map_err(|error| (row, error))?;
         let found = AtRest {
             jacobian: (wanted.jacobian)

@@ -118,11 +118,7 @@ impl Statics<'_> {
         if !rod.actuators.has_winches() {
             return Cow::Borrowed(rod);
         }
-        let inputs = self.inputs(coefficient);
-        Cow::Owned(Rod {
-            actuators: rod.actuators.with_efforts(&inputs),
-            ..rod.clone()
-        })
+        Cow::Owned(rod.with_inputs(&self.inputs(coefficient)))
     }
 
     /// Returns all inputs of the rod's actuators.

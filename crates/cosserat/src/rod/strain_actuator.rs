@@ -704,10 +704,15 @@ impl RodActuators {
     #[must_use]
     pub fn with_efforts(&self, efforts: &[f64]) -> Self {
         let mut out = self.clone();
-        for (drive, effort) in out.drives.iter_mut().zip(efforts) {
-            drive.effort = vec![(0.0, *effort)];
-        }
+        out.give(efforts);
         out
+    }
+
+    /// Replaces the given inputs by constant ones.
+    fn give(&mut self, inputs: &[f64]) {
+        for (drive, input) in self.drives.iter_mut().zip(inputs) {
+            drive.effort = vec![(0.0, *input)];
+        }
     }
 }
 
@@ -720,6 +725,14 @@ fn stretched(strain: &ElementStrain, length: f64) -> ([Vec3<Scalar>; 2], Vec3<Sc
 }
 
 impl Rod {
+    /// Returns the rod with constant given inputs of its actuators: efforts, of winches displacements.
+    #[must_use]
+    pub fn with_inputs(&self, inputs: &[f64]) -> Self {
+        let mut out = self.clone();
+        out.actuators.give(inputs);
+        out
+    }
+
     /// Returns the stress that the actuators with the given efforts have in element `q` at a strain: `-Σ u ∂y/∂(v, κ)` per length. `None`
     /// if none passes the element.
     #[must_use]
