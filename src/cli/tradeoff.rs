@@ -140,7 +140,7 @@ pub(super) fn run(arguments: &TradeoffArguments, global: &Global, console: &Cons
     Ok(result.exit_code())
 }
 
-/// What is swept, until when, and who is told.
+/// A sweep to run: its scene, the signal that ends it early, and the console that is told of its points.
 struct SweepTask<'a> {
     arguments: &'a TradeoffArguments,
     scene: &'a Scene,

@@ -2,16 +2,13 @@
 
 #![cfg(feature = "cli")]
 
+use crate::desk::Desk;
 use crate::tool;
 
 use std::fmt::Write as _;
 use std::fs;
-use std::path::PathBuf;
-use std::process::Command;
 
-use serde_json::Value;
 use softarm::output::MotionRecord;
-use tempfile::TempDir;
 use tool::DONE;
 
 /// A silicone arm that hangs in water, which two opposed tendons pull toward a point.
@@ -50,45 +47,11 @@ weight = 1e4
 at_rest = false
 ";
 
-struct Desk(TempDir);
-
-impl Desk {
-    fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        fs::write(folder.path().join("arm.toml"), ARM).unwrap();
-        Self(folder)
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    /// Runs a line of words, and returns its exit code, its summary and its talk.
-    fn run(&self, line: &str) -> (i32, Value, String) {
-        let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
-            .args(line.split_whitespace())
-            .args(["--json", "--quiet"])
-            .current_dir(self.0.path())
-            .output()
-            .unwrap();
-        let talk = String::from_utf8_lossy(&output.stderr).into_owned();
-        let summary = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
-        (output.status.code().unwrap(), summary, talk)
-    }
-
-    #[track_caller]
-    fn done(&self, line: &str) -> Value {
-        let (code, summary, talk) = self.run(line);
-        assert_eq!(code, DONE, "{line}: {talk}");
-        summary
-    }
-}
-
 /// Solves in water, by explicit and by implicit steps: all derivatives are those of differences, and results are certified by code that
 /// computes the fluid by itself. The same efforts in air lead elsewhere.
 #[test]
 fn solves_in_water_are_certified() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     for scheme in ["explicit", "implicit"] {
         let set = format!("--set time.integrator={scheme}");
         let found = desk.done(&format!("derivatives arm.toml {set}"));
@@ -111,7 +74,7 @@ fn solves_in_water_are_certified() {
 /// In a loop the controller's model has the fluid, and the arm keeps to its way in it.
 #[test]
 fn loops_hold_their_way_in_water() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     let water = "--set fluid.density_kg_m3=1000.0 --set rod.material.density_kg_m3=1100.0";
     let line = "mpc mpc-tendons --set mpc.duration_s=4.0";
     let summary = desk.done(&format!("{line} --out loop {water}"));
@@ -122,7 +85,7 @@ fn loops_hold_their_way_in_water() {
 /// A recorded motion in water gives back the drag that slowed it.
 #[test]
 fn fits_find_the_drag() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     let line = "simulate arm.toml --out made --set time.step_s=2e-4 --set output.rate_hz=50.0 --set fluid.normal_drag=2.0 \
                 --set initial.shape=equilibrium --set load.0.node=tip --set load.0.force_n=[0.05,0.0,0.0] \
                 --set load.0.profile=[[-1.0,1.0],[0.0,1.0]] --set time.end_s=1.0";
@@ -149,7 +112,7 @@ fn fits_find_the_drag() {
 /// A fluid around an arm whose surface is unknown is refused, and the message names what is missing.
 #[test]
 fn a_fluid_needs_a_radius() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     let without = ARM.replace(
         "[rod.material]\nyoungs_modulus_pa = 1e5\npoisson_ratio = 0.4\ndensity_kg_m3 = 1070.0\n[rod.section]\nradius_m = 0.01\n",
         "[rod.stiffness]\nga_n = 10.0\nea_n = 30.0\nei_n_m2 = 1e-3\ngj_n_m2 = 1e-3\n[rod.inertia]\nmass_kg_m = 0.3\nrotary_kg_m = [1e-5, 1e-5, 2e-5]\n",

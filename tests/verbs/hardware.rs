@@ -2,10 +2,10 @@
 
 #![cfg(feature = "cli")]
 
+use crate::desk::Desk;
 use crate::tool;
 
 use std::fs;
-use std::path::PathBuf;
 use std::process::Command;
 
 use nalgebra::Vector3;
@@ -13,7 +13,6 @@ use serde_json::Value;
 use softarm::output::{EffortRow, MotionRecord, read_efforts};
 use softarm::scene::Scene;
 use softarm::tradeoff::Subject;
-use tempfile::TempDir;
 use tool::DONE;
 
 /// A hanging arm that two opposed tendons pull toward a point, past a chamber whose pressure is given.
@@ -57,37 +56,7 @@ weight = 1e4
 at_rest = false
 ";
 
-struct Desk(TempDir);
-
 impl Desk {
-    fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        fs::write(folder.path().join("arm.toml"), ARM).unwrap();
-        Self(folder)
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn read(&self, name: &str) -> String {
-        fs::read_to_string(self.path(name)).unwrap()
-    }
-
-    /// Runs a line of words, and returns its summary.
-    #[track_caller]
-    fn done(&self, line: &str) -> Value {
-        let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
-            .args(line.split_whitespace())
-            .args(["--json", "--quiet"])
-            .current_dir(self.0.path())
-            .output()
-            .unwrap();
-        let talk = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(DONE), "{line}: {talk}");
-        serde_json::from_slice(&output.stdout).unwrap_or(Value::Null)
-    }
-
     fn efforts(&self, run: &str) -> (MotionRecord, Vec<EffortRow>) {
         let motion = MotionRecord::read_npz(&self.path(run).join("trajectory.npz")).unwrap();
         let n = self.read(&format!("{run}/efforts.csv")).lines().count() - 1;
@@ -113,7 +82,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 /// frames; without effort it is slack; charts have efforts and bounds; the page is made anew to the byte. A page without actuators has none.
 #[test]
 fn pages_show_actuators() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     for verb in ["simulate", "solve"] {
         desk.done(&format!("{verb} arm.toml --out run"));
         let (motion, efforts) = desk.efforts("run");
@@ -190,7 +159,7 @@ fn pages_show_actuators() {
 /// VTK files have effort and coordinate of their time as field data, and the table a column for each actuator, whatever its name is.
 #[test]
 fn exports_have_efforts() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     desk.done("solve arm.toml --out run");
     let (motion, efforts) = desk.efforts("run");
     let last = &efforts[3 * (motion.n_rows() - 1)..];
@@ -243,7 +212,7 @@ fn efforts_are_controls_of_a_tradeoff() {
 /// than a solve of that grid from the beginning, and the result is certified.
 #[test]
 fn efforts_are_carried_to_finer_grids() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     let hard = ARM.replace("hard = false\nweight = 1e4", "tolerance_m = 2e-3");
     let scene = hard.replace("elements = 8\n", "accuracy = 2e-3\n");
     fs::write(desk.path("accurate.toml"), scene).unwrap();
@@ -268,7 +237,7 @@ fn efforts_are_carried_to_finer_grids() {
 /// of unit curvature, whatever the weight is. The distance that is left falls as the inverse of a large weight, to first order in it.
 #[test]
 fn heavy_weights_are_solved() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     let left = |weight: &str| {
         let set = "--set rod.elements=16 --set solver.max_iterations=40";
         desk.done(&format!(
@@ -289,11 +258,11 @@ fn heavy_weights_are_solved() {
 /// limit of an arm that a moment bends are a remark only where something else than actuators along the arm bends it, or nothing damps it.
 #[test]
 fn check_names_every_actuator() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     let talk = |line: &str| {
         let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
             .args(line.split_whitespace())
-            .current_dir(desk.0.path())
+            .current_dir(desk.path("."))
             .output()
             .unwrap();
         assert_eq!(output.status.code(), Some(DONE), "{line}");
@@ -380,7 +349,7 @@ fn on_winches() -> String {
 /// keep 1 N. All derivatives are those of differences, and results are certified by code that knows the relation by itself.
 #[test]
 fn two_tendons_share_a_motor() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     fs::write(desk.path("motors.toml"), MOTORS).unwrap();
     fs::write(desk.path("winches.toml"), on_winches()).unwrap();
     for (scene, implicit) in [("motors", false), ("motors", true), ("winches", true)] {
@@ -420,7 +389,7 @@ fn two_tendons_share_a_motor() {
 /// In a loop the commands of a pair, and the efforts that follow them with the lag of the motor, keep their relation at every sample, within the bounds of both, and lead the arm on its path.
 #[test]
 fn loops_drive_pairs() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     let rest: Vec<String> = (0..4)
         .map(|i| format!("--set tendon.{i}.pretension_n=0.725"))
         .collect();
@@ -448,7 +417,7 @@ fn loops_drive_pairs() {
 /// certified by code that computes their lengths by itself.
 #[test]
 fn tendons_run_through_disks() {
-    let desk = Desk::new();
+    let desk = Desk::holding(ARM);
     let threaded = |text: &str| text.replace("offset_m =", "disk_spacing_m = 0.03\noffset_m =");
     fs::write(desk.path("motors.toml"), threaded(MOTORS)).unwrap();
     fs::write(desk.path("winches.toml"), threaded(&on_winches())).unwrap();

@@ -8,6 +8,8 @@ mod causes;
 mod cli;
 mod contact;
 mod continued;
+#[cfg(feature = "cli")]
+mod desk;
 mod export;
 mod files;
 mod fit;

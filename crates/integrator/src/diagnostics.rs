@@ -355,8 +355,11 @@ fn resistance_forces(rod: &Rod, state: &State) -> Vec<Vector3<f64>> {
         .collect()
 }
 
-/// Returns `Σ f·v` of resistance, W; negative.
+/// Returns `Σ f·v` of resistance, W; never positive.
 fn resistance_power(rod: &Rod, state: &State) -> f64 {
+    if rod.resistances.is_empty() {
+        return 0.0;
+    }
     let [velocity, _] = velocities(rod, state);
     let forces = resistance_forces(rod, state);
     forces.iter().zip(&velocity).map(|(f, v)| f.dot(v)).sum()

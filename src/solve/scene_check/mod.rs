@@ -142,7 +142,7 @@ pub(crate) fn check_scene(
     })
 }
 
-/// What a solve or a simulation of a scene would run, and what is of concern about it.
+/// The run that a solve or a simulation of a scene would start, its size and its plan, with the concerns about it.
 struct Run {
     rod: Arc<Rod>,
     grid: TimeGrid,
@@ -153,7 +153,7 @@ struct Run {
     memory: Estimate,
     /// `None` for a simulation.
     plan: Option<Plan>,
-    /// How a simulated arm stands by symmetry alone, in words.
+    /// The warning that a simulated arm stands only by symmetry; `None` if it does not, or for a solve.
     by_symmetry: Option<String>,
     concerns: Vec<String>,
 }
