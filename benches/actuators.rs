@@ -91,6 +91,8 @@ fn around(
                     ..Route::straight([0.8 * radius * cos, 0.8 * radius * sin])
                 },
                 effort: vec![(0.0, effort)],
+                further: Vec::new(),
+                friction: None,
                 largest: effort,
                 winch: None,
             }

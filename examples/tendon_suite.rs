@@ -109,6 +109,8 @@ fn draw(seed: u64) -> Option<Problem> {
                 },
                 effort: vec![(0.0, 0.0)],
                 winch: None,
+                further: Vec::new(),
+                friction: None,
                 largest,
             }
         })

@@ -386,14 +386,14 @@ fn actuator_block(problem: &OptimalControlProblem, index: usize, rng: &mut Rng) 
 }
 
 /// Compares the exact Hessian of the Lagrangian along random changes of the controls with gradients by the adjoint; `None` if the Hessian
-/// is an approximation by design ([`curvature`](crate::mechanics::curvature)).
+/// is an approximation by design ([`curvature`](crate::mechanics::curvature)), or leaves terms of friction out.
 fn hessian_block(
     program: &Transcription,
     point: &LiftedPoint,
     rng: &mut Rng,
 ) -> Result<Option<Block>, DerivativeError> {
     let problem = program.problem();
-    if problem.rod.model != RodModel::Standard {
+    if problem.rod.model != RodModel::Standard || !program.knows_curvature() {
         return Ok(None);
     }
     let mut multipliers = no_multipliers(program);

@@ -342,8 +342,10 @@ impl Scene {
         let segments = self.rod.segment_ends().into_iter().map(|[_, to]| to);
         let curvature = self.rod.curvature_rows();
         let bodies = self.body.iter().map(|body| body.at.get());
-        let actuators = self.strain_actuators().into_iter();
-        let actuators = actuators.flat_map(|own| [own.route.from, own.route.to]);
+        let actuators = self.strain_actuators();
+        let actuators = actuators
+            .iter()
+            .flat_map(crate::mechanics::StrainActuator::breaks);
         let poses = self.pose_actuators().into_iter().flat_map(|own| own.parts);
         let poses = poses.flat_map(|(span, _)| span.breaks());
         let contacts = self.contact.iter();

@@ -264,6 +264,7 @@ quantities! {
     Area: "area", "m²";
     ActiveStress: "stress", "Pa";
     TendonCompliance: "compliance", "1/N";
+    SlidingSpeed: "speed", "m/s";
     Remanence: "remanence", "T";
     Volume: "volume", "m³";
     Diameter: "diameter", "meters";

@@ -72,16 +72,17 @@ pub(crate) fn efforts_at(
     inputs: &[f64],
     commands: Option<&[f64]>,
 ) -> Vec<EffortRow> {
-    let of = |shape: &Configuration| rod.actuator_coordinates(&shape.positions, &shape.rotations);
-    let coordinates = of(shape).into_iter().zip(of(&rod.rest));
+    let state = rod.effort_state(shape.poses());
+    let at_rest = rod.actuator_coordinates(&rod.rest.positions, &rod.rest.rotations);
+    let coordinates = state.coordinates.iter().zip(at_rest);
     (rod.actuators.iter().zip(coordinates).enumerate())
         .map(|(i, (actuator, (y, at_rest)))| EffortRow {
             t,
             name: actuator.name.clone(),
-            effort: rod.actuators.law(i, inputs[i], y).effort,
+            effort: rod.actuators.law(i, inputs[i], &state).effort,
             coordinate: y - at_rest,
             command: commands.map(|commands| commands[i]),
-            displacement: (rod.actuators.has_winches())
+            displacement: (rod.actuators.follow_shape())
                 .then(|| displacement(rod, i, inputs[i], y - at_rest)),
         })
         .collect()

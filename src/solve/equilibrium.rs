@@ -57,7 +57,7 @@ pub(crate) struct EquilibriumSummary {
     pub curvature_max_1_m: f64,
     /// Largest twist of any element, 1/m, including rest twist.
     pub twist_max_1_m: f64,
-    /// Tension and coordinate of the actuators; absent if none is on a winch.
+    /// Effort and coordinate of the actuators; absent without any.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub actuators: Vec<ActuatorAtRest>,
     /// Stability under the present loads.
@@ -97,8 +97,11 @@ pub(crate) struct StaticEnergy {
 pub(crate) struct ActuatorAtRest {
     /// Its name.
     pub name: String,
-    /// Effort, in its unit; zero for a slack tendon.
+    /// Effort, in its unit; zero for a slack tendon. Of a tendon with friction it is the tension where it leaves its motor.
     pub effort: f64,
+    /// Tension where a tendon with friction ends, N.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_effort: Option<f64>,
     /// Coordinate less that of the stress-free shape.
     pub coordinate: f64,
 }
@@ -319,21 +322,21 @@ fn is_zero(count: &usize) -> bool {
     *count == 0
 }
 
-/// Returns efforts and coordinates of the actuators of an arm with a winch.
+/// Returns efforts and coordinates of the actuators of an arm.
 fn actuators_at_rest(rod: &Rod, shape: &Configuration, time: f64) -> Vec<ActuatorAtRest> {
-    if !rod.actuators.has_winches() {
-        return Vec::new();
-    }
-    let coordinates = rod.actuator_coordinates(&shape.positions, &shape.rotations);
+    let state = rod.effort_state(shape.poses());
     let inputs = rod.actuators.efforts(time);
+    let mut efforts = vec![0.0; rod.actuators.n_efforts()];
+    rod.actuators.write_lines(&inputs, &state, &mut efforts);
     (rod.actuators
         .iter()
         .zip(rod.actuators.at_rest())
         .enumerate())
     .map(|(i, (actuator, at_rest))| ActuatorAtRest {
         name: actuator.name.clone(),
-        effort: rod.actuators.law(i, inputs[i], coordinates[i]).effort,
-        coordinate: coordinates[i] - at_rest,
+        effort: efforts[i],
+        end_effort: rod.actuators.last_line(i).map(|line| efforts[line]),
+        coordinate: state.coordinates[i] - at_rest,
     })
     .collect()
 }

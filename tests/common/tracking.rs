@@ -77,6 +77,8 @@ pub fn tendon_arm(youngs: f64) -> Arm {
         scale: 1.0,
         route: Route::straight(offset),
         effort: vec![(0.0, 0.4)],
+        further: Vec::new(),
+        friction: None,
         largest: TENSION,
         winch: None,
     };

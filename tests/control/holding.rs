@@ -22,6 +22,8 @@ fn arm(radius: f64, tendons: &[Route], largest: f64) -> Arm {
             scale: 1.0,
             route: *route,
             effort: vec![(0.0, 0.0)],
+            further: Vec::new(),
+            friction: None,
             largest,
             winch: None,
         })

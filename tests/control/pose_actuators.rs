@@ -142,6 +142,8 @@ fn problem(
         scale: 1.0,
         route: Route::straight([8e-3, 0.0]),
         effort: vec![(0.0, 0.05)],
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
         winch: None,
     };

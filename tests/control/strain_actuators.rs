@@ -26,6 +26,8 @@ fn actuators() -> Vec<StrainActuator> {
         route,
         effort: vec![(0.0, effort)],
         winch: None,
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     };
     let helix = Route {
@@ -167,6 +169,8 @@ fn four_tendons() -> Arm {
         route: Route::straight([x, y]),
         effort: vec![(0.0, 0.05)],
         winch: None,
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     };
     let d = 8e-3;
@@ -384,6 +388,8 @@ fn a_tendon_written_anew_is_the_built_in_one() {
         route: Route::straight(offset),
         effort: Vec::new(),
         winch: None,
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     };
     let of = |actuators: Vec<StrainActuator>, own: bool| {

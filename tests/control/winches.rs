@@ -26,6 +26,8 @@ fn tendon(route: Route, input: f64, compliance: Option<f64>) -> StrainActuator {
             compliance,
             outside: 0.1,
         }),
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     }
 }
@@ -324,15 +326,12 @@ fn assert_tensions_retrace(arm: &Arm, solution: &Solution) {
     let signal = problem.signal(&problem.control, &solution.coefficients);
     let inputs = EffortTable::of(&rod.actuators, &grid, Some(&signal)).intervals;
     let mut profiles = vec![Vec::new(); 2];
-    let mut coordinates = [0.0; 2];
+    let mut state = rod.actuators.effort_state();
     for k in 0..grid.n_steps {
         let ends = [k, k + 1].map(|k| (trajectory.positions_at(k), trajectory.rotations_at(k)));
-        rod.write_interval_coordinates(ends, &mut coordinates);
+        rod.write_interval_effort_state(ends, grid.step, &mut state);
         for (i, rows) in profiles.iter_mut().enumerate() {
-            let mean = rod
-                .actuators
-                .law(i, inputs[2 * k + i], coordinates[i])
-                .effort;
+            let mean = rod.actuators.law(i, inputs[2 * k + i], &state).effort;
             if k == 0 {
                 rows.push((0.0, mean));
             }

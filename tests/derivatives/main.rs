@@ -6,6 +6,7 @@ mod common;
 mod curvature;
 mod derivatives;
 mod feedback;
+mod friction;
 mod resistance;
 mod sensitivity;
 mod winches;

@@ -40,6 +40,8 @@ fn arm(
             compliance,
             outside: 0.1,
         }),
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     };
     Rod::new(&RodParameters {

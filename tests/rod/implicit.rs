@@ -580,6 +580,8 @@ fn an_arm_that_a_tendon_bends_takes_long_steps() {
         route: Route::straight([offset, 0.0]),
         effort: vec![(0.0, tension)],
         winch: None,
+        further: Vec::new(),
+        friction: None,
         largest: tension,
     };
     let by_tendon = RodParameters {

@@ -11,6 +11,7 @@ mod discrete_mechanics;
 mod ends;
 mod extremes;
 mod fluid;
+mod friction;
 mod implicit;
 mod lanes;
 mod load_jumps;

@@ -23,6 +23,8 @@ fn actuators() -> Vec<StrainActuator> {
         route,
         effort: vec![(0.0, effort)],
         winch: None,
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     };
     vec![
@@ -151,6 +153,8 @@ fn a_step_of_tension_swings_the_modes() {
             route: Route::straight([offset, 0.0]),
             effort: vec![(0.0, tension)],
             winch: None,
+            further: Vec::new(),
+            friction: None,
             largest: 0.0,
         }],
         ..RodParameters::straight(length, 40, SectionProfile::Uniform(section))
@@ -206,6 +210,8 @@ fn an_element_that_is_pressed_together_is_an_error() {
                 route: Route::straight([0.0; 2]),
                 effort: vec![(0.0, 0.0), (0.05, pull)],
                 winch: None,
+                further: Vec::new(),
+                friction: None,
                 largest: 0.0,
             }],
         );
@@ -237,6 +243,8 @@ fn a_muscle_that_is_too_short_or_too_long_exerts_nothing() {
                 route: Route::straight([0.0; 2]),
                 effort: vec![(0.0, activation)],
                 winch: None,
+                further: Vec::new(),
+                friction: None,
                 largest: 0.0,
             };
             let arms = [1.0, 0.0].map(|activation| {
@@ -299,6 +307,8 @@ fn a_threaded_tendon_is_as_long_as_its_chords() {
                 route: Route::straight([offset, 0.0]),
                 effort: Vec::new(),
                 winch: None,
+                further: Vec::new(),
+                friction: None,
                 largest: 1.0,
             }],
             ..RodParameters::straight(length, 9, section)

@@ -22,6 +22,8 @@ fn winch(route: Route, displacement: Vec<(f64, f64)>) -> StrainActuator {
             compliance: 5e-3,
             outside: 0.1,
         }),
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     }
 }

@@ -5,6 +5,7 @@ mod common;
 
 mod contacts;
 mod ends;
+mod friction;
 mod pose_actuators;
 mod published_frequencies;
 mod published_statics;

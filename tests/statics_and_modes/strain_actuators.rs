@@ -22,6 +22,8 @@ fn tendon(route: Route, tension: f64) -> StrainActuator {
         route,
         effort: vec![(0.0, tension)],
         winch: None,
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     }
 }
@@ -125,6 +127,8 @@ fn a_chamber_bends_and_lengthens_exactly() {
         route: Route::straight([offset, 0.0]),
         effort: vec![(0.0, pressure)],
         winch: None,
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     };
     let kappa = -pressure * area * offset / section.angular_stiffness.y;
@@ -210,6 +214,8 @@ fn a_braid_pulls_and_twists() {
         route: Route::straight([0.0; 2]),
         effort: vec![(0.0, pressure)],
         winch: None,
+        further: Vec::new(),
+        friction: None,
         largest: 0.0,
     };
     let rod = Rod::new(&wire(4, 0.0, vec![braid])).expect("a rod");

@@ -33,6 +33,8 @@ fn robot(n_elements: usize, displacement: f64) -> RodParameters {
                 compliance: 1e-4,
                 outside: 0.0518,
             }),
+            further: Vec::new(),
+            friction: None,
             largest: 0.0,
         }],
         ..RodParameters::straight(LENGTH, n_elements, section)
@@ -175,6 +177,8 @@ fn winches_are_found_at_any_stiffness() {
                         compliance,
                         outside,
                     }),
+                    further: Vec::new(),
+                    friction: None,
                     largest: 0.0,
                 }],
                 ..RodParameters::straight(length, 9, SectionProfile::Uniform(section))

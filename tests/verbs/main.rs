@@ -14,6 +14,7 @@ mod export;
 mod files;
 mod fit;
 mod fluid;
+mod friction;
 mod hardware;
 mod mpc_verb;
 mod outcomes;

@@ -89,18 +89,20 @@ impl<'a> ActingAlong<'a> {
                     .collect()
             })
             .collect();
-        let laws = if rod.actuators.has_winches() {
+        let laws = if rod.actuators.follow_shape() {
             let motion = Motion {
                 control: Some(&signal),
                 ..problem.motion()
             };
-            let [mut inputs, mut coordinates] = [(); 2].map(|()| vec![0.0; rod.actuators.len()]);
+            let mut inputs = vec![0.0; rod.actuators.len()];
+            let mut state = rod.actuators.effort_state();
+            let time = problem.grid.step;
             (0..motion.n_sets())
                 .map(|set| {
                     motion.write_inputs_of_set(set, &mut inputs);
-                    rod.write_coordinates_of_set(trajectory, set, &mut coordinates);
-                    (inputs.iter().zip(&coordinates).enumerate())
-                        .map(|(i, (input, y))| rod.actuators.law(i, *input, *y))
+                    rod.write_effort_state_of_set(trajectory, (set, time), &mut state);
+                    (inputs.iter().enumerate())
+                        .map(|(i, input)| rod.actuators.law(i, *input, &state))
                         .collect()
                 })
                 .collect()

@@ -237,7 +237,7 @@ pub fn slack_of_motion(
     coefficients: &[f64],
 ) -> Vec<(usize, f64)> {
     let rod = &problem.rod;
-    if !rod.actuators.has_winches() {
+    if !rod.actuators.follow_shape() {
         return Vec::new();
     }
     let control = problem.signal(&problem.control, coefficients);
@@ -246,7 +246,7 @@ pub fn slack_of_motion(
         .take(trajectory.n_times())
         .flat_map(|(k, inputs)| {
             let (x, r) = trajectory.poses_at(k);
-            rod.efforts_at(inputs.to_vec(), x, r)
+            rod.actuator_efforts(inputs.to_vec(), (x, r))
         })
         .collect();
     slack_of(rod, &efforts)

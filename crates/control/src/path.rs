@@ -681,9 +681,7 @@ impl PathLimit {
 
 /// Returns the efforts of all actuators of a rod with 1 for one of them, and 0 for the others.
 fn unit_effort(rod: &Rod, actuator: usize) -> Vec<f64> {
-    let mut out = vec![0.0; rod.actuators.len()];
-    out[actuator] = 1.0;
-    out
+    rod.actuators.unit_effort(actuator)
 }
 
 /// The angle `θ` between an axis `a` of a node, body frame, and a direction `d` in space, with `b = Rᵀ d`: `cos θ = a·b`.

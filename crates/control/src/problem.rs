@@ -401,7 +401,7 @@ impl OptimalControlProblem {
     /// Tells whether a control, or a winch, acts by wrenches that depend on the configuration.
     #[must_use]
     pub fn depends_on_configuration(&self) -> bool {
-        !self.acting.is_empty() || self.efforts.is_some() || self.rod.actuators.has_winches()
+        !self.acting.is_empty() || self.efforts.is_some() || self.rod.actuators.follow_shape()
     }
 
     /// Returns the nodes with a controllable wrench, in the order of their first channels.

@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 
 use super::problem::{Bound, Component, OptimalControlProblem};
 use super::transcription::LiftedPoint;
-use mechanics::Configuration;
+use mechanics::{Configuration, EffortState};
 
 /// Largest tension, as a multiple of that of a winch at its least displacement in an arm that does not give way: a cap, since the way of a
 /// tendon may be longer in an arm that is bent.
@@ -48,7 +48,7 @@ impl<'a> Winches<'a> {
         }
         let rod = &problem.rod;
         let start = &problem.initial.configuration;
-        let coordinates = rod.actuator_coordinates(&start.positions, &start.rotations);
+        let state = rod.effort_state(start.poses());
         let given = rod.actuators.efforts(problem.grid.start);
         let least: Vec<(usize, f64)> = problem.least_tensions().collect();
         let all: Vec<DrivenWinch> = (problem.driven_components())
@@ -59,9 +59,7 @@ impl<'a> Winches<'a> {
             .map(|(actuator, component)| {
                 let own = least.iter().find(|(index, _)| *index == actuator);
                 let least = own.map_or(0.0, |(_, least)| factor * least);
-                let law = rod
-                    .actuators
-                    .law(actuator, given[actuator], coordinates[actuator]);
+                let law = rod.actuators.law(actuator, given[actuator], &state);
                 DrivenWinch {
                     actuator,
                     component,
@@ -87,8 +85,9 @@ impl<'a> Winches<'a> {
             channel.rate_bound = None;
             let pulled_in = (channel.bound.and_then(|bound| bound.interval(0)))
                 .map_or(-rod.scales.length, |[lower, _]| lower);
-            let y = rod.actuators.at_rest()[own.actuator];
-            let largest = rod.actuators.law(own.actuator, given + pulled_in, y).effort;
+            let state = rod.actuators.stress_free_state();
+            let law = (rod.actuators).law(own.actuator, given + pulled_in, &state);
+            let largest = law.effort;
             channel.bound = Some(Bound::Between {
                 lower: Vector3::new(own.least - own.first, 0.0, 0.0),
                 upper: Vector3::new(LARGEST * largest.max(channel.scale), 0.0, 0.0),
@@ -109,17 +108,18 @@ impl<'a> Winches<'a> {
 
     /// Returns controls with displacements as those with the tensions that they make in a shape.
     fn tensions(&self, controls: &[f64], shape: &Configuration) -> Vec<f64> {
-        self.changed(controls, shape, |own, given, control, y| {
-            let law = (self.problem.rod.actuators).law(own.actuator, given + control, y);
+        self.changed(controls, shape, |own, given, control, state| {
+            let law = (self.problem.rod.actuators).law(own.actuator, given + control, state);
             law.effort.max(own.least) - own.first
         })
     }
 
     /// Returns controls with tensions as those with the displacements that make these tensions in a shape.
     pub fn displacements(&self, controls: &[f64], shape: &Configuration) -> Vec<f64> {
-        self.changed(controls, shape, |own, given, control, y| {
+        self.changed(controls, shape, |own, given, control, state| {
             let tension = (own.first + control).max(0.0);
             let actuators = &self.problem.rod.actuators;
+            let y = state.coordinates[own.actuator];
             (actuators.displacement(own.actuator, tension, y)).map_or(0.0, |z| z - given)
         })
     }
@@ -128,15 +128,15 @@ impl<'a> Winches<'a> {
         &self,
         controls: &[f64],
         shape: &Configuration,
-        change: impl Fn(&DrivenWinch, f64, f64, f64) -> f64,
+        change: impl Fn(&DrivenWinch, f64, f64, &EffortState) -> f64,
     ) -> Vec<f64> {
         let rod = &self.problem.rod;
-        let coordinates = rod.actuator_coordinates(&shape.positions, &shape.rotations);
+        let state = rod.effort_state(shape.poses());
         let given = rod.actuators.efforts(self.problem.grid.start);
         let mut out = controls.to_vec();
         for own in &self.all {
             let value = &mut out[own.component.index];
-            *value = change(own, given[own.actuator], *value, coordinates[own.actuator]);
+            *value = change(own, given[own.actuator], *value, &state);
         }
         out
     }

@@ -6,7 +6,7 @@ use super::configuration::Poses;
 use super::element::ElementGradient;
 use super::pose_actuator::Posed;
 use super::rod::Rod;
-use super::strain_actuator::EffortLaw;
+use super::strain_actuator::{EffortLaw, EffortState};
 use super::time::{TimeNode, TimeScheme};
 use crate::{Configuration, Wrench};
 
@@ -200,7 +200,8 @@ impl NodalForces {
 }
 
 impl Rod {
-    /// Writes the wrenches of a unit effort of one actuator at the mean strain of an interval on the nodes at both of its ends.
+    /// Writes the wrenches of a unit effort of one actuator without friction at the mean strain of an interval on the nodes at both of its
+    /// ends.
     pub fn write_interval_pulls(
         &self,
         actuator: usize,
@@ -210,7 +211,7 @@ impl Rod {
         let [start, end] = out;
         start.clear();
         end.clear();
-        let unit = |other: usize| f64::from(u8::from(other == actuator));
+        let unit = |line: usize| f64::from(u8::from(line == actuator));
         for (q, element) in self.elements.iter().enumerate() {
             if !(self.actuators.on(q).iter()).any(|point| point.actuator == actuator) {
                 continue;
@@ -270,7 +271,7 @@ impl Rod {
 /// Memory for the [derivatives](EffortSlope) of the efforts of winches.
 #[derive(Clone, Debug)]
 pub struct SlopeMemory {
-    coordinates: Vec<f64>,
+    state: EffortState,
     unit: Vec<f64>,
     pull: NodalForces,
 }
@@ -279,13 +280,13 @@ impl SlopeMemory {
     /// Creates memory for a rod.
     pub fn of(rod: &Rod) -> Self {
         Self {
-            coordinates: vec![0.0; rod.actuators.len()],
-            unit: vec![0.0; rod.actuators.len()],
+            state: rod.actuators.effort_state(),
+            unit: vec![0.0; rod.actuators.n_efforts()],
             pull: NodalForces::zeros(rod.n_nodes()),
         }
     }
 
-    /// Calls `visit(actuator, slope, pull)` for every winch, for the inputs of all actuators. The slope of a slack tendon is zero, and its
+    /// Calls `visit(actuator, slope, pull)` for every winch of a tendon without friction, for the inputs of all actuators. The slope of a slack tendon is zero, and its
     /// pull is not evaluated.
     pub fn visit(
         &mut self,
@@ -294,15 +295,15 @@ impl SlopeMemory {
         (positions, rotations): (&[Vector3<f64>], &[Matrix3<f64>]),
         mut visit: impl FnMut(usize, f64, &NodalForces),
     ) {
-        if !rod.actuators.has_winches() {
+        if !rod.actuators.follow_shape() {
             return;
         }
-        rod.write_actuator_coordinates(positions, rotations, &mut self.coordinates);
+        rod.write_effort_state((positions, rotations), &mut self.state);
         for (i, own) in rod.actuators.iter().enumerate() {
-            if own.winch.is_none() {
+            if own.winch.is_none() || rod.actuators.rubs(i) {
                 continue;
             }
-            let law = rod.actuators.law(i, inputs[i], self.coordinates[i]);
+            let law = rod.actuators.law(i, inputs[i], &self.state);
             self.pull.clear();
             if law.along_coordinate != 0.0 {
                 self.unit.fill(0.0);
@@ -314,45 +315,45 @@ impl SlopeMemory {
     }
 }
 
-/// Memory for the laws and pulls of winches over an interval.
+/// Memory for the laws and pulls of winches without friction over an interval.
 #[derive(Clone, Debug)]
 pub struct IntervalMemory {
-    coordinates: Vec<f64>,
+    state: EffortState,
     pulls: [NodalForces; 2],
 }
 
 impl IntervalMemory {
     /// Creates memory for a rod.
     pub fn of(rod: &Rod) -> Self {
-        let n_nodes = if rod.actuators.has_winches() {
+        let n_nodes = if rod.actuators.follow_shape() {
             rod.n_nodes()
         } else {
             0
         };
         Self {
-            coordinates: vec![0.0; rod.actuators.len()],
+            state: rod.actuators.effort_state(),
             pulls: [(); 2].map(|()| NodalForces::zeros(n_nodes)),
         }
     }
 
-    /// Calls `visit(actuator, law, pulls)` for every winch, for the inputs of all actuators and the poses at both ends of an interval, with
-    /// the wrenches of a unit tension at the mean strain on the nodes at either end. Those of a slack tendon are zero.
+    /// Calls `visit(actuator, law, pulls)` for every winch of a tendon without friction, for the inputs of all actuators and the poses at both ends of an interval of a
+    /// time, s, with the wrenches of a unit tension at the mean strain on the nodes at either end. Those of a slack tendon are zero.
     pub fn visit(
         &mut self,
         rod: &Rod,
         inputs: &[f64],
-        ends: [Poses; 2],
+        (ends, time): ([Poses; 2], f64),
         mut visit: impl FnMut(usize, &EffortLaw, [&NodalForces; 2]),
     ) {
-        if !rod.actuators.has_winches() {
+        if !rod.actuators.follow_shape() {
             return;
         }
-        rod.write_interval_coordinates(ends, &mut self.coordinates);
+        rod.write_interval_effort_state(ends, time, &mut self.state);
         for (i, own) in rod.actuators.iter().enumerate() {
-            if own.winch.is_none() {
+            if own.winch.is_none() || rod.actuators.rubs(i) {
                 continue;
             }
-            let law = rod.actuators.law(i, inputs[i], self.coordinates[i]);
+            let law = rod.actuators.law(i, inputs[i], &self.state);
             let [start, end] = &mut self.pulls;
             if law.along_coordinate == 0.0 {
                 start.clear();

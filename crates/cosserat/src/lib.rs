@@ -97,6 +97,7 @@ pub use pose_actuator::{
     SharedPoseFunction, Span,
 };
 pub use rod::contact::{Contact, Deepest, HOLDS, Pressed, Touch};
+pub use rod::friction::{Friction, LineChange, Rubbing};
 pub use rod::{
     BaseCondition, Material, NodeInertia, Rod, RodError, RodParameters, RotaryInertia, Scales,
     Section, SectionProfile, SectionSegment,
@@ -106,6 +107,6 @@ pub use signal::{ControlSignal, Efforts, NodeWrenches};
 pub use stability::{AUTO_STEP_FRACTION, stable_step};
 pub use step_error::StepError;
 pub use strain_actuator::{
-    Drive, EffortLaw, PlacedPoint, RodActuators, Route, StrainActuator, Winch,
+    Drive, EffortLaw, EffortState, PlacedPoint, RodActuators, Route, StrainActuator, Winch,
 };
 pub use time::{Clock, TimeGrid, TimeNode, TimeScheme};

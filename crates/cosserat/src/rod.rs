@@ -2,6 +2,7 @@
 
 mod check;
 pub(super) mod contact;
+pub(super) mod friction;
 mod pose;
 #[doc(hidden)]
 pub mod pose_actuator;
@@ -181,7 +182,7 @@ impl RodParameters {
         breaks.extend(self.section.borders());
         breaks.extend(rows::steps(&self.curvature_rows));
         breaks.extend(self.bodies.iter().map(|(at, _)| *at));
-        breaks.extend((self.actuators.iter()).flat_map(|own| [own.route.from, own.route.to]));
+        breaks.extend((self.actuators.iter()).flat_map(StrainActuator::breaks));
         let posed = (self.pose_actuators.iter()).flat_map(|own| &own.parts);
         breaks.extend((posed.chain(&self.potentials)).flat_map(|(span, _)| span.breaks()));
         breaks.extend(self.contacts.iter().flat_map(|contact| contact.part));

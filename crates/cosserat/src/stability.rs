@@ -24,7 +24,7 @@ pub fn stable_step(rod: &Rod) -> f64 {
 /// Returns the smallest and the largest of the elements' highest `ω`, each element on its own at rest, 1/s. The springs of winches, which
 /// act on all elements together, raise the largest one by their own upper bound.
 fn highest_frequencies(rod: &Rod) -> [f64; 2] {
-    let efforts = rod.largest_efforts();
+    let efforts = rod.actuators.without_loss(&rod.largest_efforts());
     let [slowest, fastest] = (0..rod.n_elements())
         .map(|q| highest_frequency_squared(rod, q, &efforts).sqrt())
         .fold([f64::INFINITY, 0.0], |[slowest, fastest], own| {

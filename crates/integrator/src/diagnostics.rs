@@ -249,7 +249,7 @@ fn add_actuators(net: &mut NodalForces, rod: &Rod, node: &TimeNode, state: &Stat
 fn given_efforts(rod: &Rod, node: &TimeNode) -> Vec<f64> {
     let mut efforts = vec![0.0; rod.actuators.len()];
     rod.actuators.write_efforts(node, &mut efforts);
-    efforts
+    rod.actuators.without_loss(&efforts)
 }
 
 /// Returns the wrench that holds or drives the tip, as [`reaction`] does for the base.

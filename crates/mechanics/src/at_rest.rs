@@ -180,11 +180,11 @@ pub fn shapes_at_rest(
 fn tip_jacobian(rod: &Rod, shape: &Configuration, inputs: &[f64]) -> Option<Vec<Vector3<f64>>> {
     let lu = Tangent::stiffness(rod, shape, 0.0).factor()?;
     let (x, r) = (&shape.positions, &shape.rotations);
-    let coordinates = rod.actuator_coordinates(x, r);
+    let state = rod.effort_state((x, r));
     let pulls: Vec<Vec<Vector6<f64>>> = (0..inputs.len())
         .map(|i| {
-            let mut unit = vec![0.0; inputs.len()];
-            unit[i] = rod.actuators.law(i, inputs[i], coordinates[i]).along_input;
+            let slope = rod.actuators.law(i, inputs[i], &state).along_input;
+            let unit = rod.actuators.lines_of(i, slope, &state);
             let mut net = NodalForces::zeros(rod.n_nodes());
             net.add_active(rod, x, r, &unit);
             let mut pull = of_free_nodes(rod, &net);
@@ -221,6 +221,8 @@ mod tests {
                 compliance: 1e-2,
                 outside: 0.0,
             }),
+            further: Vec::new(),
+            friction: None,
             largest: 1.0,
         };
         Rod::new(&RodParameters {

@@ -50,14 +50,14 @@ pub mod vibration;
 pub use cosserat::{
     AUTO_STEP_FRACTION, Actuator, BaseCondition, BaseMotion, BaseState, Cable, Clock,
     Configuration, Contact, ControlSignal, CubicSpline, Deepest, Density, DistributedLoad, Drive,
-    EffortLaw, Efforts, EndCondition, Energy, HOLDS, Joint, Load, LoadFrame, Magnet, Material,
-    Mesh, MotionCurve, NodalFault, NodalState, NodeInertia, NodeWrenches, OfPose, Oscillation,
-    Place, PlacedFunction, PlacedPoint, Pose, PoseActuator, PoseFunction, Posed, Pressed, Rod,
-    RodActuators, RodError, RodModel, RodParameters, RotaryInertia, Route, Scales, Section,
-    SectionProfile, SectionSegment, Shape, SharedActuator, SharedPoseFunction, Span, State,
-    StateView, StepError, StrainActuator, StrainRule, TimeGrid, TimeNode, TimeScheme, Touch,
-    Trajectory, TrajectoryTangent, Winch, Wrench, kinetic_energy, resistance, rotation,
-    stable_step,
+    EffortLaw, EffortState, Efforts, EndCondition, Energy, Friction, HOLDS, Joint, LineChange,
+    Load, LoadFrame, Magnet, Material, Mesh, MotionCurve, NodalFault, NodalState, NodeInertia,
+    NodeWrenches, OfPose, Oscillation, Place, PlacedFunction, PlacedPoint, Pose, PoseActuator,
+    PoseFunction, Posed, Pressed, Rod, RodActuators, RodError, RodModel, RodParameters,
+    RotaryInertia, Route, Rubbing, Scales, Section, SectionProfile, SectionSegment, Shape,
+    SharedActuator, SharedPoseFunction, Span, State, StateView, StepError, StrainActuator,
+    StrainRule, TimeGrid, TimeNode, TimeScheme, Touch, Trajectory, TrajectoryTangent, Winch,
+    Wrench, kinetic_energy, resistance, rotation, stable_step,
 };
 #[doc(hidden)]
 pub use cosserat::{

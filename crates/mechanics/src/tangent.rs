@@ -21,7 +21,7 @@ use super::vibration::inertia_roots;
 use cosserat::block_tridiagonal::BlockTridiagonal;
 use cosserat::configuration::Configuration;
 use cosserat::rod::Rod;
-use cosserat::stiffness::{tangent_stiffness, winch_stiffness};
+use cosserat::stiffness::{Product, effort_stiffness, tangent_stiffness};
 
 /// A square matrix of 6×6 blocks over the free nodes, the first of them in block 0, and products `f v vᵀ` of winches.
 ///
@@ -161,15 +161,28 @@ impl Tangent {
     /// Returns the stiffness of the elements and of the rod's own loads at time `t`.
     pub fn stiffness(rod: &Rod, at: &Configuration, t: f64) -> Self {
         let mut out = Self::of(tangent_stiffness(rod, at, t));
-        out.add_winches(rod, at, t);
+        out.add_efforts(rod, at, t);
         out
     }
 
-    /// Adds the change of the tensions of winches with the configuration, which couples all nodes that a tendon pulls.
-    pub fn add_winches(&mut self, rod: &Rod, at: &Configuration, t: f64) {
-        let taut = winch_stiffness(rod, at, t).into_iter();
+    /// Adds the change of efforts with the configuration, which couples all nodes that a tendon pulls: of winches as products, and with
+    /// friction along the path as blocks.
+    pub fn add_efforts(&mut self, rod: &Rod, at: &Configuration, t: f64) {
+        if !rod.actuators.follow_shape() {
+            return;
+        }
+        let (taut, lines) = effort_stiffness(rod, at, t);
+        let taut = taut.into_iter();
         self.products
             .extend(taut.filter(|(factor, _)| *factor > 0.0));
+        for Product { left, right } in &lines {
+            let pulled = left.iter().enumerate();
+            for (row, left) in pulled.filter(|(_, own)| **own != Vector6::zeros()) {
+                for (column, right) in right.iter().enumerate() {
+                    self.add(row, column, &(left * right.transpose()));
+                }
+            }
+        }
     }
 
     /// Returns the same matrix with the products of winches as blocks.

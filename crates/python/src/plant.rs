@@ -456,7 +456,7 @@ impl Plant {
         let shape = &self.arm.state.configuration;
         let inputs = self.arm.inputs();
         (self.kind.rod)
-            .efforts_at(inputs, &shape.positions, &shape.rotations)
+            .actuator_efforts(inputs, shape.poses())
             .into_pyarray(py)
     }
 

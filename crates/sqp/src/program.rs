@@ -322,6 +322,14 @@ pub trait LiftedProgram {
         None
     }
 
+    /// Tells whether the curvature of a linearization is that of the Lagrangian. Where it leaves terms out, [`HessianChoice::Auto`] does not
+    /// use it.
+    ///
+    /// [`HessianChoice::Auto`]: super::HessianChoice::Auto
+    fn knows_curvature(&self) -> bool {
+        true
+    }
+
     /// Returns the variables of a point.
     fn variables<'a>(&self, point: &'a Self::Point) -> &'a [f64];
 

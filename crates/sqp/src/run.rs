@@ -219,6 +219,7 @@ impl<'a, P: LiftedProgram> Run<'a, P> {
             HessianChoice::GaussNewton => false,
             // The Lagrangian needs multipliers, and those of another solve belong to a point near its own.
             HessianChoice::Exact => self.iterate.has_multipliers || !self.trace.history.is_empty(),
+            HessianChoice::Auto if !self.program.knows_curvature() => false,
             HessianChoice::Auto if self.iterate.has_multipliers => {
                 self.infeasibility() < SCALED_UNIT
             }

@@ -8,7 +8,8 @@ use super::kept_states::QpRoute;
 #[cfg_attr(feature = "schema", schemars(rename = "Hessian"))]
 #[serde(rename_all = "kebab-case")]
 pub enum HessianChoice {
-    /// Gauss-Newton while the linearized constraints cannot be met, exact afterwards, with the multipliers of the last subproblem.
+    /// Gauss-Newton while the linearized constraints cannot be met, exact afterwards, with the multipliers of the last subproblem; Gauss-Newton
+    /// throughout where second derivatives are not all known, as with friction of tendons.
     #[default]
     Auto,
     /// Second derivatives of the objective alone, without those of its residuals.

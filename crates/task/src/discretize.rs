@@ -102,6 +102,15 @@ impl Arm {
                 rod.scheme = automatic_scheme(&rod, given, duration, work);
                 chosen.scheme = Some(rod.scheme);
             }
+            if rod.actuators.has_friction() && rod.scheme == TimeScheme::Explicit {
+                let expected = "0 with explicit steps: the direction in which a tendon slides is that of a whole implicit step";
+                let coefficient = rod.actuators.rubbing().map(|own| own.law.coefficient);
+                return Err(RodError::OutOfRange {
+                    parameter: "friction",
+                    value: coefficient.fold(0.0, f64::max),
+                    expected,
+                });
+            }
             Ok((chosen, rod))
         };
         if let Some(rotary_inertia) = discretization.rotary_inertia {
@@ -157,7 +166,8 @@ impl Task {
         };
         let longest = (self.free_duration).map_or(self.horizon, |free| free.longest);
         let discretization = &self.scheme_of_winches(arm, discretization);
-        let (chosen, rod) = arm.choose(discretization, longest, work)?;
+        let (chosen, mut rod) = arm.choose(discretization, longest, work)?;
+        rod.actuators = rod.actuators.crept();
         let grid = self.grid(&rod, chosen.step, blocks)?;
         let mut discrete = self.unchecked(arm, &chosen, rod, grid, stop)?;
         if self.keeps_taut {

@@ -216,8 +216,7 @@ pub(super) fn bending_tension(rod: &Rod, actuator: usize) -> Option<f64> {
         .filter(|own| own.actuator == Some(actuator))
         .map(|own| posed_angle(rod, own))
         .sum();
-    let mut unit = vec![0.0; rod.actuators.len()];
-    unit[actuator] = 1.0;
+    let unit = rod.actuators.unit_effort(actuator);
     let angle = (rod.elements.iter().enumerate())
         .filter_map(|(q, element)| {
             let stress = rod.active_stress(q, &element.rest, &unit)?;

@@ -231,7 +231,7 @@ pub fn prefers_segments(sections: &Rod, segments: &Rod, duration: f64, work: Wor
 ///
 /// A given step is taken explicitly as long as it is stable, and implicitly up to the automatic step of the implicit integrator. Without a
 /// given step the integrator follows from the predicted times: implicit if it takes less than a tenth of the time of explicit steps, and
-/// these more than a second. Models with dilatation have explicit steps only.
+/// these more than a second. Models with dilatation have explicit steps only, and friction of tendons has implicit ones only.
 #[must_use]
 pub fn automatic_scheme(
     explicit: &Rod,
@@ -241,6 +241,9 @@ pub fn automatic_scheme(
 ) -> TimeScheme {
     if explicit.model != RodModel::Standard {
         return TimeScheme::Explicit;
+    }
+    if explicit.actuators.has_friction() {
+        return TimeScheme::Implicit;
     }
     let implicit = Rod {
         scheme: TimeScheme::Implicit,

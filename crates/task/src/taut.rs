@@ -3,7 +3,7 @@
 use super::discretize::START_TOLERANCE;
 use super::effort;
 use control::{OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, RodView, Stay};
-use mechanics::{Configuration, NodeWrenches, TimeScheme, Trajectory};
+use mechanics::{NodeWrenches, TimeScheme, Trajectory};
 
 /// Name of the limit that keeps tendons of winches taut.
 const TAUT: &str = "tension of winches";
@@ -47,11 +47,7 @@ pub(super) fn allow_slack(problem: &mut OptimalControlProblem, stay: &Stay) {
 /// Returns the tendons of winches that are controls and are taut at the start, with their least tensions, N.
 fn taut_tendons(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
     let rod = &problem.rod;
-    let Configuration {
-        positions,
-        rotations,
-    } = &problem.initial.configuration;
-    let coordinates = rod.actuator_coordinates(positions, rotations);
+    let state = rod.effort_state(problem.initial.configuration.poses());
     let inputs = rod.actuators.efforts(problem.grid.start);
     let driven = problem.efforts.iter().flat_map(|own| &own.actuators);
     driven
@@ -62,7 +58,7 @@ fn taut_tendons(problem: &OptimalControlProblem) -> Vec<(usize, f64)> {
             let stretched = LEAST_STRETCH * rod.scales.length / (own.compliance * length);
             let bends = effort::bending_tension(rod, actuator).unwrap_or(0.0);
             let least = f64::max(LEAST_TENSION * bends, stretched);
-            let law = rod.actuators.law(actuator, input, coordinates[actuator]);
+            let law = rod.actuators.law(actuator, input, &state);
             (law.effort > least).then_some((actuator, least))
         })
         .collect()

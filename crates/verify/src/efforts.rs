@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::bodies::{away, distance};
 use super::dual;
+use super::friction::{self, Rubbed, rubbed};
 use super::interval::{self, Nine, Strained, add_to_nodes, pose};
 use super::limits::slope_at_zero;
 use mechanics::rotation::exp;
@@ -26,7 +27,7 @@ pub fn inputs(rod: &Rod, node: &TimeNode, control: &NodeWrenches) -> Vec<f64> {
     out
 }
 
-/// Returns the efforts for the inputs of all actuators at their coordinates. The tension of a winch follows from the length of its tendon
+/// Returns the efforts for the inputs of all actuators at their coordinates, of tendons with friction as if it were none. The tension of a winch follows from the length of its tendon
 /// in the arm: `(ℓ + b)/(ℓ₀ + b + z) = 1 + C T`, or zero where this is less than one.
 pub fn of_inputs(rod: &Rod, inputs: Vec<f64>, coordinates: &[f64]) -> Vec<f64> {
     let mut out = inputs;
@@ -61,7 +62,17 @@ pub fn slopes(rod: &Rod, inputs: &[f64], coordinates: &[f64]) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Returns the efforts at a side of a time node in a configuration, with those of a control.
+/// Returns the efforts of all lines for those of the actuators without friction.
+fn in_lines(rod: &Rod, own: &[f64], rubbed: &Rubbed) -> Vec<f64> {
+    (0..rod.actuators.n_efforts())
+        .map(|line| {
+            let actuator = rod.actuators.actuator_of(line);
+            own[actuator] / rubbed.means[actuator] * rubbed.shares[line]
+        })
+        .collect()
+}
+
+/// Returns the efforts of all lines at a side of a time node in a configuration at rest, with those of a control.
 pub(crate) fn at_node(
     rod: &Rod,
     node: &TimeNode,
@@ -70,10 +81,13 @@ pub(crate) fn at_node(
     r: &[Matrix3<f64>],
 ) -> Vec<f64> {
     let own = inputs(rod, node, control);
-    if !rod.actuators.has_winches() {
+    if !rod.actuators.follow_shape() {
         return own;
     }
-    of_inputs(rod, own, &coordinates(rod, x, r))
+    let own = of_inputs(rod, own, &coordinates(rod, x, r));
+    let strains = interval::strains(rod, x, r);
+    let strain = |q: usize| strains[q].0;
+    in_lines(rod, &own, &rubbed(rod, &strain, &strain, None))
 }
 
 /// Returns the mean of the inputs at the two ends of an interval.
@@ -82,26 +96,27 @@ pub(super) fn mean_inputs(rod: &Rod, ends: [TimeNode; 2], control: [NodeWrenches
     from.iter().zip(&to).map(|(a, b)| 0.5 * (a + b)).collect()
 }
 
-/// Returns the efforts of an interval with the given mean inputs, from the strains at its two ends.
+/// Returns the efforts of all lines in an interval of the time `time`, s, with the given mean inputs, from the strains at its two ends.
 pub(super) fn of_interval(
     rod: &Rod,
-    inputs: Vec<f64>,
+    (inputs, time): (Vec<f64>, f64),
     start: &[Strained],
     end: &[Strained],
 ) -> Vec<f64> {
-    if !rod.actuators.has_winches() {
+    if !rod.actuators.follow_shape() {
         return inputs;
     }
     let mean = |q: usize| (start[q].0 + end[q].0) * 0.5;
-    let coordinates = coordinates_of(rod, mean);
-    of_inputs(rod, inputs, &coordinates)
+    let own = of_inputs(rod, inputs, &coordinates_of(rod, mean));
+    let rubbed = rubbed(rod, &|q| start[q].0, &|q| end[q].0, Some(time));
+    in_lines(rod, &own, &rubbed)
 }
 
 /// Returns `-Σ u ∂y/∂(v_a, v_b, κ)` of element `q`.
 pub(super) fn stress(rod: &Rod, q: usize, strain: &Nine, efforts: &[f64]) -> Nine {
     let mut out = Nine::zeros();
     for point in rod.actuators.on(q) {
-        out -= dual::coordinate(point, strain).1 * efforts[point.actuator];
+        out -= dual::coordinate(point, strain).1 * efforts[point.line];
     }
     out
 }
@@ -227,26 +242,35 @@ fn coordinates_of(rod: &Rod, strain: impl Fn(usize) -> Nine) -> Vec<f64> {
     out
 }
 
-/// Returns the derivatives of the efforts along the inputs for the strains of the elements.
-pub(super) fn slopes_in(rod: &Rod, inputs: &[f64], strain: impl Fn(usize) -> Nine) -> Vec<f64> {
-    if !rod.actuators.has_winches() {
-        return vec![1.0; rod.actuators.len()];
+/// Returns the efforts of all lines for a unit of the input of one actuator, for the strains at both ends of an interval of the time `time`
+/// (s), or at a time node where both are the same.
+pub(super) fn unit_input(
+    rod: &Rod,
+    (inputs, actuator): (&[f64], usize),
+    [start, end]: [&dyn Fn(usize) -> Nine; 2],
+    time: Option<f64>,
+) -> Vec<f64> {
+    let mut unit = vec![0.0; rod.actuators.len()];
+    unit[actuator] = 1.0;
+    if !rod.actuators.follow_shape() {
+        return unit;
     }
-    let all = slopes(rod, inputs, &coordinates_of(rod, strain));
-    all.into_iter()
-        .map(|[_, along_input]| along_input)
-        .collect()
+    let mean = |q: usize| (start(q) + end(q)) * 0.5;
+    unit[actuator] = slopes(rod, inputs, &coordinates_of(rod, mean))[actuator][1];
+    in_lines(rod, &unit, &rubbed(rod, start, end, time))
 }
 
-/// The change of the efforts of winches with the strains of an interval, or with those at a time node.
+/// The change of the efforts of winches, and of tendons with friction, with the strains of an interval, or with those at a time node.
 ///
 /// A change of the effort changes the stresses of all elements of its tendon, so that their derivative has, beside that of [`stress`], a
-/// matrix of rank one for every tendon with tension.
+/// matrix of rank one for every tendon with tension; with friction there is one for every element that the tendon passes.
 pub(super) struct Springs {
-    /// Index of the actuator, and minus the derivative of its effort along its coordinate.
-    pub(super) taut: Vec<(usize, f64)>,
+    /// Minus the derivatives of efforts along their coordinates, or -2 with [`Self::forms`] of their own.
+    pub(super) taut: Vec<f64>,
     /// Derivative of the coordinate along the strain of every element, for each of them.
     gradients: Vec<Vec<Nine>>,
+    /// The derivatives of efforts along the strains at the start and at the end, where they are not half of the coordinate's.
+    forms: Vec<Option<[Vec<Nine>; 2]>>,
 }
 
 impl Springs {
@@ -255,13 +279,14 @@ impl Springs {
         let mut out = Self {
             taut: Vec::new(),
             gradients: Vec::new(),
+            forms: Vec::new(),
         };
-        if !rod.actuators.has_winches() {
+        if !rod.actuators.follow_shape() {
             return out;
         }
         let coordinates = coordinates_of(rod, &strain);
         for (i, [slope, _]) in slopes(rod, inputs, &coordinates).into_iter().enumerate() {
-            if slope == 0.0 {
+            if slope == 0.0 || rod.actuators.rubs(i) {
                 continue;
             }
             let mut gradient = vec![Nine::zeros(); rod.n_elements()];
@@ -275,26 +300,67 @@ impl Springs {
                     *gradient += dual::coordinate(point, &strain(q)).1;
                 }
             }
-            out.taut.push((i, -slope));
+            out.taut.push(-slope);
             out.gradients.push(gradient);
+            out.forms.push(None);
         }
         out
+    }
+
+    /// Returns those over an interval of the time `time`, s, with the given mean inputs, from the strains at its ends.
+    pub(super) fn of_interval(
+        rod: &Rod,
+        (inputs, time): (&[f64], f64),
+        start: &[Strained],
+        end: &[Strained],
+    ) -> Self {
+        let mean = |q: usize| (start[q].0 + end[q].0) * 0.5;
+        let mut out = Self::of(rod, inputs, mean);
+        if !rod.actuators.has_friction() || inputs.is_empty() {
+            return out;
+        }
+        let own = of_interval(rod, (inputs.to_vec(), time), start, end);
+        let rubbed = rubbed(rod, &|q| start[q].0, &|q| end[q].0, Some(time));
+        let along: Vec<f64> = (slopes(rod, inputs, &coordinates_of(rod, mean)).iter())
+            .zip(&rubbed.means)
+            .map(|([slope, _], mean)| slope / mean)
+            .collect();
+        for line in friction::slopes(rod, (start, end), time, (&own, &along)) {
+            out.taut.push(-2.0);
+            out.gradients.push(line.pull);
+            out.forms.push(Some(line.forms));
+        }
+        out
+    }
+
+    /// Returns [`Self::pulled`] of the forms along the configuration at the start (0) or at the end (1), in which the strains have the
+    /// derivatives of `strained`.
+    pub(super) fn formed(&self, end: usize, strained: &[Strained]) -> Vec<[Vec<Vector3<f64>>; 2]> {
+        (self.gradients.iter().zip(&self.forms))
+            .map(|(gradient, forms)| match forms {
+                Some(forms) => pulled(&forms[end], strained),
+                None => pulled(gradient, strained),
+            })
+            .collect()
     }
 
     /// Returns the derivative of each of their coordinates along the configuration in which the strains have the derivatives of `strained`:
     /// along `x` and `η` of every node.
     pub(super) fn pulled(&self, strained: &[Strained]) -> Vec<[Vec<Vector3<f64>>; 2]> {
         (self.gradients.iter())
-            .map(|gradient| {
-                let n = strained.len() + 1;
-                let [mut x, mut eta] = [vec![Vector3::zeros(); n], vec![Vector3::zeros(); n]];
-                for (q, (_, b)) in strained.iter().enumerate() {
-                    interval::add_to_nodes(q, 1.0, &b.tr_mul(&gradient[q]), &mut x, &mut eta);
-                }
-                [x, eta]
-            })
+            .map(|gradient| pulled(gradient, strained))
             .collect()
     }
+}
+
+/// Returns covectors of the strains as those of `x` and `η` of every node.
+fn pulled(covectors: &[Nine], strained: &[Strained]) -> [Vec<Vector3<f64>>; 2] {
+    let n = strained.len() + 1;
+    let [mut x, mut eta] = [vec![Vector3::zeros(); n], vec![Vector3::zeros(); n]];
+    for (q, (_, b)) in strained.iter().enumerate() {
+        interval::add_to_nodes(q, 1.0, &b.tr_mul(&covectors[q]), &mut x, &mut eta);
+    }
+    [x, eta]
 }
 
 /// Returns `Σ a·b` over nodes, of both kinds of components.

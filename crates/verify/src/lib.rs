@@ -14,6 +14,7 @@ mod dual;
 mod duration;
 #[doc(hidden)]
 pub mod efforts;
+mod friction;
 #[doc(hidden)]
 pub mod growth;
 #[doc(hidden)]

@@ -215,8 +215,7 @@ impl Measure<'_> {
                 return;
             }
             // The slope of the length of a tendon is minus that of its coordinate.
-            let mut unit = vec![0.0; self.rod.actuators.len()];
-            unit[tendons[item].0] = 1.0;
+            let unit = self.rod.actuators.unit_effort(tendons[item].0);
             let Pose { x, r, .. } = poses[1];
             for q in 0..self.rod.n_elements() {
                 let covector = efforts::gradient_of(self.rod, q, x, r, &unit);

@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 
 use super::acting;
 use super::efforts;
+use super::friction;
 use super::interval::{self, Nine, Strained};
 use super::resisted::Resisting;
 use super::stepper::ReferenceStepper;
@@ -268,7 +269,7 @@ impl<'a> InternalAccount<'a> {
         })
     }
 
-    /// Advances to the end of a step: returns the dissipation of Kelvin-Voigt damping, J, and adds the effects of the stresses on driven
+    /// Advances to the end of a step: returns the dissipation of Kelvin-Voigt damping and of friction, J, and adds the effects of the stresses on driven
     /// nodes at both ends of the step.
     fn advance(&mut self, after: &State, inputs: Vec<f64>, passive: &mut [[Wrench; 2]]) -> f64 {
         let (rod, h) = (self.rod, self.time_step);
@@ -278,7 +279,10 @@ impl<'a> InternalAccount<'a> {
         } = &after.configuration;
         let end = interval::strains(rod, positions, rotations);
         let own = (rod.scheme == TimeScheme::Implicit)
-            .then(|| efforts::of_interval(rod, inputs, &self.strains, &end));
+            .then(|| efforts::of_interval(rod, (inputs, h), &self.strains, &end));
+        let lost = own
+            .as_ref()
+            .map_or(0.0, |own| friction::loss(rod, (&self.strains, &end), own));
         for (node, passive) in driven_nodes(rod).zip(passive) {
             let e = element_beside(rod, node);
             let (from, to) = (&self.strains[e], &end[e]);
@@ -291,7 +295,7 @@ impl<'a> InternalAccount<'a> {
             }
         }
         let start = std::mem::replace(&mut self.strains, end);
-        interval::dissipation(rod, h, &start, &self.strains)
+        lost + interval::dissipation(rod, h, &start, &self.strains)
     }
 }
 
@@ -383,10 +387,12 @@ fn step_work(
             let at = &[before, after][end].configuration;
             let coordinates = efforts::coordinates(rod, &at.positions, &at.rotations);
             let inputs = efforts::inputs(rod, &nodes[end], &control[end]);
-            (efforts::of_inputs(rod, inputs, &coordinates), coordinates)
+            let own = efforts::of_inputs(rod, inputs, &coordinates);
+            (own, coordinates)
         });
+        let means = friction::means(rod, [before, after], grid.step);
         for i in 0..from.0.len() {
-            work += 0.5 * (from.0[i] + to.0[i]) * (to.1[i] - from.1[i]);
+            work += 0.5 * (from.0[i] + to.0[i]) / means[i] * (to.1[i] - from.1[i]);
         }
     }
     for load in &rod.loads {

@@ -134,7 +134,7 @@ impl Held<'_> {
         let first = rod.first_free_node();
         let n = rod.n_nodes() - first;
         // Without actuators that couple nodes, columns of nodes that are three apart have no common row.
-        let apart = if rod.actuators.has_winches() || !self.control.acting.is_empty() {
+        let apart = if rod.actuators.follow_shape() || !self.control.acting.is_empty() {
             n
         } else {
             3.min(n)

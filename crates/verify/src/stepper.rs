@@ -39,6 +39,9 @@ const ORTHONORMALIZE_EVERY: usize = 64;
 const TURN_LIMIT: usize = 50;
 /// Cap on Newton's steps for the end of an interval: 2 to 4 where the step resolves the motion.
 const NEWTON_LIMIT: usize = 50;
+/// The same with the halvings of steps of tendons that slide with friction, and the least part of a step that is halved.
+const SLIDING_LIMIT: usize = 400;
+const LEAST_PART: f64 = 1e-6;
 /// Residual of a solved interval, relative to the largest momentum.
 const RELATIVE_TOLERANCE: f64 = 1e-13;
 /// Rounding of a strain, from poses and products of rotations.
@@ -395,7 +398,14 @@ impl<'a> ReferenceStepper<'a> {
             to.positions[*q] = end.position;
         }
         let (mut last, mut left) = (f64::INFINITY, (first, f64::INFINITY));
-        for _ in 0..=NEWTON_LIMIT {
+        // The step before and the part of it that was taken, which is halved while the residual grows by friction, whose direction turns around.
+        let mut taken: Option<(Vec<Vector6<f64>>, f64)> = None;
+        let limit = if rod.actuators.has_friction() {
+            SLIDING_LIMIT
+        } else {
+            NEWTON_LIMIT
+        };
+        for _ in 0..=limit {
             for q in first..rod.n_nodes() {
                 to.rotations[q] = self.state.configuration.rotations[q] * interval.turns[q];
             }
@@ -428,6 +438,20 @@ impl<'a> ReferenceStepper<'a> {
                 stressed.strains = equations.end;
                 return Ok(equations.stresses);
             }
+            if rod.actuators.has_friction()
+                && worst > last
+                && let Some((step, part)) = &mut taken
+                && *part > LEAST_PART
+            {
+                // Back by half of what was taken.
+                *part *= 0.5;
+                for (change, q) in step.iter().zip(first..) {
+                    let turn = Vector3::new(change[3], change[4], change[5]);
+                    to.positions[q] += change.fixed_rows::<3>(0) * *part;
+                    interval.turns[q] *= exp(&(turn * *part));
+                }
+                continue;
+            }
             (last, left) = (worst, (node, worst));
             let Some(correction) = self.correction(stressed, interval, &equations, &to) else {
                 break;
@@ -441,13 +465,14 @@ impl<'a> ReferenceStepper<'a> {
                 to.positions[q] -= change.fixed_rows::<3>(0) * length;
                 interval.turns[q] *= exp(&(turned(change) * -length));
             }
+            taken = Some((correction, length));
         }
         Err(StepError::NotConverged {
             node: left.0,
             step: self.step,
             time: self.time(),
             residual: left.1 * RELATIVE_TOLERANCE,
-            iterations: NEWTON_LIMIT,
+            iterations: limit,
         })
     }
 
@@ -457,7 +482,8 @@ impl<'a> ReferenceStepper<'a> {
         let weight = self.impulse_weight();
         let end = interval::strains(rod, &to.positions, &to.rotations);
         let mut stresses = interval::stresses(rod, stressed.weights, &stressed.strains, &end);
-        let own = efforts::of_interval(rod, stressed.inputs.clone(), &stressed.strains, &end);
+        let inputs = (stressed.inputs.clone(), h);
+        let own = efforts::of_interval(rod, inputs, &stressed.strains, &end);
         efforts::add_to_stresses(rod, &stressed.strains, &end, &own, &mut stresses);
         let pull = pull(rod, &stressed.strains, &stresses, weight);
         let mut momentum = [0.0f64; 2];
@@ -539,8 +565,8 @@ impl<'a> ReferenceStepper<'a> {
             matrix.add_element(first, q, &(start.transpose() * stiff));
         }
         hold(rod, &mut matrix);
-        let mean = |q: usize| (stressed.strains[q].0 + equations.end[q].0) * 0.5;
-        let springs = efforts::Springs::of(rod, &stressed.inputs, mean);
+        let inputs = (&stressed.inputs[..], h);
+        let springs = efforts::Springs::of_interval(rod, inputs, &stressed.strains, &equations.end);
         if rod.scheme == TimeScheme::Implicit && !springs.taut.is_empty() {
             return self.correction_with(&springs, matrix, stressed, equations);
         }
@@ -549,7 +575,7 @@ impl<'a> ReferenceStepper<'a> {
         Some(correction)
     }
 
-    /// Returns the Newton step where winches couple all elements of their tendons: the residual changes by `h/2 k/2 B_kᵀ g (B_{k+1}ᵀ g)ᵀ/(1 +
+    /// Returns the Newton step where winches, or friction, couple all elements of their tendons: the residual changes by `h/2 k/2 B_kᵀ g (B_{k+1}ᵀ g)ᵀ/(1 +
     /// a)` more, with the derivative `g` of the coordinate along the strains. The matrix is solved as a full one.
     fn correction_with(
         &self,
@@ -581,8 +607,9 @@ impl<'a> ReferenceStepper<'a> {
                 }),
             )
         };
-        let [start, end] = [&stressed.strains, &equations.end].map(|at| springs.pulled(at));
-        for ((_, stiffness), (start, end)) in springs.taut.iter().zip(start.iter().zip(&end)) {
+        let start = springs.pulled(&stressed.strains);
+        let end = springs.formed(1, &equations.end);
+        for (stiffness, (start, end)) in springs.taut.iter().zip(start.iter().zip(&end)) {
             let weight = 0.5 * stiffness * self.impulse_weight();
             full.ger(weight, &flat(start), &flat(end), 1.0);
         }
@@ -606,6 +633,10 @@ impl<'a> ReferenceStepper<'a> {
             let moment = element.angular_stiffness.max() / l + force * l;
             rounding[0] = rounding[0].max(reach * force);
             rounding[1] = rounding[1].max(reach * moment);
+        }
+        // A speed of sliding has the rounding of lengths over the step.
+        for (rounding, rubbed) in rounding.iter_mut().zip(rod.friction_per_speed()) {
+            *rounding += rubbed * farthest;
         }
         [0, 1].map(|i| RELATIVE_TOLERANCE * momentum[i] + STRAIN_ROUNDING * rounding[i])
     }

@@ -9,9 +9,9 @@ use self::describing::Described;
 pub(in crate::scene) use self::describing::describe_hardware;
 use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Fraction, NonNegative, Positive, digits, known};
-use super::Scene;
+use super::{Scene, TimeScheme};
 use crate::control::Hold;
-use crate::mechanics::{Density, Route, StrainActuator, Winch};
+use crate::mechanics::{Density, Friction, RodModel, Route, StrainActuator, Winch};
 use crate::task::{EffortControl, Follows};
 
 /// Writes the section of a kind of actuators: name, keys of its own, those of its line and of its effort, and more of its own. The words are the
@@ -42,7 +42,7 @@ macro_rules! actuator {
             pub name: Option<String>,
             $($(#[$own_about])* pub $own: $Own,)*
             $(#[$offset])*
-            pub offset_m: [f64; 2],
+            pub offset_m: Offset,
             $(#[$offset_to])*
             pub offset_to_m: Option<[f64; 2]>,
             $(#[$turns])*
@@ -95,15 +95,17 @@ macro_rules! actuator {
                         winch: None,
                     },
                     name: &self.name,
-                    route: Route {
-                        from: self.from.get(),
-                        to: self.to.get(),
-                        offset_from: self.offset_m,
-                        offset_to: self.offset_to_m.unwrap_or(self.offset_m),
-                        turns: self.turns,
-                    },
+                    routes: self.offset_m.routes(
+                        [self.from.get(), self.to.get()],
+                        self.offset_to_m,
+                        self.turns,
+                    ),
+                    offset: (&self.offset_m, self.offset_to_m.is_some()),
+                    span: [self.from.get(), self.to.get()],
+                    turns: self.turns,
                     density,
                     scale,
+                    friction: None,
                     profile: &self.profile,
                     follows: &self.follows,
                 }
@@ -112,15 +114,19 @@ macro_rules! actuator {
             /// Returns the section with these keys, and with those of its own in their order.
             #[allow(clippy::too_many_arguments, reason = "a kind may have many keys of its own")]
             fn describing(common: Described, $($own: $Own,)* $($more: $More,)*) -> Self {
-                let Described { name, route, bounds, rate, lag_s, follows, rest, profile } = common;
+                let Described { name, route, further, bounds, rate, lag_s, follows, rest, profile } = common;
                 Self {
                     name,
                     $($own,)*
-                    offset_m: route.offset_from,
-                    offset_to_m: (route.offset_to != route.offset_from).then_some(route.offset_to),
+                    offset_m: match further.is_empty() {
+                        true => Offset::Same(route.offset_from),
+                        false => Offset::of_routes(std::iter::once(&route).chain(&further)),
+                    },
+                    offset_to_m: (further.is_empty() && route.offset_to != route.offset_from)
+                        .then_some(route.offset_to),
                     turns: route.turns,
                     from: known(route.from),
-                    to: known(route.to),
+                    to: known(further.last().unwrap_or(&route).to),
                     $bounds: bounds,
                     $rate: rate,
                     lag_s,
@@ -135,14 +141,16 @@ macro_rules! actuator {
 }
 
 actuator! {
-    /// A tendon in the arm, or a rod in it that pushes: its line lies in the section and moves with it, without friction. A tendon pulls the
+    /// A tendon in the arm, or a rod in it that pushes: its line lies in the section and moves with it, without friction unless `friction` is
+    /// given. A tendon pulls the
     /// section toward itself with the work of its tension as it gets shorter. With `tension_n` its tension is a control, with `profile` it is
     /// given, in simulations too. On a winch its length is the input instead, and the tension follows from its stretch: with `displacement_m` as a control, with
     /// `displacement_profile` given.
     Tendon = "tendon";
     own {}
     line {
-        /// Place in the section at `from`, along its two axes, in m.
+        /// Place in the section at `from`, along its two axes, in m. Or rows [fraction of the length, x, y], linear in between and constant
+        /// outside; two rows at one fraction are a jump, as from one hole of a disk to another.
         offset_m,
         /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
         offset_to_m,
@@ -183,10 +191,63 @@ actuator! {
         /// shorter than its line in the section by κ² s²/24 of its length. Default: 0, a channel along the whole arm.
         #[serde(default, skip_serializing_if = "values::is_default")]
         disk_spacing_m: NonNegative<values::Length>,
+        /// Coefficient of friction along the path: where the path has turned by the angle φ, the tension is by a factor `exp(-friction φ)` less
+        /// than at the motor if the tendon is pulled in, and by the inverse more if it is let out. Motions of such an arm have implicit steps.
+        /// Default: 0, without friction.
+        #[serde(default, skip_serializing_if = "values::is_default")]
+        friction: NonNegative<values::Factor>,
+        /// Speed w in m/s at which friction acts by three quarters: where the tendon slides by v, it acts by `tanh(v/w)`. Below it a tendon creeps
+        /// that in truth would stick. Default: 0.001.
+        #[serde(default = "default_sliding", skip_serializing_if = "is_default_sliding")]
+        sliding_speed_m_s: Positive<values::SlidingSpeed>,
+        /// Direction in which the tendon slid before it came to rest, for equilibria: "pulled", "released", or "none" for a shape to which it
+        /// has crept. Solves and closed loops hold an arm where it has crept to. Default: "pulled".
+        #[serde(default, skip_serializing_if = "values::is_default")]
+        sliding: Sliding,
     }
 }
 
+/// The direction in which a tendon slid before it came to rest.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Sliding {
+    /// Its motor pulled it in: the tension falls from the motor on.
+    #[default]
+    Pulled,
+    /// Its motor let it out: the tension rises from the motor on.
+    Released,
+    /// It has crept until its tension is the same everywhere.
+    None,
+}
+
+impl Sliding {
+    const ALL: [(Self, f64); 3] = [
+        (Self::Pulled, 1.0),
+        (Self::Released, -1.0),
+        (Self::None, 0.0),
+    ];
+}
+
+fn default_sliding() -> Positive<values::SlidingSpeed> {
+    known(1e-3)
+}
+
+fn is_default_sliding(speed: &Positive<values::SlidingSpeed>) -> bool {
+    *speed == default_sliding()
+}
+
 impl Tendon {
+    /// Returns the friction along its path.
+    fn rubs(&self) -> Option<Friction> {
+        let coefficient = self.friction.get();
+        let at_rest = Sliding::ALL.iter().find(|own| own.0 == self.sliding)?.1;
+        (coefficient > 0.0).then(|| Friction {
+            coefficient,
+            speed: self.sliding_speed_m_s.get(),
+            at_rest,
+        })
+    }
+
     /// Tells whether its input is the displacement of a winch.
     fn is_on_winch(&self) -> bool {
         self.displacement_m.is_some() || self.displacement_profile.is_some()
@@ -200,7 +261,10 @@ impl Tendon {
         } else {
             Density::Shortening
         };
-        let by_tension = self.common(index, density, 1.0);
+        let by_tension = Common {
+            friction: self.rubs(),
+            ..self.common(index, density, 1.0)
+        };
         if !self.is_on_winch() {
             return by_tension;
         }
@@ -281,7 +345,8 @@ actuator! {
         stress_pa: Positive<values::ActiveStress>,
     }
     line {
-        /// Place in the section at `from`, along its two axes, in m.
+        /// Place in the section at `from`, along its two axes, in m. Or rows [fraction of the length, x, y], linear in between and constant
+        /// outside; two rows at one fraction are a jump, as from one hole of a disk to another.
         offset_m,
         /// Place in the section at `to`, reached linearly, in m. Absent: `offset_m`.
         offset_to_m,
@@ -335,6 +400,84 @@ actuator! {
         rest_pressure_pa,
     }
     more {}
+}
+
+/// The line of an actuator in the section.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(
+    untagged,
+    expecting = "expected the place along the two axes of the section, [x, y], or rows [fraction of the length, x, y]"
+)]
+pub enum Offset {
+    /// One place, along the two axes of the section.
+    Same([f64; 2]),
+    /// Places by fractions of the length.
+    Rows(Vec<[f64; 3]>),
+}
+
+impl Default for Offset {
+    fn default() -> Self {
+        Self::Same([0.0; 2])
+    }
+}
+
+impl Offset {
+    /// Returns the parts of a line between two fractions.
+    fn routes(&self, [from, to]: [f64; 2], offset_to: Option<[f64; 2]>, turns: f64) -> Vec<Route> {
+        let rows = match self {
+            Self::Same(offset) => {
+                return vec![Route {
+                    from,
+                    to,
+                    offset_from: *offset,
+                    offset_to: offset_to.unwrap_or(*offset),
+                    turns,
+                }];
+            }
+            Self::Rows(rows) => rows,
+        };
+        let mut out = Vec::new();
+        let mut add = |[start, end]: [[f64; 3]; 2]| {
+            let (a, b) = (start[0].max(from), end[0].min(to));
+            if !(b > a) {
+                return;
+            }
+            // The section's axes have turned by so much where this part begins.
+            let (sin, cos) = (std::f64::consts::TAU * turns * (a - from) / (to - from)).sin_cos();
+            let at = |s: f64| {
+                let part = (s - start[0]) / (end[0] - start[0]);
+                let [x, y] = [1, 2].map(|i| start[i] + (end[i] - start[i]) * part);
+                [cos * x - sin * y, sin * x + cos * y]
+            };
+            out.push(Route {
+                from: a,
+                to: b,
+                offset_from: at(a),
+                offset_to: at(b),
+                turns: turns * (b - a) / (to - from),
+            });
+        };
+        if let (Some(first), Some(last)) = (rows.first(), rows.last()) {
+            add([[f64::min(from, first[0]) - 1.0, first[1], first[2]], *first]);
+            rows.windows(2).for_each(|pair| add([pair[0], pair[1]]));
+            add([*last, [f64::max(to, last[0]) + 1.0, last[1], last[2]]]);
+        }
+        // Parts meet to the bit.
+        for i in 1..out.len() {
+            out[i].from = out[i - 1].to;
+        }
+        out
+    }
+
+    /// Returns the rows of parts of a line that do not turn.
+    fn of_routes<'a>(routes: impl Iterator<Item = &'a Route>) -> Self {
+        let ends = routes.flat_map(|own| {
+            [(own.from, own.offset_from), (own.to, own.offset_to)].map(|(s, [x, y])| [s, x, y])
+        });
+        let mut rows: Vec<[f64; 3]> = ends.collect();
+        rows.dedup();
+        Self::Rows(rows)
+    }
 }
 
 /// The actuator whose control drives another one too.
@@ -419,9 +562,15 @@ impl EffortKeys {
 struct Common<'a> {
     effort: EffortKeys,
     name: &'a Option<String>,
-    route: Route,
+    routes: Vec<Route>,
+    /// The keys of its line: offsets, and whether there is another one at the end.
+    offset: (&'a Offset, bool),
+    /// Where it begins and ends, and the revolutions between.
+    span: [f64; 2],
+    turns: f64,
     density: Density,
     scale: f64,
+    friction: Option<Friction>,
     profile: &'a Option<Vec<[f64; 2]>>,
     follows: &'a Option<FollowKeys>,
 }
@@ -432,6 +581,16 @@ impl Common<'_> {
         (self.name.clone()).unwrap_or_else(|| format!("{section} {index}"))
     }
 
+    /// The first part of its line; of no length where `to` does not come after `from`, which the check refuses.
+    fn first_route(&self) -> Route {
+        let [from, to] = self.span;
+        (self.routes.first().copied()).unwrap_or(Route {
+            from,
+            to,
+            ..Route::straight([0.0; 2])
+        })
+    }
+
     fn of_arm(&self) -> StrainActuator {
         let rows = self.profile.iter().flatten();
         let given: Vec<(f64, f64)> = rows.map(|&[t, effort]| (t, effort)).collect();
@@ -439,13 +598,15 @@ impl Common<'_> {
             name: self.name(),
             density: self.density,
             scale: self.scale,
-            route: self.route,
+            route: self.first_route(),
+            further: self.routes.iter().skip(1).copied().collect(),
             effort: if given.is_empty() {
                 vec![(0.0, self.effort.rest.1)]
             } else {
                 given
             },
             winch: self.effort.winch,
+            friction: self.friction,
             largest: self.effort.largest(),
         }
     }
@@ -462,9 +623,9 @@ impl Scene {
     pub(crate) fn far_aside(&self) -> Vec<String> {
         let length = self.rod.length_m.get();
         self.routes()
-            .filter_map(|(key, route)| {
-                let [from, to] = [route.offset_from, route.offset_to].map(|[x, y]| x.hypot(y));
-                let far = from.max(to) / length;
+            .filter_map(|(key, routes)| {
+                let ends = routes.iter().flat_map(|own| [own.offset_from, own.offset_to]);
+                let far = ends.map(|[x, y]| x.hypot(y)).fold(0.0, f64::max) / length;
                 (far > FAR_ASIDE).then(|| {
                     format!(
                         "{key}.offset_m: {far:.3e} lengths of the arm beside its axis are hardly meant (at most {FAR_ASIDE}); look for a unit \
@@ -476,10 +637,10 @@ impl Scene {
     }
 
     /// The keys of the actuators in the arm, and the lines along which they lie.
-    pub(crate) fn routes(&self) -> impl Iterator<Item = (String, Route)> {
+    pub(crate) fn routes(&self) -> impl Iterator<Item = (String, Vec<Route>)> {
         (self.hardware().into_iter()).map(|own| {
             let EffortKeys { section, index, .. } = own.effort;
-            (format!("{section}.{index}"), own.route)
+            (format!("{section}.{index}"), own.routes)
         })
     }
 
@@ -566,6 +727,7 @@ impl Keys<'_> {
     pub(in crate::scene) fn check_hardware(&self, scene: &Scene) -> Checked {
         for (index, tendon) in scene.tendon.iter().enumerate() {
             self.check_winch(&format!("tendon.{index}"), tendon)?;
+            self.check_friction(index, tendon, scene)?;
         }
         for (index, braid) in scene.braid.iter().enumerate() {
             if braid.turns_1_m == 0.0 || !braid.turns_1_m.is_finite() {
@@ -596,6 +758,36 @@ impl Keys<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Checks that the scene has what a tendon with friction needs.
+    fn check_friction(&self, index: usize, tendon: &Tendon, scene: &Scene) -> Checked {
+        let section = format!("tendon.{index}");
+        if tendon.friction.get() == 0.0 {
+            let of_friction = [
+                (
+                    "sliding_speed_m_s",
+                    !is_default_sliding(&tendon.sliding_speed_m_s),
+                ),
+                ("sliding", !values::is_default(&tendon.sliding)),
+            ];
+            let reason = "it describes the friction of a tendon along its path";
+            let rows = of_friction.map(|own| Needs(own, ("friction", false), reason));
+            return self.relations(&section, &rows);
+        }
+        let diagnostics = (scene.output.as_ref()).is_some_and(|output| output.diagnostics);
+        let reason = if scene.time.integrator == TimeScheme::Explicit {
+            "time.integrator = \"explicit\": the direction in which a tendon slides is that of a whole implicit step"
+        } else if scene.rod.model != RodModel::Standard {
+            "this rod.model, which has explicit steps only"
+        } else if diagnostics {
+            "output.diagnostics, whose balances know no friction"
+        } else {
+            return Ok(());
+        };
+        let message = format!("friction along the path does not go with {reason}");
+        let help = "leave one of them out";
+        Err((self.source).error_at(&format!("{section}.friction"), message, Some(help.into())))
     }
 
     /// Checks that a tendon has either the keys of a tension or those of a winch.
@@ -675,16 +867,36 @@ impl Keys<'_> {
     fn check_common(&self, own: &Common, hold: Option<Hold>) -> Checked {
         let EffortKeys { section, index, .. } = own.effort;
         let key = |name: &str| format!("{section}.{index}.{name}");
-        let Route {
-            from,
-            to,
-            offset_from,
-            offset_to,
-            turns,
-        } = own.route;
-        self.finite(&key("offset_m"), &offset_from)?;
-        self.finite(&key("offset_to_m"), &offset_to)?;
-        self.finite_number(&key("turns"), turns)?;
+        let (offset, has_end) = own.offset;
+        match offset {
+            Offset::Same(offset) => self.finite(&key("offset_m"), offset)?,
+            Offset::Rows(rows) => {
+                for (i, row) in rows.iter().enumerate() {
+                    self.finite(&key(&format!("offset_m.{i}")), row)?;
+                }
+                let (given, section) = (("offset_m", true), format!("{section}.{index}"));
+                self.relations(&section, &[Excludes(("offset_to_m", has_end), given)])?;
+                let falls = rows.windows(2).position(|pair| pair[1][0] < pair[0][0]);
+                let few = rows.len() < 2;
+                if few || falls.is_some() {
+                    let at = falls.map_or(0, |i| i + 1);
+                    let message =
+                        "rows of a line need increasing fractions of the length, two rows at least";
+                    return Err((self.source)
+                        .error_at(&key(&format!("offset_m.{at}")), message, None)
+                        .expecting("expected [fraction, x, y] after the row before; two rows at one fraction are a jump"));
+                }
+            }
+        }
+        for end in own
+            .routes
+            .iter()
+            .flat_map(|route| [route.offset_from, route.offset_to])
+        {
+            self.finite(&key("offset_to_m"), &end)?;
+        }
+        let [from, to] = own.span;
+        self.finite_number(&key("turns"), own.turns)?;
         if to <= from {
             let message = format!("{} does not come after from, {}", digits(to), digits(from));
             return Err((self.source)

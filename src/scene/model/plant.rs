@@ -7,7 +7,7 @@ use super::super::check::MOST_ELEMENTS;
 use super::super::keys::{Checked, Keys, given, given_of};
 use super::super::values::{self, NonNegative, Number, Positive, digits};
 use super::{Payload, Scene, Section};
-use crate::mechanics::StrainActuator;
+use crate::mechanics::{Friction, StrainActuator};
 use crate::mpc::{ActuatorDynamics, EffortDynamics};
 
 /// The arm that the controller acts on, where it differs from the controller's model. Its time step is its own.
@@ -58,6 +58,8 @@ pub struct PlantHardware {
     pub offset_m: Option<[f64; 2]>,
     /// Place in the section at `to`, in m. Absent: `offset_m` of this table, or the model's if that is absent too.
     pub offset_to_m: Option<[f64; 2]>,
+    /// Coefficient of friction of a tendon along its path. Absent: the model's.
+    pub friction: Option<NonNegative<values::Factor>>,
     /// Factor on the effort, of the pretension too: what friction leaves of a tension, or another area of a chamber; positive, default 1.
     #[serde(default)]
     pub effort_factor: Positive<values::Factor>,
@@ -74,9 +76,19 @@ impl PlantHardware {
         let route = &mut actuator.route;
         if let Some(offset) = self.offset_m {
             (route.offset_from, route.offset_to) = (offset, offset);
+            actuator.route.to = actuator.end();
+            actuator.further.clear();
         }
+        let route = &mut actuator.route;
         if let Some(offset) = self.offset_to_m {
             route.offset_to = offset;
+        }
+        if let Some(coefficient) = self.friction.map(Number::get) {
+            let usual = actuator.friction.unwrap_or_default();
+            actuator.friction = (coefficient > 0.0).then_some(Friction {
+                coefficient,
+                ..usual
+            });
         }
         actuator.scale *= self.effort_factor.get();
     }

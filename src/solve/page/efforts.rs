@@ -31,7 +31,7 @@ pub(super) fn of_inputs(
     inputs: Vec<f64>,
 ) -> Vec<f64> {
     let shape = shape_of(record, row);
-    rod.efforts_at(inputs, &shape.positions, &shape.rotations)
+    rod.actuator_efforts(inputs, shape.poses())
 }
 
 /// Returns the actuators of `rod` along a motion; `efforts` gives those of all in a row of the record, `controls` are those
@@ -153,10 +153,10 @@ impl<'a> ShownActuator<'a> {
             "color": color,
             "route": self.strain.map(|own| json!({
                 "from": own.route.from,
-                "to": own.route.to,
+                "to": own.end(),
                 "offset": own.route.offset_from,
-                "offset_to": own.route.offset_to,
-                "turns": own.route.turns,
+                "offset_to": own.further.last().unwrap_or(&own.route).offset_to,
+                "turns": own.routes().map(|route| route.turns).sum::<f64>(),
             })),
             "poses": poses(self.rod, &self.functions),
             "bounds": bound,
@@ -306,7 +306,7 @@ fn route(rod: &Rod, own: &StrainActuator, most: f64, efforts: Vec<f64>) -> Repor
     let places = rod.places();
     let nodes: Vec<usize> = (0..places.len())
         .filter(|&q| {
-            places[q] >= own.route.from - SAME_PLACE && places[q] <= own.route.to + SAME_PLACE
+            places[q] >= own.route.from - SAME_PLACE && places[q] <= own.end() + SAME_PLACE
         })
         .collect();
     let length = rod.scales.length;
@@ -317,7 +317,7 @@ fn route(rod: &Rod, own: &StrainActuator, most: f64, efforts: Vec<f64>) -> Repor
         first: nodes.first().copied().unwrap_or(0),
         offsets: (nodes.iter())
             .map(|&q| {
-                let [x, y] = own.route.at(places[q], length).0.map(|part| part as f32);
+                let [x, y] = own.offset_at(places[q], length).map(|part| part as f32);
                 [x, y, 0.0]
             })
             .collect(),

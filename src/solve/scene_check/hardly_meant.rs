@@ -120,10 +120,11 @@ fn beside_section(scene: &Scene) -> Vec<String> {
         if found > 0.0 { found } else { thickest }
     };
     let mut out = Vec::new();
-    for (key, route) in scene.routes() {
-        let ends = [(route.from, route.offset_from), (route.to, route.offset_to)];
+    for (key, routes) in scene.routes() {
+        let ends =
+            (routes.iter()).flat_map(|own| [(own.from, own.offset_from), (own.to, own.offset_to)]);
         let beyond = ends.map(|(s, [x, y])| x.hypot(y) / at(s));
-        let most = beyond[0].max(beyond[1]);
+        let most = beyond.fold(0.0, f64::max);
         if most > 1.0 && most <= ON_DISKS {
             out.push(format!(
                 "{key}.offset_m: lies outside of the section, at {most:.2} of its radius: right for disks on a backbone, and hardly for a cast arm"

@@ -115,7 +115,7 @@ impl Statics<'_> {
     /// of its input; otherwise the rod as it is, to which [`Self::efforts`] add.
     fn rod_under(&self, coefficient: &[f64]) -> Cow<'_, Rod> {
         let rod = self.rod();
-        if !rod.actuators.has_winches() {
+        if !rod.actuators.follow_shape() {
             return Cow::Borrowed(rod);
         }
         Cow::Owned(rod.with_inputs(&self.inputs(coefficient)))
@@ -130,8 +130,8 @@ impl Statics<'_> {
 
     /// Returns the part of the controls in the efforts of the rod's actuators, which adds to that of [`Self::rod_under`].
     fn efforts(&self, coefficient: &[f64]) -> Vec<f64> {
-        let mut out = vec![0.0; self.rod().actuators.len()];
-        if !self.rod().actuators.has_winches() {
+        let mut out = vec![0.0; self.rod().actuators.n_efforts()];
+        if !self.rod().actuators.follow_shape() {
             self.add_controls(coefficient, &mut out);
         }
         out
@@ -324,20 +324,22 @@ impl Statics<'_> {
             return None;
         }
         let actuators = &self.rod().actuators;
-        let mut out = vec![0.0; actuators.len()];
-        let along = actuators.has_winches().then(|| {
-            let (x, r) = (&shape.positions, &shape.rotations);
+        let mut out = vec![0.0; actuators.n_efforts()];
+        let along = (actuators.follow_shape()).then(|| {
             (
-                self.rod().actuator_coordinates(x, r),
+                self.rod().effort_state(shape.poses()),
                 self.inputs(coefficient),
             )
         });
         for (index, gain) in self.problem.driven_by(component) {
             let actuator = self.problem.efforts.as_ref()?.actuators[index];
             out[actuator] = gain * change;
-            if let Some((y, inputs)) = &along {
-                let law = actuators.law(actuator, inputs[actuator], y[actuator]);
-                out[actuator] *= law.along_input;
+            if let Some((state, inputs)) = &along {
+                let law = actuators.law(actuator, inputs[actuator], state);
+                let lines = actuators.lines_of(actuator, out[actuator] * law.along_input, state);
+                (out.iter_mut().zip(lines).enumerate())
+                    .filter(|(line, _)| actuators.actuator_of(*line) == actuator)
+                    .for_each(|(_, (out, own))| *out = own);
             }
         }
         Some(out)

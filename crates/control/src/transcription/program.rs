@@ -41,6 +41,11 @@ impl LiftedProgram for Transcription<'_> {
         Some(&self.problem.stop)
     }
 
+    /// Those of the shares of tensions that friction leaves are not there.
+    fn knows_curvature(&self) -> bool {
+        !self.problem.rod.actuators.has_friction()
+    }
+
     fn variables<'b>(&self, point: &'b LiftedPoint) -> &'b [f64] {
         &point.variables
     }

@@ -12,6 +12,7 @@ use nalgebra::{SMatrix, Vector3};
 use pulp::{Scalar, Simd};
 
 use super::contact::{Contact, Touch};
+use super::friction::{Friction, FrictionPath};
 use super::pose_actuator::{OfPose, PlacedFunction, PoseActuator, PoseFunction as _, Span};
 use super::{Rod, RodError, require};
 use crate::configuration::{Configuration, Poses, Trajectory};
@@ -176,14 +177,18 @@ pub struct StrainActuator {
     pub density: Density,
     /// Factor of the density: 1 for a tendon, the area (m²) of a chamber or braid, area times largest stress (N) of a muscle.
     pub scale: f64,
-    /// Its line.
+    /// Its line, or the first part of it.
     pub route: Route,
+    /// Further parts of its line, each from where the one before ends. Where they do not meet, the line jumps, as at a disk with two holes.
+    pub further: Vec<Route>,
     /// Given input over time: `(t, u)` in order of time, piecewise linear, with a jump where a time occurs twice; before the first row it
     /// has the first value, after the last row the last one. Empty means zero. The input of a control adds to it. It is the effort, or the
     /// displacement (m) of a winch.
     pub effort: Vec<(f64, f64)>,
     /// The winch of a tendon whose input is a displacement; `None` if the input is the effort.
     pub winch: Option<Winch>,
+    /// Friction of a tendon along its path.
+    pub friction: Option<Friction>,
     /// Largest size of its effort at any time, or the farthest that its winch pulls in, m, which the stable step counts; no less than what
     /// is given is counted.
     pub largest: f64,
@@ -257,6 +262,37 @@ impl Drive {
 }
 
 impl StrainActuator {
+    /// Returns the parts of its line.
+    pub fn routes(&self) -> impl Iterator<Item = &Route> {
+        std::iter::once(&self.route).chain(&self.further)
+    }
+
+    /// Returns the end of its line, as a fraction of the rest length.
+    #[must_use]
+    pub fn end(&self) -> f64 {
+        self.further.last().unwrap_or(&self.route).to
+    }
+
+    /// Returns the fractions at which elements have to end: where its line begins and ends, and where it jumps.
+    pub fn breaks(&self) -> impl Iterator<Item = f64> {
+        let jumps = (self.routes().zip(&self.further)).filter(|(before, after)| {
+            let [left, right] = [before.at(before.to, 1.0).0, after.at(after.from, 1.0).0];
+            let size = left[0].hypot(left[1]).max(right[0].hypot(right[1]));
+            (left[0] - right[0]).hypot(left[1] - right[1]) > 1e-9 * size
+        });
+        let jumps = jumps.map(|(_, after)| after.from);
+        [self.route.from, self.end()].into_iter().chain(jumps)
+    }
+
+    /// Returns the offset (m) of its line at the fraction `s` of an arm of length `length` (m); at a jump that before it.
+    #[must_use]
+    pub fn offset_at(&self, s: f64, length: f64) -> [f64; 2] {
+        let part = self.routes().find(|route| s <= route.to);
+        part.unwrap_or(self.further.last().unwrap_or(&self.route))
+            .at(s, length)
+            .0
+    }
+
     fn drive(&self) -> Drive {
         Drive {
             name: self.name.clone(),
@@ -269,21 +305,27 @@ impl StrainActuator {
     }
 
     fn check(&self) -> Result<(), RodError> {
-        let Route {
-            from,
-            to,
-            offset_from,
-            offset_to,
-            turns,
-        } = self.route;
-        let part = "a fraction of the length, the end after the start";
-        require("start of an actuator", from, |s| s >= 0.0, part)?;
-        require("end of an actuator", to, |s| s > from && s <= 1.0, part)?;
-        require("scale of an actuator", self.scale, |x| x > 0.0, "positive")?;
-        for value in [offset_from, offset_to].into_iter().flatten() {
-            require("offset of an actuator", value, |_| true, "finite")?;
+        let mut last = self.route.from;
+        for route in self.routes() {
+            let Route {
+                from,
+                to,
+                offset_from,
+                offset_to,
+                turns,
+            } = *route;
+            let part = "a fraction of the length, the end after the start";
+            require("start of an actuator", from, |s| s >= 0.0, part)?;
+            require("end of an actuator", to, |s| s > from && s <= 1.0, part)?;
+            let joined = "where the part of its line before it ends";
+            require("start of an actuator", from, |s| s == last, joined)?;
+            for value in [offset_from, offset_to].into_iter().flatten() {
+                require("offset of an actuator", value, |_| true, "finite")?;
+            }
+            require("turns of an actuator", turns, |_| true, "finite")?;
+            last = to;
         }
-        require("turns of an actuator", turns, |_| true, "finite")?;
+        require("scale of an actuator", self.scale, |x| x > 0.0, "positive")?;
         if let Some(winch) = &self.winch {
             let is_tendon = self.density.is_tendon() && self.scale == 1.0;
             let only = "that of a tendon";
@@ -325,6 +367,8 @@ impl PoseActuator {
 pub struct PlacedPoint {
     /// Index of the actuator.
     pub actuator: usize,
+    /// Index among the efforts: that of the actuator, or with friction along the path one of its own for every element.
+    pub line: usize,
     /// Its density.
     pub density: Density,
     /// Length of the rod for which the point stands, times the scale of the actuator.
@@ -349,6 +393,17 @@ impl PlacedPoint {
     }
 }
 
+/// The part of a configuration, or of an interval, on which efforts depend.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct EffortState {
+    /// Coordinates of all actuators.
+    pub coordinates: Vec<f64>,
+    /// Shares of the tensions of tendons with friction in their lines.
+    pub(super) shares: Vec<f64>,
+    /// Mean shares over the whole tendons of winches, and 1 of other actuators; empty without friction.
+    pub(super) means: Vec<f64>,
+}
+
 /// The actuators of a rod, those on strains before those on poses, with their points in its elements and their functions of its nodes,
 /// the potentials of its nodes, and the contacts of its elements.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -359,9 +414,13 @@ pub struct RodActuators {
     functions: Vec<PlacedFunction>,
     touches: Vec<Touch>,
     /// Points in the order of the elements.
-    points: Vec<PlacedPoint>,
+    pub(super) points: Vec<PlacedPoint>,
     /// First point of every element, and the number of all.
-    starts: Vec<usize>,
+    pub(super) starts: Vec<usize>,
+    /// Tendons with friction along their paths.
+    pub(super) paths: Vec<FrictionPath>,
+    /// Number of the actuators and of the lines of these tendons.
+    pub(super) n_efforts: usize,
     /// Coordinates of the stress-free shape.
     at_rest: Vec<f64>,
     /// Tells whether tendons on winches push where they are too long.
@@ -393,7 +452,13 @@ impl RodActuators {
         }
         out.drives.iter().try_for_each(Drive::check)?;
         // Those on poses count from zero.
-        out.at_rest = out.strain_coordinates(rule, elements, |q| elements[q].rest);
+        out.at_rest = vec![0.0; out.drives.len()];
+        let mut at_rest = vec![0.0; out.drives.len()];
+        let rest = |q: usize| elements[q].rest;
+        out.add_strain_coordinates((rule, elements), &rest, &of_actuator, &mut at_rest);
+        out.at_rest = at_rest;
+        out.n_efforts = out.drives.len();
+        out.place_friction(strains, elements)?;
         for (actuator, at_rest) in out.drives.iter().zip(&out.at_rest) {
             let Some(winch) = &actuator.winch else {
                 continue;
@@ -480,19 +545,22 @@ impl RodActuators {
             } else {
                 start + own
             };
-            for (index, actuator) in actuators.iter().enumerate() {
-                let Route { from, to, .. } = actuator.route;
+            let all = actuators.iter().enumerate();
+            let routes = all.flat_map(|(index, own)| own.routes().map(move |at| (index, own, at)));
+            for (index, actuator, route) in routes {
+                let Route { from, to, .. } = *route;
                 let first = start.max(from * length);
                 let covered = end.min(to * length) - first;
                 // What rounding leaves of an element beside the end of an actuator.
                 if covered <= own * 1e-12 {
                     continue;
                 }
-                for &(place, weight) in actuator.route.rule() {
+                for &(place, weight) in route.rule() {
                     let s = (first + place * covered) / length;
-                    let (offset, slope) = actuator.route.at(s, length);
+                    let (offset, slope) = route.at(s, length);
                     points.push(PlacedPoint {
                         actuator: index,
+                        line: index,
                         density: actuator.density,
                         weight: weight * covered * actuator.scale,
                         offset,
@@ -510,29 +578,19 @@ impl RodActuators {
             touches: Vec::new(),
             points,
             starts,
+            paths: Vec::new(),
+            n_efforts: 0,
             at_rest: Vec::new(),
             push: false,
         })
     }
 
-    /// Returns the coordinates of all actuators for the strains of the elements; those on poses have none.
-    fn strain_coordinates(
+    /// Adds the coordinates at all points for the strains of the elements, each where `of` says.
+    pub(super) fn add_strain_coordinates(
         &self,
-        rule: StrainRule,
-        elements: &[Element],
-        strain: impl Fn(usize) -> ElementStrain,
-    ) -> Vec<f64> {
-        let mut out = vec![0.0; self.drives.len()];
-        self.add_strain_coordinates(rule, elements, strain, &mut out);
-        out
-    }
-
-    /// Adds the coordinates of all actuators for the strains of the elements.
-    fn add_strain_coordinates(
-        &self,
-        rule: StrainRule,
-        elements: &[Element],
-        strain: impl Fn(usize) -> ElementStrain,
+        (rule, elements): (StrainRule, &[Element]),
+        strain: &dyn Fn(usize) -> ElementStrain,
+        of: &dyn Fn(&PlacedPoint) -> usize,
         out: &mut [f64],
     ) {
         for (q, element) in elements.iter().enumerate() {
@@ -547,15 +605,51 @@ impl RodActuators {
             };
             for point in points {
                 let at = point.in_element(Scalar, element.length);
-                out[point.actuator] += at.value(point.density, &linear[..ends], psi);
+                out[of(point)] += at.value(point.density, &linear[..ends], psi);
             }
         }
     }
 
-    /// Tells whether the effort of any of them depends on the configuration.
+    /// Returns memory for what efforts depend on.
     #[must_use]
-    pub fn has_winches(&self) -> bool {
-        self.drives.iter().any(|own| own.winch.is_some())
+    pub fn effort_state(&self) -> EffortState {
+        EffortState {
+            coordinates: vec![0.0; self.drives.len()],
+            shares: vec![1.0; self.n_efforts - self.drives.len()],
+            means: vec![
+                1.0;
+                if self.has_friction() {
+                    self.drives.len()
+                } else {
+                    0
+                }
+            ],
+        }
+    }
+
+    /// Returns what efforts depend on in the stress-free shape.
+    #[must_use]
+    pub fn stress_free_state(&self) -> EffortState {
+        EffortState {
+            coordinates: self.at_rest.clone(),
+            ..self.effort_state()
+        }
+    }
+
+    /// Returns the number of efforts: one of every actuator, and of a tendon with friction one more in every element that it passes.
+    #[must_use]
+    pub fn n_efforts(&self) -> usize {
+        self.n_efforts
+    }
+
+    pub(super) fn at_rest_of(&self, actuator: usize) -> f64 {
+        self.at_rest[actuator]
+    }
+
+    /// Tells whether the effort of any of them depends on the configuration: of a tendon on a winch, or with friction along its path.
+    #[must_use]
+    pub fn follow_shape(&self) -> bool {
+        self.has_friction() || self.drives.iter().any(|own| own.winch.is_some())
     }
 
     /// Returns the coordinates of the stress-free shape.
@@ -564,10 +658,11 @@ impl RodActuators {
         &self.at_rest
     }
 
-    /// Returns the effort of an actuator for an input and a coordinate.
+    /// Returns the effort of an actuator for an input; of a tendon with friction it is the tension where it leaves its motor.
     #[must_use]
-    pub fn law(&self, actuator: usize, input: f64, coordinate: f64) -> EffortLaw {
-        match &self.drives[actuator].winch {
+    pub fn law(&self, actuator: usize, input: f64, state: &EffortState) -> EffortLaw {
+        let coordinate = state.coordinates[actuator];
+        let law = match &self.drives[actuator].winch {
             Some(winch) if self.push => {
                 winch.law_of_a_spring(input, coordinate, self.at_rest[actuator])
             }
@@ -577,6 +672,10 @@ impl RodActuators {
                 along_input: 1.0,
                 ..EffortLaw::default()
             },
+        };
+        match state.means.get(actuator) {
+            Some(mean) if *mean != 1.0 => law.times(1.0 / mean),
+            _ => law,
         }
     }
 
@@ -716,6 +815,11 @@ impl RodActuators {
     }
 }
 
+/// The place of a point's coordinate among those of the actuators.
+fn of_actuator(point: &PlacedPoint) -> usize {
+    point.actuator
+}
+
 /// Returns a strain times the length of the element.
 fn stretched(strain: &ElementStrain, length: f64) -> ([Vec3<Scalar>; 2], Vec3<Scalar>) {
     (
@@ -742,10 +846,10 @@ impl Rod {
         strain: &ElementStrain,
         efforts: &[f64],
     ) -> Option<IntervalStress> {
-        self.active_stress_under(q, strain, &|actuator| efforts[actuator])
+        self.active_stress_under(q, strain, &|line| efforts[line])
     }
 
-    /// Returns [`Self::active_stress`] where `effort` gives the effort of an actuator.
+    /// Returns [`Self::active_stress`] where `effort` gives the effort of a line.
     pub(crate) fn active_stress_under(
         &self,
         q: usize,
@@ -769,7 +873,7 @@ impl Rod {
                 StrainRule::Helical => (at.slopes::<1>(point.density, linear, psi), 1.0),
                 StrainRule::Trapezoidal => (at.slopes::<2>(point.density, linear, psi), 2.0),
             };
-            let effort = effort(point.actuator);
+            let effort = effort(point.line);
             if effort == 0.0 {
                 continue;
             }
@@ -794,7 +898,7 @@ impl Rod {
         let (mut sum, mut stress) = (ActiveTangent::zero(Scalar), Stress::zero(Scalar));
         for point in self.actuators.on(q) {
             let at: ActivePoint<Scalar> = point.in_element(Scalar, length);
-            let factor = Lanes::splat(Scalar, -effort(point.actuator));
+            let factor = Lanes::splat(Scalar, -effort(point.line));
             let (density, strain) = (point.density, (linear, psi));
             match self.strain_rule {
                 StrainRule::Helical => {
@@ -845,7 +949,7 @@ impl Rod {
         let (strain, b) = rule.strain_derivative(element.length, pose);
         let stress = self.active_stress(q, &strain, efforts)?;
         let bent = element.stiffness_under(rule, pose, &stress, 0.0);
-        let tangent = self.active_tangent(q, &strain, &|actuator| efforts[actuator]);
+        let tangent = self.active_tangent(q, &strain, &|line| efforts[line]);
         Some(bent + b.transpose() * tangent * b)
     }
 
@@ -893,8 +997,7 @@ impl Rod {
     #[must_use]
     pub fn winch_flexibility(&self, actuator: usize, displacement: f64) -> Option<f64> {
         let winch = self.actuators.drives[actuator].winch?;
-        let mut unit = vec![0.0; self.actuators.len()];
-        unit[actuator] = 1.0;
+        let unit = self.actuators.unit_effort(actuator);
         let of_arm: f64 = (self.elements.iter().enumerate())
             .filter_map(|(q, element)| {
                 let stress = self.active_stress(q, &element.rest, &unit)?;
@@ -916,25 +1019,19 @@ impl Rod {
         rotations: &[nalgebra::Matrix3<f64>],
     ) -> Vec<f64> {
         let mut out = vec![0.0; self.actuators.len()];
-        self.write_actuator_coordinates(positions, rotations, &mut out);
+        self.write_actuator_coordinates((positions, rotations), &mut out);
         out
     }
 
-    /// Writes [`Self::actuator_coordinates`] to existing memory.
-    pub fn write_actuator_coordinates(
-        &self,
-        positions: &[Vector3<f64>],
-        rotations: &[nalgebra::Matrix3<f64>],
-        out: &mut [f64],
-    ) {
+    fn write_actuator_coordinates(&self, (positions, rotations): Poses, out: &mut [f64]) {
         out.fill(0.0);
         let strain = |q: usize| {
             let pose = Self::element_pose(q, positions, rotations);
             let length = self.elements[q].length;
             self.strain_rule.strain(length, &pose)
         };
-        let (rule, elements) = (self.strain_rule, &self.elements[..]);
-        (self.actuators).add_strain_coordinates(rule, elements, strain, out);
+        let elements = (self.strain_rule, &self.elements[..]);
+        (self.actuators).add_strain_coordinates(elements, &strain, &of_actuator, out);
         for own in self.actuators.functions() {
             if let Some(actuator) = own.actuator {
                 let at = own.pose(positions, rotations);
@@ -943,9 +1040,24 @@ impl Rod {
         }
     }
 
-    /// Writes the coordinates of the actuators on strains at the mean strains of an interval; those on poses have none.
-    pub fn write_interval_coordinates(&self, ends: [Poses; 2], out: &mut [f64]) {
-        out.fill(0.0);
+    /// Writes what efforts depend on in a configuration at rest.
+    pub fn write_effort_state(&self, poses: Poses, out: &mut EffortState) {
+        self.write_actuator_coordinates(poses, &mut out.coordinates);
+        self.write_shares_at_rest(poses, out);
+    }
+
+    /// Returns what efforts depend on in a configuration at rest.
+    #[must_use]
+    pub fn effort_state(&self, poses: Poses) -> EffortState {
+        let mut out = self.actuators.effort_state();
+        self.write_effort_state(poses, &mut out);
+        out
+    }
+
+    /// Writes what efforts depend on over an interval of the time `time`, s: the coordinates of the actuators on strains at the mean strains
+    /// (those on poses have none), and the shares of tensions.
+    pub fn write_interval_effort_state(&self, ends: [Poses; 2], time: f64, out: &mut EffortState) {
+        out.coordinates.fill(0.0);
         let strain = |q: usize| {
             let length = self.elements[q].length;
             let [start, end] = ends.map(|(x, r)| {
@@ -954,51 +1066,61 @@ impl Rod {
             });
             start.mean(&end)
         };
-        let (rule, elements) = (self.strain_rule, &self.elements[..]);
-        (self.actuators).add_strain_coordinates(rule, elements, strain, out);
+        let elements = (self.strain_rule, &self.elements[..]);
+        let coordinates = &mut out.coordinates;
+        (self.actuators).add_strain_coordinates(elements, &strain, &of_actuator, coordinates);
+        self.write_interval_shares(ends, time, out);
     }
 
-    /// Writes the coordinates on which efforts depend in a set of pulls (`integrator::sensitivity::EffortPulls`): those of a time node,
-    /// or under the implicit scheme those at the mean strains of an interval.
-    pub fn write_coordinates_of_set(&self, trajectory: &Trajectory, set: usize, out: &mut [f64]) {
+    /// Writes what efforts depend on in a set of pulls (`integrator::sensitivity::EffortPulls`): at a time node, or under the implicit scheme
+    /// over an interval of the time `time`, s.
+    pub fn write_effort_state_of_set(
+        &self,
+        trajectory: &Trajectory,
+        (set, time): (usize, f64),
+        out: &mut EffortState,
+    ) {
         match self.scheme {
-            TimeScheme::Explicit => {
-                let (x, r) = trajectory.poses_at(set);
-                self.write_actuator_coordinates(x, r, out);
-            }
+            TimeScheme::Explicit => self.write_effort_state(trajectory.poses_at(set), out),
             TimeScheme::Implicit => {
                 let ends = [set, set + 1].map(|k| trajectory.poses_at(k));
-                self.write_interval_coordinates(ends, out);
+                self.write_interval_effort_state(ends, time, out);
             }
         }
     }
 
-    /// Returns the efforts of the actuators in a configuration for their inputs, which are efforts already but for those of winches.
+    /// Returns the efforts of all lines in a configuration at rest for the inputs of the actuators, which are efforts already but for those of
+    /// winches and of tendons with friction.
     #[must_use]
     pub fn efforts_at(
         &self,
-        mut inputs: Vec<f64>,
+        inputs: Vec<f64>,
         positions: &[Vector3<f64>],
         rotations: &[nalgebra::Matrix3<f64>],
     ) -> Vec<f64> {
-        if self.actuators.has_winches() {
-            let mut coordinates = vec![0.0; inputs.len()];
-            self.turn_into_efforts(&mut inputs, positions, rotations, &mut coordinates);
+        if !self.actuators.follow_shape() {
+            return inputs;
         }
-        inputs
+        let state = self.effort_state((positions, rotations));
+        let mut out = vec![0.0; self.actuators.n_efforts()];
+        self.actuators.write_lines(&inputs, &state, &mut out);
+        out
     }
 
-    /// Replaces inputs by the [efforts](Self::efforts_at); `coordinates` is memory.
-    pub fn turn_into_efforts(
-        &self,
-        inputs: &mut [f64],
-        positions: &[Vector3<f64>],
-        rotations: &[nalgebra::Matrix3<f64>],
-        coordinates: &mut [f64],
-    ) {
-        self.write_actuator_coordinates(positions, rotations, coordinates);
-        for (i, (input, y)) in inputs.iter_mut().zip(coordinates).enumerate() {
-            *input = self.actuators.law(i, *input, *y).effort;
+    /// Returns the efforts of all actuators in a configuration at rest for their inputs: of tendons with friction the tensions where they leave
+    /// their motors.
+    #[must_use]
+    pub fn actuator_efforts(&self, inputs: Vec<f64>, poses: Poses) -> Vec<f64> {
+        let mut out = self.efforts_at(inputs, poses.0, poses.1);
+        out.truncate(self.actuators.len());
+        out
+    }
+
+    /// Replaces the inputs of actuators without friction by the [efforts](Self::efforts_at); `state` is memory.
+    pub fn turn_into_efforts(&self, inputs: &mut [f64], poses: Poses, state: &mut EffortState) {
+        self.write_effort_state(poses, state);
+        for (i, input) in inputs.iter_mut().enumerate() {
+            *input = self.actuators.law(i, *input, state).effort;
         }
     }
 

@@ -13,6 +13,7 @@ use cosserat::element::{ActivePoint, ActiveTangent, Density};
 use cosserat::pose_actuator::{Pose, Posed};
 use cosserat::rod::Rod;
 use cosserat::signal::NodeWrenches;
+use cosserat::strain_actuator::{EffortState, RodActuators};
 use cosserat::time::TimeScheme;
 
 /// Rows of a point in the elements of a block: weight over length, offset, way, inverse length.
@@ -32,6 +33,9 @@ pub struct ActiveLanes {
     /// Memory for efforts whose forces are added, and for the present shape.
     jump: Vec<f64>,
     shape: Configuration,
+    state: EffortState,
+    /// Places among the rows of the weights of points in lines of tendons with friction, with their line and their weight.
+    shared: Vec<(usize, usize, f64)>,
     /// Inputs of winches: those whose efforts are among the present ones, and those of the interval under way.
     inputs: Option<[Vec<f64>; 2]>,
     /// Efforts that the forces of functions of nodes contain, just before the time node or none after the motion was seated; before they are
@@ -72,6 +76,7 @@ impl ActiveLanes {
         for point in rows.chunks_exact_mut(POINT_ROWS * n_lanes) {
             point[5 * n_lanes..].fill(1.0);
         }
+        let mut shared = Vec::new();
         for q in 0..rod.n_elements() {
             let Place { block, lane } = slots.place(q);
             let length = rod.elements[q].length;
@@ -89,17 +94,22 @@ impl ActiveLanes {
                 for (row, number) in numbers.into_iter().enumerate() {
                     rows[(at * POINT_ROWS + row) * n_lanes + lane] = number;
                 }
+                if point.line >= rod.actuators.len() {
+                    shared.push((at * POINT_ROWS * n_lanes + lane, point.line, numbers[0]));
+                }
             });
         }
         let none = vec![0.0; rod.actuators.len()];
         Some(Box::new(Self {
             kinds,
             rows,
-            inputs: (rod.actuators.has_winches()).then(|| [none.clone(), none.clone()]),
+            inputs: (rod.actuators.follow_shape()).then(|| [none.clone(), none.clone()]),
             present: none.clone(),
             jump: none.clone(),
             coming: none.clone(),
             shape: rod.rest.clone(),
+            state: rod.actuators.effort_state(),
+            shared,
             posed: none,
         }))
     }
@@ -110,11 +120,37 @@ impl ActiveLanes {
     }
 
     /// Returns the points of all blocks under given efforts.
-    pub fn under<'a, S: Simd>(&'a self, efforts: &'a [f64]) -> ActiveBlocks<'a, S> {
+    fn under<'a, S: Simd>(&'a self, efforts: &'a [f64]) -> ActiveBlocks<'a, S> {
         ActiveBlocks {
             kinds: &self.kinds,
             rows: super::vector::rows::<S>(&self.rows),
             efforts,
+        }
+    }
+
+    /// Returns the points of all blocks under the efforts of a step.
+    pub fn shared<'a, S: Simd>(&'a self, own: &'a SharedEfforts) -> ActiveBlocks<'a, S> {
+        let rows = own.rows.as_ref().unwrap_or(&self.rows);
+        ActiveBlocks {
+            rows: super::vector::rows::<S>(rows),
+            ..self.under(&own.efforts)
+        }
+    }
+
+    /// Returns memory for the efforts of a step.
+    pub fn shared_efforts(&self) -> SharedEfforts {
+        SharedEfforts {
+            efforts: self.coming.clone(),
+            rows: (!self.shared.is_empty()).then(|| self.rows.clone()),
+        }
+    }
+
+    /// Writes the efforts of actuators, and of tendons with friction their shares in the weights of their points.
+    pub fn share(&self, actuators: &RodActuators, state: &EffortState, out: &mut SharedEfforts) {
+        if let Some(rows) = &mut out.rows {
+            for &(at, line, weight) in &self.shared {
+                rows[at] = weight * actuators.share(line, state);
+            }
         }
     }
 
@@ -132,6 +168,13 @@ impl ActiveLanes {
     pub fn winch_inputs(&self) -> Option<&[f64]> {
         self.inputs.as_ref().map(|[_, coming]| &coming[..])
     }
+}
+
+/// Efforts of a step that depend on its end, with the rows of points whose weights have shares of them.
+#[derive(Clone, Debug)]
+pub struct SharedEfforts {
+    pub efforts: Vec<f64>,
+    rows: Option<Buffer>,
 }
 
 /// The points of actuators in all blocks of elements, with efforts.
@@ -307,14 +350,14 @@ impl LaneIntegrator<'_> {
             coming,
             present,
             shape,
-            jump,
+            state,
             ..
         } = active;
         if is_same {
             coming.copy_from_slice(present);
         } else {
             self.put_poses(shape);
-            (self.rod).turn_into_efforts(coming, &shape.positions, &shape.rotations, jump);
+            (self.rod).turn_into_efforts(coming, shape.poses(), state);
         }
     }
 
@@ -326,6 +369,7 @@ impl LaneIntegrator<'_> {
         let ActiveLanes {
             inputs,
             shape,
+            state,
             jump,
             present,
             ..
@@ -334,7 +378,7 @@ impl LaneIntegrator<'_> {
             self.put_poses(shape);
             acting.copy_from_slice(coming);
             present.copy_from_slice(coming);
-            (self.rod).turn_into_efforts(present, &shape.positions, &shape.rotations, jump);
+            (self.rod).turn_into_efforts(present, shape.poses(), state);
             let own = present.iter().zip(self.rod.actuators.iter());
             for (jump, (effort, actuator)) in jump.iter_mut().zip(own) {
                 *jump = actuator.winch.map_or(0.0, |_| *effort);

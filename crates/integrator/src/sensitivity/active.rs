@@ -24,26 +24,29 @@ use cosserat::load::Wrench;
 use cosserat::part::{Part, apart};
 use cosserat::rod::Rod;
 use cosserat::signal::{ControlSignal, Efforts, write_interval_efforts, write_node_efforts};
-use cosserat::strain_actuator::RodActuators;
+use cosserat::strain_actuator::{EffortState, RodActuators};
 use cosserat::time::TimeScheme;
 
 /// Efforts of a group of time nodes of a motion, one time node in each lane.
 #[derive(Debug)]
 pub(super) struct ActiveTimes {
     n_actuators: usize,
+    /// Number of efforts, with those of lines.
+    n_efforts: usize,
     /// Inputs of the time nodes, lane by lane: efforts, or the displacements of winches.
     inputs: Vec<f64>,
     /// Mean inputs of the intervals after them.
     interval_inputs: Vec<f64>,
     /// The interval whose efforts the last lane has.
     last: Option<usize>,
-    /// Efforts of an interval.
-    interval: Vec<f64>,
+    /// Inputs, then efforts of an interval.
+    interval: [Vec<f64>; 2],
     /// Efforts of the time nodes, or of the intervals after them and then of those before them.
     lanes: Buffer,
     intervals: bool,
-    /// Memory for the efforts of winches, and for coordinates.
-    efforts: [Vec<f64>; 2],
+    /// Memory for the efforts of winches.
+    efforts: Vec<f64>,
+    state: EffortState,
     slopes: SlopeMemory,
     pulls: IntervalMemory,
 }
@@ -56,16 +59,18 @@ impl ActiveTimes {
             return None;
         }
         let intervals = motion.rod.scheme == TimeScheme::Implicit;
-        let n_rows = actuators.len() * if intervals { 2 } else { 1 };
+        let n_rows = actuators.n_efforts() * if intervals { 2 } else { 1 };
         Some(Self {
             n_actuators: actuators.len(),
+            n_efforts: actuators.n_efforts(),
             inputs: vec![0.0; actuators.len() * n_lanes],
             interval_inputs: vec![0.0; actuators.len() * n_lanes],
             last: None,
-            interval: vec![0.0; actuators.len()],
+            interval: [actuators.len(), actuators.n_efforts()].map(|n| vec![0.0; n]),
             lanes: Buffer::zeros(n_rows * n_lanes),
             intervals,
-            efforts: [(); 2].map(|()| vec![0.0; actuators.len()]),
+            efforts: vec![0.0; actuators.len()],
+            state: actuators.effort_state(),
             slopes: SlopeMemory::of(motion.rod),
             pulls: IntervalMemory::of(motion.rod),
         })
@@ -93,9 +98,9 @@ impl ActiveTimes {
             let before = k.checked_sub(1);
             if lane > 0 && before.is_some() && before == self.last {
                 // It is that after the time node of the lane before.
-                for actuator in 0..n {
-                    self.lanes[(n + actuator) * n_lanes + lane] =
-                        self.lanes[actuator * n_lanes + lane - 1];
+                for line in 0..self.n_efforts {
+                    self.lanes[(self.n_efforts + line) * n_lanes + lane] =
+                        self.lanes[line * n_lanes + lane - 1];
                 }
             } else {
                 self.put_interval((motion, control, trajectory), before, (1, lane, n_lanes));
@@ -104,11 +109,10 @@ impl ActiveTimes {
             self.last = Some(k);
             return;
         }
-        let (x, r) = (trajectory.positions_at(k), trajectory.rotations_at(k));
-        if rod.actuators.has_winches() {
-            let [efforts, coordinates] = &mut self.efforts;
+        if rod.actuators.follow_shape() {
+            let efforts = &mut self.efforts;
             efforts.copy_from_slice(inputs);
-            rod.turn_into_efforts(efforts, x, r, coordinates);
+            rod.turn_into_efforts(efforts, trajectory.poses_at(k), &mut self.state);
             for (actuator, &effort) in efforts.iter().enumerate() {
                 self.lanes[actuator * n_lanes + lane] = effort;
             }
@@ -128,23 +132,23 @@ impl ActiveTimes {
     ) {
         let n = self.n_actuators;
         let Motion { rod, grid, .. } = motion;
-        self.interval.fill(0.0);
+        let [inputs, efforts] = &mut self.interval;
+        efforts.fill(0.0);
         if let Some(k) = k.filter(|k| *k < grid.n_steps) {
-            write_interval_efforts(&rod.actuators, grid, control, k, &mut self.interval);
+            write_interval_efforts(&rod.actuators, grid, control, k, inputs);
             if part == 0 {
-                self.interval_inputs[lane * n..][..n].copy_from_slice(&self.interval);
+                self.interval_inputs[lane * n..][..n].copy_from_slice(inputs);
             }
-            if rod.actuators.has_winches() {
-                let coordinates = &mut self.efforts[1];
+            if rod.actuators.follow_shape() {
                 let ends = [k, k + 1].map(|k| trajectory.poses_at(k));
-                rod.write_interval_coordinates(ends, coordinates);
-                for (i, (effort, y)) in self.interval.iter_mut().zip(coordinates).enumerate() {
-                    *effort = rod.actuators.law(i, *effort, *y).effort;
-                }
+                rod.write_interval_effort_state(ends, grid.step, &mut self.state);
+                rod.actuators.write_lines(inputs, &self.state, efforts);
+            } else {
+                efforts.copy_from_slice(inputs);
             }
         }
-        for (actuator, effort) in self.interval.iter().enumerate() {
-            self.lanes[(part * n + actuator) * n_lanes + lane] = *effort;
+        for (line, effort) in efforts.iter().enumerate() {
+            self.lanes[(part * self.n_efforts + line) * n_lanes + lane] = *effort;
         }
     }
 
@@ -152,10 +156,11 @@ impl ActiveTimes {
     /// explicit scheme. The pulls of a slack tendon are zero.
     pub fn write_winch_drifts(
         &mut self,
-        (rod, trajectory): (&Rod, &Trajectory),
+        (motion, trajectory): (&Motion, &Trajectory),
         (k, lane): (usize, usize),
         out: &mut Vec<WinchDrift>,
     ) {
+        let (rod, time) = (motion.rod, motion.grid.step);
         if !self.intervals {
             out.clear();
             return;
@@ -163,13 +168,28 @@ impl ActiveTimes {
         let inputs = &self.interval_inputs[lane * self.n_actuators..][..self.n_actuators];
         let ends = [k, k + 1].map(|k| trajectory.poses_at(k));
         let mut index = 0;
-        self.pulls.visit(rod, inputs, ends, |actuator, law, pulls| {
+        let mut next = |renew: &mut dyn FnMut(&mut WinchDrift)| {
             if index == out.len() {
                 out.push(WinchDrift::default());
             }
-            out[index].renew(rod, actuator, law, pulls);
+            renew(&mut out[index]);
             index += 1;
-        });
+        };
+        self.pulls
+            .visit(rod, inputs, (ends, time), |actuator, law, pulls| {
+                next(&mut |own| own.renew(rod, actuator, law, pulls));
+            });
+        for mut line in rod
+            .line_changes(inputs, ends, Some(time))
+            .into_iter()
+            .map(Some)
+        {
+            next(&mut |own| {
+                if let Some(line) = line.take() {
+                    own.renew_line(rod, line);
+                }
+            });
+        }
         out.truncate(index);
     }
 
@@ -201,7 +221,7 @@ impl ActiveTimes {
 
     /// Returns the efforts of the one time node of a group.
     pub fn single(&self) -> &[f64] {
-        &self.lanes[..self.n_actuators]
+        &self.lanes[..self.n_efforts]
     }
 
     /// Returns the efforts of the time nodes (`part` 0), or of the intervals after (0) and before (1) them.
@@ -211,7 +231,7 @@ impl ActiveTimes {
         actuators: &'a RodActuators,
         part: usize,
     ) -> ActiveEfforts<'a, S> {
-        let n = self.n_actuators;
+        let n = self.n_efforts;
         ActiveEfforts {
             actuators,
             efforts: &rows::<S>(&self.lanes)[part * n..][..n],
@@ -256,10 +276,10 @@ impl<S: Simd> ActiveEfforts<'_, S> {
     }
 
     #[inline(always)]
-    fn effort(&self, simd: S, actuator: usize) -> Lanes<S> {
+    fn effort(&self, simd: S, line: usize) -> Lanes<S> {
         Lanes {
             simd,
-            value: self.efforts[actuator],
+            value: self.efforts[line],
         }
     }
 
@@ -370,7 +390,7 @@ impl<S: Simd, R: TangentRule> Part for Stressed<'_, S, R> {
             } else {
                 at.slopes::<2>(point.density, strain.linear, strain.angular)
             };
-            sum = sum.minus(slopes.times(efforts.effort(simd, point.actuator)));
+            sum = sum.minus(slopes.times(efforts.effort(simd, point.line)));
         }
         sum
     }
@@ -406,7 +426,7 @@ impl<S: Simd, R: TangentRule> Part for Derivatives<'_, S, R> {
         for point in efforts.actuators.on(q) {
             let at: ActivePoint<S> = point.in_element(simd, length);
             // The potential is minus the coordinate.
-            let factor = -efforts.effort(simd, point.actuator) * factor;
+            let factor = -efforts.effort(simd, point.line) * factor;
             if R::END_WEIGHT == 1.0 {
                 at.add_derivatives::<1>(point.density, strain, factor, stress, tangent);
             } else {
@@ -515,6 +535,9 @@ pub struct EffortPulls {
     /// Poses of all nodes at both ends of a set, and covectors there, with a set in each lane.
     poses: [Buffer; 2],
     covectors: Buffer,
+    /// Shares of efforts in the lines of tendons with friction, with a set in each lane.
+    shares: Buffer,
+    state: EffortState,
     /// Six numbers of every node, for every set, end and actuator: force, spatial, and moment, body frame, per effort.
     wrenches: Vec<f64>,
     /// The derivative of the covectors' product with the wrenches, `(δx, ζ)` of every node, in the same order; empty without covectors.
@@ -563,6 +586,8 @@ impl EffortPulls {
             index,
             poses: [0, 1].map(|_| Buffer::zeros(rod.n_nodes() * POSE_ROWS * n_lanes)),
             covectors: Buffer::zeros(n_covectors * n_lanes),
+            shares: Buffer::zeros((rod.actuators.n_efforts() - rod.actuators.len()) * n_lanes),
+            state: rod.actuators.effort_state(),
             wrenches: Vec::new(),
             slopes: Vec::new(),
         };
@@ -603,6 +628,8 @@ impl EffortPulls {
             index,
             poses,
             covectors: covector_rows,
+            shares,
+            state,
             wrenches,
             slopes,
             ..
@@ -611,6 +638,14 @@ impl EffortPulls {
         for first in sets.clone().step_by(n_lanes) {
             for lane in 0..n_lanes {
                 let set = (first + lane).min(sets.end - 1);
+                if rod.actuators.has_friction() {
+                    rod.write_effort_state_of_set(trajectory, (set, motion.grid.step), state);
+                    for (extra, line) in
+                        (rod.actuators.len()..rod.actuators.n_efforts()).enumerate()
+                    {
+                        shares[extra * n_lanes + lane] = rod.actuators.share(line, state);
+                    }
+                }
                 for (end, poses) in poses.iter_mut().enumerate().take(ends) {
                     let x = trajectory.positions_at(set + end);
                     let r = trajectory.rotations_at(set + end);
@@ -639,6 +674,7 @@ impl EffortPulls {
                 n_actuators,
                 poses,
                 covectors: covectors.map(|_| &covector_rows[..]),
+                shares,
                 wrenches,
                 slopes,
             };
@@ -781,6 +817,7 @@ struct PullGroup<'a> {
     n_actuators: usize,
     poses: &'a [Buffer; 2],
     covectors: Option<&'a [f64]>,
+    shares: &'a [f64],
     wrenches: &'a mut [f64],
     slopes: &'a mut [f64],
 }
@@ -875,7 +912,12 @@ impl PullGroup<'_> {
                 let Some(actuator) = self.index[point.actuator] else {
                     continue;
                 };
-                let here = point.in_element(simd, element.length);
+                let mut here = point.in_element(simd, element.length);
+                if let Some(extra) = point.line.checked_sub(rod.actuators.len()) {
+                    // The slopes are proportional to the weight.
+                    let value = rows::<S>(self.shares)[extra];
+                    here.weight = here.weight * Lanes { simd, value };
+                }
                 let mut pulls = [[[zero; 3]; 2]; 3];
                 for (pulls, (poses, strain)) in pulls.iter_mut().zip(&poses).take(signs.len()) {
                     let slopes = if R::END_WEIGHT == 1.0 {

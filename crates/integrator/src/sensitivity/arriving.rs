@@ -77,15 +77,16 @@ fn arriving_stiffness(
     let arriving = 0.5 * grid.step * motion.arriving_impulse();
     let mut stiffness = element.stiffness_under(rod.strain_rule, &poses[1], &stress, weights.end);
     if rod.scheme == TimeScheme::Implicit && !rod.actuators.is_empty() {
-        let mut coordinates = vec![0.0; rod.actuators.len()];
-        if rod.actuators.has_winches() {
+        let mut state = rod.actuators.effort_state();
+        if rod.actuators.follow_shape() {
             let ends = [k, k + 1].map(|k| trajectory.poses_at(k));
-            rod.write_interval_coordinates(ends, &mut coordinates);
+            rod.write_interval_effort_state(ends, grid.step, &mut state);
         }
-        let effort = |actuator: usize| {
+        let effort = |line: usize| {
+            let actuator = rod.actuators.actuator_of(line);
             let input = interval_effort(&rod.actuators, &grid, motion.control, k, actuator);
-            let law = rod.actuators.law(actuator, input, coordinates[actuator]);
-            law.effort
+            let law = rod.actuators.law(actuator, input, &state);
+            law.effort * rod.actuators.share(line, &state)
         };
         let active = rod.interval_active_stiffness(q, &poses, &effort);
         stiffness += active.map_or_else(ElementStiffness::zeros, |[_, _, end]| end);

@@ -291,7 +291,7 @@ impl WinchKick {
                 covector * pull
             })
             .sum();
-        let mut unit = vec![0.0; rod.actuators.len()];
+        let mut unit = vec![0.0; rod.actuators.n_efforts()];
         // The potential of an effort is minus the coordinate.
         unit[self.actuator] = -self.factor * pulled;
         for (q, target) in curvature.elements.iter_mut().enumerate() {
@@ -487,6 +487,7 @@ impl Group<'_> {
                 let at = (self.along.motion.rod, self.along.trajectory);
                 active.write_winch_kicks(at, (k, lane), kick.weight, &mut step.winches);
                 if k < *stretch.end() {
+                    let at = (motion, self.along.trajectory);
                     active.write_winch_drifts(at, (k, lane), &mut step.solve.winches);
                 }
             } else {

@@ -1,4 +1,5 @@
-//! Winches in the linearization of implicit steps: their tensions follow from the mean strain of the whole arm.
+//! Tendons in the linearization of implicit steps whose tensions follow from the motion of the whole arm: those of winches, and those with
+//! friction along their paths.
 //!
 //! The tension `T` of an interval changes with the configurations at its two ends by `δT = u' ½ (gᵀz + eᵀz⁺)`, with the wrenches `g` and
 //! `e` of a unit tension on the nodes at the start and at the end and the derivative `u'` of the tension along the coordinate. It kicks
@@ -13,6 +14,9 @@
 //!
 //! where `|g` is the drift without the winch of the momenta `g` alone. Several winches follow one after the other, each on the drift with
 //! those before it. A column costs two products with vectors and one sum for each winch.
+//!
+//! With friction every element that a tendon passes has a tension of its own, which changes by `δT = aᵀz + bᵀz⁺` with forms `a` and `b` of
+//! all nodes. It counts as a winch whose forms are not its pulls: `u'/2` and `g`, `e` in products with `z` become `a` and `b`.
 
 use nalgebra::Vector3;
 use pulp::Arch;
@@ -22,6 +26,7 @@ use super::along::Along;
 use super::combined::{Combined, Spread};
 use crate::curvature::{IntervalCurvature, Multipliers};
 use crate::linearization::Motion;
+use cosserat::LineChange;
 use cosserat::forces::NodalForces;
 use cosserat::forms::NODE_COMPONENTS;
 use cosserat::guards::not_finite;
@@ -40,6 +45,8 @@ pub struct WinchDrift {
     start: Vec<f64>,
     /// `e`, likewise.
     end: Vec<f64>,
+    /// `2 a` and `2 b` of a line with friction, for `u' = 1`, likewise; `None` of a winch, where they are the pulls.
+    forms: Option<[Vec<f64>; 2]>,
     /// `v`: [`NODE_COMPONENTS`] of every node.
     change: Vec<f64>,
 }
@@ -48,12 +55,33 @@ impl WinchDrift {
     /// Replaces the law and the pulls of the winch in the same memory; its change follows by [`finish`].
     pub fn renew(&mut self, rod: &Rod, actuator: usize, law: &EffortLaw, pulls: [&NodalForces; 2]) {
         (self.actuator, self.slope) = (actuator, law.along_coordinate);
+        self.forms = None;
         let first = rod.first_free_node();
         for (out, pull) in [&mut self.start, &mut self.end].into_iter().zip(pulls) {
             out.clear();
             out.resize(6 * first, 0.0);
             let nodes = pull.forces.iter().zip(&pull.moments).skip(first);
             out.extend(nodes.flat_map(|(f, m)| [f.x, f.y, f.z, m.x, m.y, m.z]));
+        }
+    }
+
+    /// Replaces the winch by a line with friction.
+    pub fn renew_line(&mut self, rod: &Rod, own: LineChange) {
+        let free = |mut numbers: Vec<f64>, factor: f64| {
+            numbers[..6 * rod.first_free_node()].fill(0.0);
+            numbers.iter_mut().for_each(|number| *number *= factor);
+            numbers
+        };
+        (self.actuator, self.slope) = (own.actuator, 1.0);
+        [self.start, self.end] = own.pulls.map(|pull| free(pull, 1.0));
+        self.forms = Some(own.forms.map(|form| free(form, 2.0)));
+    }
+
+    /// Returns the forms, over `u'/2`, of the poses at the start (0) and at the end (1).
+    fn form(&self, end: usize) -> &[f64] {
+        match &self.forms {
+            Some(forms) => &forms[end],
+            None => [&self.start, &self.end][end],
         }
     }
 
@@ -69,21 +97,23 @@ impl WinchDrift {
         before: &[Self],
         [leaving, arriving]: [f64; 2],
     ) {
-        let out = &mut self.change;
+        let mut change = std::mem::take(&mut self.change);
+        let out = &mut change;
         out.clear();
         out.resize(NODE_COMPONENTS * n_nodes, 0.0);
         if self.slope == 0.0 {
+            self.change = change;
             return;
         }
         answer(&self.start, out);
         for other in before.iter().filter(|other| !other.is_slack()) {
-            let y = on_poses(&other.end, out);
+            let y = on_poses(other.form(1), out);
             for (out, change) in out.iter_mut().zip(&other.change) {
                 *out += y * change;
             }
         }
         let c = 0.5 * leaving * self.slope;
-        let inverse = 1.0 / (1.0 - c * on_poses(&self.end, out));
+        let inverse = 1.0 / (1.0 - c * on_poses(self.form(1), out));
         let own = 0.5 * arriving * self.slope;
         for (out, end) in out
             .chunks_exact_mut(NODE_COMPONENTS)
@@ -94,10 +124,12 @@ impl WinchDrift {
                 *out = (c * *out + kicked) * inverse;
             }
         }
+        self.change = change;
     }
 
     /// Adds `u' W ∂²y` to the second derivatives of the elements over the interval from `k` on, with the work `W` of the multipliers in the
-    /// impulses of a unit tension. The rest, `u' (∂y ∂Wᵀ + ∂W ∂yᵀ)`, couples all elements.
+    /// impulses of a unit tension. The rest, `u' (∂y ∂Wᵀ + ∂W ∂yᵀ)`, couples all elements, as does all that friction adds; the Hessian is
+    /// without them.
     pub(super) fn add_curvature(
         &self,
         along: &Along,
@@ -105,7 +137,7 @@ impl WinchDrift {
         k: usize,
         interval: &mut IntervalCurvature,
     ) {
-        if self.is_slack() || interval.stress.is_empty() {
+        if self.is_slack() || self.forms.is_some() || interval.stress.is_empty() {
             return;
         }
         let (motion, trajectory) = (along.motion, along.trajectory);
@@ -199,7 +231,7 @@ pub(super) fn leave(arch: Arch, winches: &[WinchDrift], data: &[f64], rows: &mut
     for winch in winches {
         rows.push(match winch.is_slack() {
             true => [0.0; TILE],
-            false => arch.dispatch(Combined::on_poses(data, &winch.start)),
+            false => arch.dispatch(Combined::on_poses(data, winch.form(0))),
         });
     }
 }
@@ -210,7 +242,7 @@ pub(super) fn arrive(arch: Arch, winches: &[WinchDrift], data: &mut [f64], rows:
         if winch.is_slack() {
             continue;
         }
-        let mut y = arch.dispatch(Combined::on_poses(data, &winch.end));
+        let mut y = arch.dispatch(Combined::on_poses(data, winch.form(1)));
         for (y, leaving) in y.iter_mut().zip(row) {
             *y += leaving;
         }
@@ -242,7 +274,7 @@ pub(super) fn arrive_transposed(
             width: NODE_COMPONENTS,
             coefficients: &winch.change,
         });
-        arch.dispatch(Spread::on_poses(data, &winch.end, row));
+        arch.dispatch(Spread::on_poses(data, winch.form(1), row));
     }
 }
 
@@ -255,7 +287,7 @@ pub(super) fn leave_transposed(
 ) {
     for (winch, row) in winches.iter().zip(rows) {
         if !winch.is_slack() {
-            arch.dispatch(Spread::on_poses(data, &winch.start, row));
+            arch.dispatch(Spread::on_poses(data, winch.form(0), row));
         }
     }
 }

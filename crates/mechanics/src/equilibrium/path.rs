@@ -122,7 +122,7 @@ pub fn raised(
     Ok(Some(at))
 }
 
-/// Returns the equilibrium that is reached when the loads without a potential are increased from zero; `None` if Newton's method cannot
+/// Returns the equilibrium that is reached when the loads without a potential, and friction, are increased from zero; `None` if Newton's method cannot
 /// follow it.
 pub fn continued(
     rod: &Rod,
@@ -140,6 +140,7 @@ pub fn continued(
         if part == 0.0 {
             rod.loads.retain(has_potential);
         }
+        rod.actuators.multiply_friction_at_rest(part);
         rod
     };
     let shape = nearby_equilibrium_until(&under(0.0), start, t, spring, stop)?;

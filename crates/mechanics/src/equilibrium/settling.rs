@@ -197,7 +197,7 @@ impl Statics<'_> {
         }
         let rod = self.rod;
         let mut tangent = Tangent::of(self.stiffness(at));
-        tangent.add_winches(rod, at, self.t);
+        tangent.add_efforts(rod, at, self.t);
         let unit = rod.scales.time.powi(-2);
         let modes = tangent.lowest_modes(rod, at, unit, 2)?;
         let least = (POSITIVE * unit).max(tangent.rounding(rod, at));

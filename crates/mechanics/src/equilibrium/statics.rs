@@ -126,7 +126,7 @@ impl<'a> Statics<'a> {
     /// Returns the factors of `K + σ W`, with rows of the [gaps](Self::residual) of joints.
     pub fn factor(&self, at: &Configuration, shift: f64) -> Option<TangentLu> {
         let mut tangent = Tangent::of(self.jacobian(at, shift));
-        tangent.add_winches(self.rod, at, self.t);
+        tangent.add_efforts(self.rod, at, self.t);
         tangent.factor()
     }
 
@@ -209,9 +209,9 @@ impl<'a> Statics<'a> {
         out
     }
 
-    /// Tells whether all loads have a potential: forces fixed in space, no moments.
+    /// Tells whether all loads have a potential: forces fixed in space, no moments, no friction.
     pub fn is_conservative(&self) -> bool {
-        self.rod.loads.iter().all(has_potential)
+        !self.rod.actuators.rub_at_rest() && self.rod.loads.iter().all(has_potential)
     }
 
     /// Takes one more Newton step from an equilibrium within the tolerance: the rounding of the stiff strains hides in the residual the

@@ -292,6 +292,8 @@ pub(crate) fn tendon_arm() -> (Arm, Vec<EffortControl>) {
             ..Route::straight(offset)
         },
         effort: vec![(0.0, 0.4)],
+        further: Vec::new(),
+        friction: None,
         largest: 4.0,
         winch: None,
     };

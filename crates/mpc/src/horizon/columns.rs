@@ -4,7 +4,7 @@ use super::{Effect, Part};
 use crate::knots::Knots;
 use mechanics::linearization::Motion;
 use mechanics::sensitivity::{ControlColumns, EffortColumns, EffortPulls};
-use mechanics::{Rod, TimeGrid, Trajectory};
+use mechanics::{EffortState, Rod, TimeGrid, Trajectory};
 
 /// The columns of the plan's coefficients.
 pub(super) struct Columns<'a> {
@@ -118,19 +118,19 @@ pub(super) struct WinchSlopes {
     driven: Vec<usize>,
     /// Slopes of the driven actuators, set by set.
     slopes: Vec<f64>,
-    /// Memory for the inputs and coordinates of all actuators.
+    /// Memory for the inputs of all actuators, and for what efforts depend on.
     inputs: Vec<f64>,
-    coordinates: Vec<f64>,
+    state: EffortState,
 }
 
 impl WinchSlopes {
     /// Creates memory for the given actuators of a rod on a grid of at most this length; `None` without winches.
     pub fn of(rod: &Rod, driven: &[usize], longest: TimeGrid) -> Option<Self> {
-        rod.actuators.has_winches().then(|| Self {
+        rod.actuators.follow_shape().then(|| Self {
             driven: driven.to_vec(),
             slopes: vec![1.0; driven.len() * (longest.n_steps + 1)],
             inputs: vec![0.0; rod.actuators.len()],
-            coordinates: vec![0.0; rod.actuators.len()],
+            state: rod.actuators.effort_state(),
         })
     }
 
@@ -140,9 +140,10 @@ impl WinchSlopes {
         let n = self.driven.len();
         for set in 0..motion.n_sets() {
             motion.write_inputs_of_set(set, &mut self.inputs);
-            rod.write_coordinates_of_set(trajectory, set, &mut self.coordinates);
+            let at = (set, motion.grid.step);
+            rod.write_effort_state_of_set(trajectory, at, &mut self.state);
             for (slope, &i) in self.slopes[set * n..][..n].iter_mut().zip(&self.driven) {
-                let law = rod.actuators.law(i, self.inputs[i], self.coordinates[i]);
+                let law = rod.actuators.law(i, self.inputs[i], &self.state);
                 *slope = law.along_input;
             }
         }

@@ -8,7 +8,7 @@ use super::motion::{
 };
 use super::spin::Spin;
 use super::stresses::StressLink;
-use crate::interval::{Nine, Strained};
+use crate::interval::Strained;
 use crate::{acting, dual, efforts, interval};
 use control::{ActsOn, GoalPart, OptimalControlProblem};
 use mechanics::differences;
@@ -371,7 +371,7 @@ impl Conditions<'_> {
             Vec::new()
         };
         let efforts_in = |x: &[Vector3<f64>], r: &[Matrix3<f64>]| {
-            if !rod.actuators.has_winches() || inputs.is_empty() {
+            if !rod.actuators.follow_shape() || inputs.is_empty() {
                 return inputs.clone();
             }
             efforts::of_inputs(rod, inputs.clone(), &efforts::coordinates(rod, x, r))
@@ -382,7 +382,7 @@ impl Conditions<'_> {
             let strains = interval::strains(rod, x, r);
             let springs = efforts::Springs::of(rod, &inputs, |q| strains[q].0);
             let pulled = springs.pulled(&strains);
-            for ((_, stiffness), pull) in springs.taut.iter().zip(&pulled) {
+            for (stiffness, pull) in springs.taut.iter().zip(&pulled) {
                 let pull = pull.each_ref().map(Vec::as_slice);
                 let size = -weight * stiffness * efforts::paired(pull, [lx, lr]);
                 for q in 0..rod.n_nodes() {
@@ -470,10 +470,9 @@ impl Conditions<'_> {
         }
         if self.rod().scheme == TimeScheme::Explicit && self.control.efforts.is_some() {
             let strains = interval::strains(self.rod(), x, r);
-            let here: Vec<Nine> = strains.iter().map(|(strain, _)| *strain).collect();
             let inputs =
                 efforts::inputs(self.rod(), &self.problem.grid.node(k), &self.control.at(k));
-            let at = (&here[..], &inputs[..]);
+            let at = ([&strains[..]; 2], &inputs[..]);
             self.add_effort_slopes(&strains, at, &[(k, 1.0)], weight, covectors, out);
         }
     }
@@ -490,22 +489,19 @@ impl Conditions<'_> {
     ) {
         if self.rod().scheme == TimeScheme::Implicit && self.control.efforts.is_some() {
             let ends = [self.strains(start), self.strains(start + 1)];
-            let means: Vec<Nine> = (ends[0].iter().zip(&ends[1]))
-                .map(|((from, _), (to, _))| (from + to) * 0.5)
-                .collect();
             let shares = [(start, 0.5), (start + 1, 0.5)];
             let inputs = self.interval_inputs(start);
-            let at = (&means[..], &inputs[..]);
+            let at = (ends.each_ref().map(Vec::as_slice), &inputs[..]);
             self.add_effort_slopes(&ends[k - start], at, &shares, weight, covectors, out);
         }
     }
 
-    /// Adds `weight` times the work of the multipliers in the pull of a unit of every input, for the stress at the strains `at` under the
-    /// inputs of all actuators and the derivative of strains at a time node, to the inputs of the time nodes in `shares`.
+    /// Adds `weight` times the work of the multipliers in the pull of a unit of every input, for the stress at the mean of the strains `at` both
+    /// ends under the inputs of all actuators and the derivative of strains at a time node, to the inputs of the time nodes in `shares`.
     fn add_effort_slopes(
         &self,
         strained: &[Strained],
-        (at, inputs): (&[Nine], &[f64]),
+        (at, inputs): ([&[Strained]; 2], &[f64]),
         shares: &[(usize, f64)],
         weight: f64,
         [lx, lr]: [&[Vector3<f64>]; 2],
@@ -515,10 +511,11 @@ impl Conditions<'_> {
             return;
         };
         let rod = self.rod();
-        let slopes = efforts::slopes_in(rod, inputs, |q| at[q]);
+        let [start, end] = at.map(|own| move |q: usize| own[q].0);
+        let time = (rod.scheme == TimeScheme::Implicit).then_some(self.problem.grid.step);
         for (index, &actuator) in driven.actuators.iter().enumerate() {
-            let mut unit = vec![0.0; rod.actuators.len()];
-            unit[actuator] = 1.0;
+            let own = (inputs, actuator);
+            let unit = efforts::unit_input(rod, own, [&start, &end], time);
             let mut slope = 0.0;
             for (q, (_, b)) in strained.iter().enumerate() {
                 if rod.actuators.on(q).is_empty() {
@@ -526,9 +523,9 @@ impl Conditions<'_> {
                 }
                 // The force on the nodes is minus the gradient.
                 let along = b * interval::nine(&(lx[q + 1] - lx[q]), &lr[q], &lr[q + 1]);
-                slope -= efforts::stress(rod, q, &at[q], &unit).dot(&along);
+                let mean = (start(q) + end(q)) * 0.5;
+                slope -= efforts::stress(rod, q, &mean, &unit).dot(&along);
             }
-            slope *= slopes[actuator];
             for &(k, share) in shares {
                 add_along_input(driven, index, weight * share * slope, out.inputs_at(k));
             }

@@ -312,9 +312,10 @@ impl Conditions<'_> {
     /// Returns the efforts of the interval from time node `k` on.
     pub(crate) fn interval_efforts(&self, k: usize) -> Vec<f64> {
         let inputs = self.interval_inputs(k);
-        if !self.rod().actuators.has_winches() {
+        if !self.rod().actuators.follow_shape() {
             return inputs;
         }
+        let inputs = (inputs, self.problem.grid.step);
         efforts::of_interval(self.rod(), inputs, &self.strains(k), &self.strains(k + 1))
     }
 

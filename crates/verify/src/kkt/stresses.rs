@@ -44,7 +44,8 @@ impl<'a> StressLink<'a> {
         } else {
             conditions.interval_inputs(k - 1)
         };
-        let springs = Springs::of(rod, &inputs, |q| (start[q].0 + end[q].0) * 0.5);
+        let inputs = (&inputs[..], conditions.problem.grid.step);
+        let springs = Springs::of_interval(rod, inputs, &start, &end);
         Self {
             conditions,
             weights,
@@ -89,21 +90,23 @@ impl<'a> StressLink<'a> {
             let stretched = b.tr_mul(&self.stressed(q, weight, &(b * w)));
             interval::add_to_nodes(q, factor, &(bent + stretched), x, eta);
         }
-        self.add_springs([strained, strained], [lx, lr], factor, [x, eta]);
+        let end = usize::from(at == self.k);
+        self.add_springs([strained, strained], end, ([lx, lr], factor), [x, eta]);
     }
 
     /// Adds the covectors of `λ·Bᵀσ` from the efforts that change with the mean strain: the derivatives `B` of the strains for the
-    /// multipliers are the first of `strained`, those for the covectors the second.
+    /// multipliers are the first of `strained`, those for the covectors, which are of the configuration at the start (0) or at the end (1),
+    /// the second.
     fn add_springs(
         &self,
         strained: [&[Strained]; 2],
-        multipliers: [&[Vector3<f64>]; 2],
-        factor: f64,
+        end: usize,
+        (multipliers, factor): ([&[Vector3<f64>]; 2], f64),
         [x, eta]: [&mut [Vector3<f64>]; 2],
     ) {
-        let [left, right] = strained.map(|at| self.springs.pulled(at));
-        for ((_, stiffness), (left, right)) in self.springs.taut.iter().zip(left.iter().zip(&right))
-        {
+        let left = self.springs.pulled(strained[0]);
+        let right = self.springs.formed(end, strained[1]);
+        for (stiffness, (left, right)) in self.springs.taut.iter().zip(left.iter().zip(&right)) {
             let along = efforts::paired(left.each_ref().map(Vec::as_slice), multipliers);
             let size = 0.5 * stiffness * factor * along;
             for (q, (a, b)) in right[0].iter().zip(&right[1]).enumerate() {
@@ -140,7 +143,8 @@ impl<'a> StressLink<'a> {
             );
             interval::add_to_nodes(q, factor, &self.start[q].1.tr_mul(&stress), x, eta);
         }
-        self.add_springs([&self.end, &self.start], [lx, lr], factor, [x, eta]);
+        let strained = [&self.end[..], &self.start];
+        self.add_springs(strained, 0, ([lx, lr], factor), [x, eta]);
     }
 
     /// Adds the covector of `λ_{k-1}·B_{k-1}ᵀσ` along the configuration at `k - 1`.
@@ -220,10 +224,11 @@ impl<'a> StressLink<'a> {
                 .flat_map(|v| [v.x, v.y, v.z])
                 .collect()
         };
-        let [pulled, pulls] = [&self.start, &self.end].map(|at| {
-            let all = self.springs.pulled(at).into_iter();
-            all.map(|[x, eta]| stacked(&x, &eta)).collect::<Vec<_>>()
-        });
+        let [pulled, pulls] = [
+            self.springs.pulled(&self.start),
+            self.springs.formed(1, &self.end),
+        ]
+        .map(|all| -> Vec<_> { all.iter().map(|[x, eta]| stacked(x, eta)).collect() });
         let columns: Vec<_> = std::iter::once(stacked(rhs_x, rhs_eta))
             .chain(pulls)
             .collect();
@@ -235,7 +240,7 @@ impl<'a> StressLink<'a> {
                 |factors| factors.solve(&right),
             );
         let sizes: Vec<_> = (self.springs.taut.iter())
-            .map(|(_, stiffness)| -factor * 0.5 * stiffness)
+            .map(|stiffness| -factor * 0.5 * stiffness)
             .collect();
         let solution = with_springs(&solved, &sizes, &pulled);
         for q in first..count {

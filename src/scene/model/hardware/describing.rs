@@ -2,7 +2,9 @@
 
 use super::super::super::values::{self, Positive, known};
 use super::super::Scene;
-use super::{Braid, Chamber, FollowKeys, Muscle, RateBound, SECTIONS, Tendon};
+use super::{
+    Braid, Chamber, FollowKeys, Muscle, RateBound, SECTIONS, Sliding, Tendon, default_sliding,
+};
 use crate::mechanics::{Density, Route, StrainActuator};
 use crate::task::{EffortControl, Follows};
 
@@ -18,12 +20,34 @@ pub(in crate::scene) fn describe_hardware(
         let common = Described::of(actuators, index, efforts)?;
         order.push(match own.density {
             Density::Shortening | Density::Threaded { .. } => {
-                let zero = known(0.0);
                 let spacing = match own.density {
                     Density::Threaded { spacing } => known(spacing),
                     _ => known(0.0),
                 };
-                let tendon = Tendon::describing(common, None, None, 0.0, None, None, zero, spacing);
+                let friction = own.friction;
+                let sliding = match friction {
+                    None => Sliding::default(),
+                    Some(own) => (Sliding::ALL.iter()).find(|(_, at)| *at == own.at_rest)?.0,
+                };
+                let tendon = Tendon {
+                    friction: known(friction.map_or(0.0, |own| own.coefficient)),
+                    sliding_speed_m_s: friction
+                        .map_or_else(default_sliding, |own| known(own.speed)),
+                    sliding,
+                    ..Tendon::describing(
+                        common,
+                        None,
+                        None,
+                        0.0,
+                        None,
+                        None,
+                        known(0.0),
+                        spacing,
+                        known(0.0),
+                        default_sliding(),
+                        Sliding::default(),
+                    )
+                };
                 out.tendon.push(match own.winch {
                     Some(winch) => tendon.put_on(winch),
                     None => tendon,
@@ -53,6 +77,7 @@ pub(in crate::scene) fn describe_hardware(
 pub struct Described {
     pub name: Option<String>,
     pub route: Route,
+    pub further: Vec<Route>,
     pub bounds: Option<[f64; 2]>,
     pub rate: Option<RateBound>,
     pub lag_s: Option<Positive<values::Time>>,
@@ -65,6 +90,9 @@ impl Described {
     /// Returns the keys of the actuator with an index; `None` for one that no scene has.
     fn of(actuators: &[StrainActuator], index: usize, efforts: &[EffortControl]) -> Option<Self> {
         let own = &actuators[index];
+        if !own.further.is_empty() && own.routes().any(|route| route.turns != 0.0) {
+            return None;
+        }
         let control = efforts.iter().find(|control| control.actuator == index);
         if control.is_some_and(|control| control.scale.is_some()) {
             return None;
@@ -88,6 +116,7 @@ impl Described {
         Some(Self {
             name: Some(own.name.clone()).filter(|name| !name.is_empty()),
             route: own.route,
+            further: own.further.clone(),
             bounds: control.map(|control| control.bounds),
             rate: control.and_then(|control| control.rate.map(RateBound::Each)),
             lag_s: control.and_then(|control| control.lag).map(known),

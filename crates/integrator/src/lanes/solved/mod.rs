@@ -143,6 +143,10 @@ impl Rounding {
         }
         let heaviest = (rod.nodes.iter()).fold(0.0f64, |m, node| m.max(node.mass));
         out.linear_by_distance = out.linear_by_distance.max(heaviest / time_step);
+        // A speed of sliding has the rounding of lengths over the step, which the impulse of half a step multiplies again.
+        let [force, moment] = rod.friction_per_speed();
+        out.linear_by_distance += undamp * force;
+        out.angular_by_distance += undamp * moment;
         out
     }
 }
@@ -277,10 +281,10 @@ impl LaneIntegrator<'_> {
         let implicit = self.rod.scheme == TimeScheme::Implicit;
         let inputs = (self.active.as_ref().filter(|_| implicit))
             .and_then(|active| Some(active.winch_inputs()?.to_vec()));
-        let winches = inputs.as_ref().map(|inputs| {
+        let winches = (inputs.as_ref().zip(self.active.as_deref())).map(|(inputs, active)| {
             let mut start = self.rod.rest.clone();
             self.put_poses(&mut start);
-            Winches::new(self.rod, inputs, start)
+            Winches::new(self.rod, (inputs, self.clock.step), start, active)
         });
         if let Some((base, turn)) = &base {
             self.aim_base(base, turn);

@@ -44,6 +44,8 @@ const STAGNATION: f64 = 4.0;
 const ROUNDED: f64 = 4e3;
 /// Corrections of one step before it is given up: 2 to 4 Newton steps where the time step resolves the motion.
 const CORRECTION_LIMIT: usize = 50;
+/// The same where tendons slide with friction.
+const SLIDING_LIMIT: usize = 400;
 /// Largest rotation of a correction, rad; Newton's method shortens longer ones.
 const LARGEST_CORRECTION: f64 = 0.5;
 /// Fraction of the residual; a correction that leaves more of it is followed by new factors.
@@ -151,7 +153,7 @@ fn active_blocks<'a, S: Simd>(
 ) -> Option<ActiveBlocks<'a, S>> {
     active.map(|active| match winches {
         None => active.blocks(),
-        Some(winches) => active.under(&winches.efforts),
+        Some(winches) => active.shared(&winches.efforts),
     })
 }
 
@@ -186,6 +188,14 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         let begins_anew = self.solver.stale || self.solver.scheme == TimeScheme::Explicit;
         let mut last = f64::INFINITY;
         let mut corrections = 0;
+        let slides = (self.winches.as_ref()).is_some_and(|own| own.rod.actuators.has_friction());
+        let limit = if slides && is_newton {
+            SLIDING_LIMIT
+        } else {
+            CORRECTION_LIMIT
+        };
+        // Corrections by secants that are left, and how many there will be next time.
+        let (mut secants, mut next_secants) = (0, 2);
         let (tolerance, unfolded) = loop {
             let trial = self.attempt();
             let given_up = if is_newton {
@@ -204,8 +214,16 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
             if worst <= 1.0 || (slow && worst <= rounded) {
                 break (tolerance, trial.unfolded);
             }
-            if corrections == CORRECTION_LIMIT {
+            if corrections == limit {
                 return given_up;
+            }
+            if let Some(winches) = self.winches.as_mut().filter(|_| slides && is_newton) {
+                if secants > 0 {
+                    secants -= 1;
+                } else if slow && corrections > 0 {
+                    (secants, next_secants) = (next_secants, 2 * next_secants);
+                }
+                winches.by_secants = secants > 0;
             }
             let is_needed = !is_newton && (self.solver.stale && !fresh || worst > SLOW * last);
             if is_needed && (fresh && slow || !begins_anew) {
@@ -371,7 +389,9 @@ impl<S: Simd, R: SolvedRule> Work<'_, S, R> {
         }
         if let Some(winches) = &mut self.winches {
             let end = trial_poses(*slots, trial, winches.rod.n_nodes());
-            winches.find(&end);
+            if let Some(active) = self.active {
+                winches.find(&end, active);
+            }
         }
         let active = active_blocks::<S>(self.active, &self.winches);
         let trial = blocks_mut::<S, TRIAL_ROWS>(trial);

@@ -1,5 +1,6 @@
-//! Winches in an implicit step: their tensions follow from the mean strain of the whole arm, so that the equations have, beside the
-//! block-tridiagonal matrix `A`, a matrix of rank one for every tendon with tension.
+//! Tendons in an implicit step whose tensions follow from the motion of the whole arm: those of winches, and those with friction along
+//! their paths. The equations have, beside the block-tridiagonal matrix `A`, a matrix of rank one for every tendon of a winch with tension,
+//! and for a tendon with friction one for every element that it passes.
 //!
 //! With the wrenches `p` and `q` of a unit tension at the mean strain, pulled back to the poses at the start and at the end of the step, and
 //! the derivative `-k` of the tension along the tendon's coordinate, whose change is half of `qᵀδ`, the matrix is `A + Σ d p qᵀ` with
@@ -9,17 +10,23 @@
 //! ```text
 //! x = x₀ - A⁻¹P (I + D Qᵀ A⁻¹P)⁻¹ D Qᵀ x₀        A x₀ = r
 //! ```
+//!
+//! Of an element with friction `q` is the derivative of its tension along the poses at the end, and `d = -w`.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::chain::{Chain, Column, SIZE};
+use crate::lanes::active::{ActiveLanes, SharedEfforts};
 use cosserat::configuration::Configuration;
 use cosserat::forces::NodalForces;
 use cosserat::rod::Rod;
+use cosserat::strain_actuator::EffortState;
 
-/// `A⁻¹p` and `q` of every winch, node by node from the first free one.
+/// `A⁻¹p` and `q` of every winch and of every line with friction, node by node from the first free one.
 #[derive(Clone, Debug, Default)]
 pub struct WinchFactors {
+    /// Indices of winches; `None` of a line.
+    winches: Vec<Option<usize>>,
     responses: Vec<Vec<Column>>,
     pulls: Vec<Vec<Column>>,
 }
@@ -29,38 +36,50 @@ pub struct Winches<'a> {
     pub rod: &'a Rod,
     /// Inputs of all actuators, the mean over the interval.
     pub inputs: &'a [f64],
+    /// Duration of the step, s.
+    pub time: f64,
     /// The poses at the start.
     pub start: Configuration,
     /// Efforts of all actuators at the present trial.
-    pub efforts: Vec<f64>,
+    pub efforts: SharedEfforts,
     /// `k` of all actuators.
     pub stiffnesses: Vec<f64>,
+    /// Tells whether the factors have secants of friction in the place of its slopes.
+    pub by_secants: bool,
+    /// Memory.
+    state: EffortState,
 }
 
 impl<'a> Winches<'a> {
     /// Prepares the winches of a step.
-    pub fn new(rod: &'a Rod, inputs: &'a [f64], start: Configuration) -> Self {
+    pub fn new(
+        rod: &'a Rod,
+        (inputs, time): (&'a [f64], f64),
+        start: Configuration,
+        active: &ActiveLanes,
+    ) -> Self {
         Self {
             rod,
             inputs,
+            time,
             start,
-            efforts: inputs.to_vec(),
+            efforts: active.shared_efforts(),
             stiffnesses: vec![0.0; inputs.len()],
+            by_secants: false,
+            state: rod.actuators.effort_state(),
         }
     }
 
     /// Finds the efforts for a trial of the poses at the end.
-    pub fn find(&mut self, end: &Configuration) {
-        let mut coordinates = vec![0.0; self.inputs.len()];
-        (self.rod).write_interval_coordinates(
-            [&self.start, end].map(Configuration::poses),
-            &mut coordinates,
-        );
-        for (i, y) in coordinates.into_iter().enumerate() {
-            let law = self.rod.actuators.law(i, self.inputs[i], y);
-            self.efforts[i] = law.effort;
+    pub fn find(&mut self, end: &Configuration, active: &ActiveLanes) {
+        let ends = [&self.start, end].map(Configuration::poses);
+        (self.rod).write_interval_effort_state(ends, self.time, &mut self.state);
+        for (i, input) in self.inputs.iter().enumerate() {
+            let law = self.rod.actuators.law(i, *input, &self.state);
+            self.efforts.efforts[i] = law.effort;
             self.stiffnesses[i] = -law.along_coordinate;
         }
+        active.share(&self.rod.actuators, &self.state, &mut self.efforts);
     }
 
     /// Computes `A⁻¹p` and `q` of all winches from new factors of `A`, for a trial of the poses at the end. Forces are in the frames of
@@ -72,10 +91,11 @@ impl<'a> Winches<'a> {
         end: &Configuration,
         out: &mut WinchFactors,
     ) {
+        out.winches.clear();
         out.responses.clear();
         out.pulls.clear();
         for (i, own) in self.rod.actuators.iter().enumerate() {
-            if own.winch.is_none() {
+            if own.winch.is_none() || self.rod.actuators.rubs(i) {
                 continue;
             }
             let [mut near, mut far] = [0, 1].map(|_| NodalForces::zeros(self.rod.n_nodes()));
@@ -93,21 +113,34 @@ impl<'a> Winches<'a> {
                 });
                 columns.collect::<Vec<_>>()
             });
-            chain.columns.copy_from_slice(&p);
-            chain.solve();
-            out.responses.push(chain.columns.clone());
-            out.pulls.push(q);
+            out.add(chain, Some(i), &p, q);
+        }
+        let ends = [&self.start, end].map(Configuration::poses);
+        let lines = if self.by_secants {
+            self.rod.secant_line_changes(self.inputs, ends, self.time)
+        } else {
+            self.rod.line_changes(self.inputs, ends, Some(self.time))
+        };
+        for own in lines {
+            let [p, q] = [&own.pulls[0], &own.forms[1]].map(|numbers| {
+                let nodes = numbers.chunks_exact(6).zip(&self.start.rotations);
+                let columns = nodes.skip(first).map(|(own, rotation)| {
+                    let f = rotation.tr_mul(&Vector3::from_column_slice(&own[..3]));
+                    Column([f.x, f.y, f.z, own[3], own[4], own[5], 0.0, 0.0])
+                });
+                columns.collect::<Vec<_>>()
+            });
+            out.add(chain, None, &p, q);
         }
     }
 
     /// Turns the solution of `A x₀ = r` into that of the whole matrix, with the weight `w`.
     pub fn amend(&self, weight: f64, factors: &WinchFactors, columns: &mut [Column]) {
-        let own = self.rod.actuators.iter().enumerate();
-        let factor: Vec<f64> = (own.filter(|(_, own)| own.winch.is_some()))
-            .map(|(i, _)| 0.5 * weight * self.stiffnesses[i])
+        let factor: Vec<f64> = (factors.winches.iter())
+            .map(|own| own.map_or(-weight, |i| 0.5 * weight * self.stiffnesses[i]))
             .collect();
         let n = factor.len();
-        if factor.iter().all(|d| *d == 0.0) || factors.pulls.len() != n {
+        if factor.iter().all(|d| *d == 0.0) {
             return;
         }
         let small = DMatrix::from_fn(n, n, |i, j| {
@@ -125,6 +158,16 @@ impl<'a> Winches<'a> {
                 }
             }
         }
+    }
+}
+
+impl WinchFactors {
+    fn add(&mut self, chain: &mut Chain, winch: Option<usize>, p: &[Column], q: Vec<Column>) {
+        chain.columns.copy_from_slice(p);
+        chain.solve();
+        self.winches.push(winch);
+        self.responses.push(chain.columns.clone());
+        self.pulls.push(q);
     }
 }
 

@@ -1,0 +1,311 @@
+//! Friction of tendons along their paths, for the check: the shares of a tension from the turns of the path, and their derivatives along the
+//! strains at both ends of an interval.
+//!
+//! The logarithm of the share in the piece `i` of a path is `-μ Σ σ θ` over the turns up to it, so that its derivative is a sum of those of
+//! the turns, by differences, and of the speeds, whose coordinates are differentiated forward.
+
+use nalgebra::Vector3;
+
+use super::dual;
+use super::interval::{self, Nine, Strained};
+use mechanics::differences;
+use mechanics::{PlacedPoint, Rod, Rubbing, State};
+
+/// Shares of efforts in their lines, those of actuators 1, and the mean shares of the tendons of winches, 1 of others.
+pub(super) struct Rubbed {
+    pub(super) shares: Vec<f64>,
+    pub(super) means: Vec<f64>,
+}
+
+/// The path of a tendon under the strains of an interval, or at rest.
+struct Path<'a> {
+    own: Rubbing<'a>,
+    rod: &'a Rod,
+    /// Turns where the pieces begin.
+    turns: Vec<f64>,
+    /// Directions of sliding there, and their derivatives along the speed.
+    directions: Vec<[f64; 2]>,
+}
+
+/// Returns the points of a line.
+fn points<'a>(rod: &'a Rod, q: usize, line: usize) -> impl Iterator<Item = &'a PlacedPoint> {
+    (rod.actuators.on(q).iter()).filter(move |point| point.line == line)
+}
+
+impl<'a> Path<'a> {
+    fn new(
+        rod: &'a Rod,
+        own: Rubbing<'a>,
+        mean: &dyn Fn(usize) -> Nine,
+        speeds: Option<&dyn Fn(usize) -> f64>,
+    ) -> Self {
+        let mut out = Self {
+            turns: Vec::new(),
+            directions: vec![[own.law.at_rest, 0.0]; own.n_pieces],
+            own,
+            rod,
+        };
+        out.turns = (0..out.own.n_pieces).map(|k| out.turn(k, mean)).collect();
+        if let Some(speed) = speeds {
+            let mut beyond = 0.0;
+            for k in (0..out.own.n_pieces).rev() {
+                beyond += speed(k);
+                let ratio = beyond / out.own.law.speed;
+                out.directions[k] = [ratio.tanh(), ratio.cosh().powi(-2) / out.own.law.speed];
+            }
+        }
+        out
+    }
+
+    /// Returns the unit tangent in the middle of a piece, and the rotation vector of its element.
+    fn tangent(&self, piece: usize, strain: &Nine) -> [Vector3<f64>; 2] {
+        let q = self.own.first + piece;
+        let (mut offset, mut slope, mut sum) = (Vector3::zeros(), Vector3::zeros(), 0.0);
+        for point in points(self.rod, q, self.own.line + piece) {
+            offset += Vector3::new(point.offset[0], point.offset[1], 0.0) * point.weight;
+            slope += Vector3::new(point.slope[0], point.slope[1], 0.0) * point.weight;
+            sum += point.weight;
+        }
+        let part = |from: usize| Vector3::from_fn(|i, _| strain[from + i]);
+        let (v, bend) = ((part(0) + part(3)) * 0.5, part(6));
+        let along = v + bend.cross(&(offset / sum)) + slope / sum;
+        [along.normalize(), bend * self.rod.elements[q].length]
+    }
+
+    /// Returns the turn where a piece begins; of the first one that up to its middle.
+    fn turn(&self, k: usize, mean: &dyn Fn(usize) -> Nine) -> f64 {
+        if self.own.n_pieces < 2 {
+            return 0.0;
+        }
+        let far = k.max(1);
+        let [[t0, psi0], [t1, psi1]] =
+            [far - 1, far].map(|piece| self.tangent(piece, &mean(self.own.first + piece)));
+        let turn = (t1 - t0 + ((psi0 + psi1) / 2.0).cross(&((t0 + t1) / 2.0))).norm();
+        let straight = self.own.straight[far - 1];
+        let u = turn / straight;
+        let counted = if u < 1.0 {
+            straight * (15.0 * u.powi(2) - 10.0 * u.powi(4) + 3.0 * u.powi(6)) / 8.0
+        } else {
+            turn
+        };
+        let length = |piece: usize| self.rod.elements[self.own.first + piece].length;
+        if k == 0 {
+            counted * length(0) / (length(0) + length(1))
+        } else {
+            counted
+        }
+    }
+
+    fn shares(&self) -> Vec<f64> {
+        let mut exponent = 0.0;
+        (self.turns.iter().zip(&self.directions))
+            .map(|(turn, [direction, _])| {
+                exponent -= self.own.law.coefficient * direction * turn;
+                f64::exp(exponent)
+            })
+            .collect()
+    }
+
+    /// Returns the mean share over the whole tendon.
+    fn mean(&self, shares: &[f64]) -> f64 {
+        if !self.own.has_winch {
+            return 1.0;
+        }
+        let inside: f64 = self
+            .own
+            .weights
+            .iter()
+            .zip(shares)
+            .map(|(w, share)| w * share)
+            .sum();
+        1.0 - self.own.weights.iter().sum::<f64>() + inside
+    }
+}
+
+/// Returns the coordinate of a line and its derivative along the strain of its element.
+fn coordinate(rod: &Rod, q: usize, line: usize, strain: &Nine) -> (f64, Nine) {
+    points(rod, q, line).fold((0.0, Nine::zeros()), |(value, slope), point| {
+        let (own, along) = dual::coordinate(point, strain);
+        (value + own, slope + along)
+    })
+}
+
+/// Returns the paths over an interval of the time `time`, s, from the strains at its ends, or at rest where both are the same and there is no
+/// time.
+fn paths<'a>(
+    rod: &'a Rod,
+    start: &'a dyn Fn(usize) -> Nine,
+    end: &'a dyn Fn(usize) -> Nine,
+    time: Option<f64>,
+) -> impl Iterator<Item = Path<'a>> {
+    rod.actuators.rubbing().map(move |own| {
+        let (first, line) = (own.first, own.line);
+        let speed = move |piece: usize| {
+            let [from, to] = [start, end]
+                .map(|at| coordinate(rod, first + piece, line + piece, &at(first + piece)).0);
+            (to - from) / time.unwrap_or(f64::INFINITY)
+        };
+        let speeds: Option<&dyn Fn(usize) -> f64> = time.is_some().then_some(&speed);
+        Path::new(rod, own, &|q| (start(q) + end(q)) * 0.5, speeds)
+    })
+}
+
+/// Returns the shares over an interval, or at rest.
+pub(super) fn rubbed(
+    rod: &Rod,
+    start: &dyn Fn(usize) -> Nine,
+    end: &dyn Fn(usize) -> Nine,
+    time: Option<f64>,
+) -> Rubbed {
+    let mut out = Rubbed {
+        shares: vec![1.0; rod.actuators.n_efforts()],
+        means: vec![1.0; rod.actuators.len()],
+    };
+    for path in paths(rod, start, end, time) {
+        let shares = path.shares();
+        out.means[path.own.actuator] = path.mean(&shares);
+        out.shares[path.own.line..][..shares.len()].copy_from_slice(&shares);
+    }
+    out
+}
+
+/// The change of the effort of a line with the strains at both ends of an interval, and the derivative of its coordinate along the mean
+/// strains, element by element.
+pub(super) struct LineSlope {
+    pub(super) pull: Vec<Nine>,
+    pub(super) forms: [Vec<Nine>; 2],
+}
+
+/// Returns those of all lines, for the efforts of all and the derivatives of the tensions of winches along their coordinates.
+pub(super) fn slopes(
+    rod: &Rod,
+    (start, end): (&[Strained], &[Strained]),
+    time: f64,
+    (efforts, along): (&[f64], &[f64]),
+) -> Vec<LineSlope> {
+    let mut out = Vec::new();
+    let zero = || vec![Nine::zeros(); rod.n_elements()];
+    let mean = |q: usize| (start[q].0 + end[q].0) * 0.5;
+    let at = [start, end];
+    let strain = at.map(|own| move |q: usize| own[q].0);
+    for path in paths(rod, &strain[0], &strain[1], Some(time)) {
+        let own = &path.own;
+        let shares = path.shares();
+        let whole = path.mean(&shares);
+        let tension = efforts[own.actuator];
+        // The derivatives of the products `σ θ` along the strains at both ends.
+        let turned: Vec<[Vec<Nine>; 2]> = (0..own.n_pieces)
+            .map(|k| {
+                let mut forms = [zero(), zero()];
+                let far = k.max(1);
+                let [direction, rise] = path.directions[k];
+                for q in own.first + far - 1..(own.first + far + 1).min(own.first + own.n_pieces) {
+                    for component in 0..9 {
+                        let unit = if component < 6 {
+                            1.0
+                        } else {
+                            rod.elements[q].length.recip()
+                        };
+                        let moved = |step: f64| {
+                            path.turn(k, &|other| {
+                                let mut strain = mean(other);
+                                if other == q {
+                                    strain[component] += step * unit;
+                                }
+                                strain
+                            })
+                        };
+                        const STEP: f64 = 1e-4;
+                        let near = [moved(STEP), moved(-STEP)];
+                        let far = [moved(2.0 * STEP), moved(-2.0 * STEP)];
+                        let slope = differences::slope(near, far, STEP) / unit;
+                        for form in &mut forms {
+                            form[q][component] += 0.5 * direction * slope;
+                        }
+                    }
+                }
+                for (end, form) in forms.iter_mut().enumerate() {
+                    let sign = [-1.0, 1.0][end];
+                    for piece in k..own.n_pieces {
+                        let q = own.first + piece;
+                        let slope = coordinate(rod, q, own.line + piece, &at[end][q].0).1;
+                        form[q] += slope * (sign * path.turns[k] * rise / time);
+                    }
+                }
+                forms
+            })
+            .collect();
+        let mut lines: Vec<LineSlope> = (0..own.n_pieces)
+            .map(|piece| {
+                let mut pull = zero();
+                let q = own.first + piece;
+                pull[q] = coordinate(rod, q, own.line + piece, &mean(q)).1;
+                LineSlope {
+                    pull,
+                    forms: [zero(), zero()],
+                }
+            })
+            .collect();
+        // Those of the shares, and of the tension where the tendon leaves its winch.
+        let friction = own.law.coefficient;
+        let mut logarithms = [zero(), zero()];
+        let mut of_shares: Vec<[Vec<Nine>; 2]> = Vec::new();
+        for (turned, share) in turned.iter().zip(&shares) {
+            for (sum, turned) in logarithms.iter_mut().zip(turned) {
+                for (sum, turned) in sum.iter_mut().zip(turned) {
+                    *sum -= turned * friction;
+                }
+            }
+            let scaled = |own: &Vec<Nine>| own.iter().map(|own| own * *share).collect();
+            of_shares.push(logarithms.each_ref().map(scaled));
+        }
+        for end in 0..2 {
+            let mut of_tension = zero();
+            if own.has_winch {
+                for piece in 0..own.n_pieces {
+                    let q = own.first + piece;
+                    of_tension[q] += lines[piece].pull[q] * (0.5 * along[own.actuator]);
+                    for (sum, slope) in of_tension.iter_mut().zip(&of_shares[piece][end]) {
+                        *sum -= slope * (tension * own.weights[piece] / whole);
+                    }
+                }
+            }
+            for (piece, line) in lines.iter_mut().enumerate() {
+                for (q, form) in line.forms[end].iter_mut().enumerate() {
+                    *form = of_tension[q] * shares[piece] + of_shares[piece][end][q] * tension;
+                }
+            }
+        }
+        out.extend(lines);
+    }
+    out
+}
+
+/// Returns the mean shares of the tensions of all actuators over a step of the time `time`, s.
+pub(super) fn means(rod: &Rod, ends: [&State; 2], time: f64) -> Vec<f64> {
+    if !rod.actuators.has_friction() {
+        return vec![1.0; rod.actuators.len()];
+    }
+    let [start, end] = ends.map(|state| {
+        let at = &state.configuration;
+        interval::strains(rod, &at.positions, &at.rotations)
+    });
+    rubbed(rod, &|q| start[q].0, &|q| end[q].0, Some(time)).means
+}
+
+/// Returns what friction takes over an interval of the time `time`, s, J: the work of the tension at every motor less that of the tensions in
+/// the pieces.
+pub(super) fn loss(rod: &Rod, (start, end): (&[Strained], &[Strained]), efforts: &[f64]) -> f64 {
+    rod.actuators
+        .rubbing()
+        .map(|own| {
+            (0..own.n_pieces)
+                .map(|piece| {
+                    let (q, line) = (own.first + piece, own.line + piece);
+                    let [from, to] = [start, end].map(|at| coordinate(rod, q, line, &at[q].0).0);
+                    (efforts[own.actuator] - efforts[line]) * (to - from)
+                })
+                .sum::<f64>()
+        })
+        .sum()
+}
