@@ -797,3 +797,25 @@ fn citations_of_the_paper_are_in_its_bibliography() {
     assert!(cited.len() > 5, "{cited:?}");
     assert_eq!(cited, known);
 }
+
+/// A figure of `docs/comparison.md` in backticks, in a row that ends with a link to a table of `benches`, is a cell of that table's file.
+#[test]
+fn figures_of_the_comparison_are_those_of_their_tables() {
+    let page = read("docs/comparison.md");
+    let mut n_figures = 0;
+    for row in page.lines().filter(|line| line.starts_with('|')) {
+        let Some(file) = links(row).last().and_then(|link| link.strip_prefix("../")) else {
+            continue;
+        };
+        let table = read(file);
+        let cells: BTreeSet<&str> = (table.lines().filter(|line| line.starts_with('|')))
+            .flat_map(|line| line.split('|'))
+            .map(str::trim)
+            .collect();
+        for figure in code(row) {
+            n_figures += 1;
+            assert!(cells.contains(figure), "{file} has no {figure}");
+        }
+    }
+    assert!(n_figures > 10, "{n_figures} figures");
+}
