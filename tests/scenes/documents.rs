@@ -25,7 +25,7 @@ fn read(name: &str) -> String {
     fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// The documents of the top level, of `docs` and of its folders, relative to the root.
+/// The documents of the top level, of `docs` and of its folders with pages, relative to the root.
 fn documents() -> Vec<String> {
     let mut names: Vec<String> = [
         "README.md",
@@ -35,7 +35,7 @@ fn documents() -> Vec<String> {
     ]
     .map(String::from)
     .into();
-    for folder in ["docs", "docs/tutorials", "docs/gallery"] {
+    for folder in ["docs", "docs/tutorials", "docs/gallery", "docs/joss"] {
         for path in files(folder, "md") {
             let name = path.file_name().unwrap().to_str().unwrap();
             names.push(format!("{folder}/{name}"));
@@ -661,4 +661,161 @@ fn python_files_compile() {
         }
         Err(_) => println!("skipped: no python3"),
     }
+}
+
+/// The packages of `Cargo.lock`, by name and version: those of others, which come from a registry.
+fn packages_of_others() -> BTreeSet<(String, String)> {
+    let text = read("Cargo.lock");
+    let blocks = text.split("[[package]]").skip(1);
+    let value = |block: &str, key: &str| {
+        let lines = block.lines();
+        let found = lines.filter_map(|line| line.strip_prefix(key)?.strip_prefix(" = "));
+        found
+            .map(|value| value.trim_matches('"').to_string())
+            .next()
+    };
+    blocks
+        .filter(|block| value(block, "source").is_some())
+        .map(|block| {
+            (
+                value(block, "name").unwrap(),
+                value(block, "version").unwrap(),
+            )
+        })
+        .collect()
+}
+
+/// Names of the packages on which a manifest says that code depends which is no test.
+fn dependencies(manifest: &str) -> Vec<String> {
+    let mut section = "";
+    let mut names = Vec::new();
+    for line in manifest.lines() {
+        if line.starts_with('[') {
+            section = line.trim_matches(['[', ']']);
+        } else if section == "dependencies" || section.ends_with("'.dependencies") {
+            let name = line.split(['.', ' ', '=']).next().unwrap();
+            if !name.is_empty() && !name.starts_with('#') {
+                names.push(name.to_string());
+            }
+        }
+    }
+    names
+}
+
+/// Licenses under which a program may be passed on in any form.
+const PERMISSIVE: [&str; 10] = [
+    "MIT",
+    "Apache-2.0",
+    "Apache-2.0 WITH LLVM-exception",
+    "BSD-2-Clause",
+    "BSD-3-Clause",
+    "BSL-1.0",
+    "Unicode-3.0",
+    "Unlicense",
+    "Zlib",
+    "0BSD",
+];
+
+/// The tables of `docs/licenses.md` have the packages of others in `Cargo.lock`, each once, and no more. The first table has all on which the
+/// program depends directly. Each package can be used under a permissive license.
+#[test]
+fn licenses_are_those_of_the_packages() {
+    let page = read("docs/licenses.md");
+    let mut rows = BTreeSet::new();
+    let mut in_program = BTreeSet::new();
+    let mut heading = "";
+    for line in page.lines() {
+        heading = line.strip_prefix("## ").unwrap_or(heading);
+        let cells: Vec<&str> = line.trim_matches('|').split('|').map(str::trim).collect();
+        if !line.starts_with('|') || cells[0] == "package" || cells[0].starts_with("---") {
+            continue;
+        }
+        let is_permissive = cells[2].split(" AND ").all(|part| {
+            let mut choices = part.trim_matches(['(', ')']).split(" OR ");
+            choices.any(|license| PERMISSIVE.contains(&license))
+        });
+        assert!(is_permissive, "{}: {}", cells[0], cells[2]);
+        let package = (cells[0].to_string(), cells[1].to_string());
+        if heading == "In the program" {
+            in_program.insert(cells[0].to_string());
+        }
+        assert!(rows.insert(package), "{} {} twice", cells[0], cells[1]);
+    }
+    let locked = packages_of_others();
+    let differ: Vec<_> = rows.symmetric_difference(&locked).collect();
+    assert!(
+        differ.is_empty() && rows.len() > 100,
+        "{} packages; {differ:?} are in one of docs/licenses.md and Cargo.lock: python3 docs/site/licenses.py --write",
+        rows.len()
+    );
+
+    let workspace = read("Cargo.toml");
+    let members = workspace.split_once("default-members = [").unwrap().1;
+    let members = members
+        .split_once(']')
+        .unwrap()
+        .0
+        .split('"')
+        .skip(1)
+        .step_by(2);
+    let mut n_dependencies = 0;
+    for member in members {
+        let manifest = read(&format!("{member}/Cargo.toml"));
+        for name in dependencies(&manifest) {
+            let is_own = root().join("crates").join(&name).is_dir();
+            n_dependencies += usize::from(!is_own);
+            assert!(
+                is_own || in_program.contains(&name),
+                "{member} depends on {name}, which is not in the program's table of docs/licenses.md"
+            );
+        }
+    }
+    assert!(n_dependencies > 40, "{n_dependencies} dependencies");
+}
+
+/// Keys of the paper's citations, `[@key; @other]`, and of the entries of its bibliography are the same.
+#[test]
+fn citations_of_the_paper_are_in_its_bibliography() {
+    let (paper, bibliography) = (read("docs/joss/paper.md"), read("docs/joss/paper.bib"));
+    let key = |rest: &str| {
+        let end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || "_-:".contains(c)));
+        rest[..end.unwrap_or(rest.len())].to_string()
+    };
+    let brackets = paper
+        .split('[')
+        .skip(1)
+        .filter_map(|rest| rest.split_once(']'));
+    let cited: BTreeSet<String> = brackets
+        .flat_map(|(inside, _)| inside.split('@').skip(1))
+        .map(key)
+        .collect();
+    let entries = bibliography.lines().filter(|line| line.starts_with('@'));
+    let known: BTreeSet<String> = entries
+        .filter_map(|line| line.split_once('{'))
+        .map(|(_, rest)| key(rest))
+        .collect();
+    assert!(cited.len() > 5, "{cited:?}");
+    assert_eq!(cited, known);
+}
+
+/// A figure of `docs/comparison.md` in backticks, in a row that ends with a link to a table of `benches`, is a cell of that table's file.
+#[test]
+fn figures_of_the_comparison_are_those_of_their_tables() {
+    let page = read("docs/comparison.md");
+    let mut n_figures = 0;
+    for row in page.lines().filter(|line| line.starts_with('|')) {
+        let Some(file) = links(row).last().and_then(|link| link.strip_prefix("../")) else {
+            continue;
+        };
+        let table = read(file);
+        let cells: BTreeSet<&str> = (table.lines().filter(|line| line.starts_with('|')))
+            .flat_map(|line| line.split('|'))
+            .map(str::trim)
+            .collect();
+        for figure in code(row) {
+            n_figures += 1;
+            assert!(cells.contains(figure), "{file} has no {figure}");
+        }
+    }
+    assert!(n_figures > 10, "{n_figures} figures");
 }
