@@ -14,6 +14,7 @@ All numbers are in SI units. Positions `x` are spatial and in C order, `(n, K+1,
 from ._softarm import Batch, __version__, builtin_scenes
 from .control import Command, Controller, Plant, State
 from .errors import InternalError, ModelError, ResultError, SceneError, SoftarmError, Stopped
+from .profiles import profile
 from .program import Component, Program, Quadratic
 from .progress import progress
 from .results import Certificate, Result, load, verify
@@ -45,6 +46,7 @@ __all__ = [
     "builtin_scenes",
     "figure_eight",
     "load",
+    "profile",
     "progress",
     "reach",
     "run",

@@ -5,19 +5,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+import copy
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from .scene import Scene, batch
+from .scene import Scene, batch, override
 from .shortcuts import arm
+
+
+class ArmState(NamedTuple):
+    """State of one arm with K elements, as functions of a task see it."""
+
+    x: np.ndarray
+    """Positions, m, spatial, (K+1, 3)."""
+    R: np.ndarray
+    """Rotations, body to space, (K+1, 3, 3)."""
+    v: np.ndarray
+    """Velocities, m/s, spatial, (K+1, 3)."""
+    w: np.ndarray
+    """Angular velocities, rad/s, in the frame of the node, (K+1, 3)."""
+    efforts: np.ndarray
+    """Efforts of the actuators, each in its unit, (m,)."""
+    time: float
+    """Time since the start of the episode, s."""
+
+
+class Target(NamedTuple):
+    """Target of a tip."""
+
+    x: np.ndarray
+    """Position, m, (3,)."""
+    v: np.ndarray
+    """Velocity, m/s, (3,)."""
+
+
+Reward = Callable[[ArmState, np.ndarray, Target], float]
+"""A reward, as a function of the state after an action, of the action, and of the target then."""
+Observation = Callable[[ArmState, np.ndarray, Target], np.ndarray]
+"""An observation `(o,)`, as a function of the state, of the last action, which is zero at the start, and of the target."""
+Act = Callable[[ArmState, np.ndarray, Target], np.ndarray]
+"""An action `(a,)` that is computed from the whole state, from the last action, and from the target."""
 
 
 class Task:
     """An arm, its actions, and a target for its tip.
 
-    A subclass sets the class attributes, and in its `__init__` calls that of the base; it gives `path`, `commands` and `rewards`.
+    A subclass sets the class attributes, and in its `__init__` calls that of the base; it gives `path`, a reward (`reward` of one arm, or
+    `rewards` of many), and `commands`, unless its actions are the efforts themselves.
     """
 
     period: ClassVar[float]
@@ -28,6 +64,10 @@ class Task:
     """Distance of tip and target below which `info["is_success"]` is true, m."""
     lost: ClassVar[float]
     """Reward of the action under which the model breaks down; it ends the episode."""
+    random: Mapping[str, Any] = {}
+    """Keys of the scene that differ from episode to episode: each has `(low, high)`, between which values are uniform, or a function of a
+    `numpy.random.Generator`.
+    """
 
     def __init__(
         self,
@@ -49,7 +89,17 @@ class Task:
         self.rest = np.zeros(self.n_efforts)
         """Efforts at the start of an episode."""
         self.nodes = [int(np.argmin(np.abs(self.places - place))) for place in observed]
-        self.n_observations = 6 * len(self.nodes) + self.n_efforts + 6
+        self._start = plant.state
+
+    @property
+    def n_observations(self) -> int:
+        """Number of numbers in an observation."""
+        if _is_own(self.observation, Task.observation):
+            return 6 * len(self.nodes) + self.n_efforts + 6
+        state = ArmState(*self._start, efforts=self.rest.copy(), time=0.0)
+        course = self.path(np.random.default_rng(0))
+        target = Target(course[0], (course[1] - course[0]) / self.period)
+        return len(as_observation(self.observation(state, np.zeros(len(self.low)), target)))
 
     def path(self, rng: np.random.Generator) -> np.ndarray:
         """Returns a random course of the target, m, `(steps + 1, 3)`."""
@@ -57,13 +107,85 @@ class Task:
 
     def commands(self, actions: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Returns the efforts `(n, m)` of the actuators under actions `(n, a)` within their bounds, and wrenches on all nodes `(n, K+1, 6)` or
-        none; `efforts` are those until now.
+        none; `efforts` are those until now. Unless a subclass says otherwise, actions are the efforts.
         """
-        raise NotImplementedError
+        if actions.shape[1] != self.n_efforts:
+            raise NotImplementedError(
+                f"{type(self).__name__} has {actions.shape[1]} actions and {self.n_efforts} actuators: its method `commands` is to say what they do"
+            )
+        return actions, None
 
     def rewards(self, distances: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Returns the rewards `(n,)` of distances of tip and target, m, and of their rates, m/s."""
         raise NotImplementedError
+
+    def reward(self, state: ArmState, action: np.ndarray, target: Target) -> float:
+        """Returns the reward of one arm: unless a subclass or `replaced` says otherwise, that of `rewards`."""
+        distances, rates = _distances(state.x[None, -1], state.v[None, -1], target.x[None], target.v[None])
+        return float(self.rewards(distances, rates)[0])
+
+    def observation(self, state: ArmState, action: np.ndarray, target: Target) -> np.ndarray:
+        """Returns what is observed of one arm: the positions of the observed nodes, m, their velocities, m/s, the efforts of its actuators, and place
+        and velocity of its target.
+        """
+        return np.concatenate([state.x[self.nodes].ravel(), state.v[self.nodes].ravel(), state.efforts, target.x, target.v])
+
+    def replaced(
+        self,
+        *,
+        reward: Reward | None = None,
+        observation: Observation | None = None,
+        random: Mapping[str, Any] | None = None,
+    ) -> Task:
+        """Returns the task with another reward, another observation, or other random keys."""
+        other: Any = copy.copy(self)
+        if reward is not None:
+            other.reward = reward
+        if observation is not None:
+            other.observation = observation
+        if random is not None:
+            other.random = dict(random)
+        return other
+
+    def draw(self, rng: np.random.Generator) -> dict[str, Any]:
+        """Returns random values of the keys in `random`."""
+        drawn = {}
+        for key, own in self.random.items():
+            if callable(own):
+                drawn[key] = own(rng)
+                continue
+            try:
+                low, high = (np.asarray(end, dtype=float) for end in own)
+                fits = low.shape == high.shape and np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all()
+            except (TypeError, ValueError):
+                fits = False
+            if not fits:
+                raise ValueError(f"random[{key!r}] = {own}; expected (low, high) with low <= high, or a function of a generator of random numbers")
+            drawn[key] = rng.uniform(low, high) if low.ndim else float(rng.uniform(low, high))
+        return drawn
+
+
+def _is_own(method: Any, function: Any) -> bool:
+    """Tells whether a method is still this function of the base class."""
+    return getattr(method, "__func__", None) is function
+
+
+def unscaled(actions: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Returns actions between the bounds for those between -1 and 1."""
+    return low + 0.5 * (np.clip(actions, -1.0, 1.0) + 1.0) * (high - low)
+
+
+def scaled(actions: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Returns actions between -1 and 1 for those between the bounds."""
+    return 2.0 * (np.clip(actions, low, high) - low) / (high - low) - 1.0
+
+
+def as_observation(observation: Any) -> np.ndarray:
+    """Returns an observation in single precision."""
+    numbers = np.asarray(observation, dtype=np.float32)
+    if numbers.ndim != 1:
+        raise ValueError(f"an observation has the shape {numbers.shape}; expected (o,)")
+    return numbers
 
 
 class ElasticaCase1(Task):
@@ -240,21 +362,35 @@ class Arms:
     """Many arms at the same task, with values of their own for the keys of `each`. Numbers of an arm do not depend on how many others there are."""
 
     def __init__(self, task: Task, n: int, *, each: Mapping[str, Sequence[Any]] | None = None, threads: int | None = None):
+        if both := sorted(set(each or {}) & set(task.random)):
+            raise ValueError(f"{both} are in `each`, and random too; expected one of the two")
         self.task, self.n = task, n
         self.batch = batch(task.scene, n, each=each, threads=threads)
         self.taken = np.zeros(n, dtype=int)
         """Number of actions that every arm has taken."""
         self.efforts = np.zeros((n, task.n_efforts))
+        self.actions = np.zeros((n, len(task.low)))
+        """Last actions, cut off at their bounds."""
+        self.parameters: list[dict[str, Any]] = [{} for _ in range(n)]
+        """Random values of keys of the scene, of every arm in its episode."""
+        self.episodes = np.zeros(n, dtype=int)
+        """Number of episodes that every arm has begun."""
         self._paths = np.zeros((n, task.steps + 1, 3))
 
     def reset(self, indices: Iterable[int], generators: Sequence[np.random.Generator]) -> None:
-        """Puts arms back to their start, each with another target from its random numbers."""
+        """Puts arms back to their start, each with another target, and with other values of the random keys, from its random numbers."""
         indices = [int(index) for index in indices]
-        self.batch.reset(indices)
+        if not self.task.random:
+            self.batch.reset(indices)
         for index in indices:
             self.taken[index] = 0
+            self.episodes[index] += 1
             self.efforts[index] = self.task.rest
+            self.actions[index] = 0.0
             self._paths[index] = self.task.path(generators[index])
+            if self.task.random:
+                self.parameters[index] = self.task.draw(generators[index])
+                self.batch.change(index, [override(key, value) for key, value in self.parameters[index].items()])
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str | None]]:
         """Applies actions `(n, a)`, cut off at their bounds. Returns rewards, who broke down, whose time is over, and reasons of breakdowns."""
@@ -265,12 +401,33 @@ class Arms:
         if not np.isfinite(actions).all():
             index = tuple(map(int, np.argwhere(~np.isfinite(actions))[0]))
             raise ValueError(f"actions{list(index)} is {actions[index]}; expected a finite number")
-        self.efforts, wrenches = task.commands(np.clip(actions, task.low, task.high), self.efforts)
+        self.actions = np.clip(actions, task.low, task.high)
+        self.efforts, wrenches = task.commands(self.actions, self.efforts)
         errors = self.batch.step(task.period, wrenches, self.efforts if task.n_efforts else None)
         self.taken += 1
         terminated = np.array([error is not None for error in errors], dtype=bool)
-        rewards = np.where(terminated, task.lost, task.rewards(*self.distances()))
+        rewards = np.where(terminated, task.lost, self._rewards())
         return rewards, terminated, (self.taken >= task.steps) & ~terminated, errors
+
+    def _rewards(self) -> np.ndarray:
+        if _is_own(self.task.reward, Task.reward):
+            return self.task.rewards(*self.distances())
+        return np.array([float(self.task.reward(*moment)) for moment in self.moments()])
+
+    def moments(self) -> list[tuple[ArmState, np.ndarray, Target]]:
+        """Returns state, last action and target of every arm, as rewards and observations take them."""
+        places, velocities = self.targets()
+        times = self.task.period * self.taken
+        states = [ArmState(*self.batch.state(i), efforts=self.efforts[i].copy(), time=float(times[i])) for i in range(self.n)]
+        return [(state, self.actions[i].copy(), Target(places[i], velocities[i])) for i, state in enumerate(states)]
+
+    def moment(self, index: int) -> tuple[ArmState, np.ndarray, Target]:
+        """Returns state, last action and target of one arm."""
+        return self.moments()[index]
+
+    def course(self, index: int) -> np.ndarray:
+        """Returns the whole course of the target of one arm, m, `(steps + 1, 3)`."""
+        return self._paths[index]
 
     def targets(self) -> tuple[np.ndarray, np.ndarray]:
         """Returns places, m, and velocities, m/s, of the targets: those until their next places, `(n, 3)`."""
@@ -281,19 +438,22 @@ class Arms:
 
     def distances(self) -> tuple[np.ndarray, np.ndarray]:
         """Returns distances of tips and targets, m, and their rates, m/s, `(n,)`."""
-        places, velocities = self.targets()
-        off = self.batch.positions[:, -1] - places
-        distances = np.sqrt(_dot(off, off))
-        rates = _dot(off, self.batch.velocities[:, -1] - velocities) / np.maximum(distances, 1e-12)
-        return distances, rates
+        return _distances(self.batch.positions[:, -1], self.batch.velocities[:, -1], *self.targets())
 
     def observations(self) -> np.ndarray:
-        """Returns for every arm the positions of the observed nodes, m, their velocities, m/s, the efforts of its actuators, and place and
-        velocity of its target, `(n, o)`, in single precision.
-        """
+        """Returns for every arm what its task observes, `(n, o)`, in single precision."""
+        if not _is_own(self.task.observation, Task.observation):
+            return np.stack([as_observation(self.task.observation(*moment)) for moment in self.moments()])
         nodes = self.task.nodes
         parts = [self.batch.positions[:, nodes], self.batch.velocities[:, nodes], self.efforts, *self.targets()]
         return np.concatenate([part.reshape(self.n, -1) for part in parts], axis=1).astype(np.float32)
+
+
+def _distances(x: np.ndarray, v: np.ndarray, places: np.ndarray, velocities: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns distances of tips `(n, 3)` with velocities from targets, and their rates."""
+    off = x - places
+    distances = np.sqrt(_dot(off, off))
+    return distances, _dot(off, v - velocities) / np.maximum(distances, 1e-12)
 
 
 def couples(places: np.ndarray, points: int) -> np.ndarray:

@@ -157,12 +157,47 @@ class Result:
         """
         return self.table("controls.csv")
 
+    @cached_property
+    def _efforts(self) -> tuple[list[str], np.ndarray]:
+        if not (self.directory / "efforts.csv").is_file() and self.command in ("simulate", "solve", "mpc"):
+            return [], np.zeros((len(self.t), 0))  # an arm without actuators
+        rows = self.table("efforts.csv")
+        n = len(self.t)
+        if len(rows) % n:
+            raise ResultError(f"{self.directory}/efforts.csv has {len(rows)} rows; expected as many for each of the {n} times")
+        m = len(rows) // n
+        return [str(name) for name in rows["name"][:m]], np.asarray(rows["effort"], dtype=float).reshape(n, m)
+
     @property
     def efforts(self) -> np.ndarray:
-        """Rows of `efforts.csv`: `t`, s, `name` of an actuator, its `effort` (tension of a tendon or cable in N, pressure of a chamber in Pa,
-        activation of a muscle, field of a magnet in T or T/m) and its `coordinate`; with winches `displacement`, m.
+        """Efforts of the m actuators at the times `t`, (n, m), in the order of `effort_names`: tensions of tendons and cables in N, pressures of
+        chambers and braids in Pa, activations of muscles, fields of magnets in T or T/m; `effort_units` has the units. Of a closed loop they
+        are those that act in the plant. `table("efforts.csv")` has coordinates, and displacements of winches, too.
         """
-        return self.table("efforts.csv")
+        return self._efforts[1]
+
+    @property
+    def effort_names(self) -> list[str]:
+        """Names of the columns of `efforts`."""
+        return self._efforts[0]
+
+    @cached_property
+    def effort_units(self) -> list[str]:
+        """Units of the columns of `efforts`: "N", "Pa", "1", "T" or "T/m"."""
+        # A winch takes its displacement, and its effort is the tension.
+        units = {name: "N" if unit == "m" else unit or "1" for name, unit in self.scene.inputs}
+        return [units[name] for name in self.effort_names]
+
+    @cached_property
+    def diagnostics(self) -> dict[str, np.ndarray]:
+        """Momenta, strains, internal forces, reactions and balances: arrays of `diagnostics.npz` by name (docs/files.md), which a simulation and
+        a solve write where the scene has `output.diagnostics = true`.
+        """
+        if not (self.directory / "diagnostics.npz").is_file():
+            raise ResultError(
+                f"{self.directory} has no diagnostics.npz: scene.replace({{\"output.diagnostics\": True}}).simulate(), or .solve(), has one"
+            )
+        return self._arrays("diagnostics.npz")
 
     @property
     def scene(self):
@@ -183,14 +218,130 @@ class Result:
         shutil.copytree(self.directory, target, dirs_exist_ok=True)
         return target
 
+    def export(
+        self,
+        format: str,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        frames: int | None = None,
+        azimuth: float | None = None,
+        elevation: float | None = None,
+        turn: float = 0.0,
+        seconds: float | None = None,
+        size: tuple[int, int] = (640, 640),
+        force: bool = False,
+    ) -> Path:
+        """Writes the motion for other programs, and returns the file to open.
+
+        `format` is "vtk" (a series that ParaView opens), "csv" (one table), "svg" (pictures, and one that plays them), "gif" or "mp4" (films,
+        by matplotlib; MP4 by the program ffmpeg). `path` is the folder of the files, which are called `motion`, or for "csv", "svg", "gif"
+        and "mp4" a file whose name ends like that; without it the folder is that of the result, with the format's name at its end.
+
+        At most `frames` times are written, evenly spread. Pictures are seen from `azimuth` and `elevation` (degrees), and go round by `turn` on
+        the way; a film lasts `seconds`, and has `size` pixels. A file that softarm did not write, and any existing film or file that `path` names, is
+        replaced only with `force`.
+        """
+        kinds = ("vtk", "csv", "svg", "gif", "mp4")
+        if format not in kinds:
+            raise ValueError(f"format = {format!r}; expected one of {kinds}")
+        if format != "vtk" and path is not None and Path(path).suffix.lower() == f".{format}":
+            target = Path(path)
+        elif format in ("gif", "mp4"):
+            target = (self.directory / format if path is None else Path(path)) / f"motion.{format}"
+        else:
+            return self._export(format, self.directory / format if path is None else Path(path), frames, azimuth, elevation, turn, seconds, force)
+        if target.exists() and not (force and target.is_file()):
+            raise ResultError(f"{target} is there already; give another name, or force=True, which replaces a file")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        holder = Folder()
+        if format in ("gif", "mp4"):
+            made = Path(holder.name) / target.name
+            self._film(made, format, frames, azimuth, elevation, turn, seconds, size)
+        else:
+            made = self._export(format, Path(holder.name), frames, azimuth, elevation, turn, seconds, False)
+        # As a whole, or not at all.
+        beside = target.with_name(f".{target.name}.{os.getpid()}")
+        try:
+            shutil.copyfile(made, beside)
+            os.replace(beside, target)
+        finally:
+            beside.unlink(missing_ok=True)
+        return target
+
+    def _export(
+        self,
+        format: str,
+        folder: Path,
+        frames: int | None,
+        azimuth: float | None,
+        elevation: float | None,
+        turn: float,
+        seconds: float | None,
+        force: bool,
+    ) -> Path:
+        """Writes files by the verb `export`."""
+        from .scene import _call, _options
+
+        words = _options(to=format, out=os.fspath(folder), frames=frames, force=os.fspath(folder) if force else None)
+        if format == "svg":
+            words += _options(azimuth=azimuth, elevation=elevation, turn=turn, seconds=seconds)
+        return Path(_call(["export", *words, "--", os.fspath(self.directory)])[1]["file"])
+
+    def _film(
+        self,
+        path: Path,
+        format: str,
+        frames: int | None,
+        azimuth: float | None,
+        elevation: float | None,
+        turn: float,
+        seconds: float | None,
+        size: tuple[int, int],
+    ) -> None:
+        from .pictures import Picture, film
+
+        if frames is not None and frames < 2:
+            raise ValueError(f"frames = {frames}; expected at least 2")
+        lasts = float(np.clip(self.t[-1], 2.0, 10.0)) if seconds is None else float(seconds)
+        if not (np.isfinite(lasts) and lasts > 0.0):
+            raise ValueError(f"seconds = {seconds}; expected a time above 0")
+        # MP4 as most players know it has an even number of rows and columns.
+        width, height = (2 * (side // 2) for side in size)
+        if min(width, height) < 64:
+            raise ValueError(f"size = {size}; expected at least 64 pixels each way")
+        scene = self.scene
+        target = (scene.to_dict().get("task") or {}).get("position_m")
+        points = self.x.reshape(-1, 3) if target is None else np.vstack([self.x.reshape(-1, 3), target])
+        picture = Picture(scene, points.min(axis=0), points.max(axis=0), size=(width, height))
+        first, up = -60.0 if azimuth is None else azimuth, 20.0 if elevation is None else elevation
+        # A GIF counts in hundredths of a second, and programs that show it are slow below two of them.
+        times = np.linspace(self.t[0], self.t[-1], max(2, min(frames or round(20 * lasts), int(50 * lasts))))
+        words = {"equilibrium": "load factor {:.3g}", "fit": "shape {:.0f}"}.get(self.command, "t = {:.2f} s")
+
+        def shown() -> Any:
+            for number, time in enumerate(times):
+                row = int(np.abs(self.t - time).argmin())
+                picture.turn(first + turn * number / (len(times) - 1), up)
+                title = words.format(self.t[row])
+                picture.draw(self.x[row], self.R[row], target=target, time=self.t[row], path=self.tip[: row + 1], title=title)
+                yield picture.pixels()
+
+        film(shown(), path, len(times) / lasts, format)
+
     def plot(self, ax: Any = None) -> Any:
         """Draws the arm at its first, last and some times (of an equilibrium, load factors; of a fit, shapes) between, and the path of the tip;
         needs matplotlib. Returns the axes.
         """
         import matplotlib.pyplot as plt  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
+        from .pictures import name_axes
+
+        legend: dict[str, Any] = {}
         if ax is None:
-            ax = plt.figure(figsize=(6, 5)).add_subplot(projection="3d")
+            figure = plt.figure(figsize=(7, 5))
+            # The legend has the left edge for itself.
+            ax = figure.add_axes((0.18, 0.06, 0.78, 0.86), projection="3d")
+            legend = {"bbox_to_anchor": (0.01, 0.98), "bbox_transform": figure.transFigure}
         rows = np.unique(np.linspace(0, len(self.t) - 1, 6).round().astype(int))
         for row in rows:
             shade = 0.25 + 0.75 * row / max(len(self.t) - 1, 1)
@@ -198,15 +349,17 @@ class Result:
             label = words.get(self.command, f"t = {self.t[row]:.3g} s")
             ax.plot(*self.x[row].T, color=(0.1, 0.35, 0.6, shade), lw=2.5, label=label)
         ax.plot(*self.tip.T, color="0.3", lw=0.8)
-        ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)", title=f"{self.summary.get('scene')}: {self.status}")
+        ax.set(title=f"{self.summary.get('scene')}: {self.status}")
         # A motion in a plane has a box with room for numbers too.
         least, most = self.x[rows].min(axis=(0, 1)), self.x[rows].max(axis=(0, 1))
         half = np.maximum(0.55 * (most - least), 0.2 * (most - least).max())
         for which, middle, part in zip("xyz", 0.5 * (least + most), half):
             getattr(ax, f"set_{which}lim")(middle - part, middle + part)
-            ax.locator_params(axis=which, nbins=4)
-        ax.set_aspect("equal")
-        ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.1, 0.5))
+            ax.locator_params(axis=which, nbins=4 if part > 0.5 * half.max() else 2)
+        name_axes(ax, half)
+        # As long as it is said to be in each direction, and with room for the names of the axes.
+        ax.set_box_aspect(half, zoom=0.8)
+        ax.legend(fontsize="small", loc="upper left", **legend)
         return ax
 
     @property

@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from . import _softarm
 from .control import Controller, Plant
-from .errors import ResultError
+from .errors import ResultError, SceneError
+from .profiles import with_rows
 from .program import Program
 from .results import Folder, Result
 
@@ -92,6 +93,11 @@ def _literal(value: Any) -> str:
     raise TypeError(f"a scene has numbers, texts, lists and dictionaries; {value!r} is a {type(value).__name__}")
 
 
+def override(key: str, value: Any) -> str:
+    """Returns a value of a dotted key as an override `KEY=VALUE`."""
+    return f"{key}={_literal(_plain(with_rows(value, key)))}"
+
+
 def _toml(keys: Mapping[str, Any]) -> str:
     """Returns a dictionary as the text of a scene: values first, then a section for every dictionary and list of dictionaries."""
     values: list[str] = []
@@ -130,11 +136,18 @@ def _remove(keys: dict[str, Any], path: str) -> None:
         raise KeyError(f"{path} is no key of this scene, and cannot be taken away") from None
 
 
+def _is_a_name(text: str) -> bool:
+    """Tells whether what was given as the text of a scene is its name: a line without any key or section."""
+    line = text.strip()
+    return bool(line) and not any(mark in line for mark in "\n=[#")
+
+
 class Scene:
     """A scene: a dictionary with the keys of a scene file, or the text of one.
 
     Raises `SceneError`, with the key, the line and a remedy, for a scene that cannot be used. A scene does not change: `replace` returns
-    another one. Paths in a dictionary are relative to the working directory.
+    another one. Paths in a dictionary are relative to the working directory. The rows of a `profile` may be an array, a DataFrame or the name of a
+    CSV file, as `softarm.profile` reads them.
     """
 
     __slots__ = ("_name", "_text", "_overrides", "_keys")
@@ -142,7 +155,10 @@ class Scene:
     def __init__(self, keys: Mapping[str, Any] | str, *, name: str = "scene"):
         self._name = name
         self._overrides: tuple[str, ...] = ()
-        text = keys if isinstance(keys, str) else _toml(keys)
+        if isinstance(keys, os.PathLike) or (isinstance(keys, str) and _is_a_name(keys)):
+            given = os.fspath(keys)
+            raise SceneError(f"{given!r} is a name, and no text of a scene; Scene.load({given!r}) reads files and built-in scenes")
+        text = keys if isinstance(keys, str) else _toml(with_rows(keys))
         self._text, self._keys = _softarm.parse(name, text, [])
 
     @classmethod
@@ -169,7 +185,7 @@ class Scene:
                 _remove(rest, key)
             kept = {key: value for key, value in given.items() if value is not None}
             return Scene(rest, name=self._name).replace(kept)
-        overrides = (*self._overrides, *(f"{key}={_literal(_plain(value))}" for key, value in given.items()))
+        overrides = (*self._overrides, *(override(key, value) for key, value in given.items()))
         _, resolved = _softarm.parse(self._name, self._text, list(overrides))
         return self._of(self._name, self._text, overrides, resolved)
 
@@ -453,7 +469,7 @@ def batch(
         for key, values in each.items():
             if len(values) != n:
                 raise ValueError(f"{key} has {len(values)} values; expected one for each of the {n} arms")
-        own = [[f"{key}={_literal(_plain(values[i]))}" for key, values in each.items()] for i in range(n)]
+        own = [[override(key, values[i]) for key, values in each.items()] for i in range(n)]
     return _softarm.Batch(n, scene._name, scene._text, list(scene._overrides), threads, own)
 
 

@@ -23,6 +23,8 @@ def test_programs_of_the_document_run(number, tmp_path, monkeypatch):
     name, program = PROGRAMS[number]
     if name == "learning.md":
         pytest.importorskip("gymnasium")
+    if "render_mode" in program:
+        pytest.importorskip("matplotlib")
     if "stable_baselines3" in program:
         pytest.importorskip("stable_baselines3")
     exec(compile(program, f"{name}, program {number + 1}", "exec"), {})

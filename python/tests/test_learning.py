@@ -1,9 +1,12 @@
 """Environments, their adapters and the examples of other packages; each test is left out where its package is absent."""
 
+import copy
+import importlib.util
 import pickle
 import runpy
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,7 +14,7 @@ import numpy as np
 import pytest
 
 import softarm as sa
-from softarm import elastica, environments
+from softarm import elastica, environments, policies
 from softarm import mujoco as chains
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -34,17 +37,26 @@ class Short(environments.TendonTracking):
 
 
 def test_importing_softarm_needs_no_gymnasium():
-    words = "import softarm, softarm.environments, softarm.elastica, softarm.mujoco, sys; sys.exit(bool({'gymnasium', 'mujoco'} & set(sys.modules)))"
+    words = "import softarm, softarm.environments, softarm.policies, softarm.elastica, softarm.mujoco, sys; sys.exit(bool({'gymnasium', 'mujoco'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", words]).returncode == 0
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning")  # observations have no bounds
 @pytest.mark.parametrize("name", NAMES)
-def test_environments_keep_the_rules_of_gymnasium(gymnasium, name):
+def test_environments_keep_the_rules_of_gymnasium(gymnasium, name, monkeypatch):
+    """The checker of Gymnasium has nothing to say, also of both render modes, but that actions between -1 and 1 would be better; of such it has
+    nothing to say at all.
+    """
     from gymnasium.utils.env_checker import check_env
 
+    bare = importlib.util.find_spec("matplotlib") is None
+    monkeypatch.setenv("MPLBACKEND", "agg")
     env = gymnasium.make(f"softarm/{name}-v0")
-    check_env(env.unwrapped)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gymnasium.make(f"softarm/{name}-v0", scaled=True).unwrapped, skip_render_check=bare)
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized")
+        check_env(env.unwrapped, skip_render_check=bare)
+    assert env.metadata["render_fps"] == max(1, round(1.0 / env.unwrapped.task.period))
     first, told = env.reset(seed=7)
     assert np.array_equal(env.reset(seed=7)[0], first) and not np.array_equal(env.reset(seed=8)[0], first)
     # The tip is the last node that is observed, and the target has the last six numbers.
@@ -144,6 +156,8 @@ def same(a, b):
         assert len(a) == len(b)
         for pair in zip(a, b):
             same(*pair)
+    elif isinstance(a, (bool, float, str)):
+        assert a == b
     elif a.dtype == object:
         for pair in zip(a, b):
             assert np.array_equal(*pair)
@@ -194,6 +208,325 @@ def test_actions_beyond_their_bounds_are_cut_off(gymnasium):
     env, other = ArmEnv(Short()), ArmEnv(Short())
     env.reset(seed=1), other.reset(seed=1)
     assert np.array_equal(env.step(100.0 * env.action_space.high)[0], other.step(env.action_space.high)[0])
+
+
+def reward_of_effort(state, action, target):
+    return -np.linalg.norm(state.x[-1] - target.x) - 0.01 * np.sum(action**2)
+
+
+def observation_of_error(state, action, target):
+    return np.concatenate([state.x[-1] - target.x, state.efforts, action])
+
+
+def softer(rng):
+    return float(10.0 ** rng.uniform(5.0, 5.5))
+
+
+RANDOM = {"rod.material.density_kg_m3": (800.0, 1300.0), "rod.material.youngs_modulus_pa": softer, "gravity.acceleration_m_s2": ([0, 0, -10], [0, 0, -9])}
+
+
+@pytest.mark.parametrize(
+    "own", [{}, {"reward": reward_of_effort, "observation": observation_of_error, "random": {"gravity.acceleration_m_s2": ([0, 0, -10], [0, 0, -9])}}]
+)
+@pytest.mark.parametrize("way", ["pickle", "deepcopy"])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_copy_goes_on_as_the_environment(gymnasium, name, way, own):
+    """To the bit, from within an episode, on to its end and into the next one; and the two do not act on each other."""
+    from softarm.gym import ArmEnv, ArmVectorEnv
+
+    def copied(env):
+        return pickle.loads(pickle.dumps(env)) if way == "pickle" else copy.deepcopy(env)
+
+    class Episode(environments.TASKS[name]):
+        steps = 9
+
+    globals()["Episode"], Episode.__qualname__ = Episode, "Episode"  # where pickle finds it
+    env = ArmEnv(Episode(), **own)
+    env.reset(seed=3)
+    env.action_space.seed(3)
+    for _ in range(4):
+        env.step(env.action_space.sample())
+    other, at_start = copied(env), copied(env)
+    for _ in range(3):
+        for _ in range(9):
+            action = env.action_space.sample()
+            same(other.step(action), env.step(action))
+            if env.arms.taken[0] == 9:
+                same(other.reset(), env.reset())
+    assert at_start.arms.taken[0] == 4
+
+    vector = ArmVectorEnv(Episode(), 3, autoreset_mode="SameStep", **own)
+    vector.reset(seed=3)
+    vector.action_space.seed(3)
+    for _ in range(4):
+        vector.step(vector.action_space.sample())
+    other = copied(vector)
+    for _ in range(12):
+        actions = vector.action_space.sample()
+        same(other.step(actions), vector.step(actions))
+
+
+def test_copies_of_broken_arms_stay_broken(gymnasium):
+    arms = environments.Arms(environments.SoftArmTracking(changes=BROKEN), 2)
+    arms.reset([0, 1], [np.random.default_rng(0)] * 2)
+    errors = [None]
+    while errors[0] is None:
+        errors = arms.step(np.full((2, 8), 40.0))[3]
+    for other in (copy.deepcopy(arms), pickle.loads(pickle.dumps(arms))):
+        assert other.step(np.zeros((2, 8)))[3] == errors and np.array_equal(other.batch.positions, arms.batch.positions)
+
+
+def test_rewards_and_observations_are_functions(gymnasium):
+    """Those that the task has, said again as functions, give the same numbers; others give theirs."""
+    from softarm.gym import ArmEnv
+
+    task = environments.TendonTracking()
+
+    def observation(state, action, target):
+        return np.concatenate([state.x[-1], state.v[-1], state.efforts, target.x, target.v])
+
+    def reward(state, action, target):
+        off, speed = state.x[-1] - target.x, state.v[-1] - target.v
+        distance = np.sqrt(off @ off)
+        return -(distance / 0.2 + max(off @ speed / distance, 0.0) / 0.3) + 1.5 * (distance < task.near)
+
+    plain, own = ArmEnv(task), ArmEnv(task, reward=reward, observation=observation)
+    assert np.array_equal(plain.reset(seed=4)[0], own.reset(seed=4)[0])
+    for _ in range(10):
+        action = plain.action_space.sample()
+        (a, ra, *_), (b, rb, *_) = plain.step(action), own.step(action)
+        assert np.array_equal(a, b) and ra == pytest.approx(rb, rel=1e-12)
+        # Methods of the task are these functions, too.
+        assert task.reward(*plain.arms.moment(0)) == ra
+        assert np.array_equal(task.observation(*plain.arms.moment(0)).astype(np.float32), a)
+    env = gymnasium.make("softarm/TendonTracking-v0", reward=reward_of_effort, observation=observation_of_error)
+    assert env.reset(seed=0)[0].shape == env.observation_space.shape == (11,)
+    action = np.array([0.5, 0.0, -0.5, 0.0], dtype=np.float32)
+    seen, reward, _, _, info = env.step(action)
+    assert reward == pytest.approx(-info["distance_m"] - 0.01 * 0.5) and np.array_equal(seen[7:], action)
+    # A task that is given is not changed.
+    assert ArmEnv(task).observation_space.shape == (16,)
+    with pytest.raises(ValueError, match="shape"):
+        ArmEnv(task, observation=lambda state, action, target: state.x)
+
+
+def test_random_keys_are_drawn_by_the_seed_and_act(gymnasium):
+    """The seed gives the values, which `info` has, and the arm moves as one with these values does; the target is that without random keys."""
+    from softarm.gym import ArmEnv, ArmVectorEnv
+
+    env = ArmEnv("TendonTracking", random=RANDOM)
+    _, info = env.reset(seed=5)
+    drawn = info["parameters"]
+    assert 800.0 <= drawn["rod.material.density_kg_m3"] <= 1300.0 and -10 <= drawn["gravity.acceleration_m_s2"][2] <= -9
+    again = env.reset(seed=5)[1]["parameters"]
+    assert again.keys() == drawn.keys() and all(np.array_equal(again[key], drawn[key]) for key in drawn)
+    assert env.reset(seed=6)[1]["parameters"]["rod.material.density_kg_m3"] != drawn["rod.material.density_kg_m3"]
+    env.reset(seed=5)
+    known = ArmEnv("TendonTracking", changes=drawn)
+    assert known.reset(seed=5)[1] == {key: info[key] for key in ("distance_m", "is_success")}
+    for _ in range(5):
+        action = known.action_space.sample()
+        seen, reward, _, _, told = env.step(action)
+        same((seen, np.float64(reward)), (lambda a, b, *_: (a, np.float64(b)))(*known.step(action)))
+        assert told["parameters"].keys() == drawn.keys()
+    vector = ArmVectorEnv("TendonTracking", 2, random=RANDOM)
+    infos = vector.reset(seed=5)[1]["parameters"]
+    assert infos["rod.material.density_kg_m3"][0] == drawn["rod.material.density_kg_m3"] and infos["gravity.acceleration_m_s2"].shape == (2, 3)
+    with pytest.raises(sa.SceneError, match="elemens"):
+        ArmEnv("TendonTracking", random={"rod.elemens": (3, 4)})
+    with pytest.raises(ValueError, match="low <= high"):
+        ArmEnv("TendonTracking", random={"rod.material.density_kg_m3": (3.0, 2.0)})
+    with pytest.raises(ValueError, match="one of the two"):
+        ArmVectorEnv("TendonTracking", 2, each={"rod.material.density_kg_m3": [1e3, 1e3]}, random=RANDOM)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_random_arms_of_a_vector_are_those_of_single_environments(gymnasium, mode):
+    from gymnasium.vector import SyncVectorEnv
+    from softarm.gym import ArmEnv, ArmVectorEnv
+
+    own = {"random": RANDOM, "reward": reward_of_effort, "observation": observation_of_error}
+    single = SyncVectorEnv([lambda: ArmEnv(Short(), **own)] * 3, autoreset_mode=mode)
+    vector = ArmVectorEnv(Short(), 3, autoreset_mode=mode, **own)
+    same(vector.reset(seed=1), single.reset(seed=1))
+    vector.action_space.seed(1)
+    for _ in range(10):
+        actions = vector.action_space.sample()
+        same(vector.step(actions), single.step(actions))
+
+
+def test_pictures_show_arm_target_and_obstacles(gymnasium):
+    """Pixels where something is differ from those of a picture without it, and nothing is drawn outside of the frame."""
+    pytest.importorskip("matplotlib")
+    from softarm.gym import ArmEnv, ArmVectorEnv
+
+    class Beside(environments.TendonTracking):
+        """An arm beside a ball, with one target."""
+
+        steps = 4
+        ball = {"obstacle": [{"sphere": {"center_m": [0.1, 0.1, 0.15], "radius_m": 0.04}}]}
+
+        def __init__(self, target=(0.05, 0.0, 0.24), **changes):
+            super().__init__(changes=changes)
+            self.target = target
+
+        def path(self, rng):
+            return np.tile(self.target, (self.steps + 1, 1))
+
+    def shot(*args, **changes):
+        env = ArmEnv(Beside(*args, **changes), render_mode="rgb_array")
+        env.reset(seed=0)
+        return env, env.render()
+
+    env, plain = shot()
+    assert plain.dtype == np.uint8 and plain.shape == (480, 480, 3)
+    assert np.array_equal(plain, env.render())
+    differs = lambda a, b: np.any(a != b, axis=2).sum()
+    assert differs(plain, shot(**{"obstacle.0.sphere": Beside.ball["obstacle"][0]["sphere"]})[1]) > 200
+    assert differs(plain, shot((0.05, 0.05, 0.24))[1]) > 50
+    env.step(np.full(4, 0.5))
+    env.step(np.array([0.5, -0.5, 0.0, 0.0]))
+    assert differs(plain, env.render()) > 50
+    edge = np.concatenate([plain[[0, -1]].reshape(-1, 3), plain[:, [0, -1]].reshape(-1, 3)])
+    assert (edge == 255).all()
+    vector = ArmVectorEnv(Beside(), 2, render_mode="rgb_array")
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        vector.render()
+    vector.reset(seed=0)
+    assert [np.array_equal(frame, plain) for frame in vector.render()] == [True, True]
+    with pytest.raises(ValueError, match="render_mode"):
+        ArmEnv("TendonTracking", render_mode="ansi")
+
+
+def test_a_window_shows_every_action(gymnasium, monkeypatch):
+    """On a screen, each for its time; without one the logger says so, and nothing waits."""
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    shown = []
+    monkeypatch.setattr(plt, "pause", shown.append)
+    for framework in (None, "screen"):
+        monkeypatch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.required_interactive_framework", framework)
+        env = gymnasium.make("softarm/TendonTracking-v0", render_mode="human")
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+        assert env.render() is None and plt.get_fignums()
+        env.close()
+        assert not plt.get_fignums()
+    assert shown == [1.0 / 15.0] * 2
+
+
+def test_every_shape_of_an_obstacle_is_drawn():
+    """Each surface is where the shape says: points of it are on the boundary."""
+    from softarm import pictures
+
+    center, turn = np.array([0.1, 0.2, 0.3]), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    off = pictures._ball(center, 0.2) - center[:, None, None]
+    assert np.allclose(np.linalg.norm(off, axis=0), 0.2)
+    begin, end = np.array([0.0, 0.1, 0.0]), np.array([0.3, 0.1, 0.4])
+    points = np.moveaxis(pictures._capsule(begin, end, 0.05), 0, 2).reshape(-1, 3)
+    part = np.clip((points - begin) @ (end - begin) / 0.25, 0.0, 1.0)
+    assert np.allclose(np.linalg.norm(points - begin - part[:, None] * (end - begin), axis=1), 0.05)
+    faces = list(pictures._box(center, np.array([0.2, 0.4, 0.6]), [np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]))
+    corners = np.concatenate([np.moveaxis(face, 0, 2).reshape(-1, 3) for face in faces])
+    assert len(faces) == 6 and np.allclose(np.abs((corners - center) @ turn), [0.1, 0.2, 0.3])
+    normal = np.array([1.0, 2.0, 3.0])
+    plane = np.moveaxis(pictures._plane(center, normal, np.zeros(3), np.ones(3)), 0, 2).reshape(-1, 3)
+    assert np.allclose((plane - center) @ normal, 0.0) and (plane > -1e-12).all() and (plane < 1 + 1e-12).all()
+    assert pictures._plane(np.array([5.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), np.zeros(3), np.ones(3)) is None
+
+
+def test_radii_of_pictures_are_those_of_the_arm():
+    from softarm import pictures
+
+    at = np.array([0.0, 0.25, 0.5, 1.0])
+    keys = sa.arm(0.4, 0.01, 1e6) | {"time": {"end_s": 1.0}}
+    taper = sa.Scene(keys).replace({"rod.section": {"radius_base_m": 0.02, "radius_tip_m": 0.01}})
+    assert np.allclose(pictures.radii(taper, at), 0.02 - 0.01 * at)
+    material = keys["rod"]["material"]
+    parts = [{"length_m": 0.1, "section": {"diameter_m": 0.03}}, {"length_m": 0.3, "section": {"shape": "rectangle", "width_m": 0.01, "height_m": 0.02}}]
+    rod = {"length_m": 0.4, "elements": 8, "material": material, "segment": [{**part, "material": material} for part in parts]}
+    assert np.allclose(pictures.radii(sa.Scene({**keys, "rod": rod}), at), [0.015, 0.015, 0.01, 0.01])
+
+
+@pytest.mark.parametrize("name", ["TendonTracking", "SoftArmTracking", "random"])
+def test_a_replayed_episode_is_that_of_the_environment(gymnasium, name):
+    """To the byte, for an arm with tendons, one with couples along it, and one with other values in every episode."""
+    from softarm.gym import ArmEnv
+
+    class Episode(environments.TASKS.get(name, environments.TendonTracking)):
+        steps = 12
+        random = RANDOM if name == "random" else {}
+
+    task = Episode()
+    policy = lambda seen: np.resize(np.sin(1e3 * seen), len(task.low)) * task.high
+    found = policies.replay(policy, task, seeds=[3, 4])
+    row = 0
+    for seed in (3, 4):
+        env = ArmEnv(task)
+        seen, over = env.reset(seed=seed)[0], False
+        while not over:
+            assert np.array_equal(found.observations[row], seen)
+            seen, reward, terminated, truncated, info = env.step(policy(seen))
+            assert np.array_equal(found.next_observations[row], seen) and found.rewards[row] == reward
+            assert found.terminated[row] == terminated and found.truncated[row] == truncated
+            assert found.distances[row] == pytest.approx(info["distance_m"], rel=1e-12)
+            over, row = terminated or truncated, row + 1
+    assert row == len(found.rewards) == 24
+
+
+def test_a_policy_moves_the_plant_of_another_scene():
+    """One with other elements: wrenches keep their sums, and the tip of a finer arm goes nearly where that of the task does."""
+    here, there = np.linspace(0.0, 1.0, 11), np.linspace(0.0, 1.0, 24)
+    wrenches = np.random.default_rng(0).normal(size=(11, 6))
+    moved = policies._moved(wrenches, here, there)
+    assert np.allclose(moved.sum(axis=0), wrenches.sum(axis=0))
+    assert np.allclose(there @ moved, here @ wrenches)  # moments of the forces about the base, too
+
+    class Episode(environments.SoftArmTracking):
+        steps = 20
+
+    task = Episode(target=(0.3, 0.8, 0.0))
+    policy = policies.FromState(lambda state, action, target: np.array([0.0, 0.0, 0.0, 0.0, 10.0, 10.0, 10.0, 10.0]))
+    coarse = policies.replay(policy, task)
+    fine = policies.replay(policy, task, plant=task.scene.replace({"rod.elements": 33}))
+    went = np.linalg.norm(coarse.tips[-1] - coarse.tips[0])
+    assert went > 0.05 and np.linalg.norm(fine.tips - coarse.tips, axis=1).max() < 0.05 * went
+    broken = policies.replay(policy, task, plant=task.scene.replace(BROKEN))
+    assert broken.terminated[-1] and broken.rewards[-1] == task.lost and len(broken.rewards) < task.steps
+    with pytest.raises(ValueError, match="actuators"):
+        policies.replay(policy, task, plant=environments.TendonTracking().scene)
+    with pytest.raises(ValueError, match="finite numbers"):
+        policies.replay(lambda seen: np.zeros(3), task)
+
+
+def test_actions_are_efforts_unless_a_task_says_otherwise():
+    class Direct(environments.TendonTracking):
+        commands = environments.Task.commands
+
+    task = Direct()
+    arms = environments.Arms(task, 1)
+    arms.reset([0], [np.random.default_rng(0)])
+    arms.step(np.array([[0.5, 0.0, 0.25, 0.0]]))
+    assert arms.efforts.tolist() == [[0.5, 0.0, 0.25, 0.0]]
+    with pytest.raises(NotImplementedError, match="8 actions and 0 actuators"):
+        environments.Task.commands(environments.SoftArmTracking(), np.zeros((1, 8)), np.zeros((1, 0)))
+
+
+def test_scaled_actions_are_parts_of_their_bounds(gymnasium):
+    from softarm.gym import ArmEnv, ArmVectorEnv
+
+    env, plain, vector = ArmEnv(Short(), scaled=True), ArmEnv(Short()), ArmVectorEnv(Short(), 2, scaled=True)
+    assert env.action_space.high.tolist() == [1.0] * 4 and vector.single_action_space == env.action_space
+    env.reset(seed=1), plain.reset(seed=1), vector.reset(seed=1)
+    actions = np.array([[1.0, 0.5, -0.25, 3.0]] * 2)
+    theirs = plain.step(np.array([0.5, 0.25, -0.125, 0.5]))[0]
+    assert np.array_equal(env.step(actions[0])[0], theirs) and np.array_equal(vector.step(actions)[0][0], theirs)
+    with pytest.raises(ValueError, match=r"actions\[0, 1\] is nan"):
+        env.step(np.array([0.0, np.nan, 0.0, 0.0]))
+    with pytest.raises(ValueError, match="shape"):
+        env.step(np.zeros(3))
 
 
 def test_couples_are_those_of_a_cubic():
@@ -354,6 +687,101 @@ def test_stable_baselines_learn_on_many_arms(gymnasium):
             assert infos[1]["TimeLimit.truncated"] and np.array_equal(infos[1]["terminal_observation"], theirs[4]["final_obs"][1])
     model = PPO("MlpPolicy", VecMonitor(envs), n_steps=8, batch_size=16, seed=0, device="cpu").learn(32)
     assert model.num_timesteps == 32 and model.ep_info_buffer[0]["l"] == 4
+
+
+def pull(state, action, target):
+    """Pulls the tendons on the side of the target, as far as it is away."""
+    x, y, _ = 8.0 * (target.x - state.x[-1]) + 3.0 * (target.v - state.v[-1])
+    return np.clip([x, -x, y, -y], -0.5, 0.5)
+
+
+def test_policies_of_stable_baselines_move_plants(gymnasium, tmp_path):
+    """A saved model, with its normalization, does in `replay` what it does in the environments that it learned in."""
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from softarm.gym import ArmVectorEnv
+    from softarm.sb3 import ArmVecEnv, Policy
+
+    def made():
+        return ArmVecEnv(ArmVectorEnv(Short(), 2, autoreset_mode="SameStep"))
+
+    learned = VecNormalize(made())
+    model = PPO("MlpPolicy", learned, n_steps=8, batch_size=16, seed=0, device="cpu").learn(32)
+    model.save(tmp_path / "model"), learned.save(str(tmp_path / "normalize"))
+    model = PPO.load(tmp_path / "model", device="cpu")
+    normalize = VecNormalize.load(str(tmp_path / "normalize"), made())
+    normalize.training = normalize.norm_reward = False
+    policy = Policy(model, Short(), normalize=normalize)
+    normalize.seed(7)
+    seen = normalize.reset()
+    found = policies.replay(policy, Short(), seeds=[7, 8])
+    assert found.actions.max() > 0.01  # it does act
+    for step in range(4):
+        seen, rewards, _, infos = normalize.step(model.predict(seen, deterministic=True)[0])
+        # One row at a time, a network of single precision has other roundings.
+        assert np.allclose(rewards, found.rewards[[step, 4 + step]], rtol=1e-4)
+        assert np.allclose([info["distance_m"] for info in infos], found.distances[[step, 4 + step]], rtol=1e-4)
+    with pytest.raises(ValueError, match="shape"):
+        Policy(model, environments.SoftArmTracking())
+    with pytest.raises(ValueError, match="observations"):
+        Policy(model, Short().replaced(observation=observation_of_error))
+    # A model whose actions are of other units does not move an arm as if they were not.
+    with pytest.raises(ValueError, match="softarm.sb3.Policy"):
+        policies.replay(model, Short())
+    plain = PPO("MlpPolicy", ArmVecEnv(ArmVectorEnv(Short(), 2, autoreset_mode="SameStep"), scaled=False), n_steps=8, batch_size=16, device="cpu")
+    same(policies.replay(plain, Short()), policies.replay(Policy(plain, Short()), Short()))
+
+
+def test_experts_act_for_stable_baselines(gymnasium):
+    """`evaluate_policy` runs an expert on many arms, and a replay buffer has what it did, as the algorithm itself would have put it there."""
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import SAC
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+    from softarm.gym import ArmVectorEnv
+    from softarm.sb3 import ArmVecEnv, Expert, fill
+
+    task = Short()
+    envs = VecMonitor(ArmVecEnv(ArmVectorEnv(task, 2, autoreset_mode="SameStep")))
+    envs.seed(7)
+    returns, _ = evaluate_policy(Expert(envs, pull), envs, n_eval_episodes=2, return_episode_rewards=True)
+    found = policies.replay(policies.FromState(pull), task, seeds=[7, 8])
+    # VecMonitor keeps returns in single precision.
+    assert np.allclose(sorted(returns), sorted(found.rewards.reshape(2, 4).sum(axis=1)), rtol=1e-5)
+    assert Expert(envs, [pull, pull]).predict(None)[0].shape == (2, 4)
+    with pytest.raises(ValueError, match="each of the 2 arms"):
+        Expert(envs, [pull])
+    with pytest.raises(TypeError, match="ArmVecEnv"):
+        Expert(object(), pull)
+
+    model = SAC("MlpPolicy", envs, buffer_size=64, learning_starts=0, batch_size=8, seed=0, device="cpu")
+    assert fill(model.replay_buffer, found, task) == 8 and model.replay_buffer.size() == 4
+    buffer = model.replay_buffer
+    assert np.array_equal(buffer.observations[:4].reshape(8, -1), found.observations)
+    assert np.allclose(buffer.actions[:4].reshape(8, -1), found.actions / 0.5)
+    assert buffer.dones[:4].ravel().tolist() == buffer.timeouts[:4].ravel().tolist() == [0.0, 0.0, 0.0, 1.0] * 2
+    model._setup_learn(8)
+    model.train(gradient_steps=2, batch_size=8)
+
+
+def test_vectors_of_stable_baselines_are_copied_drawn_and_told(gymnasium):
+    pytest.importorskip("stable_baselines3")
+    pytest.importorskip("matplotlib")
+    from softarm.gym import ArmVectorEnv
+    from softarm.sb3 import ArmVecEnv
+
+    envs = ArmVecEnv(ArmVectorEnv(Short(), 2, autoreset_mode="SameStep", render_mode="rgb_array", random=RANDOM))
+    envs.seed(3)
+    envs.reset()
+    assert envs.reset_infos[1]["parameters"].keys() == RANDOM.keys()
+    envs.step(np.full((2, 4), 0.5))
+    assert envs.render().shape[2] == 3 and len(envs.get_images()) == 2
+    for other in (copy.deepcopy(envs), pickle.loads(pickle.dumps(envs))):
+        other.step(np.full((2, 4), 0.5))
+        assert other.envs.arms.taken.tolist() == [2, 2] and envs.envs.arms.taken.tolist() == [1, 1]
 
 
 def test_the_example_of_learning_runs(tmp_path):

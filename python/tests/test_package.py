@@ -193,9 +193,228 @@ def test_tables_have_names_that_csv_quotes():
     keys = sa.Scene.load("reach-tendons").replace({"rod.elements": 3, "time.end_s": 0.02}).to_dict()
     name = 'tendon "#1",\nthe first'
     keys["tendon"][0]["name"] = name
-    efforts = sa.Scene(keys).simulate().efforts
+    result = sa.Scene(keys).simulate()
+    efforts = result.table("efforts.csv")
     assert (efforts["name"] == name).sum() * len(keys["tendon"]) == len(efforts)
     assert efforts["effort"].dtype == np.float64
+    assert result.effort_names[0] == name
+
+
+def test_efforts_of_a_result_are_an_array(tmp_path):
+    """Columns are actuators, with names and units; they are what a plant tells at the same times, also of a tendon on a winch."""
+    scene = sa.Scene(WINCH.replace("displacement_m = [-0.02, 0.0]", "displacement_profile = [[0.0, 0.0], [0.5, -0.004]]")).replace({"time.end_s": 0.2})
+    result = scene.simulate()
+    assert result.effort_names == ["winch", "other"] and result.effort_units == ["N", "N"]
+    assert result.efforts.shape == (len(result.t), 2) and (result.efforts[1:, 0] > 0.0).all() and (result.efforts[:, 1] == 0.0).all()
+    rows = result.table("efforts.csv")
+    for i, name in enumerate(result.effort_names):
+        assert np.array_equal(rows["effort"][rows["name"] == name], result.efforts[:, i])
+    plant = scene.plant()
+    plant.step(0.2)
+    assert plant.efforts["winch"] == pytest.approx(result.efforts[-1, 0], rel=1e-9)
+    with pytest.raises(sa.ResultError, match="output.diagnostics"):
+        result.diagnostics
+    bare = sa.Scene.load("swing").replace({"time.end_s": 0.02, "output.diagnostics": True}).simulate()
+    assert bare.efforts.shape == (len(bare.t), 0) and bare.effort_names == bare.effort_units == []
+    found = bare.diagnostics
+    assert found["linear_momentum"].shape == (len(bare.t), 3) and np.array_equal(found["t"], bare.t)
+
+
+def test_a_motion_is_exported(tmp_path):
+    """Files of the verb are those of the command line; what is there is kept, unless softarm wrote it or `force` says so."""
+    result = sa.Scene.load("swing").replace({"rod.elements": 4, "time.end_s": 0.05}).simulate()
+    for format, first in (("vtk", "motion.pvd"), ("csv", "motion.csv"), ("svg", "motion.svg")):
+        assert result.export(format, tmp_path / format, frames=3) == tmp_path / format / first
+        code = subprocess.run([sys.executable, "-m", "softarm", "export", result.directory, "--to", format, "--frames=3", "--out", tmp_path / "cli", "--quiet"])
+        assert code.returncode == 0
+        for path in (tmp_path / format).iterdir():
+            assert path.read_bytes() == (tmp_path / "cli" / path.name).read_bytes()
+    assert result.export("csv") == result.directory / "csv" / "motion.csv"
+    table = tmp_path / "arm.csv"
+    assert result.export("csv", table, frames=3) == table and table.read_bytes() == (tmp_path / "csv" / "motion.csv").read_bytes()
+    assert result.export("svg", tmp_path / "arm.svg").read_text().startswith("<svg")
+    # A file of one's own stays.
+    table.write_text("mine")
+    (tmp_path / "csv" / "motion.csv").write_text("mine")
+    for path in (table, tmp_path / "csv"):
+        with pytest.raises(sa.ResultError):
+            result.export("csv", path)
+    assert table.read_text() == (tmp_path / "csv" / "motion.csv").read_text() == "mine"
+    for path in (table, tmp_path / "csv"):
+        result.export("csv", path, force=True)
+    assert table.read_text() == (tmp_path / "csv" / "motion.csv").read_text() != "mine"
+    with pytest.raises(ValueError, match="format = 'png'"):
+        result.export("png")
+
+
+def test_a_motion_is_a_film(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    pytest.importorskip("matplotlib")
+    result = sa.Scene.load("swing").replace({"rod.elements": 4, "time.end_s": 0.05}).simulate()
+    path = result.export("gif", tmp_path / "arm.gif", frames=5, seconds=1.0, size=(201, 160))
+    with image.open(path) as film:
+        assert film.n_frames == 5 and film.size == (200, 160) and film.info["duration"] == 200
+        first = np.asarray(film.convert("RGB"), dtype=int)
+        film.seek(4)
+        assert np.abs(np.asarray(film.convert("RGB"), dtype=int) - first).max() > 50
+    with pytest.raises(sa.ResultError, match="force"):
+        result.export("gif", path)
+    assert result.export("gif", path, frames=3, size=(160, 160), force=True) == path
+    assert sorted(own.name for own in tmp_path.iterdir()) == ["arm.gif"]
+    for wrong in ({"frames": 1}, {"seconds": 0.0}, {"size": (10, 10)}):
+        with pytest.raises(ValueError):
+            result.export("gif", tmp_path / "other.gif", **wrong)
+
+
+def test_a_film_in_mp4_is_made_by_ffmpeg(tmp_path, monkeypatch):
+    """Without the program the error names it, and no file is left; with one it gets all frames, and its failure is told."""
+    pytest.importorskip("matplotlib")
+    result = sa.Scene.load("swing").replace({"rod.elements": 4, "time.end_s": 0.05}).simulate()
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    with pytest.raises(sa.ResultError, match="ffmpeg"):
+        result.export("mp4", tmp_path / "arm.mp4")
+    if sys.platform == "win32":
+        return
+    # In its place, a program that keeps what it gets.
+    (tmp_path / "bin").mkdir()
+    own = tmp_path / "bin" / "ffmpeg"
+    own.write_text(f"#!{sys.executable}\nimport sys\nopen(sys.argv[-1], 'wb').write(sys.stdin.buffer.read())\n")
+    own.chmod(0o755)
+    path = result.export("mp4", tmp_path / "arm.mp4", frames=4, size=(100, 80))
+    assert path.stat().st_size == 4 * 100 * 80 * 3
+    own.write_text(f"#!{sys.executable}\nimport sys\nsys.exit('no such codec')\n")
+    with pytest.raises(sa.ResultError, match="code 1: no such codec"):
+        result.export("mp4", tmp_path / "other.mp4", frames=4, size=(100, 80))
+    assert not (tmp_path / "other.mp4").exists()
+
+
+def test_a_plot_is_whole():
+    """Legend, title and names of the axes are within the figure, so that a saved picture has them."""
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    motion = sa.Scene.load("swing").replace({"rod.elements": 4}).simulate()
+    axes = motion.plot()
+    axes.figure.canvas.draw()
+    parts = [axes.get_legend(), axes.title, *(axis.label for axis in (axes.xaxis, axes.yaxis, axes.zaxis))]
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        low, high = sorted(axis.get_view_interval())
+        parts += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+    whole = axes.figure.bbox
+    for part in parts:
+        box = part.get_window_extent()
+        assert whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1, part
+    plt.close(axes.figure)
+    # In axes of one's own the legend is in these.
+    own = motion.plot(plt.figure().add_subplot(projection="3d"))
+    own.figure.canvas.draw()
+    box, whole = own.get_legend().get_window_extent(), own.bbox
+    assert whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1
+    plt.close(own.figure)
+
+
+def test_a_name_is_no_text_of_a_scene(tmp_path):
+    """The error says who reads names; a text with a fault keeps the error of the fault."""
+    for name in ("reach", "x.toml", "folder/x.toml", tmp_path / "x.toml"):
+        with pytest.raises(sa.SceneError, match=r"Scene\.load\(.*reads files"):
+            sa.Scene(name)
+    with pytest.raises(sa.SceneError, match="rod"):
+        sa.Scene("[rod]")
+
+
+def test_profiles_come_from_tables(tmp_path):
+    """A CSV file, an array, a DataFrame and a dictionary give the same rows; NaN and empty fields are gaps, across which it is linear."""
+    rows = [[0.0, 0.0], [0.25, 1.0], [1.0, 2.0]]
+    array = np.array([[0.0, 0.0], [0.25, 1.0], [0.5, np.nan], [1.0, 2.0], [1.5, np.nan]])
+    plain, headed = tmp_path / "plain.csv", tmp_path / "headed.csv"
+    plain.write_text("0,0\n0.25,1\n0.5,\n1.0,2\n1.5,nan\n")
+    headed.write_text("left (N),t_s,note\n0,0,1\n1,0.25,1\n,0.5,1\n2,1.0,1\nnan,1.5,1\n")
+    columns = {"t": array[:, 0], "left": array[:, 1]}
+    for source in (array, array.tolist(), plain, str(plain), columns):
+        assert sa.profile(source) == rows
+    assert sa.profile(headed, ["t_s", "left (N)"]) == sa.profile(headed, [1, 0]) == rows
+    scene = sa.Scene(WINCH).replace({"tendon.1.tension_n": None, "tendon.1.profile": array})
+    assert scene["tendon.1.profile"] == rows and scene == scene.replace({"tendon.1.profile": plain})
+    keys = scene.to_dict()
+    keys["tendon"][1]["profile"] = str(plain)
+    keys["load"] = [{"node": "tip", "force_n": [0.1, 0.0, 0.0], "profile": columns}]
+    scene = sa.Scene(keys)
+    assert scene["tendon.1.profile"] == scene["load.0.profile"] == rows
+    plant = scene.plant()
+    plant.step(0.5)
+    assert plant.efforts["other"] == pytest.approx(1.0 + 0.25 / 0.75)
+    for wrong, words in (
+        ([[np.nan, 1.0]], "time"),
+        ([[0.0, np.nan]], "without any"),
+        ([[0.0]], "at least one"),
+        ([0.0, 1.0], "shape"),
+        ({"t": [0.0], "a": [0.0, 1.0]}, "lengths"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            sa.profile(wrong)
+    with pytest.raises(ValueError, match="no column 'right'"):
+        sa.profile(headed, ["t_s", "right"])
+    plain.write_text("0,0\n1,x\n")
+    with pytest.raises(ValueError, match="row 2 has 'x'"):
+        sa.profile(plain)
+    with pytest.raises(sa.SceneError):
+        scene.replace({"tendon.1.profile": [[1.0, 0.0], [0.5, 0.0]]})
+
+
+def test_profiles_come_from_pandas():
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"t_s": [0.0, 0.5, 1.0], "left": [1.0, None, 2.0], "right": [0.0, 1.0, 3.0]})
+    assert sa.profile(frame, ["t_s", "left"]) == [[0.0, 1.0], [1.0, 2.0]]
+    assert sa.profile(frame) == [[0.0, 1.0, 0.0], [1.0, 2.0, 3.0]]
+    assert sa.profile(frame.set_index("t_s")["left"]) == [[0.0, 1.0], [1.0, 2.0]]
+
+
+def test_plants_are_pickled():
+    """A plant of a loop, with a command that still acts, goes on to the bit."""
+    scene = sa.Scene.load("mpc-tendons").replace({"estimator.kind": "none", "estimator.disturbances": [], "sensor": []})
+    controller, plant = scene.controller(), scene.plant()
+    commands = []
+    for _ in range(3):
+        commands.append(controller.step(plant.state_on(controller)))
+        plant.apply(commands[-1])
+    others = [pickle.loads(pickle.dumps(plant)), copy.deepcopy(plant)]
+    command = controller.step(plant.state_on(controller))
+    for other in others:
+        assert other.efforts == plant.efforts and other.time == plant.time
+    for arm in (plant, *others):
+        arm.apply(command)
+        arm.step(0.01)
+    for other in others:
+        assert all(np.array_equal(a, b) for a, b in zip(other.state, plant.state))
+
+
+def test_batches_are_pickled_and_changed():
+    scene = sa.Scene.load("swing")
+    arms = sa.batch(scene, 3, each={"rod.material.density_kg_m3": [900.0, 1000.0, 1100.0]})
+    arms.change(1, ["rod.material.youngs_modulus_pa=5e5"])
+    arms.step(0.02)
+    others = [pickle.loads(pickle.dumps(arms)), copy.deepcopy(arms), copy.copy(arms)]
+    arms.step(0.02)
+    for other in others:
+        other.step(0.02)
+        assert np.array_equal(other.positions, arms.positions) and np.array_equal(other.times, arms.times)
+    plant = scene.replace({"rod.material.density_kg_m3": 1000.0, "rod.material.youngs_modulus_pa": 5e5}).plant()
+    plant.step(0.02), plant.step(0.02)
+    assert np.array_equal(arms.state(1).x, plant.state.x)
+    # A change holds until the next one, and does not go away by a reset.
+    arms.reset()
+    plant.reset()
+    arms.step(0.02), plant.step(0.02)
+    assert np.array_equal(arms.state(1).x, plant.state.x)
+    before = arms.positions
+    with pytest.raises(ValueError, match="nodes"):
+        arms.change(0, ["rod.elements=3"])
+    with pytest.raises(sa.SceneError):
+        arms.change(0, ["rod.elemens=3"])
+    with pytest.raises(IndexError):
+        arms.change(3, [])
+    assert np.array_equal(arms.positions, before)
 
 
 def test_a_plant_is_the_simulation():

@@ -87,6 +87,7 @@ impl<'a> Watch<'a> {
 }
 
 /// An arm in motion.
+#[derive(Clone)]
 struct Arm {
     rod: Arc<Rod>,
     state: State,
@@ -301,6 +302,73 @@ impl Arm {
     }
 }
 
+impl Arm {
+    /// Returns time, state and the inputs of the call before, if it gave any, as numbers: an arm with the same ones moves on in the same way,
+    /// to the bit.
+    fn numbers(&self) -> Vec<f64> {
+        let State {
+            configuration,
+            linear_momentum,
+            angular_momentum,
+        } = &self.state;
+        let vectors = [&configuration.positions, linear_momentum, angular_momentum];
+        let mut out = vec![self.time];
+        out.extend(vectors.into_iter().flatten().flatten());
+        out.extend(configuration.rotations.iter().flatten());
+        out.extend(self.inputs.iter().flatten());
+        out
+    }
+
+    /// Puts the arm back to where [`Self::numbers`] were taken, of an arm with `m` actuators.
+    ///
+    /// # Errors
+    /// Returns a `ValueError` for numbers of an arm with other nodes or actuators.
+    fn take(&mut self, numbers: &[f64], m: usize) -> PyResult<()> {
+        let own = 1 + 18 * self.rod.n_nodes();
+        if numbers.len() != own && (m == 0 || numbers.len() != own + m) {
+            return Err(PyValueError::new_err(format!(
+                "{} numbers of a saved arm; one with {} nodes and {m} actuators has {own}, or as many more as it has actuators",
+                numbers.len(),
+                self.rod.n_nodes()
+            )));
+        }
+        let (state, inputs) = numbers.split_at(own);
+        let mut next = state.iter().copied();
+        let mut put = |number: &mut f64| *number = next.next().unwrap_or(f64::NAN);
+        put(&mut self.time);
+        let state = &mut self.state;
+        for vectors in [
+            &mut state.configuration.positions,
+            &mut state.linear_momentum,
+            &mut state.angular_momentum,
+        ] {
+            vectors.iter_mut().flatten().for_each(&mut put);
+        }
+        let rotations = &mut state.configuration.rotations;
+        rotations.iter_mut().flatten().for_each(&mut put);
+        self.inputs = Some(inputs.to_vec()).filter(|inputs| !inputs.is_empty());
+        Ok(())
+    }
+
+    /// Returns another arm of a kind where this one is.
+    fn twin(&self, kind: &Kind) -> Self {
+        Self {
+            state: self.state.clone(),
+            time: self.time,
+            inputs: self.inputs.clone(),
+            ..kind.arm()
+        }
+    }
+}
+
+/// The scene that arms are made of.
+#[derive(Clone)]
+struct Origin {
+    name: String,
+    text: Option<String>,
+    overrides: Vec<String>,
+}
+
 /// The rod, start and time step that arms of one scene have in common.
 struct Kind {
     rod: Arc<Rod>,
@@ -311,9 +379,10 @@ struct Kind {
 }
 
 impl Kind {
-    /// Reads the arm of a scene: its `[plant]`, if it has a closed loop, or its `[rod]`.
-    fn of(py: Python<'_>, name: &str, text: Option<&str>, overrides: &[String]) -> PyResult<Self> {
-        let (scene, source) = read(py, name, text, overrides)?;
+    /// Reads the arm of a scene, with more overrides: its `[plant]`, if it has a closed loop, or its `[rod]`.
+    fn of(py: Python<'_>, origin: &Origin, more: &[&[String]]) -> PyResult<Self> {
+        let overrides = [&[&origin.overrides[..]], more].concat().concat();
+        let (scene, source) = read(py, &origin.name, origin.text.as_deref(), &overrides)?;
         py.detach(|| Self::read(&scene, &source))
             .map_err(|error| scene_error(py, &error))
     }
@@ -403,6 +472,7 @@ fn state_arrays<'py>(py: Python<'py>, rod: &Rod, state: &State) -> StateArrays<'
 /// and saturation of the plant's actuators belong to `softarm mpc`, and are not simulated here.
 #[pyclass(module = "softarm._softarm")]
 pub(super) struct Plant {
+    origin: Origin,
     kind: Arc<Kind>,
     arm: Arm,
 }
@@ -413,13 +483,18 @@ impl Plant {
     #[pyo3(signature = (name, text=None, overrides=Vec::new()))]
     fn new(
         py: Python<'_>,
-        name: &str,
-        text: Option<&str>,
+        name: String,
+        text: Option<String>,
         overrides: Vec<String>,
     ) -> PyResult<Self> {
-        let kind = Arc::new(Kind::of(py, name, text, &overrides)?);
+        let origin = Origin {
+            name,
+            text,
+            overrides,
+        };
+        let kind = Arc::new(Kind::of(py, &origin, &[])?);
         let arm = kind.arm();
-        Ok(Self { kind, arm })
+        Ok(Self { origin, kind, arm })
     }
 
     /// Time since the start, s.
@@ -584,14 +659,28 @@ impl Plant {
 
     /// Returns another arm in the same state.
     fn copy(&self) -> Self {
-        let mut arm = self.kind.arm();
-        arm.state.clone_from(&self.arm.state);
-        arm.time = self.arm.time;
-        arm.inputs.clone_from(&self.arm.inputs);
         Self {
+            origin: self.origin.clone(),
             kind: Arc::clone(&self.kind),
-            arm,
+            arm: self.arm.twin(&self.kind),
         }
+    }
+
+    fn __getnewargs__(&self) -> (String, Option<String>, Vec<String>) {
+        let Origin {
+            name,
+            text,
+            overrides,
+        } = self.origin.clone();
+        (name, text, overrides)
+    }
+
+    fn __getstate__<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        self.arm.numbers().into_pyarray(py)
+    }
+
+    fn __setstate__(&mut self, numbers: Vec<f64>) -> PyResult<()> {
+        self.arm.take(&numbers, self.kind.names.len())
     }
 
     fn __copy__(&self) -> Self {

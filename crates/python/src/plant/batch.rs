@@ -1,5 +1,6 @@
 //! Many simulated arms that move at the same time.
 
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 
@@ -9,7 +10,7 @@ use numpy::{IntoPyArray, PyArray1, PyArray3};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 
-use super::{Acting, Arm, Halt, Kind, Watch, state_arrays};
+use super::{Acting, Arm, Halt, Kind, Origin, Watch, state_arrays};
 use crate::GLANCE;
 use crate::arrays::{Numbers, numbers};
 use softarm::mechanics::State;
@@ -21,15 +22,34 @@ const WORTH_A_THREAD_S: f64 = 1e-4;
 /// Many arms of one scene, which move at the same time on several threads, as far as that is faster.
 ///
 /// `Batch(n, name, text=None, overrides=[], threads=None, each=None)`; `each` has for every arm the overrides of its own.
+#[derive(Clone)]
 #[pyclass(module = "softarm._softarm")]
 pub(crate) struct Batch {
+    origin: Origin,
+    /// Overrides of every arm, if arms have any of their own.
+    each: Option<Vec<Vec<String>>>,
+    /// Overrides after those, by [`Batch::change`].
+    changes: Vec<Vec<String>>,
     /// The kind of every arm.
     kinds: Vec<Arc<Kind>>,
     arms: Vec<Arm>,
     /// Reasons why arms broke down since their last reset.
     errors: Vec<Option<String>>,
-    threads: usize,
+    /// Most threads; `None` is one a core.
+    threads: Option<usize>,
 }
+
+/// Arguments from which a batch is made again: `n`, name, text, overrides, threads and `each`.
+type Making = (
+    usize,
+    String,
+    Option<String>,
+    Vec<String>,
+    Option<usize>,
+    Option<Vec<Vec<String>>>,
+);
+/// Numbers of a saved arm, the reason why it broke down, and its changes.
+type Saved<N> = (N, Option<String>, Vec<String>);
 
 #[pymethods]
 impl Batch {
@@ -38,47 +58,48 @@ impl Batch {
     fn new(
         py: Python<'_>,
         n: usize,
-        name: &str,
-        text: Option<&str>,
+        name: String,
+        text: Option<String>,
         overrides: Vec<String>,
         threads: Option<usize>,
         each: Option<Vec<Vec<String>>>,
     ) -> PyResult<Self> {
-        let kinds = match each {
-            None => {
-                let kind = Arc::new(Kind::of(py, name, text, &overrides)?);
-                vec![kind; n]
-            }
-            Some(each) if each.len() == n => (each.iter())
-                .map(|own| {
-                    let overrides = [&overrides[..], own].concat();
-                    Kind::of(py, name, text, &overrides).map(Arc::new)
-                })
-                .collect::<PyResult<Vec<_>>>()?,
-            Some(each) => {
-                return Err(PyValueError::new_err(format!(
-                    "values of {} arms; expected one for each of the {n} arms",
-                    each.len()
-                )));
-            }
-        };
-        for (index, kind) in kinds.iter().enumerate() {
-            let first = &kinds[0];
-            if kind.rod.n_nodes() != first.rod.n_nodes() || kind.names != first.names {
-                return Err(PyValueError::new_err(format!(
-                    "arm {index} has {} nodes and actuators {:?}, arm 0 has {} and {:?}; arms of a batch have as many nodes and the same actuators",
-                    kind.rod.n_nodes(),
-                    kind.names,
-                    first.rod.n_nodes(),
-                    first.names
-                )));
-            }
+        if let Some(each) = each.as_ref().filter(|each| each.len() != n) {
+            return Err(PyValueError::new_err(format!(
+                "values of {} arms; expected one for each of the {n} arms",
+                each.len()
+            )));
         }
-        let cores = || std::thread::available_parallelism().map_or(1, usize::from);
+        let origin = Origin {
+            name,
+            text,
+            overrides,
+        };
+        // Arms with the same values are of one kind.
+        let mut made = HashMap::<&[String], Arc<Kind>>::new();
+        let mut kinds: Vec<Arc<Kind>> = Vec::with_capacity(n);
+        for index in 0..n {
+            let own = each.as_ref().map_or(&[][..], |each| &each[index]);
+            let kind = match made.get(own) {
+                Some(kind) => Arc::clone(kind),
+                None => {
+                    let kind = Arc::new(Kind::of(py, &origin, &[own])?);
+                    made.insert(own, Arc::clone(&kind));
+                    kind
+                }
+            };
+            if let Some(first) = kinds.first() {
+                fits(index, &kind, first)?;
+            }
+            kinds.push(kind);
+        }
         Ok(Self {
+            origin,
+            each,
+            changes: vec![Vec::new(); n],
             arms: kinds.iter().map(|kind| kind.arm()).collect(),
             errors: vec![None; n],
-            threads: threads.unwrap_or_else(cores).max(1),
+            threads,
             kinds,
         })
     }
@@ -185,8 +206,8 @@ impl Batch {
         let seconds: f64 = (self.kinds.iter().zip(&steps))
             .map(|(kind, (n, _))| simulation_seconds(&kind.rod, *n as f64))
             .sum();
-        let threads = self
-            .threads
+        let cores = || std::thread::available_parallelism().map_or(1, usize::from);
+        let threads = (self.threads.unwrap_or_else(cores))
             .min((seconds / WORTH_A_THREAD_S) as usize)
             .max(1);
         let share = n.div_ceil(threads);
@@ -251,6 +272,88 @@ impl Batch {
         }
         Ok(())
     }
+
+    /// Makes one arm anew at the start of the scene, with other values of some keys: overrides `KEY=VALUE`, after those of `each`. Those of
+    /// the change before no longer hold.
+    fn change(&mut self, py: Python<'_>, index: usize, overrides: Vec<String>) -> PyResult<()> {
+        self.arm(index)?;
+        if self.changes[index] != overrides {
+            let own = self.each.as_ref().map_or(&[][..], |each| &each[index]);
+            let kind = Arc::new(Kind::of(py, &self.origin, &[own, &overrides])?);
+            fits(index, &kind, &self.kinds[index])?;
+            self.kinds[index] = kind;
+            self.changes[index] = overrides;
+        }
+        self.arms[index] = self.kinds[index].arm();
+        self.errors[index] = None;
+        Ok(())
+    }
+
+    /// Returns other arms in the same states.
+    fn copy(&self) -> Self {
+        self.clone()
+    }
+
+    fn __copy__(&self) -> Self {
+        self.clone()
+    }
+
+    fn __deepcopy__(&self, _memo: Bound<'_, PyAny>) -> Self {
+        self.clone()
+    }
+
+    fn __getnewargs__(&self) -> Making {
+        let Origin {
+            name,
+            text,
+            overrides,
+        } = self.origin.clone();
+        let n = self.arms.len();
+        (n, name, text, overrides, self.threads, self.each.clone())
+    }
+
+    fn __getstate__<'py>(&self, py: Python<'py>) -> Vec<Saved<Bound<'py, PyArray1<f64>>>> {
+        (self.arms.iter().zip(&self.errors).zip(&self.changes))
+            .map(|((arm, error), changes)| {
+                let numbers = arm.numbers().into_pyarray(py);
+                (numbers, error.clone(), changes.clone())
+            })
+            .collect()
+    }
+
+    fn __setstate__(&mut self, py: Python<'_>, saved: Vec<Saved<Vec<f64>>>) -> PyResult<()> {
+        if saved.len() != self.arms.len() {
+            return Err(PyValueError::new_err(format!(
+                "{} saved arms; expected {}",
+                saved.len(),
+                self.arms.len()
+            )));
+        }
+        for (index, (numbers, error, changes)) in saved.into_iter().enumerate() {
+            self.change(py, index, changes)?;
+            let m = self.kinds[index].names.len();
+            self.arms[index].take(&numbers, m)?;
+            self.errors[index] = error;
+        }
+        Ok(())
+    }
+}
+
+/// Tells whether an arm may be in a batch with another.
+///
+/// # Errors
+/// Returns a `ValueError` for other nodes or actuators.
+fn fits(index: usize, kind: &Kind, other: &Kind) -> PyResult<()> {
+    if kind.rod.n_nodes() == other.rod.n_nodes() && kind.names == other.names {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!(
+        "arm {index} has {} nodes and actuators {:?}, others have {} and {:?}; arms of a batch have as many nodes and the same actuators",
+        kind.rod.n_nodes(),
+        kind.names,
+        other.rod.n_nodes(),
+        other.names
+    )))
 }
 
 impl Batch {
