@@ -2,6 +2,7 @@
 
 use crate::control::{Enforcement, OptimalControlProblem};
 use crate::mechanics::Trajectory;
+use crate::mechanics::direction::Deviation;
 use crate::mechanics::rotation::log;
 use crate::output::summary::SoftGoalSummary;
 
@@ -24,11 +25,15 @@ pub(super) fn soft_goals(
                 let from = motion.rotations_at(k)[goal.node];
                 log(&(to.transpose() * from)).norm()
             });
+            let aside = goal.direction.map(|to| {
+                let from = &motion.rotations_at(k)[goal.node];
+                Deviation::of(&to, from).angle()
+            });
             Some(SoftGoalSummary {
                 goal: goal.name.clone(),
                 weight,
                 left_m: position,
-                left_rad: angle,
+                left_rad: angle.or(aside),
             })
         })
         .collect()

@@ -31,11 +31,12 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 pub use self::along::{ControlsAlong, held_at};
 use self::clearance::HeldLimits;
 use self::program::{Aim, Demand, HoldingPoint, HoldingProgram, NEARER};
-use self::statics::{Statics, Target};
+use self::statics::Statics;
+pub use self::statics::Target;
 pub use self::verdict::{CannotHold, Holding, HoldingError, NotFound};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
-use super::problem::{ActsOn, GoalPart, OptimalControlProblem};
+use super::problem::{ActsOn, OptimalControlProblem};
 use super::tensions::Winches;
 use mechanics::equilibrium::{
     EquilibriumError, NodeSpring, ends_are_held, nearby_equilibrium_until, static_equilibrium_until,
@@ -98,6 +99,7 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         node: problem.goal_node(),
         position: problem.final_goals().find_map(|goal| goal.position),
         rotation: problem.final_goals().find_map(|goal| goal.rotation),
+        direction: problem.final_goals().find_map(|goal| goal.direction),
     };
     let rod = &problem.rod;
     let not_found = |why| Ok(Holding::NotFound { why });
@@ -542,18 +544,12 @@ impl Search<'_> {
         let Some(goal) = self.statics.problem.final_goals().next() else {
             return false;
         };
-        let missing = self.target.residual(self.rod(), &held.shape);
-        let mut parts = missing
-            .chunks(3)
-            .map(|part| Vector3::from_column_slice(part).norm());
-        let mut is_in = |is_asked: bool, scale: f64, part: GoalPart| {
-            !is_asked
-                || (parts.next())
-                    .is_some_and(|miss| miss * scale < goal.enforcement.tolerance(part))
-        };
-        let length = self.rod().scales.length;
-        is_in(self.target.position.is_some(), length, GoalPart::Position)
-            && is_in(self.target.rotation.is_some(), 1.0, GoalPart::Orientation)
+        let mut missing = self.target.residual(self.rod(), &held.shape).into_iter();
+        self.target.parts().all(|part| {
+            let own = missing.by_ref().take(part.n_rows());
+            let miss = own.map(|value| value * value).sum::<f64>().sqrt();
+            miss * self.statics.problem.goal_scale(part) < goal.enforcement.tolerance(part)
+        })
     }
 
     /// Returns the largest component of the node's residual, in the goal's units.

@@ -302,6 +302,7 @@ impl<'a> Search<'a> {
             position: (self.target.position).map(|place| (place + way, stiffness)),
             rotation: (self.target.rotation)
                 .map(|rotation| (rotation * exp(&turn), stiffness * length * length)),
+            direction: None,
         }
     }
 

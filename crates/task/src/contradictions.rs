@@ -226,14 +226,16 @@ fn too_bent(
     }
     let s = arc(rod, 0, node);
     let name = &goal.goal.name;
-    if let Some(rotation) = goal.goal.rotation {
-        let [from, to] = [&held, &rotation].map(|r| r.column(2).into_owned());
+    let axis = |r: Matrix3<f64>| r.column(2).into_owned();
+    if let Some(to) = goal.goal.direction.or(goal.goal.rotation.map(axis)) {
+        let from = axis(held);
         let turn = from.cross(&to).norm().atan2(from.dot(&to)) - goal.angle;
         let why = format!(
             "{name} points {turn:.4} rad or more away from the base's direction, {s:.4} m along the arm"
         );
         let direction = Contradiction::of(why, turn / s, largest, "1/m of bending");
         let rotated = || {
+            let rotation = goal.goal.rotation?;
             let both = largest.hypot(largest_twist(problem)?);
             let turn = log(&(held.transpose() * rotation)).norm() - goal.angle;
             let why = format!(

@@ -263,6 +263,7 @@ impl Task {
                     path: track.path.clone(),
                     weight: track.weight.unwrap_or(default_weights[0]),
                     rotations: track.rotations.clone(),
+                    directions: track.directions.clone(),
                     rotation_weight: track.rotation_weight.unwrap_or(default_weights[1]),
                     speed_weight: track.speed_weight,
                     from: track.from,

@@ -31,13 +31,11 @@ pub struct HoldingControls {
     pub is_stable: bool,
 }
 
-/// Returns the equilibrium of least effort with a node at a pose, position (m) and rotation (body to space), under the loads of time `t`
-/// (s), and the coefficient of the controls that hold it, from a shape with the node about there; `None` if none is found, for a free arm, and
+/// Returns the equilibrium of least effort with a node at a target under the loads of time `t` (s), and the coefficient of the controls that hold it, from a shape with the node about there; `None` if none is found, for a free arm, and
 /// where the search would take too long. It may be unstable.
 pub fn held_at(
     problem: &OptimalControlProblem,
-    node: usize,
-    (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
+    target: Target,
     t: f64,
     shape: &Configuration,
 ) -> Option<(Configuration, Vec<f64>)> {
@@ -54,11 +52,7 @@ pub fn held_at(
     let search = Search {
         limits: HeldLimits::of(problem),
         statics: &statics,
-        target: Target {
-            node,
-            position,
-            rotation,
-        },
+        target,
         start: shape.clone(),
     };
     let point = search.solve(&Demand::of(Aim::Hold), &first)?;
@@ -112,6 +106,7 @@ impl ControlsAlong {
             node,
             position,
             rotation,
+            direction: None,
         };
         let search = Search {
             limits: HeldLimits::of(problem),

@@ -7,6 +7,7 @@ use crate::holding::{Along, HeldControls, Holding, ReferencePose};
 use crate::horizon::{Effect, Part};
 use control::{Channel, ControlsAlong, OptimalControlProblem, Tracking};
 use mechanics::Wrench;
+use mechanics::direction::Deviation;
 use mechanics::rotation::log;
 
 /// The wrench that holds the model's tip, or the node that follows, at its reference and accelerates the arm's mass along it, at the time
@@ -45,11 +46,11 @@ fn place_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
     (problem.objective.tracking.iter()).find(|track| track.node == node && !track.path.is_empty())
 }
 
-/// Returns the track that prescribes its orientation.
+/// Returns the track that prescribes its orientation or its direction.
 fn turn_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
     let node = followed(problem);
     (problem.objective.tracking.iter())
-        .find(|track| track.node == node && !track.rotations.is_empty())
+        .find(|track| track.node == node && track.end_of_turns().is_some())
 }
 
 impl Controller {
@@ -57,7 +58,7 @@ impl Controller {
     pub(crate) fn reference_end(&self) -> f64 {
         let problem = &self.horizon.problem;
         let place = place_track(problem).and_then(|track| Some(track.path.last()?.0));
-        let turn = turn_track(problem).and_then(|track| Some(track.rotations.last()?.0));
+        let turn = turn_track(problem).and_then(|track| track.end_of_turns());
         place.unwrap_or(0.0).max(turn.unwrap_or(0.0))
     }
 
@@ -93,9 +94,17 @@ impl Controller {
         track.and_then(|track| track.rotation(t)).or_else(goal)
     }
 
-    /// Returns the angle between a rotation of that node and its [reference](Self::reference_rotation) at time `t` (s), rad.
+    /// Returns the angle between a rotation of that node and its [reference](Self::reference_rotation) at time `t` (s), or between its axis
+    /// and the direction of its first track or target that has one, rad.
     pub(crate) fn turn_from_reference(&self, t: f64, r: &Matrix3<f64>) -> Option<f64> {
-        (self.reference_rotation(t)).map(|should| log(&(should.transpose() * r)).norm())
+        let turn = (self.reference_rotation(t)).map(|should| log(&(should.transpose() * r)).norm());
+        turn.or_else(|| {
+            let problem = &self.horizon.problem;
+            let node = followed(problem);
+            let mut goals = problem.goals.iter().filter(|goal| goal.node == node);
+            (turn_track(problem).and_then(|track| track.angle(t, r)))
+                .or_else(|| Some(Deviation::of(&goals.find_map(|goal| goal.direction)?, r).angle()))
+        })
     }
 
     /// Returns the wrenches that hold the node along its reference; `None` without a reference, if it lasts more than ten minutes, and after
@@ -211,7 +220,8 @@ impl Controller {
     pub(super) fn is_reference_at_rest(&self) -> bool {
         let problem = &self.horizon.problem;
         place_track(problem).is_none_or(|track| track.path.len() <= 1)
-            && turn_track(problem).is_none_or(|track| track.rotations.len() <= 1)
+            && turn_track(problem)
+                .is_none_or(|track| track.rotations.len().max(track.directions.len()) <= 1)
     }
 
     /// Returns the time at which the path ends while it still moves, s; `None` without a path, and if it has come to rest by
