@@ -12,8 +12,8 @@ use super::error::CliError;
 use super::progress::{Awaited, LiveStarts};
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::{
-    Attempt, GuessError, Holding, ModelMismatch, NotFound, OptimalControlProblem, Search,
-    SearchEvent, TipDeviation, TrackingError, holding, search_telling,
+    Attempt, GuessError, Holding, ModelMismatch, OptimalControlProblem, Search, SearchEvent,
+    TipDeviation, TrackingError, holding, search_telling,
 };
 use crate::memory::of_solve;
 use crate::output::summary::{NOT_CHECKED, SolveSummary};
@@ -151,12 +151,8 @@ fn not_held(scene: &Scene, problem: &OptimalControlProblem) -> Option<String> {
         return None;
     }
     let why = match holding(problem) {
-        Ok(Holding::NotFound { why }) => {
-            let nearest = match &why {
-                NotFound::Bounds { nearest } => nearest.as_ref(),
-                _ => None,
-            };
-            format!(": {why}{}", nearest_in_words(problem, nearest))
+        Ok(Holding::NotFound { why, nearest }) => {
+            format!(": {why}{}", nearest_in_words(problem, nearest.as_ref()))
         }
         _ => String::new(),
     };

@@ -76,7 +76,9 @@ impl Scene {
                 &self.limit_key(limit),
                 match limit < self.obstacle.len() {
                     true => "move the obstacle, give it a smaller margin_m, or a soft price",
-                    false => "loosen the limit, start from another shape, or give it a soft price",
+                    false => {
+                        "loosen the limit, start from another shape, or give it a from_s above 0 or a soft price"
+                    }
                 },
             ),
             DiscretizeError::LimitConflict { limit, .. } => at(

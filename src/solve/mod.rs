@@ -15,6 +15,7 @@ mod efforts;
 mod equilibrium;
 mod examined;
 mod files;
+mod nearest;
 mod page;
 #[cfg(feature = "cli")]
 mod recheck;

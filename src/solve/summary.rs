@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::causes::{causes, stands_by_symmetry};
 use super::efforts::slack_of_motion;
 use super::examined::{Examined, Spent};
+use super::nearest::nearest_to_target;
 use super::soft_goals::soft_goals;
 use super::solution::Solution;
 use crate::control::{
@@ -70,6 +71,10 @@ pub(crate) fn summarize(
         scene: scene.into(),
         status,
         message,
+        nearest: nearest_to_target(
+            &solution.problem,
+            outcome.status == SqpStatus::LocallyInfeasible,
+        ),
         advice: advice(solution, check),
         iterations: solution.attempt.iterations(),
         objective: outcome.objective,

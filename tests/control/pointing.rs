@@ -110,7 +110,10 @@ fn tendons_point_the_tip() {
         assert!(off < allowed + 1e-6, "{off}");
         assert!((check.tip_angle - off).abs() < 1e-6, "{}", check.tip_angle);
     }
-    let setup = posed(TENDONS, &format!("[task]\n{target}\ndirection = {direction:?}\n"));
+    let setup = posed(
+        TENDONS,
+        &format!("[task]\n{target}\ndirection = {direction:?}\n"),
+    );
     let solution = solve_problem(&setup.posed(), &SolveOptions::default()).unwrap();
     let reached = rotation(&solution, &setup.posed().discrete, "task");
     // The roll that tendons leave is that of the smallest turn from the base, up to what twists a bent arm.
@@ -228,7 +231,9 @@ fn tracks_of_directions_are_followed() {
     assert!((middle.angle(&ends[0]) - middle.angle(&ends[1])).abs() < 1e-12);
     assert!((middle.angle(&ends[0]) - 0.5 * ends[0].angle(&ends[1])).abs() < 1e-12);
     let k = (0.6 / problem.grid.step).round() as usize;
-    let off = solution.trajectory().rotations_at(k)[6].column(2).angle(&middle);
+    let off = solution.trajectory().rotations_at(k)[6]
+        .column(2)
+        .angle(&middle);
     assert!(off < 0.02, "{off}");
 }
 
@@ -248,13 +253,19 @@ fn directions_have_two_rows() {
 #[test]
 fn impossible_directions_are_refused() {
     let refusal = |more: &str| {
-        let text = format!("{WRENCH}[task]\nposition_m = [0.2, 0.0, 0.42]\nat_rest = false\n{more}");
+        let text =
+            format!("{WRENCH}[task]\nposition_m = [0.2, 0.0, 0.42]\nat_rest = false\n{more}");
         let (scene, source) = Scene::from_toml("pointing.toml", &text, &[]).unwrap();
         let error = scene.optimal_control(&source).err().expect("a refusal");
-        (error.key.clone().unwrap_or_default(), error.to_string())
+        (
+            error.key().unwrap_or_default().to_string(),
+            error.to_string(),
+        )
     };
     let via = |node: &str, direction: &str| {
-        format!("[[task.via]]\nat_s = 0.5\nnode = {node}\ndirection = {direction}\ntolerance_rad = 0.1\n")
+        format!(
+            "[[task.via]]\nat_s = 0.5\nnode = {node}\ndirection = {direction}\ntolerance_rad = 0.1\n"
+        )
     };
     let (key, text) = refusal(&via("0", "[1, 0, 1]"));
     assert_eq!(key, "task.via.0.direction", "{text}");

@@ -485,9 +485,7 @@ fn contradictions_and_halves_name_both_keys() {
             "task.orientation_wxyz",
         ),
         (
-            format!(
-                "{ROD}[task]\nposition_m = [0, 0, 1]\nat_rest = false\ntolerance_rad = 0.1\n"
-            ),
+            format!("{ROD}[task]\nposition_m = [0, 0, 1]\nat_rest = false\ntolerance_rad = 0.1\n"),
             "task.orientation_wxyz",
             "task.tolerance_rad",
         ),

@@ -102,7 +102,7 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         direction: problem.final_goals().find_map(|goal| goal.direction),
     };
     let rod = &problem.rod;
-    let not_found = |why| Ok(Holding::NotFound { why });
+    let not_found = |why| Ok(Holding::NotFound { why, nearest: None });
     if rod.may_spin() {
         return not_found(NotFound::LooseEnds);
     }
@@ -164,6 +164,7 @@ fn floating(statics: &Statics, target: Target) -> Holding {
     let (Some(place), Some(pose)) = (target.position, target.rotation) else {
         return Holding::NotFound {
             why: NotFound::FreeBase,
+            nearest: None,
         };
     };
     let node = target.node;
@@ -261,7 +262,8 @@ impl Search<'_> {
         for branch in 0..=BRANCHES.len() {
             if self.statics.problem.stop.is_raised() {
                 return Holding::NotFound {
-                    why: NotFound::Bounds { nearest: None },
+                    why: NotFound::Bounds,
+                    nearest: None,
                 };
             }
             let pulled = match self.pulled(branch) {
@@ -306,12 +308,9 @@ impl Search<'_> {
             let distance = self.distance(&held.shape);
             (Box::new(held), distance)
         });
-        let out_of_reach = NotFound::Bounds {
-            nearest: nearest.clone(),
-        };
-        let cannot = |why| Holding::CannotBeHeld { why, nearest };
         if self.statics.components.is_empty() {
-            return cannot(CannotHold::NothingActuated);
+            let why = CannotHold::NothingActuated;
+            return Holding::CannotBeHeld { why, nearest };
         }
         let Findings {
             above,
@@ -321,24 +320,24 @@ impl Search<'_> {
             no_shape,
             crossing: _,
         } = findings;
-        match (dependent, above, unstable) {
-            (Some([controls, equations]), ..) if !unresolved => {
-                cannot(CannotHold::TooFewControls {
-                    controls,
-                    equations,
-                })
-            }
-            (_, Some(above), _) if !unresolved => cannot(CannotHold::AboveBounds(Box::new(above))),
+        let why = match (dependent, above, &unstable) {
+            (Some([controls, equations]), ..) if !unresolved => CannotHold::TooFewControls {
+                controls,
+                equations,
+            },
+            (_, Some(above), _) if !unresolved => CannotHold::AboveBounds(Box::new(above)),
             (_, _, Some(unstable)) if !unresolved => {
-                cannot(CannotHold::Unstable(Box::new(unstable)))
+                CannotHold::Unstable(Box::new(unstable.clone()))
             }
-            (_, _, Some(unstable)) if unstable.is_within_bounds() => Holding::NotFound {
-                why: NotFound::Unstable(Box::new(unstable)),
-            },
-            _ => Holding::NotFound {
-                why: no_shape.map_or(out_of_reach, NotFound::Equilibrium),
-            },
-        }
+            _ => {
+                let unstable = unstable.filter(Held::is_within_bounds);
+                let unstable = unstable.map(|held| NotFound::Unstable(Box::new(held)));
+                let why = unstable.or(no_shape.map(NotFound::Equilibrium));
+                let why = why.unwrap_or(NotFound::Bounds);
+                return Holding::NotFound { why, nearest };
+            }
+        };
+        Holding::CannotBeHeld { why, nearest }
     }
 
     /// Searches for controls that hold the node at the goal, from a shape with the node there.

@@ -620,6 +620,10 @@ pub struct SolveSummary {
     pub status: &'static str,
     /// Message in words, if there is more to say.
     pub message: Option<String>,
+    /// The nearest point to the target at which the arm can be held, where nothing was found that holds it at the target as it should, or no
+    /// motion that reaches the target.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nearest: Option<NearestHeldSummary>,
     /// Remarks on the motion if the solve did not converge, or the check rejects it: places, amounts, and changes that may help.
     pub advice: Vec<String>,
     /// Iterations.

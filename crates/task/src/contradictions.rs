@@ -84,7 +84,9 @@ pub(super) fn check_contradictions(
                 .is_ok();
             let found = match constraint.limit {
                 PathLimit::Speed { at, largest }
-                    if at.node(&problem.rod.mesh) == goal.goal.node =>
+                    if at.node(&problem.rod.mesh) == goal.goal.node
+                        && constraint.time_nodes.first() == Some(&0)
+                        && constraint.time_nodes.last() >= Some(&goal.goal.time_node) =>
                 {
                     too_fast(problem, goal, &wanted, largest)
                 }

@@ -183,6 +183,8 @@ pub struct Limit {
     pub kind: PathLimit,
     /// Times per second at which the limit is enforced, Hz. `None`: every time step, or about 1000 times of a longer motion.
     pub rate: Option<f64>,
+    /// Times from which and until which the limit holds, s; the nearest time nodes count. `None`: from the beginning, and to the end.
+    pub span: [Option<f64>; 2],
     /// Enforcement: hard, or at a price per scaled violation and second.
     pub enforcement: PathEnforcement,
 }
@@ -279,7 +281,7 @@ pub struct Task {
     pub start: Start,
     /// Goals at the end, and waypoints.
     pub targets: Vec<Target>,
-    /// Limits and obstacles that hold at all times.
+    /// Limits and obstacles.
     pub limits: Vec<Limit>,
     /// The wrenches that the optimizer chooses.
     pub actuators: Vec<WrenchActuator>,
@@ -347,13 +349,16 @@ impl Task {
         self
     }
 
-    /// Returns the task that lasts `factor` times as long, its waypoints at the same fractions of the duration.
+    /// Returns the task that lasts `factor` times as long, its waypoints and the spans of its limits at the same fractions of the duration.
     #[must_use]
     pub fn with_time_scale(&self, factor: f64) -> Self {
         let mut out = self.clone();
         out.horizon *= factor;
         for target in &mut out.targets {
             target.time = target.time.map(|time| time * factor);
+        }
+        for limit in &mut out.limits {
+            limit.span = limit.span.map(|time| Some(time? * factor));
         }
         out
     }

@@ -25,6 +25,7 @@ pub(super) fn stay(
         Ok(Ok((_, stay))) => Ok(Some(stay)),
         Ok(Err(Holding::NotFound {
             why: why @ NotFound::LooseEnds,
+            ..
         })) => refuse(why.to_string()),
         Ok(Err(Holding::NotFound { .. } | Holding::Held(_))) => Ok(None),
         Ok(Err(Holding::CannotBeHeld { why, nearest })) => {
@@ -90,6 +91,7 @@ fn judged(
         }
         | Holding::NotFound {
             why: NotFound::Unstable(held),
+            ..
         } if held.is_within_bounds() && grows_little(&held, staying) => held,
         found => return Err(found),
     };

@@ -223,11 +223,9 @@ impl Keys<'_> {
         if let Some(velocity) = &task.velocity_m_s {
             self.finite("task.velocity_m_s", velocity)?;
             if task.at_rest != AtRest::Passing {
-                let message = "an arm that comes to rest at its target has no velocity there";
-                let help = "set task.at_rest = false".to_string();
-                return Err(self
-                    .source
-                    .error_at("task.velocity_m_s", message, Some(help)));
+                let message = "an arm that comes to rest at its target has no velocity there: set \
+                               task.at_rest = false";
+                return Err(self.source.error_at("task.velocity_m_s", message, None));
             }
         }
         let end = scene.time.end_s.get();

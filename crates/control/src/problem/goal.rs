@@ -2,8 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use mechanics::direction::Deviation;
 #[cfg(doc)]
 use mechanics::direction::across;
+use mechanics::rotation::log;
 use mechanics::{Rod, TimeGrid};
 
 /// The way in which a goal is enforced: as an equality, within a tolerance, or by a penalty.
@@ -106,6 +108,14 @@ impl Goal {
     #[must_use]
     pub fn turns(&self) -> bool {
         self.rotation.is_some() || self.direction.is_some()
+    }
+
+    /// Returns the angle of a node of rotation `r` from the goal's orientation, or of its axis from the goal's direction, rad; `None` where
+    /// both are free.
+    #[must_use]
+    pub fn angle(&self, r: &Matrix3<f64>) -> Option<f64> {
+        let turn = self.rotation.map(|to| log(&to.tr_mul(r)).norm());
+        turn.or_else(|| Some(Deviation::of(&self.direction?, r).angle()))
     }
 
     /// Returns the scene key of a part of the goal, below the goal's own key, or a description if it has none.
