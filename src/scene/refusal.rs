@@ -60,10 +60,11 @@ impl Scene {
                     found => at(key, &found.join("; ")),
                 }
             }
-            DiscretizeError::NotHeld(_) => at(
+            DiscretizeError::NotHeld { nearest, .. } => at(
                 "task.at_rest",
                 "move the target, raise the bounds, or let the tip stop for an instant: at_rest = \"tip\"",
-            ),
+            )
+            .with_nearest(nearest),
             DiscretizeError::TooManyBlocks { .. } => at(
                 "control.blocks",
                 "use fewer blocks or a shorter time.step_s",

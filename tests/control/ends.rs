@@ -159,7 +159,10 @@ fn staying_is_refused_where_sections_may_spin() {
         let task = posed.task.staying(Staying::default());
         let refused = task.discretize(&posed.arm, &posed.discretization);
         let refused = refused.err().unwrap();
-        assert!(matches!(refused, DiscretizeError::NotHeld(_)), "{refused}");
+        assert!(
+            matches!(refused, DiscretizeError::NotHeld { .. }),
+            "{refused}"
+        );
     }
 }
 
