@@ -15,7 +15,7 @@ mod efforts;
 mod equilibrium;
 mod examined;
 mod files;
-mod nearest;
+pub(crate) mod nearest;
 mod page;
 #[cfg(feature = "cli")]
 mod recheck;

@@ -3,24 +3,18 @@
 use crate::control::{Held, Holding, OptimalControlProblem, holding};
 use crate::mechanics::{NodeWrenches, Wrench};
 use crate::output::summary::NearestHeldSummary;
-use crate::task::{Problem, Rest};
 
 /// Fraction of the length below which a coordinate of an equilibrium is rounding: the scaled residual that an equilibrium may leave.
 const PLACE_ROUNDING: f64 = 1e-9;
 
-/// Returns the nearest point at which the arm of a task can be held, if it should stay at its target and nothing was found that holds it
-/// there, or if no motion to the target was found.
-pub(super) fn nearest_to_target(problem: &Problem, is_missed: bool) -> Option<NearestHeldSummary> {
-    let discrete = &problem.discrete;
-    let should_stay =
-        (problem.task.targets.iter()).any(|target| matches!(target.rest, Rest::Staying(_)));
-    let is_sought = is_missed || (should_stay && discrete.stay.is_none());
-    let has_target = discrete.final_goals().next().is_some();
-    (is_sought && has_target).then(|| nearest(discrete, &holding(discrete).ok()?))?
+/// Returns the nearest point to the target at which the arm can be held, where no motion to the target was found; `None` without a target,
+/// and where the target is held or no point was found.
+pub(super) fn nearest_to_target(problem: &OptimalControlProblem) -> Option<NearestHeldSummary> {
+    nearest(problem, &holding(problem).ok()?)
 }
 
 /// Returns the nearest point to a goal at which its node was found to be held, with what holds it there.
-pub(super) fn nearest(
+pub(crate) fn nearest(
     problem: &OptimalControlProblem,
     found: &Holding,
 ) -> Option<NearestHeldSummary> {

@@ -71,10 +71,9 @@ pub(crate) fn summarize(
         scene: scene.into(),
         status,
         message,
-        nearest: nearest_to_target(
-            &solution.problem,
-            outcome.status == SqpStatus::LocallyInfeasible,
-        ),
+        nearest: (outcome.status == SqpStatus::LocallyInfeasible)
+            .then(|| nearest_to_target(problem))
+            .flatten(),
         advice: advice(solution, check),
         iterations: solution.attempt.iterations(),
         objective: outcome.objective,

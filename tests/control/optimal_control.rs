@@ -623,8 +623,11 @@ fn check_recomputes_the_gradient() {
                 p.goals[0].rotation = Some(turn);
             } else {
                 p.goals[0].direction = Some(turn.column(2).into());
-                p.goals[0].at_rest = false;
-                p.goals[0].velocity = Some(Vector3::new(0.1, 0.0, -0.2));
+                // Differences of the axial speed of a stiff wire, beside which the angular velocities are large, are noise.
+                if p.grid.step < 10.0 * stable_step(&p.rod) {
+                    p.goals[0].at_rest = false;
+                    p.goals[0].velocity = Some(Vector3::new(0.1, 0.0, -0.2));
+                }
             }
             p.objective.rate = 1e-3;
         });

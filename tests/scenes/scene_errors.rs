@@ -490,6 +490,13 @@ fn contradictions_and_halves_name_both_keys() {
             "task.tolerance_rad",
         ),
         (
+            format!(
+                "{ROD}[task]\nposition_m = [0, 0, 1]\n[control]\nforce_max_n = 1\n[[limit]]\nspeed_max_m_s = 1\nfrom_s = 0.5\nto_s = 0.25\n"
+            ),
+            "limit.0.to_s",
+            "0.25",
+        ),
+        (
             format!("{ROD}[task]\nposition_m = [0, 0, 1]\nvelocity_m_s = [1, 0, 0]\n"),
             "task.velocity_m_s",
             "task.at_rest = false",

@@ -14,6 +14,7 @@ mod fit;
 mod fluid;
 mod hardware;
 mod mpc_verb;
+mod nearest;
 mod outcomes;
 mod report_verb;
 mod stopping;
