@@ -256,7 +256,7 @@ fn impossible_directions_are_refused() {
         let text =
             format!("{WRENCH}[task]\nposition_m = [0.2, 0.0, 0.42]\nat_rest = false\n{more}");
         let (scene, source) = Scene::from_toml("pointing.toml", &text, &[]).unwrap();
-        let error = scene.optimal_control(&source).err().expect("a refusal");
+        let error = scene.optimal_control(&source).expect_err("a refusal");
         (
             error.key().unwrap_or_default().to_string(),
             error.to_string(),

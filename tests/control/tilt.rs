@@ -96,7 +96,11 @@ fn limits_hold_for_a_span() {
     assert!(early.certify().unwrap().kkt.max() < 1e-6);
     let found = angles(&early);
     let half = found.len() / 2;
-    assert!(most(&found[..=half]) < 0.3 + 1e-4, "{}", most(&found[..=half]));
+    assert!(
+        most(&found[..=half]) < 0.3 + 1e-4,
+        "{}",
+        most(&found[..=half])
+    );
     assert!(most(&found[half..]) > 0.5);
     let aside = "[[limit]]\ntilt = { axis = [0, 0, 1], direction = [1, 0, 1], max_rad = 0.2 }\n";
     let (scene, source) = Scene::from_toml("tilt.toml", &format!("{SCENE}{aside}"), &[]).unwrap();

@@ -117,7 +117,8 @@ period_s = 0.02
 horizon_s = 0.3
 ";
     let target = "[task]\ndirection = [0.5, 0.2, -0.85]\n";
-    let track = "[[objective.track]]\ndirections = [[0.0, 0.0, 0.0, -1.0], [2.0, 0.5, 0.2, -0.85]]\n";
+    let track =
+        "[[objective.track]]\ndirections = [[0.0, 0.0, 0.0, -1.0], [2.0, 0.5, 0.2, -0.85]]\n";
     for how in [target, track] {
         let (outcome, _) = run(&format!("{arm}{how}"), &[]);
         let turn = outcome.tip_turn.unwrap();

@@ -230,9 +230,11 @@ mod tests {
                 Vector3::new(0.4, -0.5, 0.8),
             ];
             // The fifth derivative grows as the fifth power.
-            let far = (own.angle() > 1.6)
-                .then(|| own.angle().sin().powi(-5))
-                .unwrap_or(1.0);
+            let far = if own.angle() > 1.6 {
+                own.angle().sin().powi(-5)
+            } else {
+                1.0
+            };
             let tolerance = 1e-10 * far;
             for zeta in zeta {
                 let at = |s: f64| Deviation::of(&d, &(r * exp(&(zeta * s))));

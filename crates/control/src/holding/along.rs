@@ -1,6 +1,6 @@
 //! The controls that hold a node along a reference, from one pose to the next.
 
-use nalgebra::{DMatrix, Matrix3, Vector3, Vector6};
+use nalgebra::{DMatrix, Vector6};
 
 use super::clearance::HeldLimits;
 use super::program::{Aim, Demand, HoldingPoint, LITTLE, NEARER};
@@ -90,24 +90,16 @@ impl ControlsAlong {
         }
     }
 
-    /// Moves the equilibrium to a pose of `node`, position (m) and rotation (body to space), under the loads of time `t` (s); to one at which
-    /// the node `rests`, as near as it gets, and otherwise up to what controls that hardly move it would do. Returns `None`, and stays where
+    /// Moves the equilibrium to a target of a node, under the loads of time `t` (s); to one at which the node `rests`, as near as it gets, and otherwise up to what controls that hardly move it would do. Returns `None`, and stays where
     /// it is, if no equilibrium is found.
     pub fn hold(
         &mut self,
         problem: &OptimalControlProblem,
-        node: usize,
-        (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
+        target: Target,
         t: f64,
         rests: bool,
     ) -> Option<HoldingControls> {
         let statics = statics_at(problem, t);
-        let target = Target {
-            node,
-            position,
-            rotation,
-            direction: None,
-        };
         let search = Search {
             limits: HeldLimits::of(problem),
             statics: &statics,

@@ -94,17 +94,22 @@ impl Controller {
         track.and_then(|track| track.rotation(t)).or_else(goal)
     }
 
+    /// Returns the reference direction of the axis of that node at time `t` (s): that of its first track that turns it, or else of its first
+    /// target.
+    fn reference_direction(&self, t: f64) -> Option<Vector3<f64>> {
+        let problem = &self.horizon.problem;
+        let node = followed(problem);
+        let goal = || {
+            (problem.goals.iter()).find_map(|goal| (goal.node == node).then_some(goal.direction)?)
+        };
+        (turn_track(problem).and_then(|track| track.direction(t))).or_else(goal)
+    }
+
     /// Returns the angle between a rotation of that node and its [reference](Self::reference_rotation) at time `t` (s), or between its axis
-    /// and the direction of its first track or target that has one, rad.
+    /// and its reference direction, rad.
     pub(crate) fn turn_from_reference(&self, t: f64, r: &Matrix3<f64>) -> Option<f64> {
         let turn = (self.reference_rotation(t)).map(|should| log(&(should.transpose() * r)).norm());
-        turn.or_else(|| {
-            let problem = &self.horizon.problem;
-            let node = followed(problem);
-            let mut goals = problem.goals.iter().filter(|goal| goal.node == node);
-            (turn_track(problem).and_then(|track| track.angle(t, r)))
-                .or_else(|| Some(Deviation::of(&goals.find_map(|goal| goal.direction)?, r).angle()))
-        })
+        turn.or_else(|| Some(Deviation::of(&self.reference_direction(t)?, r).angle()))
     }
 
     /// Returns the wrenches that hold the node along its reference; `None` without a reference, if it lasts more than ten minutes, and after
@@ -131,6 +136,7 @@ impl Controller {
         ReferencePose {
             position: self.reference(t).map(Vector3::from),
             rotation: self.reference_rotation(t).filter(|_| turns),
+            direction: None,
         }
     }
 
@@ -143,7 +149,10 @@ impl Controller {
     fn held(&self, along: Along) -> Option<HeldControls> {
         let problem = &self.horizon.problem;
         let node = followed(problem);
-        let reference = |t: f64| self.reference_pose(t, true);
+        let reference = |t: f64| ReferencePose {
+            direction: self.reference_direction(t),
+            ..self.reference_pose(t, true)
+        };
         if reference(0.0) == ReferencePose::default() {
             return None;
         }
