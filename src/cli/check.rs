@@ -293,8 +293,11 @@ fn held_by(need: &StaticNeedSummary, units: &[ControlUnit]) -> String {
     let nearest = need.nearest.as_ref().map_or_else(String::new, |nearest| {
         let [x, y, z] = nearest.position_m.map(digits);
         format!(
-            "; the nearest point found that is held is [{x}, {y}, {z}] m, {} away, by {}",
+            "; the nearest point found that is held is [{x}, {y}, {z}] m, {} away{}, by {}",
             quantity(nearest.distance_m, "m"),
+            (nearest.angle_rad).map_or_else(String::new, |angle| {
+                format!(" and turned by {}", quantity(angle, "rad"))
+            }),
             in_parts(&nearest.wrenches, &nearest.controls, units)
         )
     });

@@ -12,13 +12,14 @@ use super::error::CliError;
 use super::progress::{Awaited, LiveStarts};
 use super::{Global, Outcome, SceneAndOut, exit, memory, scene_name};
 use crate::control::{
-    Attempt, GuessError, Holding, ModelMismatch, NotFound, OptimalControlProblem, Search,
-    SearchEvent, TipDeviation, TrackingError, holding, search_telling,
+    Attempt, GuessError, Holding, ModelMismatch, OptimalControlProblem, Search, SearchEvent,
+    TipDeviation, TrackingError, holding, search_telling,
 };
 use crate::memory::of_solve;
-use crate::output::summary::{NOT_CHECKED, SolveSummary};
+use crate::output::summary::{NOT_CHECKED, NearestHeldSummary, SolveSummary};
 use crate::output::{ResultKind, RunDirectory};
 use crate::scene::{OptimalControl, Scene};
+use crate::solve::nearest::nearest;
 use crate::solve::scene_check::{expectation, warnings};
 use crate::solve::{
     Chosen, Earlier, Examination, Examined, Solution, choose, diagnostics, findings, help, legend,
@@ -58,7 +59,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         console.warn(&warning);
     }
     let not_held = not_held(&scene, &described.problem);
-    if let Some(words) = &not_held {
+    if let Some((words, _)) = &not_held {
         console.warn(words);
     }
     let mut previous = None;
@@ -107,7 +108,10 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         &target,
     );
     summary.accuracy = found.accuracy;
-    summary.advice.extend(not_held);
+    if let Some((words, nearest)) = not_held {
+        summary.advice.push(words);
+        summary.nearest = summary.nearest.or(nearest);
+    }
     let diagnostics = (setup.diagnostics && !stop.is_raised())
         .then(|| diagnostics(problem, &solution.coefficients))
         .and_then(|found| {
@@ -145,24 +149,26 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     Ok(exit_code(&solution, &examined))
 }
 
-/// Returns the reason why the tip of an arm that should stay at its target only stops there for an instant.
-fn not_held(scene: &Scene, problem: &OptimalControlProblem) -> Option<String> {
+/// Returns the reason why the tip of an arm that should stay at its target only stops there for an instant, and the nearest point at which
+/// it can be held, if one was found.
+fn not_held(
+    scene: &Scene,
+    problem: &OptimalControlProblem,
+) -> Option<(String, Option<NearestHeldSummary>)> {
     if !scene.stays() || problem.stay.is_some() {
         return None;
     }
-    let why = match holding(problem) {
-        Ok(Holding::NotFound { why }) => {
-            let nearest = match &why {
-                NotFound::Bounds { nearest } => nearest.as_ref(),
-                _ => None,
-            };
-            format!(": {why}{}", nearest_in_words(problem, nearest))
+    let found = holding(problem).ok();
+    let why = match &found {
+        Some(Holding::NotFound { why, nearest }) => {
+            format!(": {why}{}", nearest_in_words(problem, nearest.as_ref()))
         }
         _ => String::new(),
     };
-    Some(format!(
+    let words = format!(
         "task.at_rest: nothing was found that holds the arm at its target, so that the tip only stops for an instant{why}"
-    ))
+    );
+    Some((words, found.and_then(|found| nearest(problem, &found))))
 }
 
 /// Solves a problem from all starts, checks what they find, and tells on the way.

@@ -230,7 +230,7 @@ fn goal_blocks(
         };
         let goal = &program.problem().goals[rows[0].goal];
         gather(
-            format!("{}.{}", goal.name, rows[0].part.name()),
+            format!("{}.{}", goal.name, goal.name_of(rows[0].part)),
             "residuals by the controls, and simulations",
             along_variables(program, point, rng, rounded(program), &slopes, &values),
         )

@@ -41,7 +41,7 @@ impl Scene {
             keys.check_obstacle(obstacle, index)?;
         }
         for (index, limit) in self.limit.iter().enumerate() {
-            keys.check_limit(limit, index, self.rod.elements)?;
+            keys.check_limit(limit, index, self)?;
         }
         if let Some(solver) = &self.solver {
             keys.check_solver(solver)?;

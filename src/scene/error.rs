@@ -3,6 +3,8 @@
 use std::fmt;
 use std::ops::Range;
 
+use crate::task::NearestHeld;
+
 /// An error in a scene: the key, the place where it is written, the message, the expected value and a remedy.
 ///
 /// Displayed, it is a diagnosis of a few lines, of bounded length whatever the input was:
@@ -28,6 +30,7 @@ struct Diagnosis {
     place: Place,
     expected: Option<String>,
     help: Option<String>,
+    nearest: Option<NearestHeld>,
 }
 
 /// Place where a value is written.
@@ -61,6 +64,7 @@ impl SceneError {
             place,
             expected: None,
             help: None,
+            nearest: None,
         }))
     }
 
@@ -119,6 +123,18 @@ impl SceneError {
         self.0.expected.as_deref()
     }
 
+    /// Adds the nearest place to the target that can be held.
+    pub(super) fn with_nearest(mut self, nearest: Option<NearestHeld>) -> SceneError {
+        self.0.nearest = nearest;
+        self
+    }
+
+    /// The nearest place to the target of the task at which the arm can be held, if the error is that nothing holds it at the target, and one
+    /// was found.
+    pub fn nearest(&self) -> Option<NearestHeld> {
+        self.0.nearest
+    }
+
     /// The remedy.
     pub fn help(&self) -> Option<&str> {
         self.0.help.as_deref()
@@ -135,6 +151,7 @@ impl fmt::Display for SceneError {
             place,
             expected,
             help,
+            nearest: _,
         } = &*self.0;
         match key {
             Some(key) => write!(f, "error: {key}: {message}")?,

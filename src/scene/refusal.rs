@@ -60,10 +60,11 @@ impl Scene {
                     found => at(key, &found.join("; ")),
                 }
             }
-            DiscretizeError::NotHeld(_) => at(
+            DiscretizeError::NotHeld { nearest, .. } => at(
                 "task.at_rest",
                 "move the target, raise the bounds, or let the tip stop for an instant: at_rest = \"tip\"",
-            ),
+            )
+            .with_nearest(nearest),
             DiscretizeError::TooManyBlocks { .. } => at(
                 "control.blocks",
                 "use fewer blocks or a shorter time.step_s",
@@ -76,7 +77,9 @@ impl Scene {
                 &self.limit_key(limit),
                 match limit < self.obstacle.len() {
                     true => "move the obstacle, give it a smaller margin_m, or a soft price",
-                    false => "loosen the limit, start from another shape, or give it a soft price",
+                    false => {
+                        "loosen the limit, start from another shape, or give it a from_s above 0 or a soft price"
+                    }
                 },
             ),
             DiscretizeError::LimitConflict { limit, .. } => at(

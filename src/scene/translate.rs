@@ -283,11 +283,12 @@ impl Scene {
                     definition.stays_s = Some(known(stay.seconds));
                     definition.stays_m = Some(known(stay.distance));
                 }
-                if definition.at_rest == AtRest::Tip && definition.hard {
+                let stops = definition.at_rest == AtRest::Tip;
+                if definition.hard && (stops || definition.velocity_m_s.is_some()) {
                     let tolerances = definition.tolerances();
                     let [speed, spin] = tolerances.rest(arm.length, task.horizon);
                     definition.tolerance_m_s = Some(known(speed));
-                    definition.tolerance_rad_s = Some(known(spin));
+                    definition.tolerance_rad_s = stops.then(|| known(spin));
                 }
             }
             resolved.objective = Some(self.resolved_objective(&problem));
@@ -637,4 +638,13 @@ fn resolve_time(scene: &mut Scene, grid: &TimeGrid) {
 #[must_use]
 pub fn directors(rotation: &Matrix3<f64>) -> [[f64; 3]; 3] {
     [0, 1, 2].map(|i| rotation.column(i).into_owned().into())
+}
+
+/// Returns the directors that a target asks for: those of an orientation, or the third one of a direction; `None` without either.
+pub(crate) fn target_directors(
+    rotation: Option<Matrix3<f64>>,
+    direction: Option<Vector3<f64>>,
+) -> Option<[Option<[f64; 3]>; 3]> {
+    let all = rotation.map(|rotation| directors(&rotation).map(Some));
+    all.or_else(|| Some([None, None, Some(direction?.into())]))
 }

@@ -32,7 +32,12 @@ pub(super) fn worst_constraints<D>(
         list.push((
             off,
             NamedConstraint {
-                name: format!("{}.{} {}", goal.name, row.part.name(), axes[row.axis]),
+                name: format!(
+                    "{}.{} {}",
+                    goal.name,
+                    goal.name_of(row.part),
+                    axes[row.axis]
+                ),
                 node: goal.node,
                 time_s: problem.grid.time(goal.time_node),
                 amount: scaled * problem.goal_scale(row.part),

@@ -15,6 +15,7 @@ mod efforts;
 mod equilibrium;
 mod examined;
 mod files;
+pub(crate) mod nearest;
 mod page;
 #[cfg(feature = "cli")]
 mod recheck;

@@ -2,7 +2,6 @@
 
 use crate::control::{Enforcement, OptimalControlProblem};
 use crate::mechanics::Trajectory;
-use crate::mechanics::rotation::log;
 use crate::output::summary::SoftGoalSummary;
 
 /// Computes the distance, m, and the angle, rad, of the node of every soft goal from the goal at its time.
@@ -20,10 +19,7 @@ pub(super) fn soft_goals(
                 let from = motion.positions_at(k)[goal.node];
                 (to - from).norm()
             });
-            let angle = goal.rotation.map(|to| {
-                let from = motion.rotations_at(k)[goal.node];
-                log(&(to.transpose() * from)).norm()
-            });
+            let angle = goal.angle(&motion.rotations_at(k)[goal.node]);
             Some(SoftGoalSummary {
                 goal: goal.name.clone(),
                 weight,

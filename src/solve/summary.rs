@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::causes::{causes, stands_by_symmetry};
 use super::efforts::slack_of_motion;
 use super::examined::{Examined, Spent};
+use super::nearest::nearest_to_target;
 use super::soft_goals::soft_goals;
 use super::solution::Solution;
 use crate::control::{
@@ -70,6 +71,9 @@ pub(crate) fn summarize(
         scene: scene.into(),
         status,
         message,
+        nearest: (outcome.status == SqpStatus::LocallyInfeasible)
+            .then(|| nearest_to_target(problem))
+            .flatten(),
         advice: advice(solution, check),
         iterations: solution.attempt.iterations(),
         objective: outcome.objective,

@@ -129,7 +129,9 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
         time_node: 70,
         position: Some(Vector3::new(0.03, 0.0, 0.5)),
         rotation: Some(exp(&Vector3::new(0.1, -0.2, 0.1))),
+        direction: None,
         at_rest: false,
+        velocity: None,
         enforcement: Enforcement::Soft { weight: 3.0 },
     };
     let near = Goal {
@@ -172,6 +174,7 @@ pub fn busy_problem(rule: StrainRule) -> OptimalControlProblem {
                     (0.0, exp(&Vector3::new(0.2, 0.0, 0.1))),
                     (0.2, exp(&Vector3::new(0.0, 0.3, -0.4))),
                 ],
+                directions: Vec::new(),
                 rotation_weight: 5.0,
                 speed_weight: 0.1,
                 from: 0.05,

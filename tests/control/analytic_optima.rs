@@ -474,7 +474,9 @@ fn timed_push(hold: Hold, n_blocks: usize, distance: f64, price: f64) -> Optimal
         time_node: STEPS,
         position: Some(rod.rest.positions[node] + Vector3::x() * distance),
         rotation: None,
+        direction: None,
         at_rest: true,
+        velocity: None,
         enforcement: Enforcement::Hard,
     });
     let longest = 0.9 * stable_step(&problem.rod) * STEPS as f64;

@@ -60,6 +60,7 @@ fn posed() -> (Arm, Task, Discretization) {
                 points: None,
             },
             rate: Some(50.0),
+            span: [None; 2],
             enforcement: PathEnforcement::Hard,
         },
         Limit {
@@ -69,6 +70,7 @@ fn posed() -> (Arm, Task, Discretization) {
                 largest: 5.0,
             },
             rate: None,
+            span: [None; 2],
             enforcement: PathEnforcement::Hard,
         },
     ];

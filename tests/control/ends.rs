@@ -159,7 +159,10 @@ fn staying_is_refused_where_sections_may_spin() {
         let task = posed.task.staying(Staying::default());
         let refused = task.discretize(&posed.arm, &posed.discretization);
         let refused = refused.err().unwrap();
-        assert!(matches!(refused, DiscretizeError::NotHeld(_)), "{refused}");
+        assert!(
+            matches!(refused, DiscretizeError::NotHeld { .. }),
+            "{refused}"
+        );
     }
 }
 
@@ -289,7 +292,9 @@ fn places_beyond_the_bounds_are_refused_with_their_distance() {
     let overrides = ["task.at_rest=true", "task.position_m=[0.25, 0.0, 0.06]"];
     let overrides = overrides.map(ToString::to_string);
     let (scene, source) = Scene::from_toml("scene.toml", &text, &overrides).unwrap();
-    let refused = scene.optimal_control(&source).err().unwrap().to_string();
+    let error = scene.optimal_control(&source).err().unwrap();
+    let nearest = error.nearest().expect("a place");
+    let refused = error.to_string();
     assert!(
         refused.contains("the nearest place of node 5 that can be held")
             && refused.contains("m from it"),
@@ -301,6 +306,8 @@ fn places_beyond_the_bounds_are_refused_with_their_distance() {
     let distance: f64 = after.split_once(" m from it").unwrap().0.parse().unwrap();
     let place = nalgebra::Vector3::from_column_slice(&place);
     let target = nalgebra::Vector3::new(0.25, 0.0, 0.06);
+    assert!((place - nalgebra::Vector3::from(nearest.position)).norm() < 1e-6);
+    assert!((nearest.distance / distance - 1.0).abs() < 5e-3);
     assert!(
         ((place - target).norm() / distance - 1.0).abs() < 5e-3,
         "{refused}"

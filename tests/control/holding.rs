@@ -1,7 +1,7 @@
 //! The search for efforts that hold a tip: problems whose distance from the target has several minima over the efforts.
 
 use nalgebra::{Rotation3, Vector3};
-use softarm::control::{ControlsAlong, Holding, OptimalControlProblem, holding};
+use softarm::control::{ControlsAlong, HeldTarget, Holding, OptimalControlProblem, holding};
 use softarm::mechanics::{
     Density, Material, NodeWrenches, Route, State, Stepper, StrainActuator, TimeGrid,
 };
@@ -414,17 +414,19 @@ fn controls_follow_the_stiffness() {
         ("force", by_force(&cylinder(0.0))),
         ("weight", by_force(&cylinder(-2.0))),
     ] {
-        let target = problem.goals.iter().find_map(|goal| goal.position);
-        assert!(target.is_some());
+        let aim = HeldTarget {
+            node: problem.rod.tip(),
+            position: problem.goals.iter().find_map(|goal| goal.position),
+            ..HeldTarget::default()
+        };
+        assert!(aim.position.is_some());
         let hold = |factor: f64| {
             let mut own = problem.clone();
             let mut rod = (*own.rod).clone();
             rod.take_stiffness(&problem.rod, factor);
             own.rod = rod.into();
             let mut along = ControlsAlong::new(&own);
-            along
-                .hold(&own, own.rod.tip(), (target, None), 0.0, true)
-                .expect("held")
+            along.hold(&own, aim, 0.0, true).expect("held")
         };
         let [less, own, more] = [1.0 - CHANGE, 1.0, 1.0 + CHANGE].map(hold);
         let size = own

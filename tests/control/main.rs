@@ -19,6 +19,7 @@ mod lasting;
 mod optimal_control;
 mod path_constraints;
 mod path_tracking;
+mod pointing;
 mod pose_actuators;
 mod soft_goals;
 mod staying;

@@ -138,6 +138,7 @@ fn limits_are_kept() {
                 error: 0.0,
             })),
             rate: Some(50.0),
+            span: [None; 2],
             enforcement,
         });
         softarm::solve(&arm(), &task, &grid()).unwrap()
@@ -208,6 +209,7 @@ fn the_derivative_check_sees_terms() {
             name: "tilt".into(),
             kind: PathLimit::Term(tilt(in_limit)),
             rate: Some(50.0),
+            span: [None; 2],
             enforcement: PathEnforcement::Hard,
         });
         let problem = task.discretize(&arm(), &grid()).unwrap();

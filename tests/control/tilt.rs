@@ -76,6 +76,39 @@ fn hard_limits_are_active() {
     }
 }
 
+/// In a span of time alone: at the end, the limit is violated before and kept there; until the middle, it is kept and violated later; at the
+/// start, where the arm is upright, a direction aside need not be kept.
+#[test]
+fn limits_hold_for_a_span() {
+    let angles = |solution: &Solution| -> Vec<f64> {
+        let trajectory = solution.trajectory();
+        (0..trajectory.n_times())
+            .map(|k| (trajectory.rotations_at(k)[8] * Vector3::z()).angle(&Vector3::z()))
+            .collect()
+    };
+    let most = |angles: &[f64]| angles.iter().copied().fold(0.0, f64::max);
+    let at_end = solved(&tilt(0.3, "from_s = 1.0\nto_s = 1.0"));
+    assert!(at_end.certify().unwrap().kkt.max() < 1e-6);
+    let found = angles(&at_end);
+    assert!((found[found.len() - 1] - 0.3).abs() < 1e-6);
+    assert!(most(&found) > 0.35, "{}", most(&found));
+    let early = solved(&tilt(0.3, "to_s = 0.5"));
+    assert!(early.certify().unwrap().kkt.max() < 1e-6);
+    let found = angles(&early);
+    let half = found.len() / 2;
+    assert!(
+        most(&found[..=half]) < 0.3 + 1e-4,
+        "{}",
+        most(&found[..=half])
+    );
+    assert!(most(&found[half..]) > 0.5);
+    let aside = "[[limit]]\ntilt = { axis = [0, 0, 1], direction = [1, 0, 1], max_rad = 0.2 }\n";
+    let (scene, source) = Scene::from_toml("tilt.toml", &format!("{SCENE}{aside}"), &[]).unwrap();
+    assert!(scene.optimal_control(&source).is_err());
+    let later = solved(&format!("{aside}from_s = 0.8\n"));
+    assert!(later.certify().unwrap().kkt.max() < 1e-6);
+}
+
 /// Soft: a low price is paid, one above the multiplier keeps the limit, and both are certified.
 #[test]
 fn soft_limits_have_a_price() {

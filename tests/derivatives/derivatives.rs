@@ -128,6 +128,7 @@ energy = 0.3
                 path: vec![(0.0, Vector3::zeros()), (0.3, Vector3::new(0.1, 0.2, 0.9))],
                 weight: 2.0,
                 rotations: vec![(0.0, Matrix3::identity()), (0.3, exp(&turn))],
+                directions: Vec::new(),
                 rotation_weight: 3.0,
                 speed_weight: 0.7,
                 from: 0.0,
@@ -214,6 +215,58 @@ energy = 0.3
             "curvature (path)",
             "twist (path)",
             "speed (path)",
+            "hessian",
+        ] {
+            block(&report, name);
+        }
+    }
+}
+
+/// Goals and tracks of directions have right derivatives, first and second, and so has a goal of a velocity.
+#[test]
+fn directions_and_velocities_are_checked() {
+    let scene = "\
+[rod]
+length_m = 1.0
+elements = 4
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.05
+[damping]
+internal_s = 1e-3
+[time]
+end_s = 0.3
+[task]
+direction = [0.5, 0.2, 0.8]
+velocity_m_s = [0.3, 0.0, -0.1]
+at_rest = false
+[[task.via]]
+at_s = 0.2
+node = 0.5
+direction = [0.0, 0.4, 0.9]
+tolerance_rad = 0.1
+[control]
+blocks = 4
+force_max_n = inf
+moment_max_n_m = inf
+[[objective.track]]
+directions = [[0.0, 0.0, 0.0, 1.0], [0.3, 0.4, -0.3, 0.8]]
+orientation_weight = 3.0
+";
+    for integrator in ["explicit", "implicit"] {
+        let set = [format!("time.integrator={integrator}")];
+        let (scene, source) = Scene::from_toml("directions", scene, &set).unwrap();
+        let problem = scene.optimal_control(&source).unwrap().problem;
+        let report = check(&problem, 5).unwrap();
+        assert_right(integrator, &report);
+        for name in [
+            "objective.track.0",
+            "task.direction",
+            "task.velocity_m_s",
+            "task.via.0.direction",
             "hessian",
         ] {
             block(&report, name);

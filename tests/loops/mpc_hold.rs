@@ -83,6 +83,53 @@ fn poses_are_held() {
     assert!(turn.rms < 0.02, "{turn:?}");
 }
 
+/// Three tendons turn the tip toward a direction, whatever its roll, by a loop without an end, and keep it there; the angle that is left is
+/// that of the samples. Toward a direction that turns, a track leads them.
+#[test]
+fn directions_are_held() {
+    let arm = "\
+[rod]
+length_m = 0.3
+elements = 6
+[rod.material]
+preset = \"dragon-skin-30\"
+[rod.section]
+radius_m = 0.012
+[base]
+direction = [0.0, 0.0, -1.0]
+[gravity]
+acceleration_m_s2 = [0.0, 0.0, -9.81]
+[damping]
+viscous_1_s = 2.0
+[time]
+end_s = 3.0
+[[tendon]]
+offset_m = [0.009, 0.0]
+tension_n = [0.0, 10.0]
+[[tendon]]
+offset_m = [-0.0045, 0.0078]
+tension_n = [0.0, 10.0]
+[[tendon]]
+offset_m = [-0.0045, -0.0078]
+tension_n = [0.0, 10.0]
+[mpc]
+period_s = 0.02
+horizon_s = 0.3
+";
+    let target = "[task]\ndirection = [0.5, 0.2, -0.85]\n";
+    let track =
+        "[[objective.track]]\ndirections = [[0.0, 0.0, 0.0, -1.0], [2.0, 0.5, 0.2, -0.85]]\n";
+    for how in [target, track] {
+        let (outcome, _) = run(&format!("{arm}{how}"), &[]);
+        let turn = outcome.tip_turn.unwrap();
+        println!("{how}: {turn:?}");
+        assert!(turn.last < 0.02, "{turn:?}");
+        let last = outcome.samples.last().unwrap();
+        assert_eq!(last.turn, Some(turn.last));
+        assert_eq!(last.reference, None);
+    }
+}
+
 /// Where the arm is the model and its state is known, a place that is followed is held more than twice as near if effort counts from what holds it, as by default, than
 /// if it counts from zero, at weights at which effort matters.
 #[test]

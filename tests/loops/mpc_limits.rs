@@ -45,6 +45,7 @@ fn limit(kind: PathLimit, enforcement: PathEnforcement) -> Limit {
         name: "limit".into(),
         kind,
         rate: None,
+        span: [None; 2],
         enforcement,
     }
 }

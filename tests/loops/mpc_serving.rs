@@ -396,6 +396,7 @@ fn orientations_and_obstacles_may_come_with_measurements() {
             points: None,
         },
         rate: None,
+        span: [None; 2],
         enforcement: PathEnforcement::Hard,
     };
     turned.task.cost.tracks[0].rotations = vec![turn(0.2)];

@@ -478,6 +478,43 @@ fn contradictions_and_halves_name_both_keys() {
             "task.orientation_wxyz",
         ),
         (
+            format!(
+                "{ROD}[task]\norientation_wxyz = [1, 0, 0, 0]\ndirection = [0, 0, 1]\nat_rest = false\n"
+            ),
+            "task.direction",
+            "task.orientation_wxyz",
+        ),
+        (
+            format!("{ROD}[task]\nposition_m = [0, 0, 1]\nat_rest = false\ntolerance_rad = 0.1\n"),
+            "task.orientation_wxyz",
+            "task.tolerance_rad",
+        ),
+        (
+            format!(
+                "{ROD}[task]\nposition_m = [0, 0, 1]\n[control]\nforce_max_n = 1\n[[limit]]\nspeed_max_m_s = 1\nfrom_s = 0.5\nto_s = 0.25\n"
+            ),
+            "limit.0.to_s",
+            "0.25",
+        ),
+        (
+            format!("{ROD}[task]\nposition_m = [0, 0, 1]\nvelocity_m_s = [1, 0, 0]\n"),
+            "task.velocity_m_s",
+            "task.at_rest = false",
+        ),
+        (
+            format!("{ROD}[task]\nposition_m = [0, 0, 1]\n[[task.via]]\nat_s = 0.5\n"),
+            "task.via.0.position_m",
+            "task.via.0.direction",
+        ),
+        (
+            format!(
+                "{ROD}[control]\nforce_max_n = 1\n[[objective.track]]\ndirections = [[0, 0, 0, 1]]\n\
+                 orientations_wxyz = [[0, 1, 0, 0, 0]]\n"
+            ),
+            "objective.track.0.directions",
+            "objective.track.0.orientations_wxyz",
+        ),
+        (
             format!("{ROD}[control]\nblocks = 1\nforce_max_n = 0\nmoment_max_n_m = [0, 0, 0]\n"),
             "control",
             "force_max_n",

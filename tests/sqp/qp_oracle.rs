@@ -81,7 +81,9 @@ fn problem(look: Look) -> OptimalControlProblem {
             rotation: look
                 .rotation
                 .then(|| initial.configuration.rotations[tip] * exp(&dice.vector(0.3))),
+            direction: None,
             at_rest: look.at_rest,
+            velocity: None,
             enforcement: look.enforcement,
         }],
         path: Vec::new(),

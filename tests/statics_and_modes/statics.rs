@@ -131,6 +131,7 @@ fn springs_hold_the_tip() {
             node: rod.tip(),
             position: Some((target, 1e5)),
             rotation: Some((turn, 1e5)),
+            direction: None,
         };
         let shape = static_equilibrium(&rod, &rod.rest, 0.0, &spring).unwrap();
         assert!((shape.positions[10] - target).norm() < 1e-2);
@@ -209,6 +210,7 @@ fn springs_bend_a_wire() {
                 node: rod.tip(),
                 position: Some((target, stiffness * rod.scales.force / length)),
                 rotation: None,
+                direction: None,
             };
             let found = static_equilibrium(&rod, &shape, 0.0, &spring);
             println!(

@@ -17,6 +17,7 @@ mod fluid;
 mod friction;
 mod hardware;
 mod mpc_verb;
+mod nearest;
 mod outcomes;
 mod report_verb;
 mod stopping;

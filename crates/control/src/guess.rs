@@ -1,13 +1,16 @@
 //! Initial guesses of a solve. Each is a motion of the rod under some controls: rest, static shapes toward the goals, a detour, or a
 //! simulated slow motion.
 
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::{Matrix3, Vector3};
 
-use super::holding::held_at;
+use super::holding::{Target, held_at};
 use super::problem::{ActsOn, Goal, OptimalControlProblem};
-use super::tracking::Tracking;
+use super::tracking::{Tracking, on_great_circle};
 use super::transcription::{LiftedPoint, simulate};
 use super::turns::{long_turns, longer_ways, quarter_turns};
+use mechanics::direction::Deviation;
 use mechanics::equilibrium::{EquilibriumError, NodeSpring, nearby_equilibrium_until};
 use mechanics::rotation::{exp, log};
 use mechanics::strain_coordinates::between;
@@ -131,12 +134,49 @@ struct Leg {
     end: f64,
     position: Option<Vector3<f64>>,
     rotation: Option<Matrix3<f64>>,
+    direction: Option<Vector3<f64>>,
     /// Tells whether the tip turns by more than half a turn.
     longer: bool,
     springs: usize,
 }
 
 impl Leg {
+    /// Returns the target of the node at the end of the leg.
+    fn target(&self, node: usize) -> Target {
+        Target {
+            node,
+            position: self.position,
+            rotation: self.rotation,
+            direction: self.direction,
+        }
+    }
+
+    /// Returns targets on the way of the node's turn from rotation `r`, each at most a quarter turn from the one before; the last is that of
+    /// the leg.
+    fn way(&self, node: usize, r: &Matrix3<f64>) -> Vec<Target> {
+        let target = self.target(node);
+        if let Some(to) = self.rotation {
+            let way = quarter_turns(r, &to, self.longer).into_iter();
+            return (way.map(Some))
+                .map(|rotation| Target { rotation, ..target })
+                .collect();
+        }
+        let Some(to) = self.direction else {
+            return vec![target];
+        };
+        let from = r.column(2).into_owned();
+        let n = (Deviation::of(&to, r).angle() / FRAC_PI_2).ceil().max(1.0) as usize;
+        let step = |i: usize| Some(on_great_circle(&from, &to, i as f64 / n as f64));
+        (1..n)
+            .map(step)
+            .chain([Some(to)])
+            .map(|direction| Target {
+                direction,
+                ..target
+            })
+            .collect()
+    }
+
     /// Returns the equilibrium under the springs that pull the tip to the end of the leg at time `t` (s), with the last spring; from
     /// another shape on, by soft springs on the way of a turn.
     fn pulled(
@@ -146,27 +186,15 @@ impl Leg {
         t: f64,
     ) -> Result<(Configuration, NodeSpring), GuessError> {
         let rod = &problem.rod;
-        let scales = &rod.scales;
         let tip = problem.goal_node();
         let mut shape = before.clone();
         let mut spring = NodeSpring::default();
-        let mut turns: Vec<_> = self.rotation.map_or_else(
-            || vec![None],
-            |to| {
-                let way = quarter_turns(&shape.rotations[tip], &to, self.longer);
-                way.into_iter().map(Some).collect()
-            },
-        );
-        let last = turns.pop().flatten();
-        let soft = (turns.into_iter())
+        let mut targets = self.way(tip, &shape.rotations[tip]);
+        let last = targets.pop().unwrap_or_else(|| self.target(tip));
+        let soft = (targets.into_iter())
             .flat_map(|to| SPRINGS[..SOFT_SPRINGS].iter().map(move |k| (to, *k)));
-        for (rotation, stiffness) in soft.chain(SPRINGS[..self.springs].iter().map(|k| (last, *k)))
-        {
-            spring = NodeSpring {
-                node: tip,
-                position: (self.position).map(|to| (to, stiffness * scales.force / scales.length)),
-                rotation: rotation.map(|to| (to, stiffness * scales.moment)),
-            };
+        for (to, stiffness) in soft.chain(SPRINGS[..self.springs].iter().map(|k| (last, *k))) {
+            spring = to.springs(rod, stiffness);
             shape = nearby_equilibrium_until(rod, &shape, t, &spring, &problem.stop)?;
         }
         Ok((shape, spring))
@@ -193,9 +221,8 @@ fn legs(problem: &OptimalControlProblem, detour: Option<&Vector3<f64>>) -> Vec<L
             Leg {
                 end,
                 position: Some(*position),
-                rotation: None,
-                longer: false,
                 springs: SOFT_SPRINGS,
+                ..Leg::default()
             },
         );
     }
@@ -208,9 +235,7 @@ fn goal_legs(problem: &OptimalControlProblem) -> Vec<Leg> {
     let last = problem.grid.n_steps as f64;
     let longer = longer_ways(problem);
     let mut goals: Vec<(&Goal, bool)> = (problem.goals.iter().zip(longer))
-        .filter(|(goal, _)| {
-            goal.node == tip && (goal.position.is_some() || goal.rotation.is_some())
-        })
+        .filter(|(goal, _)| goal.node == tip && (goal.position.is_some() || goal.turns()))
         .collect();
     goals.sort_by_key(|(goal, _)| goal.time_node);
     let mut legs: Vec<Leg> = Vec::new();
@@ -228,6 +253,7 @@ fn goal_legs(problem: &OptimalControlProblem) -> Vec<Leg> {
             if leg.rotation.is_none() {
                 (leg.rotation, leg.longer) = (goal.rotation, longer);
             }
+            leg.direction = leg.direction.or(goal.direction);
         }
     }
     legs
@@ -253,10 +279,9 @@ impl Waypoint {
             let place = problem.of_wrench(component);
             place.is_some_and(|(node, _)| node == tip)
         });
-        let to = (leg.position, leg.rotation);
         if !pushes
             && leg.springs == SPRINGS.len()
-            && let Some((shape, hold)) = held_at(problem, tip, to, t, &shape)
+            && let Some((shape, hold)) = held_at(problem, leg.target(tip), t, &shape)
         {
             return Ok(Self { shape, hold });
         }
@@ -282,8 +307,8 @@ fn turning_legs(track: &Tracking, horizon: f64) -> Vec<Leg> {
         end: t / horizon,
         position: track.position(t),
         rotation: track.rotation(t),
-        longer: false,
         springs: SPRINGS.len(),
+        ..Leg::default()
     };
     (times.into_iter().map(leg))
         .filter(|leg| leg.end > 0.0 && leg.end <= 1.0)

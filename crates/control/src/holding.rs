@@ -31,11 +31,12 @@ use nalgebra::{DMatrix, Matrix3, Vector3};
 pub use self::along::{ControlsAlong, held_at};
 use self::clearance::HeldLimits;
 use self::program::{Aim, Demand, HoldingPoint, HoldingProgram, NEARER};
-use self::statics::{Statics, Target};
+use self::statics::Statics;
+pub use self::statics::Target;
 pub use self::verdict::{CannotHold, Holding, HoldingError, NotFound};
 use super::guess::{SOFT_SPRINGS, SPRINGS};
 use super::held::Held;
-use super::problem::{ActsOn, GoalPart, OptimalControlProblem};
+use super::problem::{ActsOn, OptimalControlProblem};
 use super::tensions::Winches;
 use mechanics::equilibrium::{
     EquilibriumError, NodeSpring, ends_are_held, nearby_equilibrium_until, static_equilibrium_until,
@@ -98,9 +99,10 @@ pub fn holding(problem: &OptimalControlProblem) -> Result<Holding, HoldingError>
         node: problem.goal_node(),
         position: problem.final_goals().find_map(|goal| goal.position),
         rotation: problem.final_goals().find_map(|goal| goal.rotation),
+        direction: problem.final_goals().find_map(|goal| goal.direction),
     };
     let rod = &problem.rod;
-    let not_found = |why| Ok(Holding::NotFound { why });
+    let not_found = |why| Ok(Holding::NotFound { why, nearest: None });
     if rod.may_spin() {
         return not_found(NotFound::LooseEnds);
     }
@@ -162,6 +164,7 @@ fn floating(statics: &Statics, target: Target) -> Holding {
     let (Some(place), Some(pose)) = (target.position, target.rotation) else {
         return Holding::NotFound {
             why: NotFound::FreeBase,
+            nearest: None,
         };
     };
     let node = target.node;
@@ -259,7 +262,8 @@ impl Search<'_> {
         for branch in 0..=BRANCHES.len() {
             if self.statics.problem.stop.is_raised() {
                 return Holding::NotFound {
-                    why: NotFound::Bounds { nearest: None },
+                    why: NotFound::Bounds,
+                    nearest: None,
                 };
             }
             let pulled = match self.pulled(branch) {
@@ -304,12 +308,9 @@ impl Search<'_> {
             let distance = self.distance(&held.shape);
             (Box::new(held), distance)
         });
-        let out_of_reach = NotFound::Bounds {
-            nearest: nearest.clone(),
-        };
-        let cannot = |why| Holding::CannotBeHeld { why, nearest };
         if self.statics.components.is_empty() {
-            return cannot(CannotHold::NothingActuated);
+            let why = CannotHold::NothingActuated;
+            return Holding::CannotBeHeld { why, nearest };
         }
         let Findings {
             above,
@@ -319,24 +320,24 @@ impl Search<'_> {
             no_shape,
             crossing: _,
         } = findings;
-        match (dependent, above, unstable) {
-            (Some([controls, equations]), ..) if !unresolved => {
-                cannot(CannotHold::TooFewControls {
-                    controls,
-                    equations,
-                })
-            }
-            (_, Some(above), _) if !unresolved => cannot(CannotHold::AboveBounds(Box::new(above))),
+        let why = match (dependent, above, &unstable) {
+            (Some([controls, equations]), ..) if !unresolved => CannotHold::TooFewControls {
+                controls,
+                equations,
+            },
+            (_, Some(above), _) if !unresolved => CannotHold::AboveBounds(Box::new(above)),
             (_, _, Some(unstable)) if !unresolved => {
-                cannot(CannotHold::Unstable(Box::new(unstable)))
+                CannotHold::Unstable(Box::new(unstable.clone()))
             }
-            (_, _, Some(unstable)) if unstable.is_within_bounds() => Holding::NotFound {
-                why: NotFound::Unstable(Box::new(unstable)),
-            },
-            _ => Holding::NotFound {
-                why: no_shape.map_or(out_of_reach, NotFound::Equilibrium),
-            },
-        }
+            _ => {
+                let unstable = unstable.filter(Held::is_within_bounds);
+                let unstable = unstable.map(|held| NotFound::Unstable(Box::new(held)));
+                let why = unstable.or(no_shape.map(NotFound::Equilibrium));
+                let why = why.unwrap_or(NotFound::Bounds);
+                return Holding::NotFound { why, nearest };
+            }
+        };
+        Holding::CannotBeHeld { why, nearest }
     }
 
     /// Searches for controls that hold the node at the goal, from a shape with the node there.
@@ -542,18 +543,12 @@ impl Search<'_> {
         let Some(goal) = self.statics.problem.final_goals().next() else {
             return false;
         };
-        let missing = self.target.residual(self.rod(), &held.shape);
-        let mut parts = missing
-            .chunks(3)
-            .map(|part| Vector3::from_column_slice(part).norm());
-        let mut is_in = |is_asked: bool, scale: f64, part: GoalPart| {
-            !is_asked
-                || (parts.next())
-                    .is_some_and(|miss| miss * scale < goal.enforcement.tolerance(part))
-        };
-        let length = self.rod().scales.length;
-        is_in(self.target.position.is_some(), length, GoalPart::Position)
-            && is_in(self.target.rotation.is_some(), 1.0, GoalPart::Orientation)
+        let mut missing = self.target.residual(self.rod(), &held.shape).into_iter();
+        self.target.parts().all(|part| {
+            let own = missing.by_ref().take(part.n_rows());
+            let miss = own.map(|value| value * value).sum::<f64>().sqrt();
+            miss * self.statics.problem.goal_scale(part) < goal.enforcement.tolerance(part)
+        })
     }
 
     /// Returns the largest component of the node's residual, in the goal's units.

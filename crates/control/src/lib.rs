@@ -72,9 +72,9 @@ pub use feedback::{
 pub use guess::{Guess, GuessError, first_point, simulated};
 pub use held::Held;
 pub use hold::{ControlGrid, Hold};
-#[doc(hidden)]
-pub use holding::ControlsAlong;
 pub use holding::{CannotHold, Holding, HoldingError, NotFound, holding};
+#[doc(hidden)]
+pub use holding::{ControlsAlong, Target as HeldTarget};
 #[doc(hidden)]
 pub use journal::{Listener, SearchEvent};
 pub use mechanics::solid::{Shape, SignedDistance};

@@ -10,7 +10,8 @@ use nalgebra::{Matrix3, Vector3};
 
 pub use self::derivatives::{RowCurvature, RowGradient};
 pub(super) use self::derivatives::{
-    along, at, element_curvature, element_form, term_curvature, turn_curvature, vector_forms,
+    along, at, element_curvature, element_form, node_turn_curvature, term_curvature,
+    turn_curvature, vector_forms,
 };
 use self::derivatives::{
     dynamic, joined, norm_curvature, point_form, strain_curvature, strain_form, unit, velocity_form,

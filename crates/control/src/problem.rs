@@ -189,7 +189,7 @@ impl OptimalControlProblem {
         let mut rows = Vec::new();
         for (goal, definition) in self.goals.iter().enumerate() {
             for part in definition.parts() {
-                rows.extend((0..3).map(|axis| GoalRow { goal, part, axis }));
+                rows.extend((0..part.n_rows()).map(|axis| GoalRow { goal, part, axis }));
             }
         }
         if let Some(stay) = &self.stay {
@@ -228,7 +228,7 @@ impl OptimalControlProblem {
         let scales = &self.rod.scales;
         match part {
             GoalPart::Position => scales.length,
-            GoalPart::Orientation => 1.0,
+            GoalPart::Orientation | GoalPart::Direction => 1.0,
             GoalPart::Velocity => scales.length / scales.time,
             GoalPart::AngularVelocity => 1.0 / scales.time,
             GoalPart::Deviation(_) => scales.moment.sqrt(),

@@ -8,10 +8,11 @@ use nalgebra::{SVector, Vector3};
 
 use super::path::{
     RodView, RowCurvature, RowGradient, along, durations, element_curvature, element_form,
-    term_curvature, turn_curvature,
+    node_turn_curvature, term_curvature, turn_curvature,
 };
 use super::problem::{GoalPart, OptimalControlProblem};
 use super::turns::rotation_error;
+use mechanics::direction::Deviation;
 use mechanics::element::{ElementPose, IntervalStress};
 use mechanics::rotation::{log, log_tangent};
 use mechanics::{FormTerm, Rod, StateForm, StrainRule, TimeGrid};
@@ -23,6 +24,8 @@ pub enum ResidualKind {
     TrackPosition(usize),
     /// Rotation vector of a track's node from its path, `log(R*ᵀ R)`; index of the track.
     TrackOrientation(usize),
+    /// Deviation of the axis of a track's node from its direction; index of the track.
+    TrackDirection(usize),
     /// Difference of the mean velocity of a track's node over an interval from that of its path, `(v - v*) T₀/L`; index of the track.
     TrackVelocity(usize),
     /// One value of a term of one's own.
@@ -81,6 +84,8 @@ impl ResidualKind {
         match self {
             Self::Term { .. } => 1,
             Self::Energy(_) => 3 * n_ends(rod) + 3,
+            Self::Goal { part, .. } => part.n_rows(),
+            Self::TrackDirection(_) => 2,
             _ => 3,
         }
     }
@@ -88,8 +93,11 @@ impl ResidualKind {
     /// Tells whether the residual is a distance divided by the rod's length, or an angle.
     pub fn is_place(self) -> bool {
         match self {
-            Self::TrackPosition(_) | Self::TrackOrientation(_) => true,
-            Self::Goal { part, .. } => matches!(part, GoalPart::Position | GoalPart::Orientation),
+            Self::TrackPosition(_) | Self::TrackOrientation(_) | Self::TrackDirection(_) => true,
+            Self::Goal { part, .. } => matches!(
+                part,
+                GoalPart::Position | GoalPart::Orientation | GoalPart::Direction
+            ),
             _ => false,
         }
     }
@@ -114,6 +122,7 @@ impl Residual {
         match self.kind {
             ResidualKind::TrackPosition(index)
             | ResidualKind::TrackOrientation(index)
+            | ResidualKind::TrackDirection(index)
             | ResidualKind::TrackVelocity(index) => {
                 let first = self.before.unwrap_or(self.time_node);
                 problem.objective.tracking[index].counts(grid.time(first))
@@ -141,6 +150,11 @@ impl Residual {
             }
             ResidualKind::TrackOrientation(index) => {
                 vector(root, track_turn(problem, view, index, k));
+            }
+            ResidualKind::TrackDirection(index) => {
+                let off = track_deviation(problem, view, index, k).map(|own| own.value());
+                (off.unwrap_or_default().iter().enumerate())
+                    .for_each(|(row, off)| write(row, root * off));
             }
             ResidualKind::TrackVelocity(index) => {
                 let track = &problem.objective.tracking[index];
@@ -175,7 +189,7 @@ impl Residual {
             ResidualKind::Goal { goal, part, longer } => {
                 let off = goal_vector(problem, states, [goal, k], part, longer);
                 let scale = problem.goal_scale(part);
-                for axis in 0..3 {
+                for axis in 0..part.n_rows() {
                     write(axis, root * (off[axis] / scale));
                 }
             }
@@ -202,6 +216,12 @@ impl Residual {
             ResidualKind::TrackOrientation(index) => {
                 let node = problem.objective.tracking[index].node;
                 write_turn(node, &track_turn(problem, view, index, k), root, write);
+            }
+            ResidualKind::TrackDirection(index) => {
+                let node = problem.objective.tracking[index].node;
+                if let Some(own) = track_deviation(problem, view, index, k) {
+                    write_deviation(node, &own, root, write);
+                }
             }
             ResidualKind::TrackVelocity(index) => {
                 let node = problem.objective.tracking[index].node;
@@ -249,6 +269,13 @@ impl Residual {
                     GoalPart::Orientation => {
                         let psi = goal_vector(problem, states, [goal, k], part, longer);
                         write_turn(node, &psi, inverse, write);
+                    }
+                    GoalPart::Direction => {
+                        let Some(to) = &problem.goals[goal].direction else {
+                            return;
+                        };
+                        let own = Deviation::of(to, &view.trajectory.rotations_at(k)[node]);
+                        write_deviation(node, &own, inverse, write);
                     }
                     GoalPart::Velocity => {
                         for axis in 0..3 {
@@ -305,6 +332,12 @@ impl Residual {
                 let psi = track_turn(problem, view, index, k);
                 let node = problem.objective.tracking[index].node;
                 Some(turn_curvature(k, node, &psi, &(psi * self.weight)))
+            }
+            ResidualKind::TrackDirection(index) => {
+                let own = track_deviation(problem, view, index, k)?;
+                let node = problem.objective.tracking[index].node;
+                let y = own.value().map(|off| off * self.weight);
+                Some(node_turn_curvature(k, node, &own.curvature(y)))
             }
             ResidualKind::Term { index, item } => {
                 let term = &problem.objective.terms[index].term;
@@ -366,7 +399,20 @@ fn track_turn(
     track.turn(view.grid.time(k), r).unwrap_or_default()
 }
 
-/// A goal's vector before scaling at time node `k`.
+/// The deviation of the axis of a track's node at time node `k`; `None` where its direction is free.
+fn track_deviation(
+    problem: &OptimalControlProblem,
+    view: &RodView,
+    index: usize,
+    k: usize,
+) -> Option<Deviation> {
+    let track = &problem.objective.tracking[index];
+    let to = track.direction(view.grid.time(k))?;
+    let r = &view.trajectory.rotations_at(k)[track.node];
+    Some(Deviation::of(&to, r))
+}
+
+/// A goal's vector before scaling at time node `k`; the last component of a part with two is zero.
 fn goal_vector(
     problem: &OptimalControlProblem,
     states: &States,
@@ -387,7 +433,11 @@ fn goal_vector(
                 |longer| rotation_error(goal.node, to, (trajectory, k), longer),
             )
         }),
-        GoalPart::Velocity => linear[goal.node] / inertia.mass,
+        GoalPart::Direction => goal.direction.map_or_else(Vector3::zeros, |to| {
+            let [a, b] = Deviation::of(&to, &trajectory.rotations_at(k)[goal.node]).value();
+            Vector3::new(a, b, 0.0)
+        }),
+        GoalPart::Velocity => linear[goal.node] / inertia.mass - goal.velocity.unwrap_or_default(),
         GoalPart::AngularVelocity => angular[goal.node].component_div(&inertia.rotary),
         GoalPart::Deviation(vector) => problem.stay.as_ref().map_or_else(Vector3::zeros, |stay| {
             let vectors = [trajectory.positions_at(k), linear, angular];
@@ -402,6 +452,15 @@ fn write_turn(node: usize, psi: &Vector3<f64>, factor: f64, write: &mut WriteTer
     for axis in 0..3 {
         for term in along(node, 3, &(slope.column(axis) * factor)) {
             write(axis, 0, term);
+        }
+    }
+}
+
+/// Writes the derivative of `factor ρ` of a node.
+fn write_deviation(node: usize, own: &Deviation, factor: f64, write: &mut WriteTerm) {
+    for (row, gradient) in own.gradients().iter().enumerate() {
+        for term in along(node, 3, &(gradient * factor)) {
+            write(row, 0, term);
         }
     }
 }
@@ -465,6 +524,10 @@ pub fn cost_residuals(problem: &OptimalControlProblem) -> Vec<Residual> {
                 let weight = track.rotation_weight * duration;
                 add(ResidualKind::TrackOrientation(index), weight);
             }
+            if !track.directions.is_empty() {
+                let weight = track.rotation_weight * duration;
+                add(ResidualKind::TrackDirection(index), weight);
+            }
         }
         for (index, cost) in objective.terms.iter().enumerate() {
             for item in 0..cost.term.n_values(rod) {
@@ -493,10 +556,10 @@ pub fn cost_residuals(problem: &OptimalControlProblem) -> Vec<Residual> {
     out
 }
 
-/// Returns the residuals of the goals with the weight 1, in the order of [`OptimalControlProblem::goal_rows`], three rows each. `longer`
-/// has for every goal whether its orientation is approached from the start by more than half a turn; `None`: all by the shorter way.
+/// Returns the residuals of the goals with the weight 1, in the order of [`OptimalControlProblem::goal_rows`]. `longer` has for every goal whether its orientation is approached from the start by more than half a turn; `None`: all by the shorter way.
 pub fn goal_residuals(problem: &OptimalControlProblem, longer: Option<&[bool]>) -> Vec<Residual> {
-    (problem.goal_rows().chunks(3))
+    (problem.goal_rows())
+        .chunk_by(|row, next| (row.goal, row.part) == (next.goal, next.part))
         .map(|rows| Residual {
             kind: ResidualKind::Goal {
                 goal: rows[0].goal,
@@ -510,32 +573,38 @@ pub fn goal_residuals(problem: &OptimalControlProblem, longer: Option<&[bool]>) 
         .collect()
 }
 
-/// Returns the second derivative of `Σ multiplier · residual` over the goals: only logarithms of rotations have one.
+/// Returns the second derivative of `Σ multiplier · residual` over the goals: only those of rotations and directions have one.
 pub(crate) fn goal_curvature(
     problem: &OptimalControlProblem,
     residuals: &[Residual],
     states: &States,
     multipliers: &[f64],
 ) -> Vec<RowCurvature> {
-    let of = |index: usize| Vector3::from_fn(|axis, _| multipliers[3 * index + axis]);
-    let mut out = Vec::new();
-    let mut along_stay = Vec::new();
-    for (index, residual) in residuals.iter().enumerate() {
+    let (mut out, mut along_stay, mut first) = (Vec::new(), Vec::new(), 0);
+    for residual in residuals {
         let ResidualKind::Goal { goal, part, longer } = residual.kind else {
             continue;
         };
         let k = residual.time_node;
+        let own = &multipliers[first..first + part.n_rows()];
+        first += own.len();
         match part {
             GoalPart::Orientation => {
                 let psi = goal_vector(problem, states, [goal, k], part, longer);
-                out.push(turn_curvature(
-                    k,
-                    problem.goals[goal].node,
-                    &psi,
-                    &of(index),
-                ));
+                let y = Vector3::from_column_slice(own);
+                out.push(turn_curvature(k, problem.goals[goal].node, &psi, &y));
             }
-            GoalPart::Deviation(_) => along_stay.push(of(index) / problem.goal_scale(part)),
+            GoalPart::Direction => {
+                let goal = &problem.goals[goal];
+                let r = &states.view.trajectory.rotations_at(k)[goal.node];
+                out.extend(goal.direction.map(|to| {
+                    let matrix = Deviation::of(&to, r).curvature([own[0], own[1]]);
+                    node_turn_curvature(k, goal.node, &matrix)
+                }));
+            }
+            GoalPart::Deviation(_) => {
+                along_stay.push(Vector3::from_column_slice(own) / problem.goal_scale(part));
+            }
             _ => {}
         }
     }

@@ -13,6 +13,7 @@ use super::journal::{Journal, Listener, SearchEvent};
 use super::path::PathLimit;
 use super::problem::OptimalControlProblem;
 use super::tensions::Winches;
+use super::tracking::on_great_circle;
 use super::transcription::{LiftedPoint, Transcription};
 use super::turns::long_turns;
 use mechanics::rotation::{exp, log};
@@ -636,6 +637,8 @@ fn eased(
                 goal.position = goal.position.map(|to| x + (to - x) * fraction);
                 goal.rotation =
                     (goal.rotation).map(|to| r * exp(&(log(&(r.transpose() * to)) * fraction)));
+                let from = r.column(2).into_owned();
+                goal.direction = (goal.direction).map(|to| on_great_circle(&from, &to, fraction));
             }
         }
         Continuation::Load(_) => {

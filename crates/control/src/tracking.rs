@@ -1,7 +1,8 @@
-//! Paths that a node should follow with its position, its orientation and its velocity.
+//! Paths that a node should follow with its position, its orientation or direction, and its velocity.
 
 use nalgebra::{Matrix3, Vector3};
 
+use mechanics::direction::{Deviation, across};
 use mechanics::rotation::{exp, log};
 
 /// Returns the difference, s, up to which two times near `t` count as equal: far above the rounding of sums of steps, 1e-16 of a time for
@@ -22,7 +23,10 @@ pub struct Tracking {
     /// Orientations: `(t, R*)`, body to space, with increasing times; turning at constant speed about one axis in between, constant
     /// outside. Empty for a free orientation.
     pub rotations: Vec<(f64, Matrix3<f64>)>,
-    /// Weight of `½ |log(R*ᵀ R)|²`, per second.
+    /// Directions of the axis `R e₃`: `(t, d)` of length 1, with increasing times; turning at constant speed along a great circle in
+    /// between, constant outside. Empty for a free direction; excludes `rotations`.
+    pub directions: Vec<(f64, Vector3<f64>)>,
+    /// Weight of `½ |log(R*ᵀ R)|²`, or of half the squared angle between axis and direction, per second.
     pub rotation_weight: f64,
     /// Weight of `½ |v - v*|² T²/L²`, per second, where `v*` is the velocity along the path, or 0 without a path. Both are means from one
     /// sample to the next. 0 leaves the velocity free.
@@ -40,6 +44,15 @@ fn around<T: Copy>(rows: &[(f64, T)], t: f64) -> Option<(T, T, f64)> {
         (Some((_, held)), None) | (None, Some((_, held))) => Some((held, held, 0.0)),
         (None, None) => None,
     }
+}
+
+/// Returns the direction at a fraction of the great circle from one direction to another; two opposite ones are connected by a turn about
+/// the first axis [across] them.
+pub(super) fn on_great_circle(from: &Vector3<f64>, to: &Vector3<f64>, part: f64) -> Vector3<f64> {
+    let about = from.cross(to);
+    let turn = about.norm().atan2(from.dot(to));
+    let about = (about.try_normalize(f64::EPSILON)).unwrap_or_else(|| across(from)[0]);
+    exp(&(about * (turn * part))) * from
 }
 
 impl Tracking {
@@ -74,6 +87,26 @@ impl Tracking {
                 from * exp(&(log(&(from.transpose() * to)) * part))
             }
         })
+    }
+
+    /// Returns the direction at time `t`, of length 1; `None` if the direction is free.
+    #[must_use]
+    pub fn direction(&self, t: f64) -> Option<Vector3<f64>> {
+        around(&self.directions, t).map(|(from, to, part)| on_great_circle(&from, &to, part))
+    }
+
+    /// Returns the time of the last orientation or direction, s; `None` if both are free.
+    #[must_use]
+    pub fn end_of_turns(&self) -> Option<f64> {
+        let directions = self.directions.last().map(|row| row.0);
+        self.rotations.last().map(|row| row.0).or(directions)
+    }
+
+    /// Returns the angle, rad, of a node of rotation `r` from its orientation or its direction at time `t`; `None` if both are free.
+    #[must_use]
+    pub fn angle(&self, t: f64, r: &Matrix3<f64>) -> Option<f64> {
+        let turn = self.turn(t, r).map(|turn| turn.norm());
+        turn.or_else(|| Some(Deviation::of(&self.direction(t)?, r).angle()))
     }
 
     /// Returns `log(R*ᵀ R)`, rad, for a node of rotation `r` at time `t`; `None` if the orientation is free.

@@ -19,7 +19,7 @@ pub struct TrackingError {
     /// Time of the largest distance, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_at_s: Option<f64>,
-    /// `sqrt(1/T ∫ |log(R*ᵀ R)|² dt)`, rad.
+    /// `sqrt(1/T ∫ θ² dt)` with the angle from the orientation, `|log(R*ᵀ R)|`, or from the direction, rad.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rms_rad: Option<f64>,
     /// Largest of these angles, rad.
@@ -54,7 +54,7 @@ pub fn tracking_errors(
         };
         let turn = |k: usize| {
             let r = &trajectory.rotations_at(k)[node];
-            Some(tracking.turn(grid.time(k), r)?.norm())
+            tracking.angle(grid.time(k), r)
         };
         let speed = |k: usize| {
             (tracking.speed_weight > 0.0).then(|| {

@@ -33,6 +33,8 @@
 pub mod at_rest;
 #[doc(hidden)]
 pub mod beam;
+#[doc(hidden)]
+pub mod direction;
 mod energy_norm;
 #[doc(hidden)]
 pub mod equilibrium;

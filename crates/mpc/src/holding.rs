@@ -19,20 +19,20 @@
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::beam::CLAMPED_STIFFNESS;
-use control::ControlsAlong;
-use control::OptimalControlProblem;
-use control::TIP_STIFFNESS;
+use control::{ControlsAlong, HeldTarget, OptimalControlProblem, TIP_STIFFNESS};
 use mechanics::beam::Beam;
 use mechanics::equilibrium::{NodeSpring, nearby_equilibrium_until};
 use mechanics::rotation::{exp, log};
 use mechanics::{Configuration, Rod, Wrench};
 use stop::StopSignal;
 
-/// Reference position of a node (m) and its reference rotation (body to space), each `None` if nothing prescribes it.
+/// Reference position of a node (m), its reference rotation (body to space), and the reference direction of its axis, each `None` if nothing
+/// prescribes it. Wrenches on the node hold positions and rotations; controls of all kinds hold directions too.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct ReferencePose {
     pub position: Option<Vector3<f64>>,
     pub rotation: Option<Matrix3<f64>>,
+    pub direction: Option<Vector3<f64>>,
 }
 
 impl ReferencePose {
@@ -117,8 +117,13 @@ impl HeldControls {
                 Some((_, numbers)) => numbers,
                 None if along == Along::Rests && !rests => None,
                 None => {
-                    let pose = (target.position, target.rotation);
-                    let found = held.hold(problem, node, pose, t, rests);
+                    let aim = HeldTarget {
+                        node,
+                        position: target.position,
+                        rotation: target.rotation,
+                        direction: target.direction,
+                    };
+                    let found = held.hold(problem, aim, t, rests);
                     let kept = found.filter(|found| along == Along::All || found.is_stable);
                     kept.map(|own| {
                         (0..n)
@@ -302,6 +307,7 @@ impl<'a> Search<'a> {
             position: (self.target.position).map(|place| (place + way, stiffness)),
             rotation: (self.target.rotation)
                 .map(|rotation| (rotation * exp(&turn), stiffness * length * length)),
+            direction: None,
         }
     }
 
@@ -318,6 +324,7 @@ impl<'a> Search<'a> {
         let pose = ReferencePose {
             position: Some(x),
             rotation: Some(r),
+            direction: None,
         };
         let force = pull.force / (self.own * length);
         let moment = pull.moment / (self.own * length * length);
@@ -418,6 +425,7 @@ mod tests {
         let reference = |t: f64| ReferencePose {
             position: Some(Vector3::new(way * t.min(1.0), 0.0, 0.5)),
             rotation: None,
+            direction: None,
         };
         let never = StopSignal::default();
         let holding = Holding::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 1.0], &never)
@@ -442,6 +450,7 @@ mod tests {
         let reference = |_: f64| ReferencePose {
             position: Some(Vector3::new(way, 0.0, 0.5)),
             rotation: Some(exp(&Vector3::new(0.0, turn, 0.0))),
+            direction: None,
         };
         let never = StopSignal::default();
         let holding = Holding::along((&rod, rod.tip()), &rod.rest, reference, [0.1, 0.0], &never)
@@ -475,6 +484,7 @@ mod tests {
                 0.5 - 0.6 * radius * radius / 0.5,
             )),
             rotation: None,
+            direction: None,
         };
         let never = StopSignal::default();
         let holding = Holding::along((&rod, rod.tip()), &rod.rest, circle, [0.005, 1.0], &never)
@@ -498,6 +508,7 @@ mod tests {
                 0.5,
             )),
             rotation: None,
+            direction: None,
         };
         for t in [0.25, 0.5, 0.75] {
             let [speed, acceleration] = motion(&broken, t, 0.01, 0.5);

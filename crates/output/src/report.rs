@@ -268,8 +268,8 @@ impl ReportMotion {
 pub struct ReportTarget {
     /// Position in meters.
     pub position: Option<[f64; 3]>,
-    /// Directors `d1, d2, d3` in the spatial frame.
-    pub directions: Option<[[f64; 3]; 3]>,
+    /// Directors `d1, d2, d3` in the spatial frame; `None` where the roll about the third one is free.
+    pub directions: Option<[Option<[f64; 3]>; 3]>,
 }
 
 /// A point that a node should be at.

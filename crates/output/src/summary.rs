@@ -186,7 +186,7 @@ pub struct SoftGoalSummary {
     /// Distance from its position, m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub left_m: Option<f64>,
-    /// Angle to its orientation, rad.
+    /// Angle to its orientation or direction, rad.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub left_rad: Option<f64>,
 }
@@ -545,7 +545,7 @@ pub struct AttemptSummary {
 pub struct TipEnd {
     /// Distance of the tip from its target, m.
     pub tip_error_m: f64,
-    /// Angle from the target orientation, rad.
+    /// Angle from the target orientation or direction, rad.
     pub tip_angle_rad: f64,
     /// Speed of the tip at the end, m/s.
     pub tip_speed_m_s: f64,
@@ -620,6 +620,10 @@ pub struct SolveSummary {
     pub status: &'static str,
     /// Message in words, if there is more to say.
     pub message: Option<String>,
+    /// The nearest point to the target at which the arm can be held, where nothing was found that holds it at the target as it should, or no
+    /// motion that reaches the target.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nearest: Option<NearestHeldSummary>,
     /// Remarks on the motion if the solve did not converge, or the check rejects it: places, amounts, and changes that may help.
     pub advice: Vec<String>,
     /// Iterations.

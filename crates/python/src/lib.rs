@@ -61,7 +61,8 @@ fn raise(py: Python<'_>, class: &str, words: String) -> PyErr {
     made.map_or_else(|error| error, PyErr::from_value)
 }
 
-/// Returns the `SceneError` of Python, with key, line and help as attributes.
+/// Returns the `SceneError` of Python, with key, line and help as attributes, and as `nearest` the nearest place that can be held, a
+/// dictionary of `position_m` and `distance_m`, or None.
 fn scene_error(py: Python<'_>, error: &SceneError) -> PyErr {
     let made = (py.import("softarm.errors"))
         .and_then(|errors| errors.getattr("SceneError"))
@@ -69,7 +70,15 @@ fn scene_error(py: Python<'_>, error: &SceneError) -> PyErr {
             let words = error.to_string();
             let words = words.strip_prefix("error: ").unwrap_or(&words);
             let help = error.help().map(in_python);
-            class.call1((in_python(words), error.key(), error.line(), help))
+            let made = class.call1((in_python(words), error.key(), error.line(), help))?;
+            let nearest = error.nearest().map(|own| {
+                let found = PyDict::new(py);
+                found.set_item("position_m", own.position)?;
+                found.set_item("distance_m", own.distance)?;
+                Ok::<_, PyErr>(found)
+            });
+            made.setattr("nearest", nearest.transpose()?)?;
+            Ok(made)
         });
     made.map_or_else(|error| error, PyErr::from_value)
 }

@@ -84,7 +84,9 @@ pub(super) fn check_contradictions(
                 .is_ok();
             let found = match constraint.limit {
                 PathLimit::Speed { at, largest }
-                    if at.node(&problem.rod.mesh) == goal.goal.node =>
+                    if at.node(&problem.rod.mesh) == goal.goal.node
+                        && constraint.time_nodes.first() == Some(&0)
+                        && constraint.time_nodes.last() >= Some(&goal.goal.time_node) =>
                 {
                     too_fast(problem, goal, &wanted, largest)
                 }
@@ -226,14 +228,16 @@ fn too_bent(
     }
     let s = arc(rod, 0, node);
     let name = &goal.goal.name;
-    if let Some(rotation) = goal.goal.rotation {
-        let [from, to] = [&held, &rotation].map(|r| r.column(2).into_owned());
+    let axis = |r: Matrix3<f64>| r.column(2).into_owned();
+    if let Some(to) = goal.goal.direction.or(goal.goal.rotation.map(axis)) {
+        let from = axis(held);
         let turn = from.cross(&to).norm().atan2(from.dot(&to)) - goal.angle;
         let why = format!(
             "{name} points {turn:.4} rad or more away from the base's direction, {s:.4} m along the arm"
         );
         let direction = Contradiction::of(why, turn / s, largest, "1/m of bending");
         let rotated = || {
+            let rotation = goal.goal.rotation?;
             let both = largest.hypot(largest_twist(problem)?);
             let turn = log(&(held.transpose() * rotation)).norm() - goal.angle;
             let why = format!(

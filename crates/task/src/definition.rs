@@ -60,9 +60,10 @@ impl Staying {
 pub struct Tolerances {
     /// Distance from the position, m; `None`: it is met exactly.
     pub distance: Option<f64>,
-    /// Angle from the orientation, rad; `None`: it is met exactly.
+    /// Angle from the orientation or direction, rad; `None`: it is met exactly.
     pub angle: Option<f64>,
-    /// Speed that counts as rest, m/s; 0 for exactly at rest; `None`: 0.01 L/T with the arm's length L and the duration T.
+    /// Speed that counts as rest, or difference from the velocity, m/s; 0 for exactly; `None`: 0.01 L/T with the arm's length L and the
+    /// duration T.
     pub speed: Option<f64>,
     /// Angular speed that counts as rest, rad/s; 0 for exactly at rest; `None`: 0.1/T.
     pub spin: Option<f64>,
@@ -86,7 +87,7 @@ impl Tolerances {
     }
 }
 
-/// Position, orientation, or both that a place of the arm must have at some time.
+/// Position, orientation or direction, and velocity that a place of the arm must have at some time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Target {
     /// Name in reports.
@@ -99,16 +100,21 @@ pub struct Target {
     pub position: Option<Vector3<f64>>,
     /// Rotation, body to space.
     pub rotation: Option<Matrix3<f64>>,
+    /// Direction of the axis of the section, of length 1, whatever its roll; excludes `rotation`.
+    pub direction: Option<Vector3<f64>>,
     /// Motion at the target: the arm passes or comes to rest; rest only at the end of the horizon.
     pub rest: Rest,
+    /// Velocity of the place, m/s; only of a target at the end of the horizon that passes.
+    pub velocity: Option<Vector3<f64>>,
     /// Hard or soft.
     pub hardness: Hardness,
     /// Tolerances within which a hard goal counts as met.
     pub tolerances: Tolerances,
 }
 
-/// A place that should follow a path of positions, of orientations, or of both, and move as the path does:
-/// `∫ weight/2 |x - x*|²/L² + rotation_weight/2 |log(R*ᵀ R)|² + speed_weight/2 |v - v*|² T²/L² dt` in the objective, from a time on.
+/// A place that should follow a path of positions, of orientations or directions, or of both, and move as the path does:
+/// `∫ weight/2 |x - x*|²/L² + rotation_weight/2 |log(R*ᵀ R)|² + speed_weight/2 |v - v*|² T²/L² dt` in the objective, from a time on; with
+/// directions, the square of the angle between axis and direction takes the place of that of the rotation vector.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Track {
     /// The place on the arm.
@@ -120,7 +126,10 @@ pub struct Track {
     /// Orientations to follow: `(t, R*)`, body to space, with increasing times; at constant speed about one axis in between, constant
     /// outside. Empty: no orientation is followed.
     pub rotations: Vec<(f64, Matrix3<f64>)>,
-    /// Weight of the orientation, 1/s. `None`: the one at which a turn of the tip that is held statically is missed by a fraction of 1e-4
+    /// Directions of the axis of the section to follow, whatever its roll: `(t, d)` of length 1, with increasing times; at constant speed
+    /// along a great circle in between, constant outside. Empty: no direction is followed. Excludes `rotations`.
+    pub directions: Vec<(f64, Vector3<f64>)>,
+    /// Weight of the orientation or direction, 1/s. `None`: the one at which a turn of the tip that is held statically is missed by a fraction of 1e-4
     /// of itself.
     pub rotation_weight: Option<f64>,
     /// Weight of the difference between the velocity of the place and that of the path, or of the velocity of the place if there is no
@@ -174,6 +183,8 @@ pub struct Limit {
     pub kind: PathLimit,
     /// Times per second at which the limit is enforced, Hz. `None`: every time step, or about 1000 times of a longer motion.
     pub rate: Option<f64>,
+    /// Times from which and until which the limit holds, s; the nearest time nodes count. `None`: from the beginning, and to the end.
+    pub span: [Option<f64>; 2],
     /// Enforcement: hard, or at a price per scaled violation and second.
     pub enforcement: PathEnforcement,
 }
@@ -270,7 +281,7 @@ pub struct Task {
     pub start: Start,
     /// Goals at the end, and waypoints.
     pub targets: Vec<Target>,
-    /// Limits and obstacles that hold at all times.
+    /// Limits and obstacles.
     pub limits: Vec<Limit>,
     /// The wrenches that the optimizer chooses.
     pub actuators: Vec<WrenchActuator>,
@@ -338,13 +349,16 @@ impl Task {
         self
     }
 
-    /// Returns the task that lasts `factor` times as long, its waypoints at the same fractions of the duration.
+    /// Returns the task that lasts `factor` times as long, its waypoints and the spans of its limits at the same fractions of the duration.
     #[must_use]
     pub fn with_time_scale(&self, factor: f64) -> Self {
         let mut out = self.clone();
         out.horizon *= factor;
         for target in &mut out.targets {
             target.time = target.time.map(|time| time * factor);
+        }
+        for limit in &mut out.limits {
+            limit.span = limit.span.map(|time| Some(time? * factor));
         }
         out
     }

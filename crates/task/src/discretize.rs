@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::arm::Arm;
 use super::contradictions::check_contradictions;
-use super::definition::{Rest, Staying, Task};
+use super::definition::{Limit, Rest, Staying, Task};
 use super::discretization::Discretization;
 use super::effort::{self, EffortControl};
 use super::error::DiscretizeError;
@@ -273,6 +273,7 @@ impl Task {
                     path: track.path.clone(),
                     weight: track.weight.unwrap_or(default_weights[0]),
                     rotations: track.rotations.clone(),
+                    directions: track.directions.clone(),
                     rotation_weight: track.rotation_weight.unwrap_or(default_weights[1]),
                     speed_weight: track.speed_weight,
                     from: track.from,
@@ -464,14 +465,19 @@ impl Task {
     }
 
     fn path_constraints(&self, rod: &Rod, radii: &[f64], grid: &TimeGrid) -> Vec<PathConstraint> {
-        let time_nodes = |rate: Option<f64>| -> Vec<usize> {
-            let stride = rate.map_or_else(
+        let n = grid.n_steps;
+        let time_nodes = |limit: &Limit| -> Vec<usize> {
+            let stride = limit.rate.map_or_else(
                 || grid.n_steps.div_ceil(MOST_SAMPLES).max(1),
                 |rate| ((1.0 / (rate * grid.step)).round() as usize).clamp(1, grid.n_steps),
             );
-            let mut nodes: Vec<usize> = (0..=grid.n_steps).step_by(stride).collect();
-            if nodes[nodes.len() - 1] != grid.n_steps {
-                nodes.push(grid.n_steps);
+            // Times of the task are fractions of its duration, which may be free.
+            let node = |time: f64| ((time / self.horizon * n as f64).round() as usize).min(n);
+            let first = limit.span[0].map_or(0, node);
+            let last = limit.span[1].map_or(n, node).max(first);
+            let mut nodes: Vec<usize> = (first..=last).step_by(stride).collect();
+            if nodes[nodes.len() - 1] != last {
+                nodes.push(last);
             }
             nodes
         };
@@ -479,7 +485,7 @@ impl Task {
             .map(|limit| PathConstraint {
                 name: limit.name.clone(),
                 limit: limit.kind.on(rod, radii),
-                time_nodes: time_nodes(limit.rate),
+                time_nodes: time_nodes(limit),
                 enforcement: limit.enforcement,
             })
             .collect()
@@ -598,7 +604,9 @@ fn check_start(problem: &OptimalControlProblem) -> Result<(), DiscretizeError> {
         grid: problem.grid,
     };
     for (index, constraint) in problem.path.iter().enumerate() {
-        if constraint.enforcement != PathEnforcement::Hard {
+        if constraint.enforcement != PathEnforcement::Hard
+            || constraint.time_nodes.first() != Some(&0)
+        {
             continue;
         }
         let limit = &constraint.limit;

@@ -71,8 +71,13 @@ pub enum DiscretizeError {
     #[error(transparent)]
     Start(#[from] StartError),
     /// Nothing holds the arm at its target.
-    #[error("{0}")]
-    NotHeld(String),
+    #[error("{reason}")]
+    NotHeld {
+        /// The reason, in words.
+        reason: String,
+        /// The nearest place that was found to be held.
+        nearest: Option<NearestHeld>,
+    },
     /// More blocks than steps.
     #[error("{blocks} blocks do not fit into {n_steps} time steps")]
     TooManyBlocks {
@@ -160,4 +165,13 @@ pub enum Obstruction {
     Base,
     /// A hard obstacle.
     Obstacle,
+}
+
+/// The nearest place to a target at which its node was found to be held.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearestHeld {
+    /// The place, m.
+    pub position: [f64; 3],
+    /// Its distance from the target, m; 0 for a target without a position.
+    pub distance: f64,
 }

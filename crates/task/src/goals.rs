@@ -14,7 +14,7 @@ use mechanics::{Rod, TimeGrid};
 const OF_A_TRACK: f64 = 0.1;
 
 impl Task {
-    /// Returns the discrete goals of a target. A position, an orientation or a rest with a tolerance becomes a goal of its own.
+    /// Returns the discrete goals of a target. The parts with a tolerance become a goal of their own.
     ///
     /// Weights of tracks count per second; times the horizon, they give the default weight of a soft goal.
     pub(super) fn goals(
@@ -34,7 +34,9 @@ impl Task {
             time_node,
             position: target.position,
             rotation: target.rotation,
+            direction: target.direction,
             at_rest: target.rest == Rest::Instant,
+            velocity: target.velocity,
             enforcement: match target.hardness {
                 Hardness::Hard => Enforcement::Hard,
                 Hardness::Soft { weight } => Enforcement::Soft {
@@ -54,7 +56,7 @@ impl Task {
             return vec![exact];
         }
         let tolerances = &target.tolerances;
-        let [speed, spin] = if exact.at_rest {
+        let [speed, spin] = if exact.sees_velocity() {
             tolerances.rest(arm.length, self.horizon)
         } else {
             [0.0; 2]
@@ -63,8 +65,8 @@ impl Task {
     }
 }
 
-/// Splits a goal into goals with tolerances. `distance` and `angle` are met exactly if they are `None`, and the speed and the angular speed
-/// of rest if they are zero.
+/// Splits a goal into goals with tolerances. `distance` and `angle` are met exactly if they are `None`, and the velocities if their
+/// tolerances are zero.
 fn with_tolerances(
     goal: Goal,
     distance: Option<f64>,
@@ -75,7 +77,9 @@ fn with_tolerances(
     let mut near = Goal {
         position: None,
         rotation: None,
+        direction: None,
         at_rest: false,
+        velocity: None,
         enforcement: Enforcement::Within {
             distance: distance.unwrap_or(0.0),
             angle: angle.unwrap_or(0.0),
@@ -89,13 +93,15 @@ fn with_tolerances(
     }
     if angle.is_some() {
         near.rotation = exact.rotation.take();
+        near.direction = exact.direction.take();
     }
     if speed > 0.0 || spin > 0.0 {
         near.at_rest = std::mem::take(&mut exact.at_rest);
+        near.velocity = exact.velocity.take();
     }
     [near, exact]
         .into_iter()
-        .filter(|goal| goal.position.is_some() || goal.rotation.is_some() || goal.at_rest)
+        .filter(|goal| !goal.parts().is_empty())
         .collect()
 }
 
@@ -140,6 +146,10 @@ pub(super) fn check_goals(problem: &OptimalControlProblem) -> Result<(), Discret
             if off > angle + other_angle {
                 return refuse(GoalPart::Orientation, off, why, Obstruction::Goal);
             }
+            let off = axis(goal).zip(axis(other)).map_or(0.0, between);
+            if off > angle + other_angle {
+                return refuse(GoalPart::Direction, off, why, Obstruction::Goal);
+            }
         }
         let joint = rod.joint(goal.node);
         if goal.node < rod.first_free_node() || joint.is_some() {
@@ -156,8 +166,14 @@ pub(super) fn check_goals(problem: &OptimalControlProblem) -> Result<(), Discret
                 return refuse(GoalPart::Position, off, why, Obstruction::Base);
             }
             let off = turn(&goal.rotation, &Some(rotation));
-            if off > angle && joint.is_none_or(|joint| !joint.turns()) {
+            let is_turned = joint.is_none_or(|joint| !joint.turns());
+            if off > angle && is_turned {
                 return refuse(GoalPart::Orientation, off, why, Obstruction::Base);
+            }
+            let held = rotation.column(2).into_owned();
+            let off = goal.direction.map_or(0.0, |to| between((to, held)));
+            if off > angle && is_turned {
+                return refuse(GoalPart::Direction, off, why, Obstruction::Base);
             }
         }
         let Some(position) = &goal.position else {
@@ -197,4 +213,17 @@ fn separation(a: &Option<Vector3<f64>>, b: &Option<Vector3<f64>>) -> f64 {
 fn turn(a: &Option<Matrix3<f64>>, b: &Option<Matrix3<f64>>) -> f64 {
     a.zip(*b)
         .map_or(0.0, |(a, b)| log(&(a.transpose() * b)).norm())
+}
+
+/// Returns the direction of the axis that a goal asks for.
+fn axis(goal: &Goal) -> Option<Vector3<f64>> {
+    let of_rotation = goal
+        .rotation
+        .map(|rotation| rotation.column(2).into_owned());
+    goal.direction.or(of_rotation)
+}
+
+/// Returns the angle between two directions of length 1, rad.
+fn between((a, b): (Vector3<f64>, Vector3<f64>)) -> f64 {
+    a.cross(&b).norm().atan2(a.dot(&b))
 }

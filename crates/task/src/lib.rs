@@ -50,4 +50,4 @@ pub use discretize::{DiscreteMotion, Problem};
 pub use discretize::{MOST_STEPS, longest_step};
 pub use distributed::DistributedCouple;
 pub use effort::{EffortControl, Follows};
-pub use error::{DiscretizeError, Obstruction};
+pub use error::{DiscretizeError, NearestHeld, Obstruction};

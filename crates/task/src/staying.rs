@@ -2,7 +2,7 @@
 
 use super::arm::StartError;
 use super::definition::Staying;
-use super::error::DiscretizeError;
+use super::error::{DiscretizeError, NearestHeld};
 use control::{
     CannotHold, Held, Holding, HoldingError, NotFound, OptimalControlProblem, Stay, holding,
 };
@@ -19,22 +19,29 @@ pub(super) fn stay(
     staying: Staying,
     length: f64,
 ) -> Result<Option<Stay>, DiscretizeError> {
-    let refuse = |reason: String| Err(DiscretizeError::NotHeld(reason));
+    let refuse = |reason: String, nearest: Option<NearestHeld>| {
+        Err(DiscretizeError::NotHeld { reason, nearest })
+    };
     let found = holding(problem).map(|found| judged(found, problem, staying, length));
     match found {
         Ok(Ok((_, stay))) => Ok(Some(stay)),
         Ok(Err(Holding::NotFound {
             why: why @ NotFound::LooseEnds,
-        })) => refuse(why.to_string()),
+            ..
+        })) => refuse(why.to_string(), None),
         Ok(Err(Holding::NotFound { .. } | Holding::Held(_))) => Ok(None),
         Ok(Err(Holding::CannotBeHeld { why, nearest })) => {
-            let nearest = nearest_in_words(problem, nearest.as_ref());
-            refuse(format!("the arm cannot stay there: {why}{nearest}"))
+            let words = nearest_in_words(problem, nearest.as_ref());
+            let place = nearest.map(|(held, distance)| NearestHeld {
+                position: held.shape.positions[problem.goal_node()].into(),
+                distance,
+            });
+            refuse(format!("the arm cannot stay there: {why}{words}"), place)
         }
         Err(HoldingError::Stopped(stop)) => {
             Err(DiscretizeError::Start(StartError::Equilibrium(stop.into())))
         }
-        Err(error) => refuse(error.to_string()),
+        Err(error) => refuse(error.to_string(), None),
     }
 }
 
@@ -90,6 +97,7 @@ fn judged(
         }
         | Holding::NotFound {
             why: NotFound::Unstable(held),
+            ..
         } if held.is_within_bounds() && grows_little(&held, staying) => held,
         found => return Err(found),
     };

@@ -175,6 +175,7 @@ pub(super) fn criteria(
     items.extend(judged.target());
     items.extend(judged.stay());
     items.extend(judged.rest());
+    items.extend(judged.velocity());
     items
 }
 
@@ -333,7 +334,7 @@ impl Judged<'_> {
     fn allowed(&self) -> [Option<f64>; 2] {
         let [place, turn] = [
             last_goal(self.problem, |goal| goal.position.map(|_| ())),
-            last_goal(self.problem, |goal| goal.rotation.map(|_| ())),
+            last_goal(self.problem, |goal| goal.turns().then_some(())),
         ]
         .map(|goal| match goal?.1 {
             Enforcement::Hard => Some([0.0; 2]),
@@ -366,7 +367,7 @@ impl Judged<'_> {
                 self.check.tip_angle,
                 angle + limit,
                 "rad",
-                "angle between the simulated tip and the target orientation",
+                "angle between the simulated tip and the target orientation, or between its axis and the target direction",
             )
         });
         place.into_iter().chain(turn).collect()
@@ -394,6 +395,32 @@ impl Judged<'_> {
             ));
         }
         items
+    }
+
+    fn velocity(&self) -> Vec<CheckItem> {
+        let (target, allowed) = match last_goal(self.problem, |goal| goal.velocity) {
+            Some((target, Enforcement::Within { speed, .. })) => (target, speed),
+            Some((target, Enforcement::Hard)) => (target, 0.0),
+            Some((_, Enforcement::Soft { .. })) | None => return Vec::new(),
+        };
+        let limit = allowed + self.limits.tip * self.problem.goal_scale(GoalPart::Velocity);
+        let finest = &self.check.finest_tip;
+        vec![
+            item(
+                "tip_velocity_m_s",
+                self.check.tip_velocity_error,
+                limit,
+                "m/s",
+                "difference of the velocity of the simulated tip at the end from the target velocity",
+            ),
+            item(
+                "refined_velocity_m_s",
+                (finest.velocity - target).norm(),
+                limit + self.limits.rest[0] * finest.highest_speed,
+                "m/s",
+                "difference of the velocity of the tip at the end from the target velocity on a finer grid",
+            ),
+        ]
     }
 
     fn rest(&self) -> Vec<CheckItem> {

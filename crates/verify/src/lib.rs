@@ -113,7 +113,7 @@ pub struct ForwardCheck {
     /// Distance of the replayed tip from a target position, m; 0 without one.
     #[serde(skip)]
     pub tip_error: f64,
-    /// Angle between the replayed tip and a target orientation, rad; 0 without one.
+    /// Angle between the replayed tip and a target orientation, or between its axis and a target direction, rad; 0 without either.
     #[serde(skip)]
     pub tip_angle: f64,
     /// Speed of the replayed tip at the end, m/s.
@@ -122,6 +122,9 @@ pub struct ForwardCheck {
     /// Angular speed of the replayed tip at the end, rad/s.
     #[serde(skip)]
     pub tip_spin: f64,
+    /// Difference of the velocity of the replayed tip at the end from a target velocity, m/s; 0 without one.
+    #[serde(skip)]
+    pub tip_velocity_error: f64,
     /// Motion of the tip of the finest rod.
     #[serde(skip)]
     pub finest_tip: TipMotion,
@@ -379,6 +382,7 @@ pub fn forward_check(
         tip_angle: 0.0,
         tip_speed: 0.0,
         tip_spin: 0.0,
+        tip_velocity_error: 0.0,
         finest_tip: refinement.tip,
         stays: refinement.stays,
         held: refinement.held,
@@ -500,8 +504,13 @@ fn measure_tip(problem: &OptimalControlProblem, check: &mut ForwardCheck) {
     check.finest_tip_distance = (check.finest_tip.position - target.unwrap_or(x)).norm();
     check.tip_angle = last_goal(problem, |goal| goal.rotation)
         .map_or(0.0, |(target, _)| log(&(target.transpose() * r)).norm());
+    if let Some((target, _)) = last_goal(problem, |goal| goal.direction) {
+        check.tip_angle = limits::between(&r.column(2).into(), &target);
+    }
     let velocity: Vector3<f64> = end.linear_momentum[tip] / problem.rod.nodes[tip].mass;
     check.tip_speed = velocity.norm();
+    check.tip_velocity_error = last_goal(problem, |goal| goal.velocity)
+        .map_or(0.0, |(target, _)| (velocity - target).norm());
     check.tip_spin = end.angular_momentum[tip]
         .component_div(&problem.rod.nodes[tip].rotary)
         .norm();

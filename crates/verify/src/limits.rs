@@ -1,7 +1,7 @@
 //! Path constraints and costs over states, evaluated again: values from definitions, slopes from geometry or by central
 //! differences.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::bodies::{away, distance, unit};
 use super::dual;
@@ -9,6 +9,7 @@ use super::efforts;
 use super::interval::add_to_nodes;
 use control::{OptimalControlProblem, PathLimit, StateTerm, StateView};
 use mechanics::differences;
+use mechanics::direction::across;
 use mechanics::rotation::{exp, log};
 use mechanics::{Rod, StrainRule, TimeGrid, Trajectory};
 
@@ -132,19 +133,12 @@ impl Measure<'_> {
                 let node = at.node(&self.rod.mesh);
                 (here.x[node] - before.x[node]).norm() / self.step - largest
             }),
-            // 2 atan2(|u - v|, |u + v|) of two unit vectors.
             PathLimit::Tilt {
                 at,
                 axis,
                 direction,
                 largest,
-            } => {
-                let turned = here.r[at.node(&self.rod.mesh)] * axis;
-                2.0 * (turned - direction)
-                    .norm()
-                    .atan2((turned + direction).norm())
-                    - largest
-            }
+            } => between(&(here.r[at.node(&self.rod.mesh)] * axis), direction) - largest,
             PathLimit::Taut { tendons } => {
                 let (actuator, least) = tendons[item];
                 let own = self.rod.actuators.iter().nth(actuator);
@@ -311,6 +305,24 @@ impl Measure<'_> {
     }
 }
 
+/// Angle between two unit vectors, `2 atan2(|u - v|, |u + v|)`, rad.
+pub(super) fn between(u: &Vector3<f64>, v: &Vector3<f64>) -> f64 {
+    2.0 * (u - v).norm().atan2((u + v).norm())
+}
+
+/// Components of the angle between the axis of a section and a direction: along the two axes across the direction, in proportion to those
+/// of the axis of the section.
+pub(super) fn aside(direction: &Vector3<f64>, r: &Matrix3<f64>) -> Vector2<f64> {
+    let axis: Vector3<f64> = r.column(2).into();
+    let [first, second] = across(direction);
+    let parts = Vector2::new(first.dot(&axis), second.dot(&axis));
+    // Up to the square of the sine, the angle is its sine.
+    match parts.norm() {
+        sine if sine > 1e-8 => parts * (between(&axis, direction) / sine),
+        _ => parts,
+    }
+}
+
 /// The direction in which the excess grows with the vector of a limit on rotations.
 fn outward(limit: &PathLimit, item: usize, vector: &Vector3<f64>) -> Vector3<f64> {
     match limit {
@@ -357,6 +369,22 @@ pub(super) fn add_state_cost(
             let off = log(&(should.transpose() * pose.r[node]));
             cost += 0.5 * tracking.rotation_weight * duration * off.norm_squared();
             ceta[node] += off * (tracking.rotation_weight * duration);
+        }
+        if let Some(should) = tracking.direction(t) {
+            let off = aside(&should, &pose.r[node]);
+            let weight = tracking.rotation_weight * duration;
+            cost += 0.5 * weight * off.norm_squared();
+            // The slope of half the squared angle: the rotation vector of the smallest turn from the direction, in the body.
+            let axis: Vector3<f64> = pose.r[node].column(2).into();
+            let turn = should.cross(&axis);
+            let angle = between(&axis, &should);
+            let size = turn.norm();
+            let turn = if size > 1e-8 {
+                turn * (angle / size)
+            } else {
+                turn
+            };
+            ceta[node] += pose.r[node].tr_mul(&turn) * weight;
         }
     }
     for state_cost in &objective.terms {

@@ -62,6 +62,8 @@ pub struct Between {
 pub struct TipMotion {
     /// Position at the end, m.
     pub position: Vector3<f64>,
+    /// Velocity at the end, m/s.
+    pub velocity: Vector3<f64>,
     /// Speed at the end, m/s.
     pub speed: f64,
     /// Angular speed at the end, rad/s.
@@ -76,7 +78,8 @@ impl TipMotion {
     fn note(&mut self, rod: &Rod, node: usize, state: &State) {
         let inertia = &rod.nodes[node];
         self.position = state.configuration.positions[node];
-        self.speed = (state.linear_momentum[node] / inertia.mass).norm();
+        self.velocity = state.linear_momentum[node] / inertia.mass;
+        self.speed = self.velocity.norm();
         self.spin = (state.angular_momentum[node].component_div(&inertia.rotary)).norm();
         self.highest_speed = worse(self.highest_speed, self.speed);
         self.highest_spin = worse(self.highest_spin, self.spin);

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::super::keys::{Checked, Keys, given};
 use super::super::values::{self, NonNegative, Number, Positive, digits, known};
-use super::LoadNode;
 use super::geometry::wxyz;
+use super::{LoadNode, Scene};
 use crate::control::{PathEnforcement, PathLimit, Shape};
 use crate::mechanics::Mesh;
 use crate::mechanics::rotation::{from_quaternion, unit};
@@ -121,6 +121,11 @@ pub struct Limit {
     /// Times per second at which the limit is enforced, positive; the check looks between them. Absent: every time
     /// step, or about 1000 times of a longer motion.
     pub rate_hz: Option<Positive<values::Rate>>,
+    /// Time in s from which on the limit holds, not negative. Absent: 0.
+    pub from_s: Option<NonNegative<values::Time>>,
+    /// Time in s until which the limit holds, not before `from_s`; with the same time the limit holds at this instant alone. The nearest
+    /// time nodes count. Absent: the end of the task.
+    pub to_s: Option<NonNegative<values::Time>>,
 }
 
 /// An angle between an axis of a node and a direction in space.
@@ -189,6 +194,7 @@ impl Limit {
             name: self.name(),
             kind,
             rate: self.rate_hz.map(Number::get),
+            span: [self.from_s, self.to_s].map(|time| time.map(Number::get)),
             enforcement: enforcement(self.soft),
         })
     }
@@ -205,6 +211,8 @@ impl Limit {
             node: None,
             soft: price(limit.enforcement),
             rate_hz: limit.rate.map(known),
+            from_s: limit.span[0].map(known),
+            to_s: limit.span[1].map(known),
         };
         match limit.kind {
             PathLimit::Clearance { .. } | PathLimit::Taut { .. } | PathLimit::Term(_) => {}
@@ -284,6 +292,7 @@ impl Obstacle {
                 points: None,
             },
             rate: self.rate_hz.map(Number::get),
+            span: [None; 2],
             enforcement: enforcement(self.soft),
         })
     }
@@ -447,9 +456,10 @@ impl Keys<'_> {
         &self,
         limit: &Limit,
         index: usize,
-        elements: usize,
+        scene: &Scene,
     ) -> Checked {
-        self.check_numbers_of_limit(limit, index, elements)
+        (self.check_numbers_of_limit(limit, index, scene.rod.elements))
+            .and_then(|()| self.check_span(limit, index, scene))
             .map_err(|error| error.of_item("limit", &limit.name()))
     }
 
@@ -484,6 +494,39 @@ impl Keys<'_> {
             }
         }
         self.check_price(&key("soft"), limit.soft)
+    }
+
+    /// Checks that a limit holds for a time within the task, and not in a loop, whose horizons have no times of their own.
+    fn check_span(&self, limit: &Limit, index: usize, scene: &Scene) -> Checked {
+        let key = |name: &str| format!("limit.{index}.{name}");
+        let [from, to] = given!(limit: from_s, to_s);
+        for time in [from, to].into_iter().filter(|key| key.1) {
+            if scene.mpc.is_some() {
+                let message = "a loop keeps its limits at all times";
+                let help = format!("leave {} out", time.0);
+                return Err(self.source.error_at(&key(time.0), message, Some(help)));
+            }
+        }
+        let end = scene.time.end_s.get();
+        let end = scene.task.as_ref().map_or(end, |task| task.instant(end));
+        let from = limit.from_s.map_or(0.0, Number::get);
+        for (name, time, least) in [("from_s", limit.from_s, 0.0), ("to_s", limit.to_s, from)] {
+            let Some(time) = time.map(Number::get) else {
+                continue;
+            };
+            if !(least..=end).contains(&time) {
+                let message = format!("{} s is outside of the task", digits(time));
+                return Err(self
+                    .source
+                    .error_at(&key(name), message, None)
+                    .expecting(format!(
+                        "expected a time from {} to {}",
+                        digits(least),
+                        digits(end)
+                    )));
+            }
+        }
+        Ok(())
     }
 
     fn check_price(&self, key: &str, price: Option<Price>) -> Checked {

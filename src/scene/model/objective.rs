@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::path::Turns;
-use super::super::keys::{Checked, Keys, LARGEST_COUNT, Needs, given};
+use super::super::keys::{Checked, Excludes, Keys, LARGEST_COUNT, Needs, given};
 use super::super::values::{self, NonNegative, Number, Positive, known};
 use super::geometry::wxyz;
 use super::{LoadNode, Scene};
@@ -76,7 +76,12 @@ pub struct Track {
     /// Rows less than half a turn apart may add up to any turn. With a path or without.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub orientations_wxyz: Vec<[f64; 5]>,
-    /// Weight of the orientation, positive. Absent: the one at which a turn of the tip that is held statically is missed by a fraction of
+    /// Directions of the arm's tangent at the node to follow, as [t in s, x, y, z] with increasing t, of any length but zero: at constant
+    /// speed along a great circle in between, constant before and after; the roll about them is free. A single row holds at all times. With
+    /// a path or without, instead of `orientations_wxyz`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub directions: Vec<[f64; 4]>,
+    /// Weight of the orientation or direction, positive. Absent: the one at which a turn of the tip that is held statically is missed by a fraction of
     /// 1e-4 of itself, as of `weight` with a = `force_scale_n` L²/(2 E I) and b = `moment_scale_n_m` L/(E I).
     pub orientation_weight: Option<Positive<values::Weight>>,
     /// Weight of the difference of the node's velocity from that along the path, or of its velocity if there is no
@@ -188,14 +193,29 @@ impl Keys<'_> {
                 self.nonzero(&key(&format!("orientations_wxyz.{point}")), &[w, x, y, z])?;
             }
         }
-        let [weight, switches, of_turns, orientations] =
-            given!(track: weight, switches, orientation_weight, orientations_wxyz);
+        if !track.directions.is_empty() {
+            self.table(&key("directions"), &track.directions, "any direction")?;
+            for (point, &[_, x, y, z]) in track.directions.iter().enumerate() {
+                self.nonzero(&key(&format!("directions.{point}")), &[x, y, z])?;
+            }
+        }
+        let [weight, switches, of_turns] = given!(track: weight, switches, orientation_weight);
+        let [orientations, directions] = given!(track: orientations_wxyz, directions);
         let reason = "goes with orientation_weight";
-        self.relations(section, &[Needs(of_turns, orientations, reason)])?;
+        let turned = if directions.1 {
+            directions
+        } else {
+            orientations
+        };
+        let rows = [
+            Excludes(directions, orientations),
+            Needs(of_turns, turned, reason),
+        ];
+        self.relations(section, &rows)?;
         let goes_somewhere = kinds.iter().any(|(_, given)| *given);
-        if !goes_somewhere && turns.is_empty() && track.speed_weight.is_none() {
+        if !goes_somewhere && !turned.1 && track.speed_weight.is_none() {
             let relation = "rows [t, x, y, z], or else give path_csv, circle or figure_eight, or \
-                            orientations_wxyz, or speed_weight";
+                            orientations_wxyz, directions, or speed_weight";
             return Err(self.missing(&key("path_m"), relation));
         }
         if goes_somewhere {
@@ -276,6 +296,7 @@ impl Track {
             path: self.path(end),
             weight: self.weight.map(Number::get),
             rotations: self.rotations(),
+            directions: self.directions(),
             rotation_weight: self.orientation_weight.map(Number::get),
             speed_weight: self.speed_weight.map_or(0.0, Number::get),
             from: self.from_s.map_or(0.0, Number::get),
@@ -292,7 +313,12 @@ impl Track {
                     [*t, w, x, y, z]
                 })
                 .collect(),
-            orientation_weight: (!track.rotations.is_empty())
+            directions: (track.directions.iter())
+                .map(|(t, d)| [*t, d.x, d.y, d.z])
+                .collect(),
+            orientation_weight: discrete
+                .end_of_turns()
+                .is_some()
                 .then(|| known(discrete.rotation_weight)),
             path_m: (track.path.iter())
                 .map(|&(t, x)| [t, x.x, x.y, x.z])

@@ -11,10 +11,10 @@ use super::geometry::wxyz;
 use super::{EndKind, LoadNode, Scene};
 use crate::control::{self, Enforcement, Goal};
 use crate::mechanics::Mesh;
-use crate::mechanics::rotation::from_quaternion;
+use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::task::{self, Hardness, Problem, Rest, Staying, Target, Tolerances};
 
-/// Target of the tip: a position, an orientation, or both.
+/// Target of the tip: a position, an orientation or a direction, a velocity, or several of them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Task {
@@ -27,6 +27,11 @@ pub struct Task {
     /// Orientation of the tip as a quaternion, scalar first, of any length but zero. The arm reaches it by more than
     /// half a turn if rows of a track or waypoints lead there so, or if that bends the arm less.
     pub orientation_wxyz: Option<[f64; 4]>,
+    /// Direction of the arm's tangent at the tip, or at `node`, of any length but zero; the roll about it is free. Instead of
+    /// `orientation_wxyz`.
+    pub direction: Option<[f64; 3]>,
+    /// Velocity of the tip, or of `node`, in m/s at `at_s`; its angular velocity is free. Only with `at_rest = false`.
+    pub velocity_m_s: Option<[f64; 3]>,
     /// Time in s at which the target is due, above 0 and up to `time.end_s`; the horizon of a solve ends then. Absent:
     /// `time.end_s`.
     pub at_s: Option<Positive<values::Instant>>,
@@ -53,11 +58,11 @@ pub struct Task {
     pub weight: Option<Positive<values::Weight>>,
     /// Tolerance in m of the distance from `position_m`, positive. Absent: the position is met exactly.
     pub tolerance_m: Option<Positive<values::Distance>>,
-    /// Tolerance in rad of the angle from `orientation_wxyz`, positive and below π. Absent: the orientation is met
-    /// exactly.
+    /// Tolerance in rad of the angle from `orientation_wxyz` or `direction`, positive and below π. Absent: the orientation, or the direction,
+    /// is met exactly.
     pub tolerance_rad: Option<Positive<values::Angle>>,
-    /// Speed in m/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and `hard`.
-    /// Absent: a hundredth of `rod.length_m` per duration of the task.
+    /// Speed in m/s up to which the tip counts as at rest, or largest difference from `velocity_m_s`, not negative; 0 for exactly. Only with
+    /// `at_rest = "tip"` or `velocity_m_s`, and with `hard`. Absent: a hundredth of `rod.length_m` per duration of the task.
     pub tolerance_m_s: Option<NonNegative<values::Speed>>,
     /// Angular speed in rad/s up to which the tip counts as at rest, not negative; 0 for exactly at rest. Only with `at_rest = "tip"` and
     /// `hard`. Absent: a tenth of a radian per duration of the task.
@@ -133,7 +138,7 @@ pub struct FreeDuration {
     pub price: NonNegative<values::PriceOfTime>,
 }
 
-/// A waypoint: a position, an orientation, or both.
+/// A waypoint: a position, an orientation or a direction, or both.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Via {
@@ -146,6 +151,8 @@ pub struct Via {
     pub position_m: Option<[f64; 3]>,
     /// Orientation as a quaternion, scalar first, of any length but zero.
     pub orientation_wxyz: Option<[f64; 4]>,
+    /// Direction of the arm's tangent at `node`, of any length but zero; the roll about it is free. Instead of `orientation_wxyz`.
+    pub direction: Option<[f64; 3]>,
     /// Enforcement of the waypoint: a constraint (true) or a term of the objective (false).
     #[serde(default = "values::yes")]
     pub hard: bool,
@@ -154,8 +161,8 @@ pub struct Via {
     pub weight: Option<Positive<values::Weight>>,
     /// Tolerance in m of the distance from `position_m`, positive. Absent: the position is met exactly.
     pub tolerance_m: Option<Positive<values::Distance>>,
-    /// Tolerance in rad of the angle from `orientation_wxyz`, positive and below π. Absent: the orientation is met
-    /// exactly.
+    /// Tolerance in rad of the angle from `orientation_wxyz` or `direction`, positive and below π. Absent: the orientation, or the direction,
+    /// is met exactly.
     pub tolerance_rad: Option<Positive<values::Angle>>,
 }
 
@@ -168,12 +175,10 @@ impl Task {
 
 impl Keys<'_> {
     pub(in crate::scene) fn check_task(&self, task: &Task, scene: &Scene) -> Checked {
-        if task.position_m.is_none() && task.orientation_wxyz.is_none() {
-            return Err(self.missing(
-                "task.position_m",
-                "or else, or as well, give task.orientation_wxyz",
-            ));
-        }
+        self.check_pose(
+            "task",
+            given!(task: position_m, orientation_wxyz, direction),
+        )?;
         self.node("task.node", task.node, scene.rod.elements)?;
         let tip = scene.tip_kind();
         if tip != EndKind::Free && task.node.index(&scene.mesh()) == scene.mesh().n_elements() {
@@ -212,6 +217,17 @@ impl Keys<'_> {
         if let Some(orientation) = &task.orientation_wxyz {
             self.nonzero("task.orientation_wxyz", orientation)?;
         }
+        if let Some(direction) = &task.direction {
+            self.nonzero("task.direction", direction)?;
+        }
+        if let Some(velocity) = &task.velocity_m_s {
+            self.finite("task.velocity_m_s", velocity)?;
+            if task.at_rest != AtRest::Passing {
+                let message = "an arm that comes to rest at its target has no velocity there: set \
+                               task.at_rest = false";
+                return Err(self.source.error_at("task.velocity_m_s", message, None));
+            }
+        }
         let end = scene.time.end_s.get();
         if let Some(instant) = task.at_s.map(Positive::get) {
             if instant > end {
@@ -235,12 +251,17 @@ impl Keys<'_> {
             "task",
             task.hard,
             task.tolerance_rad,
-            given!(task: weight, tolerance_m, position_m, tolerance_rad, orientation_wxyz),
+            given!(task: weight, tolerance_m, position_m, tolerance_rad, orientation_wxyz, direction),
         )?;
         let not_at = |rest: AtRest| ("at_rest", task.at_rest != rest);
-        for tolerance in given!(task: tolerance_m_s, tolerance_rad_s) {
+        let [speed, spin] = given!(task: tolerance_m_s, tolerance_rad_s);
+        let moves = |tolerance: Given| tolerance == speed && task.velocity_m_s.is_some();
+        for tolerance in [speed, spin] {
             let soft = Excludes(tolerance, ("hard", !task.hard));
-            self.relations("task", &[Excludes(tolerance, not_at(AtRest::Tip)), soft])?;
+            if !moves(tolerance) {
+                self.relations("task", &[Excludes(tolerance, not_at(AtRest::Tip))])?;
+            }
+            self.relations("task", &[soft])?;
         }
         for stay in given!(task: stays_s, stays_m) {
             self.relations("task", &[Excludes(stay, not_at(AtRest::Staying))])?;
@@ -269,15 +290,17 @@ impl Keys<'_> {
     }
 
     fn check_via(&self, via: &Via, index: usize, end: f64, scene: &Scene) -> Checked {
-        let key = |name: &str| format!("task.via.{index}.{name}");
-        if via.position_m.is_none() && via.orientation_wxyz.is_none() {
-            return Err(self.missing(
-                &key("position_m"),
-                &format!("or else, or as well, give {}", key("orientation_wxyz")),
-            ));
-        }
+        let section = format!("task.via.{index}");
+        let key = |name: &str| format!("{section}.{name}");
+        self.check_pose(
+            &section,
+            given!(via: position_m, orientation_wxyz, direction),
+        )?;
         if let Some(orientation) = &via.orientation_wxyz {
             self.nonzero(&key("orientation_wxyz"), orientation)?;
+        }
+        if let Some(direction) = &via.direction {
+            self.nonzero(&key("direction"), direction)?;
         }
         self.node(&key("node"), via.node, scene.rod.elements)?;
         if let Some(position) = &via.position_m {
@@ -295,11 +318,25 @@ impl Keys<'_> {
                 .expecting(format!("expected less than {}", digits(end))));
         }
         self.check_enforcement(
-            &format!("task.via.{index}"),
+            &section,
             via.hard,
             via.tolerance_rad,
-            given!(via: weight, tolerance_m, position_m, tolerance_rad, orientation_wxyz),
+            given!(via: weight, tolerance_m, position_m, tolerance_rad, orientation_wxyz, direction),
         )
+    }
+
+    /// Checks that a goal has a position, an orientation or a direction, and not both of the latter two.
+    fn check_pose(&self, section: &str, [position, orientation, direction]: [Given; 3]) -> Checked {
+        if [position, orientation, direction].iter().all(|key| !key.1) {
+            let key = |(name, _): Given| format!("{section}.{name}");
+            let help = format!(
+                "or else, or as well, give {} or {}",
+                key(orientation),
+                key(direction)
+            );
+            return Err(self.missing(&key(position), &help));
+        }
+        self.relations(section, &[Excludes(direction, orientation)])
     }
 
     /// Checks the enforcement of a goal.
@@ -308,7 +345,14 @@ impl Keys<'_> {
         section: &str,
         hard: bool,
         angle: Option<Positive<values::Angle>>,
-        [weight, of_position, position, of_orientation, orientation]: [Given; 5],
+        [
+            weight,
+            of_position,
+            position,
+            of_angle,
+            orientation,
+            direction,
+        ]: [Given; 6],
     ) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
         if hard && weight.1 {
@@ -322,7 +366,8 @@ impl Keys<'_> {
                 Some(help),
             ));
         }
-        for (tolerance, owner) in [(of_position, position), (of_orientation, orientation)] {
+        let turned = if direction.1 { direction } else { orientation };
+        for (tolerance, owner) in [(of_position, position), (of_angle, turned)] {
             let reason = format!("goes with {}", key(tolerance.0));
             let soft = Excludes(tolerance, ("hard", !hard));
             self.relations(section, &[Needs(tolerance, owner, &reason), soft])?;
@@ -435,7 +480,9 @@ impl Task {
             time: Some(via.at_s.get()),
             position: via.position_m.map(Vector3::from),
             rotation: via.orientation_wxyz.map(from_quaternion),
+            direction: via.direction.map(|direction| unit(direction).into()),
             rest: Rest::Passing,
+            velocity: None,
             hardness: hardness(via.hard, via.weight.map(Number::get)),
             tolerances: Tolerances {
                 distance: via.tolerance_m.map(Number::get),
@@ -449,7 +496,9 @@ impl Task {
             time: None,
             position: self.position_m.map(Vector3::from),
             rotation: self.orientation_wxyz.map(from_quaternion),
+            direction: self.direction.map(|direction| unit(direction).into()),
             rest: self.rest(),
+            velocity: self.velocity_m_s.map(Vector3::from),
             hardness: hardness(self.hard, self.weight.map(Number::get)),
             tolerances: self.tolerances(),
         };
@@ -490,6 +539,7 @@ pub(in crate::scene) fn described_targets<'a>(
                 node: LoadNode::of(target.at, mesh),
                 position_m: target.position.map(Into::into),
                 orientation_wxyz: target.rotation.as_ref().map(wxyz),
+                direction: target.direction.map(Into::into),
                 hard,
                 weight,
                 tolerance_m: target.tolerances.distance.map(known),
@@ -514,10 +564,13 @@ pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Ve
         .tolerances
         .rest(problem.arm.length, problem.task.horizon);
     let with_rest = goal.rest == Rest::Instant && hard;
+    let with_speed = with_rest || (goal.velocity.is_some() && hard);
     Task {
         node: LoadNode::of(goal.at, &problem.discrete.rod.mesh),
         position_m: goal.position.map(Into::into),
         orientation_wxyz: goal.rotation.as_ref().map(wxyz),
+        direction: goal.direction.map(Into::into),
+        velocity_m_s: goal.velocity.map(Into::into),
         at_s: Some(known(problem.task.horizon)),
         free_duration: problem.task.free_duration.map(FreeDuration::describing),
         at_rest: match goal.rest {
@@ -531,7 +584,7 @@ pub(in crate::scene) fn described_task(problem: &Problem, goal: &Target, via: Ve
         weight,
         tolerance_m: goal.tolerances.distance.map(known),
         tolerance_rad: goal.tolerances.angle.map(known),
-        tolerance_m_s: with_rest.then(|| known(speed)),
+        tolerance_m_s: with_speed.then(|| known(speed)),
         tolerance_rad_s: with_rest.then(|| known(spin)),
         via,
     }

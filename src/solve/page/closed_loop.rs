@@ -15,7 +15,7 @@ use crate::output::{
     ReportEnergy, ReportMotion, ReportPath, ReportTarget, ReportVia,
 };
 use crate::scene::ClosedLoopSetup;
-use crate::scene::translate::directors;
+use crate::scene::translate::target_directors;
 
 /// Points of a curve over samples.
 const POINTS: usize = 1000;
@@ -61,7 +61,7 @@ pub(crate) fn closed_loop_page(
     Ok(ReportData {
         target: last.map(|target| ReportTarget {
             position: target.position.map(Into::into),
-            directions: target.rotation.as_ref().map(directors),
+            directions: target_directors(target.rotation, target.direction),
         }),
         via: (earlier.iter())
             .filter_map(|target| {

@@ -12,7 +12,7 @@ use crate::output::{
     ReportEnergy, ReportIteration, ReportMotion, ReportObstacles, ReportPath, ReportSensitivity,
     ReportTarget, ReportVia,
 };
-use crate::scene::translate::directors;
+use crate::scene::translate::target_directors;
 use crate::solve::step_kind::{MEANINGS, step_kind};
 use crate::sqp::IterationRecord;
 use crate::task::Problem;
@@ -105,6 +105,8 @@ fn posed(problem: &OptimalControlProblem, coefficients: &[f64]) -> Value {
             "position": position.map(|(place, _)| <[f64; 3]>::from(place)),
             "soft": position.is_some_and(|(_, how)| matches!(how, Enforcement::Soft { .. })),
             "turned": goals().any(|goal| goal.rotation.is_some()),
+            "direction": goals().find_map(|goal| goal.direction).map(<[f64; 3]>::from),
+            "velocity": goals().find_map(|goal| goal.velocity).map(<[f64; 3]>::from),
             "at_rest": goals().any(|goal| goal.at_rest),
         })
     });
@@ -154,9 +156,7 @@ fn target(problem: &OptimalControlProblem) -> Option<ReportTarget> {
     let goals = || problem.final_goals();
     goals().next().map(|_| ReportTarget {
         position: goals().find_map(|goal| goal.position).map(Into::into),
-        directions: goals()
-            .find_map(|goal| goal.rotation.as_ref())
-            .map(directors),
+        directions: goals().find_map(|goal| target_directors(goal.rotation, goal.direction)),
     })
 }
 

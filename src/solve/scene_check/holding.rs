@@ -2,9 +2,9 @@
 
 use std::f64::consts::TAU;
 
-use crate::control::{CannotHold, Held, Holding, NotFound, OptimalControlProblem, holding};
-use crate::mechanics::{NodeWrenches, Wrench};
-use crate::output::summary::{NearestHeldSummary, StaticNeedSummary};
+use crate::control::{CannotHold, Held, Holding, OptimalControlProblem, holding};
+use crate::output::summary::StaticNeedSummary;
+use crate::solve::nearest::{controls, nearest, wrenches};
 use crate::task::Staying;
 use crate::task::staying::holding_over;
 
@@ -14,9 +14,6 @@ pub(crate) const ABOVE: &str = "above-bounds";
 pub(crate) const UNSTABLE: &str = "unstable";
 pub(crate) const CANNOT: &str = "cannot-be-held";
 pub(crate) const NOT_FOUND: &str = "not-found";
-
-/// Fraction of the length below which a coordinate of an equilibrium is rounding: the scaled residual that an equilibrium may leave.
-const PLACE_ROUNDING: f64 = 1e-9;
 
 /// Says whether and by what the tip, or the node of the task, can be held at its goal, over a stay if the arm should stay; `None` where it
 /// has none, or the search was stopped.
@@ -44,23 +41,19 @@ pub(super) fn need(
         Some(staying) => holding_over(problem, staying, length),
         None => holding(problem),
     };
-    match found.ok()? {
+    let found = found.ok()?;
+    let nearest = nearest(problem, &found);
+    let mut out = match found {
         Holding::Held(held) => {
             let crosses = held.crosses.as_ref().map(|crossed| {
                 format!(
                     "{crossed} in the shape that holds it there, and none that obeys it was found"
                 )
             });
-            Some(summary(WITHIN, Some(&held), crosses))
+            summary(WITHIN, Some(&held), crosses)
         }
-        Holding::NotFound { why } => {
-            let mut out = summary(NOT_FOUND, None, Some(why.to_string()));
-            if let NotFound::Bounds { nearest } = why {
-                out.nearest = nearest.map(|found| nearest_summary(problem, found));
-            }
-            Some(out)
-        }
-        Holding::CannotBeHeld { why, nearest } => {
+        Holding::NotFound { why, .. } => summary(NOT_FOUND, None, Some(why.to_string())),
+        Holding::CannotBeHeld { why, .. } => {
             let (verdict, held) = match &why {
                 CannotHold::AboveBounds(held) => (ABOVE, Some(&**held)),
                 CannotHold::Unstable(held) => (UNSTABLE, Some(&**held)),
@@ -69,50 +62,11 @@ pub(super) fn need(
                 | CannotHold::Drifts
                 | CannotHold::EndMoves { .. } => (CANNOT, None),
             };
-            let mut out = summary(verdict, held, Some(why.to_string()));
-            out.nearest = nearest.map(|found| nearest_summary(problem, found));
-            Some(out)
+            summary(verdict, held, Some(why.to_string()))
         }
-    }
-}
-
-/// The nearest target that is held, with what holds it.
-fn nearest_summary(
-    problem: &OptimalControlProblem,
-    (held, distance_m): (Box<Held>, f64),
-) -> NearestHeldSummary {
-    NearestHeldSummary {
-        position_m: {
-            // Rounding of a place in a plane of symmetry is nothing.
-            let least = PLACE_ROUNDING * problem.rod.scales.length;
-            let place = held.shape.positions[problem.goal_node()];
-            place.map(|x| if x.abs() < least { 0.0 } else { x }).into()
-        },
-        distance_m,
-        wrenches: wrenches(problem, &held),
-        controls: controls(problem, &held),
-    }
-}
-
-fn wrenches(problem: &OptimalControlProblem, held: &Held) -> Vec<[f64; 6]> {
-    let wrenches = problem.wrenches(&held.controls);
-    wrenches.iter().map(Wrench::to_array).collect()
-}
-
-fn controls(problem: &OptimalControlProblem, held: &Held) -> Vec<Vec<f64>> {
-    let mut efforts = problem.rod.actuators.efforts(problem.grid.duration());
-    let inputs = problem.inputs(&held.controls);
-    let control = NodeWrenches {
-        inputs,
-        efforts: problem.efforts.as_ref(),
-        ..NodeWrenches::NONE
     };
-    control.add_efforts(&mut efforts);
-    let driven = problem.efforts.iter().flat_map(|own| &own.actuators);
-    (problem.acting.iter())
-        .map(|acting| acting.controls(inputs))
-        .chain(driven.map(|&actuator| vec![efforts[actuator]]))
-        .collect()
+    out.nearest = nearest;
+    Some(out)
 }
 
 /// Distance of the target from where its node starts, m.

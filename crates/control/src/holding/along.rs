@@ -1,6 +1,6 @@
 //! The controls that hold a node along a reference, from one pose to the next.
 
-use nalgebra::{DMatrix, Matrix3, Vector3, Vector6};
+use nalgebra::{DMatrix, Vector6};
 
 use super::clearance::HeldLimits;
 use super::program::{Aim, Demand, HoldingPoint, LITTLE, NEARER};
@@ -31,13 +31,11 @@ pub struct HoldingControls {
     pub is_stable: bool,
 }
 
-/// Returns the equilibrium of least effort with a node at a pose, position (m) and rotation (body to space), under the loads of time `t`
-/// (s), and the coefficient of the controls that hold it, from a shape with the node about there; `None` if none is found, for a free arm, and
+/// Returns the equilibrium of least effort with a node at a target under the loads of time `t` (s), and the coefficient of the controls that hold it, from a shape with the node about there; `None` if none is found, for a free arm, and
 /// where the search would take too long. It may be unstable.
 pub fn held_at(
     problem: &OptimalControlProblem,
-    node: usize,
-    (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
+    target: Target,
     t: f64,
     shape: &Configuration,
 ) -> Option<(Configuration, Vec<f64>)> {
@@ -54,11 +52,7 @@ pub fn held_at(
     let search = Search {
         limits: HeldLimits::of(problem),
         statics: &statics,
-        target: Target {
-            node,
-            position,
-            rotation,
-        },
+        target,
         start: shape.clone(),
     };
     let point = search.solve(&Demand::of(Aim::Hold), &first)?;
@@ -96,23 +90,16 @@ impl ControlsAlong {
         }
     }
 
-    /// Moves the equilibrium to a pose of `node`, position (m) and rotation (body to space), under the loads of time `t` (s); to one at which
-    /// the node `rests`, as near as it gets, and otherwise up to what controls that hardly move it would do. Returns `None`, and stays where
+    /// Moves the equilibrium to a target of a node, under the loads of time `t` (s); to one at which the node `rests`, as near as it gets, and otherwise up to what controls that hardly move it would do. Returns `None`, and stays where
     /// it is, if no equilibrium is found.
     pub fn hold(
         &mut self,
         problem: &OptimalControlProblem,
-        node: usize,
-        (position, rotation): (Option<Vector3<f64>>, Option<Matrix3<f64>>),
+        target: Target,
         t: f64,
         rests: bool,
     ) -> Option<HoldingControls> {
         let statics = statics_at(problem, t);
-        let target = Target {
-            node,
-            position,
-            rotation,
-        };
         let search = Search {
             limits: HeldLimits::of(problem),
             statics: &statics,

@@ -667,6 +667,7 @@ mod tests {
             node: problem.rod.tip(),
             position: Some(Vector3::new(0.1, 0.0, 0.35)),
             rotation: Some(nalgebra::Matrix3::identity()),
+            direction: None,
         };
         let program =
             HoldingProgram::new(&statics, target, Demand::of(Aim::Approach { weight: 1.0 }));

@@ -4,10 +4,11 @@ use std::borrow::Cow;
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-use crate::problem::{ActsOn, Component, OptimalControlProblem};
+use crate::problem::{ActsOn, Component, GoalPart, OptimalControlProblem};
 use crate::term::DIFFERENCE;
 use mechanics::actuator::Acting;
 use mechanics::block_tridiagonal::BlockTridiagonal;
+use mechanics::direction::Deviation;
 use mechanics::equilibrium::{NodeSpring, of_all_nodes};
 use mechanics::forces::NodalForces;
 use mechanics::rotation::{exp, log, log_tangent};
@@ -15,24 +16,38 @@ use mechanics::tangent::{Mode, Tangent};
 use mechanics::{Configuration, NodeWrenches, Posed, Rod, StateView, Wrench};
 
 /// A target of a node.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Target {
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Target {
     /// The node.
     pub node: usize,
     /// Position, m.
     pub position: Option<Vector3<f64>>,
     /// Rotation, body to space.
     pub rotation: Option<Matrix3<f64>>,
+    /// Direction of its axis, of length 1.
+    pub direction: Option<Vector3<f64>>,
 }
 
 impl Target {
     /// Returns the number of equations.
     pub fn n_equations(&self) -> usize {
-        3 * (usize::from(self.position.is_some()) + usize::from(self.rotation.is_some()))
+        self.parts().map(GoalPart::n_rows).sum()
     }
 
-    /// Returns the residual of the node: the position error divided by the length, then `log(R*ᵀ R)`, rad.
-    pub fn residual(&self, rod: &Rod, shape: &Configuration) -> Vec<f64> {
+    /// Returns the vectors of the residual.
+    pub fn parts(&self) -> impl Iterator<Item = GoalPart> + use<> {
+        [
+            self.position.map(|_| GoalPart::Position),
+            self.rotation.map(|_| GoalPart::Orientation),
+            self.direction.map(|_| GoalPart::Direction),
+        ]
+        .into_iter()
+        .flatten()
+    }
+
+    /// Returns the residual of the node: the position error divided by the length, then `log(R*ᵀ R)` and the deviation from the direction,
+    /// rad.
+    pub(super) fn residual(&self, rod: &Rod, shape: &Configuration) -> Vec<f64> {
         let mut out = Vec::new();
         if let Some(target) = self.position {
             let way = (shape.positions[self.node] - target) / rod.scales.length;
@@ -42,11 +57,14 @@ impl Target {
             let turn = log(&target.tr_mul(&shape.rotations[self.node]));
             out.extend(turn.iter().copied());
         }
+        if let Some(target) = &self.direction {
+            out.extend(Deviation::of(target, &shape.rotations[self.node]).value());
+        }
         out
     }
 
     /// Returns the derivative of the residual along `(δx, η)` of the node, row by row.
-    pub fn gradients(&self, rod: &Rod, shape: &Configuration) -> Vec<Vector6<f64>> {
+    pub(super) fn gradients(&self, rod: &Rod, shape: &Configuration) -> Vec<Vector6<f64>> {
         let mut out = Vec::new();
         if self.position.is_some() {
             out.extend((0..3).map(|axis| Vector6::ith(axis, 1.0 / rod.scales.length)));
@@ -58,16 +76,22 @@ impl Target {
                 Vector6::from_fn(|i, _| if i < 3 { 0.0 } else { slope[(axis, i - 3)] })
             }));
         }
+        if let Some(target) = &self.direction {
+            let own = Deviation::of(target, &shape.rotations[self.node]);
+            let rows = own.gradients();
+            out.extend(rows.map(|row| Vector6::new(0.0, 0.0, 0.0, row.x, row.y, row.z)));
+        }
         out
     }
 
     /// Returns springs that pull the node to the target, of the given `stiffness` in units of EI/L³ and EI/L.
-    pub fn springs(&self, rod: &Rod, stiffness: f64) -> NodeSpring {
+    pub(crate) fn springs(&self, rod: &Rod, stiffness: f64) -> NodeSpring {
         let scales = &rod.scales;
         NodeSpring {
             node: self.node,
             position: (self.position).map(|to| (to, stiffness * scales.force / scales.length)),
             rotation: (self.rotation).map(|to| (to, stiffness * scales.moment)),
+            direction: (self.direction).map(|to| (to, stiffness * scales.moment)),
         }
     }
 }

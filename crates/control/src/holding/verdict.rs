@@ -20,7 +20,20 @@ pub enum Holding {
     NotFound {
         /// The reason why the search ended.
         why: NotFound,
+        /// The nearest target that was found to be held, and the distance of its node from the goal, m.
+        nearest: Option<(Box<Held>, f64)>,
     },
+}
+
+impl Holding {
+    /// Returns the nearest target that was found to be held where the goal itself is not, and the distance of its node from the goal, m.
+    #[must_use]
+    pub fn nearest(&self) -> Option<&(Box<Held>, f64)> {
+        match self {
+            Self::Held(_) => None,
+            Self::CannotBeHeld { nearest, .. } | Self::NotFound { nearest, .. } => nearest.as_ref(),
+        }
+    }
 }
 
 /// The reason why a target cannot be held.
@@ -112,10 +125,7 @@ pub enum NotFound {
     Unstable(Box<Held>),
     /// The search for controls within the bounds did not reach the goal.
     #[error("controls within their bounds that put the arm there at rest were not found")]
-    Bounds {
-        /// The nearest target that was found to be held, and the distance of its node from the goal, m.
-        nearest: Option<(Box<Held>, f64)>,
-    },
+    Bounds,
 }
 
 fn growth_in_words(held: &Held) -> String {

@@ -120,10 +120,14 @@ pub(crate) fn turn_curvature(
     psi: &Vector3<f64>,
     y: &Vector3<f64>,
 ) -> RowCurvature {
-    let matrix = log_second_derivative(psi, y);
+    node_turn_curvature(k, node, &log_second_derivative(psi, y))
+}
+
+/// A second derivative along the rotation `ζ` of a node.
+pub(crate) fn node_turn_curvature(k: usize, node: usize, matrix: &Matrix3<f64>) -> RowCurvature {
     RowCurvature {
         forms: vector_forms(k, node, 3),
-        matrix: DMatrix::from_fn(3, 3, |i, j| matrix[(i, j)]),
+        matrix: dynamic(matrix),
     }
 }
 

@@ -77,9 +77,11 @@ impl LiftedProgram for Transcription<'_> {
 
     fn evaluate(&self, point: &LiftedPoint) -> Result<Evaluation<Defects>, Failure> {
         let last = self.problem.grid.n_steps;
-        if let Some(goal) = (self.problem.goals.iter()).find(|g| g.at_rest && g.time_node != last) {
+        if let Some(goal) =
+            (self.problem.goals.iter()).find(|g| g.sees_velocity() && g.time_node != last)
+        {
             return Err(Failure(format!(
-                "{}.at_rest at time node {} of {last}: only a goal at the end of the horizon can be at rest",
+                "{}.at_rest at time node {} of {last}: only a goal at the end of the horizon can be at rest or have a velocity",
                 goal.name, goal.time_node
             )));
         }

@@ -2,10 +2,11 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
+use crate::direction::Deviation;
 use cosserat::load::Wrench;
 use cosserat::rotation::{log, log_tangent};
 
-/// Springs that pull a node to a position and an orientation; by default there are none.
+/// Springs that pull a node to a position, and to an orientation or a direction of its axis; by default there are none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NodeSpring {
     /// The node.
@@ -14,6 +15,8 @@ pub struct NodeSpring {
     pub position: Option<(Vector3<f64>, f64)>,
     /// Target rotation, and stiffness, N m: energy `½ k |log(R*ᵀ R)|²`.
     pub rotation: Option<(Matrix3<f64>, f64)>,
+    /// Target direction of the axis `R e₃`, of length 1, and stiffness, N m: energy `½ k θ²` of the angle between them.
+    pub direction: Option<(Vector3<f64>, f64)>,
 }
 
 impl NodeSpring {
@@ -24,10 +27,15 @@ impl NodeSpring {
             force: self
                 .position
                 .map_or_else(Vector3::zeros, |(target, k)| (target - x) * k),
-            moment: self.rotation.map_or_else(Vector3::zeros, |(target, k)| {
-                // The gradient of ½|ψ|² along a body rotation is S ψ = ψ.
-                -k * log(&(target.transpose() * r))
-            }),
+            moment: {
+                let turn = self.rotation.map_or_else(Vector3::zeros, |(target, k)| {
+                    // The gradient of ½|ψ|² along a body rotation is S ψ = ψ.
+                    -k * log(&(target.transpose() * r))
+                });
+                self.direction.map_or(turn, |(target, k)| {
+                    turn - k * Deviation::of(&target, r).of_half_square().0
+                })
+            },
         }
     }
 
@@ -38,7 +46,10 @@ impl NodeSpring {
         let turn = self.rotation.map_or(0.0, |(target, k)| {
             0.5 * k * log(&(target.transpose() * r)).norm_squared()
         });
-        stretch + turn
+        let aside = self.direction.map_or(0.0, |(target, k)| {
+            0.5 * k * Deviation::of(&target, r).angle().powi(2)
+        });
+        stretch + turn + aside
     }
 
     /// Returns the derivative of minus the wrench along `(δx, η)` of the node.
@@ -53,6 +64,67 @@ impl NodeSpring {
             k.fixed_view_mut::<3, 3>(3, 3)
                 .copy_from(&(stiffness * log_tangent(&psi).transpose()));
         }
+        if let Some((target, stiffness)) = self.direction {
+            let mut turns = k.fixed_view_mut::<3, 3>(3, 3);
+            turns += stiffness * Deviation::of(&target, r).of_half_square().1;
+        }
         k
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cosserat::differences::slope;
+    use cosserat::rotation::exp;
+
+    /// The wrench is minus the slope of the energy along `(δx, η)`, and the stiffness minus that of the wrench, also without symmetry:
+    /// by differences of fourth order, whose fifth derivatives are of order one here.
+    #[test]
+    fn springs_are_conservative() {
+        let x = Vector3::new(0.2, -0.1, 0.4);
+        let r = exp(&Vector3::new(0.4, -0.7, 0.9));
+        let of = |rotation, direction| NodeSpring {
+            node: 0,
+            position: Some((Vector3::new(0.0, 0.3, 0.1), 2.0)),
+            rotation,
+            direction,
+        };
+        let turn = exp(&Vector3::new(-0.3, 0.2, 0.5));
+        let direction = Vector3::new(0.5, 0.1, -0.3).normalize();
+        for spring in [
+            of(Some((turn, 3.0)), None),
+            of(None, Some((direction, 3.0))),
+        ] {
+            let moved = |component: usize, s: f64| {
+                let axis = Vector3::ith(component % 3, s);
+                if component < 3 {
+                    (x + axis, r)
+                } else {
+                    (x, r * exp(&axis))
+                }
+            };
+            let step = 1e-3;
+            let along = |f: &dyn Fn(f64) -> f64| {
+                slope([f(step), f(-step)], [f(2.0 * step), f(-2.0 * step)], step)
+            };
+            let own = spring.wrench(&x, &r).to_array();
+            let stiffness = spring.stiffness(&r);
+            for j in 0..6 {
+                let energy = along(&|s| {
+                    let (x, r) = moved(j, s);
+                    spring.energy(&x, &r)
+                });
+                assert!((own[j] + energy).abs() < 1e-9, "{j}: {} {energy}", own[j]);
+                for i in 0..6 {
+                    let pull = along(&|s| {
+                        let (x, r) = moved(j, s);
+                        spring.wrench(&x, &r).to_array()[i]
+                    });
+                    let found = stiffness[(i, j)];
+                    assert!((found + pull).abs() < 1e-9, "{i} {j}: {found} {pull}");
+                }
+            }
+        }
     }
 }

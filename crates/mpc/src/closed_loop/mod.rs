@@ -219,8 +219,6 @@ impl<'a> ClosedLoop<'a> {
         let period = self.controller().settings().period;
         let t = self.driver.next_sample() as f64 * period;
         let (tip, rotation) = self.arm.pose_on_model(self.controller().followed());
-        let turns = self.controller().reference_rotation(t).is_some();
-        let rotation = turns.then_some(rotation);
         let responded = if self.driver.estimates() {
             self.deliver(t);
             self.driver.respond(t, Known::Measurements)
@@ -230,7 +228,7 @@ impl<'a> ClosedLoop<'a> {
         };
         let controller = responded.controller();
         let reference = controller.reference(t);
-        let turn = rotation.and_then(|rotation| controller.turn_from_reference(t, &rotation));
+        let turn = controller.turn_from_reference(t, &rotation);
         self.arm.send(responded.told());
         // A simulated arm knows where its tip really is.
         let sample = Sample {

@@ -156,6 +156,12 @@ impl OneHorizon {
             cut.samples = cut.samples.min(SAMPLES_A_BLOCK * blocks);
         }
         let n_tracks = task.cost.tracks.len();
+        if settings.due.is_none() && task.targets.iter().any(|target| target.velocity.is_some()) {
+            return Err(MpcError::Unsupported(
+                "a receding horizon has no end at which the tip could have the velocity of its target; leave out velocity_m_s, or give a \
+                 track with speed_weight",
+            ));
+        }
         let task = over_horizon(task, settings);
         // Only the steps of this discretization are used, not the wrench that holds the arm.
         let chosen = (task.clone().stopping())
@@ -166,7 +172,7 @@ impl OneHorizon {
         cut.step = Some(in_horizon.step);
         let mut problem = task.discretize_until(arm, &cut, stop)?.discrete;
         for held in problem.objective.tracking.iter_mut().skip(n_tracks) {
-            if held.rotations.is_empty() {
+            if held.rotations.is_empty() && held.directions.is_empty() {
                 held.weight *= HELD_NEARER;
             }
         }
@@ -211,16 +217,20 @@ fn over_horizon(task: &Task, settings: &MpcSettings) -> Task {
             target.rest = Rest::Passing;
             let place = target.position.take().map(|place| (0.0, place));
             let turn = target.rotation.take().map(|rotation| (0.0, rotation));
+            let aim = target.direction.take().map(|direction| (0.0, direction));
             task.cost.tracks.push(Track {
                 at: target.at,
                 path: place.into_iter().collect(),
                 rotations: turn.into_iter().collect(),
+                directions: aim.into_iter().collect(),
                 ..Track::default()
             });
         }
     }
     (task.targets).retain(|target| {
-        target.position.is_some() || target.rotation.is_some() || target.rest != Rest::Passing
+        let is_placed = target.position.is_some() || target.velocity.is_some();
+        let is_turned = target.rotation.is_some() || target.direction.is_some();
+        is_placed || is_turned || target.rest != Rest::Passing
     });
     task
 }

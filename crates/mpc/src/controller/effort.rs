@@ -7,6 +7,7 @@ use crate::holding::{Along, HeldControls, Holding, ReferencePose};
 use crate::horizon::{Effect, Part};
 use control::{Channel, ControlsAlong, OptimalControlProblem, Tracking};
 use mechanics::Wrench;
+use mechanics::direction::Deviation;
 use mechanics::rotation::log;
 
 /// The wrench that holds the model's tip, or the node that follows, at its reference and accelerates the arm's mass along it, at the time
@@ -45,11 +46,11 @@ fn place_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
     (problem.objective.tracking.iter()).find(|track| track.node == node && !track.path.is_empty())
 }
 
-/// Returns the track that prescribes its orientation.
+/// Returns the track that prescribes its orientation or its direction.
 fn turn_track(problem: &OptimalControlProblem) -> Option<&Tracking> {
     let node = followed(problem);
     (problem.objective.tracking.iter())
-        .find(|track| track.node == node && !track.rotations.is_empty())
+        .find(|track| track.node == node && track.end_of_turns().is_some())
 }
 
 impl Controller {
@@ -57,7 +58,7 @@ impl Controller {
     pub(crate) fn reference_end(&self) -> f64 {
         let problem = &self.horizon.problem;
         let place = place_track(problem).and_then(|track| Some(track.path.last()?.0));
-        let turn = turn_track(problem).and_then(|track| Some(track.rotations.last()?.0));
+        let turn = turn_track(problem).and_then(|track| track.end_of_turns());
         place.unwrap_or(0.0).max(turn.unwrap_or(0.0))
     }
 
@@ -93,9 +94,22 @@ impl Controller {
         track.and_then(|track| track.rotation(t)).or_else(goal)
     }
 
-    /// Returns the angle between a rotation of that node and its [reference](Self::reference_rotation) at time `t` (s), rad.
+    /// Returns the reference direction of the axis of that node at time `t` (s): that of its first track that turns it, or else of its first
+    /// target.
+    fn reference_direction(&self, t: f64) -> Option<Vector3<f64>> {
+        let problem = &self.horizon.problem;
+        let node = followed(problem);
+        let goal = || {
+            (problem.goals.iter()).find_map(|goal| (goal.node == node).then_some(goal.direction)?)
+        };
+        (turn_track(problem).and_then(|track| track.direction(t))).or_else(goal)
+    }
+
+    /// Returns the angle between a rotation of that node and its [reference](Self::reference_rotation) at time `t` (s), or between its axis
+    /// and its reference direction, rad.
     pub(crate) fn turn_from_reference(&self, t: f64, r: &Matrix3<f64>) -> Option<f64> {
-        (self.reference_rotation(t)).map(|should| log(&(should.transpose() * r)).norm())
+        let turn = (self.reference_rotation(t)).map(|should| log(&(should.transpose() * r)).norm());
+        turn.or_else(|| Some(Deviation::of(&self.reference_direction(t)?, r).angle()))
     }
 
     /// Returns the wrenches that hold the node along its reference; `None` without a reference, if it lasts more than ten minutes, and after
@@ -122,6 +136,7 @@ impl Controller {
         ReferencePose {
             position: self.reference(t).map(Vector3::from),
             rotation: self.reference_rotation(t).filter(|_| turns),
+            direction: None,
         }
     }
 
@@ -134,7 +149,10 @@ impl Controller {
     fn held(&self, along: Along) -> Option<HeldControls> {
         let problem = &self.horizon.problem;
         let node = followed(problem);
-        let reference = |t: f64| self.reference_pose(t, true);
+        let reference = |t: f64| ReferencePose {
+            direction: self.reference_direction(t),
+            ..self.reference_pose(t, true)
+        };
         if reference(0.0) == ReferencePose::default() {
             return None;
         }
@@ -211,7 +229,8 @@ impl Controller {
     pub(super) fn is_reference_at_rest(&self) -> bool {
         let problem = &self.horizon.problem;
         place_track(problem).is_none_or(|track| track.path.len() <= 1)
-            && turn_track(problem).is_none_or(|track| track.rotations.len() <= 1)
+            && turn_track(problem)
+                .is_none_or(|track| track.rotations.len().max(track.directions.len()) <= 1)
     }
 
     /// Returns the time at which the path ends while it still moves, s; `None` without a path, and if it has come to rest by

@@ -157,6 +157,7 @@ fn slopes_of_all_rows_agree_with_differences() {
         name: "limit".into(),
         kind,
         rate: None,
+        span: [None; 2],
         enforcement: PathEnforcement::Soft {
             linear: 1.0,
             quadratic: 0.0,

@@ -282,6 +282,7 @@ function armPieces(stage, run) {
       pieces.push({ depth: p.depth, draw() { line(a, b, colors.target, 1.8); } });
     }
     (target.directions || []).forEach((d, i) => {
+      if (!d) return;
       const end = project(add(place, mul(d, 2.6 * reach)));
       pieces.push({
         depth: (p.depth + end.depth) / 2,

@@ -138,8 +138,10 @@ pub struct StaticNeedSummary {
 pub struct NearestHeldSummary {
     /// m
     pub position_m: [f64; 3],
-    /// Distance from the target, m.
+    /// Distance from the target, m; 0 for a target without a position.
     pub distance_m: f64,
+    /// Angle from the orientation or direction of the target, rad.
+    pub angle_rad: Option<f64>,
     /// Wrenches, as in [`StaticNeedSummary`].
     pub wrenches: Vec<[f64; 6]>,
     /// Controls, as in [`StaticNeedSummary`].

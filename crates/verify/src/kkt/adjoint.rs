@@ -73,7 +73,10 @@ impl Conditions<'_> {
                 GoalPart::AngularVelocity => {
                     lr[node][row.axis] += weight / rod.nodes[node].rotary[row.axis];
                 }
-                GoalPart::Position | GoalPart::Orientation | GoalPart::Deviation(_) => {}
+                GoalPart::Position
+                | GoalPart::Orientation
+                | GoalPart::Direction
+                | GoalPart::Deviation(_) => {}
             }
         }
         if let Some((_, own)) = self.stay_covectors(goals) {

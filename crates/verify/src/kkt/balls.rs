@@ -66,7 +66,7 @@ impl Conditions<'_> {
             let scale = self.problem.goal_scale(ball.part);
             let goal = &self.problem.goals[ball.goal];
             let place = |value: f64, unit: String| Place {
-                name: format!("{}.{}", goal.name, ball.part.name()),
+                name: format!("{}.{}", goal.name, goal.name_of(ball.part)),
                 node: Some(goal.node),
                 time: self.problem.grid.time(goal.time_node),
                 component: "",

@@ -6,7 +6,7 @@ use super::motion::Conditions;
 use super::rows::{Place, Worst, per};
 use crate::SolutionMultipliers;
 use crate::efforts;
-use crate::limits::{Pose, add_state_cost, slope_at_zero};
+use crate::limits::{Pose, add_state_cost, aside, slope_at_zero};
 use crate::samples;
 use control::{GoalPart, PathConstraint, PathEnforcement, PathLimit, PathMultiplier};
 use mechanics::rotation::{exp, log};
@@ -41,7 +41,15 @@ impl Conditions<'_> {
                 GoalPart::Orientation => {
                     if let Some(target) = goal.rotation {
                         let r = self.trajectory.rotations_at(goal.time_node)[goal.node];
-                        out.eta[at] += log_gradient(&(target.transpose() * r), row.axis) * weight;
+                        let value = |a: &Matrix3<f64>| log(a)[row.axis];
+                        out.eta[at] += body_gradient(value, &(target.transpose() * r)) * weight;
+                    }
+                }
+                GoalPart::Direction => {
+                    if let Some(target) = &goal.direction {
+                        let r = &self.trajectory.rotations_at(goal.time_node)[goal.node];
+                        let value = |r: &Matrix3<f64>| aside(target, r)[row.axis];
+                        out.eta[at] += body_gradient(value, r) * weight;
                     }
                 }
                 GoalPart::Velocity | GoalPart::AngularVelocity | GoalPart::Deviation(_) => {}
@@ -197,9 +205,9 @@ impl Conditions<'_> {
     }
 }
 
-/// Returns the gradient of one component of `log A` along body rotations of `A`, by central differences.
-fn log_gradient(a: &Matrix3<f64>, axis: usize) -> Vector3<f64> {
-    Vector3::from_fn(|i, _| slope_at_zero(|h| log(&(a * exp(&Vector3::ith(i, h))))[axis], 1e-3))
+/// Returns the gradient of a function of a rotation along body rotations, by central differences.
+fn body_gradient(value: impl Fn(&Matrix3<f64>) -> f64, a: &Matrix3<f64>) -> Vector3<f64> {
+    Vector3::from_fn(|i, _| slope_at_zero(|h| value(&(a * exp(&Vector3::ith(i, h)))), 1e-3))
 }
 
 /// A row of a path constraint with its multiplier, both scaled.

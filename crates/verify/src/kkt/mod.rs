@@ -78,7 +78,7 @@ pub fn recompute(
         });
         let goal = &problem.goals[row.goal];
         equalities.note((r - soft).abs(), || Place {
-            name: format!("{}.{}", goal.name, row.part.name()),
+            name: format!("{}.{}", goal.name, goal.name_of(row.part)),
             node: Some(goal.node),
             time: problem.grid.time(goal.time_node),
             component: AXES[row.axis],

@@ -7,7 +7,7 @@ use crate::acting;
 use crate::dual;
 use crate::efforts;
 use crate::interval::{self, Nine, Strained};
-use crate::limits::Measure;
+use crate::limits::{Measure, aside};
 use control::{GoalPart, OptimalControlProblem, PathConstraint};
 use mechanics::rotation::log;
 use mechanics::{
@@ -502,7 +502,12 @@ impl Conditions<'_> {
                     GoalPart::Orientation => goal
                         .rotation
                         .map_or_else(Vector3::zeros, |t| log(&(t.transpose() * r))),
-                    GoalPart::Velocity => p[node] / rod.nodes[node].mass,
+                    GoalPart::Direction => goal
+                        .direction
+                        .map_or_else(Vector3::zeros, |d| aside(&d, &r).push(0.0)),
+                    GoalPart::Velocity => {
+                        p[node] / rod.nodes[node].mass - goal.velocity.unwrap_or_default()
+                    }
                     GoalPart::AngularVelocity => pi[node].component_div(&rod.nodes[node].rotary),
                     GoalPart::Deviation(vector) => {
                         let (trajectory, stay) = (self.trajectory, &self.problem.stay);

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{Circle, FigureEight, Track};
 use crate::control::Tracking;
-use crate::mechanics::rotation::from_quaternion;
+use crate::mechanics::rotation::{from_quaternion, unit};
 use crate::scene::model::Base;
 use crate::scene::values::{Number, known};
 
@@ -21,7 +21,14 @@ impl Track {
     pub(in crate::scene) fn take_weights(&mut self, chosen: &Tracking) {
         self.weight = (!chosen.path.is_empty()).then(|| known(chosen.weight));
         self.orientation_weight =
-            (!chosen.rotations.is_empty()).then(|| known(chosen.rotation_weight));
+            (chosen.end_of_turns().is_some()).then(|| known(chosen.rotation_weight));
+    }
+
+    /// Times in s and directions of length 1.
+    pub(in crate::scene) fn directions(&self) -> Vec<(f64, Vector3<f64>)> {
+        (self.directions.iter())
+            .map(|&[t, x, y, z]| (t, unit([x, y, z]).into()))
+            .collect()
     }
 
     /// Times in s and orientations, body to space.
