@@ -1,7 +1,6 @@
 """What returns has a controller of softarm on Cases 2, 3 and 4 of Naughton et al. 2021, for which others train policies?
 
-    cargo build --release
-    pip install numpy
+    pip install . numpy     # or `cargo build --release`
     python examples/elastica_cases.py [--case 2 3 4] [--episodes N] [--seed SEED] [--seconds SECONDS]
     python examples/elastica_cases.py --plant elastica      # pip install pyelastica
 
@@ -14,13 +13,15 @@ have one episode. `--seconds` ends episodes early.
 import argparse
 import json
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
-SOFTARM = Path(__file__).parent.parent / "target" / "release" / "softarm"
+BUILT = Path(__file__).parent.parent / "target" / "release" / "softarm"
+SOFTARM = [BUILT] if BUILT.exists() else [sys.executable, "-m", "softarm"]
 ACTION = 1.4e-3  # duration, s
 
 BEST = {2: ("SAC", 3279), 3: ("TRPO", 5749), 4: ("PPO", 2898)}
@@ -65,7 +66,7 @@ class Episode:
         return -(d**2) - 0.5 * o**2 + near
 
     def command(self, *words):
-        return [SOFTARM, "mpc", self.scene, "--quiet", *words, *(word for change in self.overrides for word in ("--set", change))]
+        return [*SOFTARM, "mpc", self.scene, "--quiet", *words, *(word for change in self.overrides for word in ("--set", change))]
 
 
 def in_softarm(episode, actions):
@@ -77,7 +78,7 @@ def in_softarm(episode, actions):
         )
         with np.load(f"{folder}/run/trajectory.npz") as motion:
             t, x, r = motion["t"], motion["x"][:, -1], motion["R"][:, -1]
-    nearest = np.abs(np.searchsorted(0.5 * (t[1:] + t[:-1]), times))
+    nearest = np.searchsorted(0.5 * (t[1:] + t[:-1]), times)
     return np.stack([np.interp(times, t, x[:, i]) for i in range(3)], axis=1), r[nearest]
 
 
@@ -94,11 +95,13 @@ def splines(places, points):
 
 def in_elastica(episode, actions):
     """The same of a rod of PyElastica, which obeys `softarm mpc --serve`."""
+    import tomllib
+
     import elastica as ea
 
     n, couples, nu = episode.elements, np.zeros((3, episode.elements)), 30.0
-    exported = subprocess.run([SOFTARM, "example", episode.scene], check=True, capture_output=True, text=True).stdout
-    cylinders = [cylinder(ea, capsule) for capsule in capsules(exported)]
+    exported = subprocess.run([*SOFTARM, "example", episode.scene], check=True, capture_output=True, text=True).stdout
+    cylinders = [cylinder(ea, **body["capsule"]) for body in tomllib.loads(exported).get("contact", [])]
     contact = ea.RodCylinderContact(k=8e4, nu=4.0)
 
     class Muscles(ea.NoForces):
@@ -149,7 +152,7 @@ def in_elastica(episode, actions):
     shape, steps = splines(np.arange(1, n + 1) / n, episode.points), round(ACTION / episode.step)
     per_sample, activation, now = round(hello["period_s"] / ACTION), np.zeros((episode.points, 3)), 0.0
     tips, rotations = [], []
-    # Their frames are those of the scene turned by a roll, if the scene has none.
+    # From the frames of the rod to those of the model: a roll about the arm.
     roll = at_nodes(rod.director_collection.transpose(2, 1, 0))[0].T @ np.array(hello["nodes"][0]["initial_rotation"])
     for action in range(actions):
         if action % per_sample == 0:
@@ -186,20 +189,12 @@ def at_nodes(of_elements):
     return 0.5 * (ends[:-1] + ends[1:])
 
 
-def capsules(scene):
-    """Ends and radii of the bodies of a scene."""
-    import tomllib
-
-    for body in tomllib.loads(scene).get("contact", []):
-        yield np.array(body["capsule"]["from_m"]), np.array(body["capsule"]["to_m"]), body["capsule"]["radius_m"]
-
-
-def cylinder(ea, capsule):
-    start, end, radius = capsule
-    length = np.linalg.norm(end - start)
-    along = (end - start) / length
-    across = np.cross(along, [0.0, 0.0, 1.0])
-    return ea.Cylinder(start, along, across / np.linalg.norm(across), length, radius, 1000.0)
+def cylinder(ea, from_m, to_m, radius_m):
+    """A capsule of a scene as a body of PyElastica."""
+    start, way = np.array(from_m), np.array(to_m) - np.array(from_m)
+    length = np.linalg.norm(way)
+    across = np.cross(way, [0.0, 0.0, 1.0])
+    return ea.Cylinder(start, way / length, across / np.linalg.norm(across), length, radius_m, 1000.0)
 
 
 def main():
