@@ -66,7 +66,8 @@ class Episode:
         return -(d**2) - 0.5 * o**2 + near
 
     def command(self, *words):
-        return [*SOFTARM, "mpc", self.scene, "--quiet", *words, *(word for change in self.overrides for word in ("--set", change))]
+        changes = [word for change in self.overrides for word in ("--set", change)]
+        return [*SOFTARM, "mpc"] + [self.scene, "--quiet", *words, *changes]
 
 
 def in_softarm(episode, actions):
