@@ -312,10 +312,17 @@ class Scene:
         return _softarm.inputs(self._name, self._text, list(self._overrides))
 
     def shapes(
-        self, inputs: Any, *, jacobian: bool = False, stability: bool = False, threads: int | None = None
+        self,
+        inputs: Any = None,
+        *,
+        changes: Mapping[str, Any] | None = None,
+        jacobian: bool = False,
+        stability: bool = False,
+        threads: int | None = None,
     ) -> Shapes:
         """Computes the arm at rest under each of `n` rows of inputs, `(n, m)`, or a dictionary of columns by the names of actuators, whose
-        others are zero. Rows that change little from one to the next are fast, because every search begins at the shape of the row before.
+        others are zero; without inputs they are those of the scene. `changes` has columns of numbers by the keys of the scene that they
+        change from row to row: loads, moduli, places. Rows that change little from one to the next are fast, because every search begins at the shape of the row before.
 
         With `jacobian` the derivatives of the tip's position along the inputs are computed too, and with `stability` whether the shapes
         are stable. A row without a shape at rest raises `ModelError`.
@@ -330,7 +337,15 @@ class Scene:
             for name, column in zip(inputs, columns, strict=True):
                 rows[:, names.index(name)] = column
             inputs = rows
-        found = _softarm.shapes(self._name, self._text, list(self._overrides), inputs, jacobian, stability, threads)
+        columns: dict[str, Any] = {key: np.atleast_1d(np.asarray(column, float)) for key, column in (changes or {}).items()}
+        if columns and inputs is not None:
+            inputs = np.atleast_2d(np.asarray(inputs, float))
+            n = max(len(inputs), *(len(column) for column in columns.values()))
+            inputs = np.repeat(inputs, n, axis=0) if len(inputs) == 1 else inputs
+            columns = {key: np.repeat(column, n) if len(column) == 1 else column for key, column in columns.items()}
+        listed = [(key, column.tolist()) for key, column in columns.items()]
+        overrides = list(self._overrides)
+        found = _softarm.shapes(self._name, self._text, overrides, inputs, listed, jacobian, stability, threads)
         return Shapes(*found)
 
     def tradeoff(

@@ -1,5 +1,6 @@
 """Environments, their adapters and the examples of other packages; each test is left out where its package is absent."""
 
+import ast
 import copy
 import importlib.util
 import pickle
@@ -790,6 +791,55 @@ def test_the_example_of_learning_runs(tmp_path):
     example = runpy.run_path(str(EXAMPLES / "learn_tendon_tracking.py"))
     means = example["main"](64, tmp_path / "curve.png")
     assert np.isfinite(list(means.values())).all() and (tmp_path / "curve.png").stat().st_size > 0
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return SimpleNamespace(**runpy.run_path(str(EXAMPLES / "elastica_cases.py")))
+
+
+def test_rewards_of_the_cases_of_elastica(cases):
+    """Against values by hand, and the quaternion of the scene against the axes of the section that it stands for."""
+    episode = cases.Episode(2, np.random.default_rng(1))
+    assert (episode.target >= [-0.6, 0.3, -0.6]).all() and (episode.target <= [0.6, 0.9, 0.6]).all()
+    episode.aim(0.3)
+    w, x, y, z = ast.literal_eval(episode.overrides[1].split("=")[1])[0][1:]
+    axes = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    assert np.allclose(axes, episode.turned, atol=1e-12)
+
+    def reward(distance, angle):
+        turn = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
+        return episode.rewards(episode.target[None] + [[distance, 0.0, 0.0]], (turn @ episode.turned)[None])[0]
+
+    half = np.sin(0.5) ** 2  # 0.23, of an angle of 1 rad
+    assert np.isclose(reward(0.0, 0.0), 6.0)
+    assert np.isclose(reward(0.04, 1.0), -0.0016 - 0.5 * half**2 + 2.0 * (2.0 - half))
+    assert np.isclose(reward(0.08, 0.0), -0.0064 + 1.5)
+    assert np.isclose(reward(0.5, 1.0), -0.25 - 0.5 * half**2)
+    for case in (3, 4):
+        episode = cases.Episode(case, None)
+        tips = episode.target + np.array([[0.04, 0.0, 0.0], [0.0, 0.08, 0.0], [0.0, 0.0, 0.5]])
+        assert np.allclose(episode.rewards(tips, None), [2.0 - 0.0016, 0.5 - 0.0064, -0.25])
+
+
+@pytest.mark.parametrize(("case", "by_s"), [(2, 0.2), (4, 0.6)])
+def test_targets_of_the_cases_of_elastica_are_reached(cases, case, by_s):
+    """From then on the tip stays within the 5 cm that are rewarded."""
+    episode = cases.Episode(case, np.random.default_rng(0))
+    tips, _ = cases.in_softarm(episode, round((by_s + 0.1) / cases.ACTION))
+    late = tips[round(by_s / cases.ACTION) :] - episode.target
+    assert np.linalg.norm(late, axis=1).max() < 0.05
+
+
+def test_a_rod_of_elastica_obeys_the_loop(cases):
+    pytest.importorskip("elastica")
+    episode = cases.Episode(2, np.random.default_rng(0))
+    tips, rotations = cases.in_elastica(episode, 210)
+    assert episode.rewards(tips, rotations)[-70:].mean() > 3.0  # within 5 cm, and turned
 
 
 @pytest.mark.parametrize(("package", "name"), [("elastica", "pyelastica"), ("mujoco", "mujoco")])

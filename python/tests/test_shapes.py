@@ -36,6 +36,27 @@ def test_shapes_are_equilibria_and_their_slopes_differences():
     assert one.tips.shape == (1, 3) and one.jacobian is None and one.stable is None
 
 
+def test_columns_of_keys_are_those_of_scenes():
+    arm = scene(load=[{"node": "tip", "force_n": [0.0, 0.0, 0.0]}])
+    moduli, forces = np.linspace(8e4, 2e5, 30), np.linspace(0.0, 0.02, 30)
+    changes = {"rod.material.youngs_modulus_pa": moduli, "load.0.force_n.1": forces}
+    found = arm.shapes([[0.3, 0.1]], changes=changes, jacobian=True)
+    assert found.x.shape == (30, 9, 3) and found.jacobian.shape == (30, 3, 2)
+    for row in (0, 13, 29):
+        one = arm.replace({key: float(column[row]) for key, column in changes.items()}).shapes([[0.3, 0.1]], jacobian=True)
+        assert np.abs(one.x[0] - found.x[row]).max() < 1e-9
+        assert np.allclose(one.jacobian[0], found.jacobian[row], rtol=1e-6)
+    # Inputs of the scene, and an arm without any.
+    held = arm.replace({"tendon.0.pretension_n": 0.2}).shapes(changes={"load.0.force_n.1": forces})
+    assert np.abs(held.x[0] - arm.shapes([[0.2, 0.0]]).x[0]).max() < 1e-9
+    bare = sa.Scene(sa.arm(0.3, 0.01, 1e5, elements=8) | {"time": {"end_s": 1.0}, "load": [{"node": "tip", "force_n": [0.0, 0.0, 0.0]}]})
+    assert bare.shapes(changes={"load.0.force_n.0": [0.0, 0.01]}).tips[1, 0] > 1e-3
+    with pytest.raises(ValueError, match="30 rows"):
+        arm.shapes(np.zeros((30, 2)), changes={"load.0.force_n.1": [0.0, 1.0]})
+    with pytest.raises(sa.SceneError, match="youngs_modulus_pa"):
+        arm.shapes(changes={"rod.material.youngs_modulus_pa": [1e5, -1.0]})
+
+
 def test_inputs_that_do_not_fit_are_refused():
     arm = scene()
     with pytest.raises(ValueError, match=r"inputs has the shape \[4, 3\]; expected \[4, 2\]"):

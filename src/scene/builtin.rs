@@ -1,7 +1,7 @@
 //! The built-in scenes.
 
 /// Name and text of every built-in scene, the one to start with first.
-const SCENES: [(&str, &str); 34] = [
+const SCENES: [(&str, &str); 37] = [
     ("reach", include_str!("../../examples/scenes/reach.toml")),
     (
         "reach-tapered",
@@ -128,6 +128,18 @@ const SCENES: [(&str, &str); 34] = [
     (
         "mpc-elastica-case1",
         include_str!("../../examples/scenes/mpc-elastica-case1.toml"),
+    ),
+    (
+        "mpc-elastica-case2",
+        include_str!("../../examples/scenes/mpc-elastica-case2.toml"),
+    ),
+    (
+        "mpc-elastica-case3",
+        include_str!("../../examples/scenes/mpc-elastica-case3.toml"),
+    ),
+    (
+        "mpc-elastica-case4",
+        include_str!("../../examples/scenes/mpc-elastica-case4.toml"),
     ),
 ];
 

@@ -839,7 +839,7 @@ help: did you mean `reach`? built-in scenes: reach, reach-tapered, reach-3d, rea
 till-tendons, till-winch, knode-tendons, soromox-tendons, stiff-flop, elastica-muscles, reach-guidewire, paper-arm, swing, \
 shaken-base, wire, wire-reach, paper-flying-beam, paper-stretching, paper-bending-stretching, paper-convergence, \
 mpc-track-circle, mpc-tendons, mpc-guidewire, mpc-stiff-flop, mpc-knode, mpc-reach, mpc-push, mpc-payload, mpc-delay, mpc-catch, \
-mpc-obstacle, mpc-elastica-case1";
+mpc-obstacle, mpc-elastica-case1, mpc-elastica-case2, mpc-elastica-case3, mpc-elastica-case4";
     assert_eq!(error.to_string(), expected);
     for name in ["", "no/such/file.toml", "nul\0byte", &"x".repeat(100_000)] {
         let error = error_of_overrides(name, &[]);

@@ -634,7 +634,7 @@ fn built_in_loops_are_loops() {
     let names: Vec<&str> = softarm::scene::builtin::names()
         .filter(|name| name.starts_with("mpc-"))
         .collect();
-    assert_eq!(names.len(), 12);
+    assert_eq!(names.len(), 15);
     for name in names {
         let (scene, source) = Scene::load(name, &[]).unwrap();
         let setup = scene

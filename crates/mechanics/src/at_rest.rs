@@ -160,9 +160,23 @@ pub fn shapes_at_rest(
     stop: &StopSignal,
 ) -> Result<Vec<AtRest>, (usize, EquilibriumError)> {
     let n = rod.actuators.len().max(1);
-    in_runs(inputs.len() / n, n_threads, &|row, near| {
-        let inputs = &inputs[n * row..][..n];
-        let rod = &rod.with_inputs(inputs);
+    let rod = |row: usize| Ok(rod.with_inputs(&inputs[n * row..][..n]));
+    shapes_of_rods(&rod, inputs.len() / n, wanted, (n_threads, stop))
+}
+
+/// Returns the shapes at rest of rods of the same elements, one for every row, under their given inputs.
+///
+/// # Errors
+/// Returns the error of a rod, or that of [`shapes_at_rest`].
+pub fn shapes_of_rods<E: From<(usize, EquilibriumError)> + Send>(
+    rod_of: &(dyn Fn(usize) -> Result<Rod, E> + Sync),
+    n_rows: usize,
+    wanted: Wanted,
+    (n_threads, stop): (usize, &StopSignal),
+) -> Result<Vec<AtRest>, E> {
+    in_runs(n_rows, n_threads, &|row, near| {
+        let rod = &rod_of(row)?;
+        let inputs = &rod.actuators.efforts(0.0)[..];
         let shape = shape_near(rod, near, stop).map_err(|error| (row, error))?;
         let found = AtRest {
             jacobian: (wanted.jacobian)

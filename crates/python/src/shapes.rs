@@ -7,7 +7,9 @@ use pyo3::prelude::*;
 
 use super::arrays::{Numbers, numbers};
 use super::{beside, raise, read, scene_error};
-use softarm::mechanics::at_rest::{AtRest, Wanted, shapes_at_rest};
+use softarm::mechanics::at_rest::{AtRest, Wanted, shapes_of_rods};
+use softarm::mechanics::{EquilibriumError, Rod};
+use softarm::scene::{Scene, SceneError};
 use softarm::stop::StopSignal;
 
 /// Positions, rotations, derivatives of the tip along the inputs, and stability.
@@ -37,16 +39,30 @@ pub(super) fn inputs(
         .collect())
 }
 
-/// Returns the shapes at rest for rows of inputs of all actuators, `(n, m)`.
+/// Why a row has no shape at rest.
+enum Failure {
+    Scene(SceneError),
+    Statics(usize, EquilibriumError),
+}
+
+impl From<(usize, EquilibriumError)> for Failure {
+    fn from((row, error): (usize, EquilibriumError)) -> Self {
+        Self::Statics(row, error)
+    }
+}
+
+/// Returns the shapes at rest for rows of inputs of all actuators, `(n, m)`, or without them for those of the scene, and for columns of
+/// numbers of other keys.
 #[pyfunction]
-#[pyo3(signature = (name, text, overrides, inputs, jacobian=false, stability=false, threads=None))]
+#[pyo3(signature = (name, text, overrides, inputs, columns=Vec::new(), jacobian=false, stability=false, threads=None))]
 #[allow(clippy::too_many_arguments)]
 pub(super) fn shapes<'py>(
     py: Python<'py>,
     name: &str,
     text: Option<&str>,
     overrides: Vec<String>,
-    inputs: Numbers<'py>,
+    inputs: Option<Numbers<'py>>,
+    columns: Vec<(String, Vec<f64>)>,
     jacobian: bool,
     stability: bool,
     threads: Option<usize>,
@@ -56,12 +72,23 @@ pub(super) fn shapes<'py>(
         .discrete_rod(&source)
         .map_err(|error| scene_error(py, &error))?;
     let m = rod.actuators.len();
-    if m == 0 {
+    if m == 0 && columns.is_empty() {
         let words = "the arm has no actuator along it: give its scene a [[tendon]] or another one";
         return Err(PyValueError::new_err(words));
     }
-    let n = inputs.as_array().shape().first().copied().unwrap_or(0);
-    let rows = numbers("inputs", &inputs, &[n, m])?;
+    let n = match (&inputs, columns.first()) {
+        (Some(inputs), _) => inputs.as_array().shape().first().copied().unwrap_or(0),
+        (None, Some((_, column))) => column.len(),
+        (None, None) => 1,
+    };
+    let rows = match &inputs {
+        Some(inputs) => numbers("inputs", inputs, &[n, m])?,
+        None => Vec::new(),
+    };
+    if let Some((key, column)) = columns.iter().find(|(_, column)| column.len() != n) {
+        let words = format!("{key} has {} numbers for {n} rows", column.len());
+        return Err(PyValueError::new_err(words));
+    }
     let cores = || std::thread::available_parallelism().map_or(1, usize::from);
     let n_threads = threads.unwrap_or_else(cores).max(1);
     let wanted = Wanted {
@@ -69,19 +96,45 @@ pub(super) fn shapes<'py>(
         stability,
     };
     let n_nodes = rod.n_nodes();
+    let name = name.to_owned();
+    let text = source.text;
     let (found, interrupted) = beside(
         py,
         move |_, flag| {
             let stop = StopSignal::new(None, Some(flag));
-            shapes_at_rest(&rod, &rows, wanted, n_threads, &stop)
+            let of_row = |row: usize| -> Result<Rod, Failure> {
+                let mut own = rod.clone();
+                if !columns.is_empty() {
+                    let mut changed = overrides.clone();
+                    changed.extend(
+                        columns
+                            .iter()
+                            .map(|(key, column)| format!("{key}={:e}", column[row])),
+                    );
+                    own = Scene::from_toml(&name, &text, &changed)
+                        .and_then(|(scene, source)| scene.discrete_rod(&source))
+                        .map_err(Failure::Scene)?;
+                }
+                match rows.get(m * row..m * (row + 1)) {
+                    Some(inputs) if m > 0 => Ok(own.with_inputs(inputs)),
+                    _ => Ok(own),
+                }
+            };
+            shapes_of_rods(&of_row, n, wanted, (n_threads, &stop))
         },
         &mut |_| Ok(()),
     )?;
     if let Some(interrupted) = interrupted {
         return Err(interrupted);
     }
-    let found = found
-        .map_err(|(row, error)| raise(py, "ModelError", format!("inputs, row {row}: {error}")))?;
+    let found = found.map_err(|failure| match failure {
+        Failure::Statics(row, error) => raise(py, "ModelError", format!("row {row}: {error}")),
+        Failure::Scene(error) => scene_error(py, &error),
+    })?;
+    if found.iter().any(|own| own.shape.positions.len() != n_nodes) {
+        let words = "the columns change the number of elements, so that shapes make no array: give rod.elements, and keys that leave the ends of parts alone";
+        return Err(PyValueError::new_err(words));
+    }
     let x = Array3::from_shape_fn((n, n_nodes, 3), |(row, q, i)| {
         found[row].shape.positions[q][i]
     });
