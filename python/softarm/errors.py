@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
 
 class SoftarmError(Exception):
     """Base of all exceptions of this package."""
 
 
 class SceneError(SoftarmError, ValueError):
-    """A scene that cannot be used. `key` is the dotted key, `line` the line in the text of the scene, `help` a remedy; each may be None."""
+    """A scene that cannot be used. `key` is the dotted key, `line` the line in the text of the scene, `help` a remedy, and `nearest` the point
+    nearest to a target that can be held, with `position_m` and `distance_m`; each may be None."""
+
+    nearest: dict[str, Any] | None = None
 
     def __init__(self, message: str, key: str | None = None, line: int | None = None, help: str | None = None):
         super().__init__(message)
@@ -17,7 +21,7 @@ class SceneError(SoftarmError, ValueError):
         self.help = help
 
     def __reduce__(self):
-        return type(self), (str(self), self.key, self.line, self.help)
+        return type(self), (str(self), self.key, self.line, self.help), {"nearest": self.nearest}
 
 
 class ModelError(SoftarmError):

@@ -373,6 +373,11 @@ impl Scene {
                 own.change(&mut plant.actuators[index]);
             }
         }
+        for own in &keys.tendon {
+            if let Some((index, ..)) = self.hardware_named("tendon", &own.name) {
+                own.rub(&mut plant.actuators[index]);
+            }
+        }
         if let Some(payload) = &keys.payload {
             plant.payload = Some(payload.of_arm());
         }

@@ -70,10 +70,9 @@ fn equilibria_have_the_tension_where_a_tendon_ends() {
         let ratio = number(&own["end_effort"]) / 3.0;
         let expected = f64::exp(sign * 0.2 * turn);
         assert!(turn.abs() > 0.5);
-        assert!(
-            (ratio - expected).abs() < 0.02 * turn.abs(),
-            "{sliding}: {ratio} {expected}"
-        );
+        let half = f64::exp(0.2 * turn / 8.0);
+        let off = (ratio / expected).max(expected / ratio);
+        assert!(off < half, "{sliding}: {ratio} {expected}");
     }
 }
 
@@ -103,7 +102,7 @@ fn a_loop_follows_on_a_plant_with_more_friction() {
     let path = "[[objective.track]]\npath_m = [[0.0, 0.0, 0.0, 0.2], [0.5, 0.04, 0.0, 0.19], [1.0, 0.04, 0.0, 0.19]]\nweight = 1e4\n";
     let (arm, _) = ARM.split_once("[task]").unwrap();
     let text = format!(
-        "{arm}[task]\nat_rest = false\n[objective]\n{path}[control]\nblocks = 10\n[mpc]\nhorizon_s = 0.2\nperiod_s = 0.02\nduration_s = 1.0\n[plant]\n[[plant.tendon]]\nname = \"left\"\nfriction = 0.4\n"
+        "{arm}[objective]\neffort = 1e-3\n{path}[control]\nblocks = 10\n[mpc]\nhorizon_s = 0.2\nperiod_s = 0.02\nduration_s = 1.0\n[plant]\n[[plant.tendon]]\nname = \"left\"\nfriction = 0.4\n"
     );
     fs::write(
         desk.path("loop.toml"),
@@ -126,7 +125,7 @@ fn friction_is_refused_where_it_cannot_act() {
         ("rod.model=\"dilatation\"", "rod.model"),
         ("output.diagnostics=true", "diagnostics"),
         ("tendon.0.friction=-0.1", "friction"),
-        ("tendon.0.friction=0", "sliding_speed_m_s"),
+        ("tendon.0.friction=0", "describes the friction"),
     ] {
         let (code, _, talk) = desk.run(&format!("check arm.toml --set {change}"));
         assert_eq!(code, USAGE, "{change}");

@@ -20,6 +20,7 @@ mod mpc_verb;
 mod nearest;
 mod outcomes;
 mod report_verb;
+mod routing;
 mod stopping;
 mod talking;
 mod tradeoff;

@@ -201,9 +201,8 @@ actuator! {
         #[serde(default = "default_sliding", skip_serializing_if = "is_default_sliding")]
         sliding_speed_m_s: Positive<values::SlidingSpeed>,
         /// Direction in which the tendon slid before it came to rest, for equilibria: "pulled", "released", or "none" for a shape to which it
-        /// has crept. Solves and closed loops hold an arm where it has crept to. Default: "pulled".
-        #[serde(default, skip_serializing_if = "values::is_default")]
-        sliding: Sliding,
+        /// has crept. Solves and closed loops hold an arm where it has crept to. Absent: "pulled".
+        sliding: Option<Sliding>,
     }
 }
 
@@ -240,7 +239,8 @@ impl Tendon {
     /// Returns the friction along its path.
     fn rubs(&self) -> Option<Friction> {
         let coefficient = self.friction.get();
-        let at_rest = Sliding::ALL.iter().find(|own| own.0 == self.sliding)?.1;
+        let sliding = self.sliding.unwrap_or_default();
+        let at_rest = Sliding::ALL.iter().find(|own| own.0 == sliding)?.1;
         (coefficient > 0.0).then(|| Friction {
             coefficient,
             speed: self.sliding_speed_m_s.get(),
@@ -769,7 +769,7 @@ impl Keys<'_> {
                     "sliding_speed_m_s",
                     !is_default_sliding(&tendon.sliding_speed_m_s),
                 ),
-                ("sliding", !values::is_default(&tendon.sliding)),
+                ("sliding", tendon.sliding.is_some()),
             ];
             let reason = "it describes the friction of a tendon along its path";
             let rows = of_friction.map(|own| Needs(own, ("friction", false), reason));

@@ -36,7 +36,7 @@ pub struct Plant {
     pub actuator: Option<PlantActuator>,
     /// Tendons that differ from those of the model with the same names.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub tendon: Vec<PlantHardware>,
+    pub tendon: Vec<PlantTendon>,
     /// Chambers that differ from those of the model with the same names.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub chamber: Vec<PlantHardware>,
@@ -48,18 +48,19 @@ pub struct Plant {
     pub braid: Vec<PlantHardware>,
 }
 
-/// An actuator in the arm, where it differs from the model's.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct PlantHardware {
+/// Writes the section of an actuator of the plant: keys that all kinds have, and those of its own.
+macro_rules! plant_hardware {
+    ($(#[$about:meta])* $Kind:ident { $($(#[$own_about:meta])* $own:ident: $Own:ty,)* }) => {
+        $(#[$about])*
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        pub struct $Kind {
     /// Name of the model's actuator: its `name`, or its kind with its place in the list, such as `tendon 0`.
     pub name: String,
     /// Place in the section at `from`, along its two axes, in m. Absent: the model's.
     pub offset_m: Option<[f64; 2]>,
     /// Place in the section at `to`, in m. Absent: `offset_m` of this table, or the model's if that is absent too.
     pub offset_to_m: Option<[f64; 2]>,
-    /// Coefficient of friction of a tendon along its path. Absent: the model's.
-    pub friction: Option<NonNegative<values::Factor>>,
     /// Factor on the effort, of the pretension too: what friction leaves of a tension, or another area of a chamber; positive, default 1.
     #[serde(default)]
     pub effort_factor: Positive<values::Factor>,
@@ -68,6 +69,47 @@ pub struct PlantHardware {
     /// Least and largest effort that the actuator reaches, in the unit of the command, before `effort_factor`; `inf` and `-inf` are no
     /// bounds. Absent: unbounded.
     pub saturation: Option<[f64; 2]>,
+    $($(#[$own_about])* pub $own: $Own,)*
+        }
+    };
+}
+
+plant_hardware! {
+    /// An actuator in the arm, where it differs from the model's.
+    PlantHardware {}
+}
+
+plant_hardware! {
+    /// A tendon in the arm, where it differs from the model's.
+    PlantTendon {
+        /// Coefficient of friction along the path of the tendon. Absent: the model's.
+        friction: Option<NonNegative<values::Factor>>,
+    }
+}
+
+impl PlantTendon {
+    /// Returns the keys that other actuators have as well.
+    fn hardware(&self) -> PlantHardware {
+        PlantHardware {
+            name: self.name.clone(),
+            offset_m: self.offset_m,
+            offset_to_m: self.offset_to_m,
+            effort_factor: self.effort_factor,
+            lag_s: self.lag_s,
+            saturation: self.saturation,
+        }
+    }
+
+    /// Changes the friction of the model's tendon to that of the plant.
+    pub(in crate::scene) fn rub(&self, tendon: &mut StrainActuator) {
+        if let Some(coefficient) = self.friction.map(Number::get) {
+            let usual = tendon.friction.unwrap_or_default();
+            tendon.friction = (coefficient > 0.0).then_some(Friction {
+                coefficient,
+                ..usual
+            });
+        }
+    }
 }
 
 impl PlantHardware {
@@ -82,13 +124,6 @@ impl PlantHardware {
         let route = &mut actuator.route;
         if let Some(offset) = self.offset_to_m {
             route.offset_to = offset;
-        }
-        if let Some(coefficient) = self.friction.map(Number::get) {
-            let usual = actuator.friction.unwrap_or_default();
-            actuator.friction = (coefficient > 0.0).then_some(Friction {
-                coefficient,
-                ..usual
-            });
         }
         actuator.scale *= self.effort_factor.get();
     }
@@ -107,17 +142,17 @@ impl Plant {
     /// Actuators in the arm that differ from the model's, with their sections and places in the lists.
     pub(in crate::scene) fn hardware(
         &self,
-    ) -> impl Iterator<Item = (&'static str, usize, &PlantHardware)> {
-        [
-            ("tendon", &self.tendon),
+    ) -> impl Iterator<Item = (&'static str, usize, PlantHardware)> {
+        let tendons =
+            (self.tendon.iter().enumerate()).map(|(index, own)| ("tendon", index, own.hardware()));
+        let others = [
             ("chamber", &self.chamber),
             ("muscle", &self.muscle),
             ("braid", &self.braid),
-        ]
-        .into_iter()
-        .flat_map(|(section, all)| {
-            (all.iter().enumerate()).map(move |(index, own)| (section, index, own))
-        })
+        ];
+        tendons.chain(others.into_iter().flat_map(|(section, all)| {
+            (all.iter().enumerate()).map(move |(index, own)| (section, index, own.clone()))
+        }))
     }
 }
 

@@ -26,8 +26,10 @@ pub(in crate::scene) fn describe_hardware(
                 };
                 let friction = own.friction;
                 let sliding = match friction {
-                    None => Sliding::default(),
-                    Some(own) => (Sliding::ALL.iter()).find(|(_, at)| *at == own.at_rest)?.0,
+                    None => None,
+                    Some(own) => (Sliding::ALL.iter())
+                        .find(|(_, at)| *at == own.at_rest)
+                        .map(|(sliding, _)| *sliding),
                 };
                 let tendon = Tendon {
                     friction: known(friction.map_or(0.0, |own| own.coefficient)),
@@ -45,7 +47,7 @@ pub(in crate::scene) fn describe_hardware(
                         spacing,
                         known(0.0),
                         default_sliding(),
-                        Sliding::default(),
+                        None,
                     )
                 };
                 out.tendon.push(match own.winch {
