@@ -31,15 +31,22 @@ fn tip(tendons: &str) -> Vec<f64> {
 }
 
 fn apart(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f64::max)
 }
 
 /// A line that jumps is that of two tendons with the same tension, one to the place and one from it on; rows of one place are that place, rows
 /// at the ends a line that converges, and rows of a helix approach the helix.
 #[test]
 fn rows_are_the_lines_that_they_say() {
-    let jump = tip("[[tendon]]\n{T}\noffset_m = [[0.0, 0.012, 0.0], [0.57, 0.012, 0.0], [0.57, 0.006, 0.002], [1.0, 0.006, 0.002]]\n");
-    let two = tip("[[tendon]]\n{T}\noffset_m = [0.012, 0.0]\nto = 0.57\n[[tendon]]\n{T}\noffset_m = [0.006, 0.002]\nfrom = 0.57\n");
+    let jump = tip(
+        "[[tendon]]\n{T}\noffset_m = [[0.0, 0.012, 0.0], [0.57, 0.012, 0.0], [0.57, 0.006, 0.002], [1.0, 0.006, 0.002]]\n",
+    );
+    let two = tip(
+        "[[tendon]]\n{T}\noffset_m = [0.012, 0.0]\nto = 0.57\n[[tendon]]\n{T}\noffset_m = [0.006, 0.002]\nfrom = 0.57\n",
+    );
     assert!(apart(&jump, &two) < 1e-9, "{jump:?} {two:?}");
 
     let same = tip("[[tendon]]\n{T}\noffset_m = [[0.2, 0.01, 0.0], [0.6, 0.01, 0.0]]\n");
@@ -58,7 +65,13 @@ fn rows_are_the_lines_that_they_say() {
                 format!("[{part}, {}, {}]", 0.01 * cos, 0.01 * sin)
             })
             .collect();
-        apart(&tip(&format!("[[tendon]]\n{{T}}\noffset_m = [{}]\n", rows.join(", "))), &helix)
+        apart(
+            &tip(&format!(
+                "[[tendon]]\n{{T}}\noffset_m = [{}]\n",
+                rows.join(", ")
+            )),
+            &helix,
+        )
     };
     let (coarse, fine) = (off(10), off(40));
     assert!(fine < 0.15 * coarse && fine < 2e-4, "{coarse:e} {fine:e}");
@@ -68,14 +81,23 @@ fn rows_are_the_lines_that_they_say() {
 #[test]
 fn rows_that_are_no_line_are_refused() {
     for (tendon, word) in [
-        ("offset_m = [[0.5, 0.01, 0.0], [0.2, 0.01, 0.0]]", "increasing"),
+        (
+            "offset_m = [[0.5, 0.01, 0.0], [0.2, 0.01, 0.0]]",
+            "increasing",
+        ),
         ("offset_m = [[0.5, 0.01, 0.0]]", "increasing"),
-        ("offset_m = [[0.0, 0.01, 0.0], [1.0, 0.01, 0.0]]\noffset_to_m = [0.0, 0.0]", "offset_to_m"),
+        (
+            "offset_m = [[0.0, 0.01, 0.0], [1.0, 0.01, 0.0]]\noffset_to_m = [0.0, 0.0]",
+            "offset_to_m",
+        ),
         ("offset_m = [0.0, 0.01, 0.0, 1.0]", "rows"),
     ] {
         let desk = Desk::holding(&format!("{ARM}[[tendon]]\n{tendon}\npretension_n = 1.0\n"));
         let (code, _, talk) = desk.run("check arm.toml");
         assert_eq!(code, USAGE, "{tendon}: {talk}");
-        assert!(talk.contains(word) && talk.contains("tendon"), "{tendon}: {talk}");
+        assert!(
+            talk.contains(word) && talk.contains("tendon"),
+            "{tendon}: {talk}"
+        );
     }
 }
