@@ -255,9 +255,26 @@ impl Arm {
     /// The rod of a discretization; see [`Self::rod_parameters`].
     ///
     /// # Errors
-    /// Those of [`Rod::new`].
+    /// Those of [`Rod::new`], and [`RodError`] for explicit steps of an arm whose tendons have friction.
     pub fn rod(&self, discretization: &Discretization) -> Result<Rod, RodError> {
-        Rod::new(&self.rod_parameters(discretization))
+        let rod = Rod::new(&self.rod_parameters(discretization))?;
+        check_friction(&rod, discretization.scheme)?;
+        Ok(rod)
+    }
+}
+
+/// Checks that the steps of an arm whose tendons have friction are not explicit.
+pub(super) fn check_friction(rod: &Rod, scheme: Option<TimeScheme>) -> Result<(), RodError> {
+    if scheme != Some(TimeScheme::Explicit) {
+        return Ok(());
+    }
+    match rod.actuators.rubbing().next() {
+        None => Ok(()),
+        Some(own) => Err(RodError::OutOfRange {
+            parameter: "friction",
+            value: own.law.coefficient,
+            expected: "0 with explicit steps: the direction in which a tendon slides is that of a whole implicit step",
+        }),
     }
 }
 

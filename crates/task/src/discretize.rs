@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::arm::Arm;
+use super::arm::{Arm, check_friction};
 use super::contradictions::check_contradictions;
 use super::definition::{Limit, Rest, Staying, Task};
 use super::discretization::Discretization;
@@ -102,15 +102,7 @@ impl Arm {
                 rod.scheme = automatic_scheme(&rod, given, duration, work);
                 chosen.scheme = Some(rod.scheme);
             }
-            if rod.actuators.has_friction() && rod.scheme == TimeScheme::Explicit {
-                let expected = "0 with explicit steps: the direction in which a tendon slides is that of a whole implicit step";
-                let coefficient = rod.actuators.rubbing().map(|own| own.law.coefficient);
-                return Err(RodError::OutOfRange {
-                    parameter: "friction",
-                    value: coefficient.fold(0.0, f64::max),
-                    expected,
-                });
-            }
+            check_friction(&rod, chosen.scheme)?;
             Ok((chosen, rod))
         };
         if let Some(rotary_inertia) = discretization.rotary_inertia {

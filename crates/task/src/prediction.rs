@@ -86,6 +86,17 @@ pub fn first_elements(accuracy: f64) -> usize {
     ((1.0 / (8.0 * accuracy)).sqrt().ceil() as usize).max(FEWEST_ELEMENTS)
 }
 
+/// Seconds of a step, of an iteration and of a check for every time step and element that a tendon with friction passes:
+/// measured with the arm of `tests/verbs/friction.rs`.
+const LINE_STEP_S: f64 = 1e-5;
+const LINE_ITERATION_S: f64 = 1.7e-5;
+const LINE_CHECK_S: f64 = 2.8e-3;
+
+/// Returns the number of elements that tendons with friction pass, each of which counts once for every one of them.
+fn lines(rod: &Rod) -> f64 {
+    (rod.actuators.n_efforts() - rod.actuators.len()) as f64
+}
+
 fn costs(rod: &Rod) -> &'static StepCosts {
     match rod.scheme {
         TimeScheme::Implicit => &IMPLICIT,
@@ -101,7 +112,7 @@ fn node_steps(rod: &Rod, n_steps: f64) -> f64 {
 /// Returns the predicted seconds of a simulation of `n_steps`, without writing its files.
 #[must_use]
 pub fn simulation_seconds(rod: &Rod, n_steps: f64) -> f64 {
-    node_steps(rod, n_steps) * costs(rod).step
+    node_steps(rod, n_steps) * costs(rod).step + lines(rod) * n_steps * LINE_STEP_S
 }
 
 /// The predicted time of a solve, and its parts.
@@ -123,9 +134,12 @@ impl SolveTime {
         let subproblem =
             SUBPROBLEM_S * (n_variables as f64 / SUBPROBLEM_CONTROLS).powf(SUBPROBLEM_POWER);
         let per_node_step = costs.iteration + costs.variable * n_variables as f64;
+        let line_steps = lines(rod) * n_steps;
         Self {
-            iteration: node_steps(rod, n_steps) * per_node_step + subproblem,
-            check: node_steps(rod, n_steps) * costs.check,
+            iteration: node_steps(rod, n_steps) * per_node_step
+                + subproblem
+                + line_steps * LINE_ITERATION_S,
+            check: node_steps(rod, n_steps) * costs.check + line_steps * LINE_CHECK_S,
             has_rows: false,
         }
     }

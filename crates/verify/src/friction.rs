@@ -28,7 +28,7 @@ struct Path<'a> {
 }
 
 /// Returns the points of a line.
-fn points<'a>(rod: &'a Rod, q: usize, line: usize) -> impl Iterator<Item = &'a PlacedPoint> {
+fn points(rod: &Rod, q: usize, line: usize) -> impl Iterator<Item = &PlacedPoint> {
     (rod.actuators.on(q).iter()).filter(move |point| point.line == line)
 }
 
