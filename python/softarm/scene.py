@@ -337,13 +337,13 @@ class Scene:
             for name, column in zip(inputs, columns, strict=True):
                 rows[:, names.index(name)] = column
             inputs = rows
-        columns: dict[str, Any] = {key: np.atleast_1d(np.asarray(column, float)) for key, column in (changes or {}).items()}
-        if columns and inputs is not None:
+        changed = {key: np.atleast_1d(np.asarray(column, float)) for key, column in (changes or {}).items()}
+        if changed and inputs is not None:
             inputs = np.atleast_2d(np.asarray(inputs, float))
-            n = max(len(inputs), *(len(column) for column in columns.values()))
+            n = max(len(inputs), *(len(column) for column in changed.values()))
             inputs = np.repeat(inputs, n, axis=0) if len(inputs) == 1 else inputs
-            columns = {key: np.repeat(column, n) if len(column) == 1 else column for key, column in columns.items()}
-        listed = [(key, column.tolist()) for key, column in columns.items()]
+            changed = {key: np.repeat(column, n) if len(column) == 1 else column for key, column in changed.items()}
+        listed = [(key, column.tolist()) for key, column in changed.items()]
         overrides = list(self._overrides)
         found = _softarm.shapes(self._name, self._text, overrides, inputs, listed, jacobian, stability, threads)
         return Shapes(*found)
