@@ -1,15 +1,13 @@
 //! Tendons with friction in the linearization of implicit steps: the changes of their tensions, and motions against differences.
 
-use crate::common::{Dice, random_tangent};
+use crate::common::Dice;
+use crate::tip_pull::{motion, remainder_ratios, signal, simulate, transposed_gap};
 
 use nalgebra::Vector3;
-use softarm::mechanics::linearization::{Motion, RightHandSide, StateTangent};
 use softarm::mechanics::rotation::exp;
-use softarm::mechanics::sensitivity::{adjoint, direction};
 use softarm::mechanics::{
-    Configuration, ControlSignal, Density, Friction, Material, Rod, RodParameters, Route, Section,
-    SectionProfile, State, StateForm, Stepper, StrainActuator, StrainRule, TimeGrid, TimeScheme,
-    Trajectory, Winch, Wrench,
+    Configuration, Density, Friction, Material, Rod, RodParameters, Route, Section, SectionProfile,
+    State, StrainActuator, StrainRule, TimeScheme, Winch,
 };
 
 const STEP: f64 = 2e-3;
@@ -58,53 +56,6 @@ fn arm(rule: StrainRule, speed: f64) -> Rod {
     .expect("a rod")
 }
 
-fn signal(rod: &Rod, n_steps: usize, size: f64) -> ControlSignal {
-    let wrenches = (0..=n_steps).map(|k| {
-        let phase = std::f64::consts::TAU * k as f64 / n_steps as f64;
-        let part = size * 0.5 * (1.0 - phase.cos());
-        Wrench {
-            force: Vector3::new(0.02, -0.01, 0.01) * part,
-            moment: Vector3::new(1e-4, 0.0, -2e-4) * part,
-        }
-    });
-    ControlSignal::tip(rod, wrenches.collect())
-}
-
-fn simulate(rod: &Rod, start: &State, control: &ControlSignal, n: usize) -> (Trajectory, State) {
-    let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), n + 1);
-    let mut stepper = Stepper::new(rod, STEP, start.clone());
-    trajectory.push(&stepper.state().configuration);
-    for k in 0..n {
-        (stepper.advance([control.at(k), control.at(k + 1)])).expect("a step");
-        trajectory.push(&stepper.state().configuration);
-    }
-    (trajectory, stepper.state())
-}
-
-fn motion<'a>(rod: &'a Rod, initial: &'a State, n_steps: usize) -> Motion<'a> {
-    Motion {
-        rod,
-        grid: TimeGrid {
-            start: 0.0,
-            step: STEP,
-            n_steps,
-        },
-        initial,
-        stop: None,
-        control: None,
-    }
-}
-
-fn scaled(tangent: &StateTangent, s: f64) -> StateTangent {
-    let times = |v: &[Vector3<f64>]| v.iter().map(|v| v * s).collect();
-    StateTangent {
-        positions: times(&tangent.positions),
-        rotations: times(&tangent.rotations),
-        linear: times(&tangent.linear),
-        angular: times(&tangent.angular),
-    }
-}
-
 fn moved(at: &Configuration, along: &[[Vector3<f64>; 2]], size: f64) -> Configuration {
     let mut out = at.clone();
     for (node, [x, eta]) in along.iter().enumerate() {
@@ -124,7 +75,7 @@ fn changes_of_tensions_are_those_of_differences() {
     ] {
         let rod = arm(rule, speed);
         let start = State::at_rest(rod.rest.clone());
-        let (trajectory, _) = simulate(&rod, &start, &signal(&rod, 20, 1.0), 20);
+        let (trajectory, _) = simulate((&rod, STEP), &start, &signal(&rod, 20, 1.0), 20);
         let ends = [12, 13].map(|k| Configuration {
             positions: trajectory.positions_at(k).to_vec(),
             rotations: trajectory.rotations_at(k).to_vec(),
@@ -191,35 +142,12 @@ fn linearized_motions_with_friction_are_derivatives_of_motions() {
     for rule in [StrainRule::Helical, StrainRule::Trapezoidal] {
         let rod = arm(rule, 0.02);
         let start = State::at_rest(rod.rest.clone());
-        let along = simulate(&rod, &start, &signal(&rod, 20, 1.0), 20).1;
-        let along = along.difference(&simulate(&rod, &start, &signal(&rod, 20, 0.0), 20).1);
-        let run = |s: f64| {
-            let start = start.retract(&scaled(&along, s));
-            simulate(&rod, &start, &signal(&rod, n, 1.0 + s), n)
-        };
-        let (trajectory, end) = run(0.0);
-        let motion = motion(&rod, &start, n);
-        let source = RightHandSide::at_start(along.clone(), n);
-        let change = signal(&rod, n, 1.0);
-        let (_, found) =
-            direction(&motion, &trajectory, Some(&source), &change, 1).expect("a linearization");
-        let first = rod.first_free_node();
-        let slope: Vec<f64> = found.components_from(first).collect();
-        let remainder = |s: f64| {
-            let difference = run(s).1.difference(&end);
-            let mut parts = [0.0f64; 4];
-            for (i, (d, slope)) in (difference.components_from(first).zip(&slope)).enumerate() {
-                let part = &mut parts[i % 12 / 3];
-                *part = part.max((d - s * slope).abs());
-            }
-            parts
-        };
-        let (coarse, fine) = (remainder(0.02), remainder(0.01));
-        for part in 0..4 {
-            let ratio = coarse[part] / fine[part];
-            eprintln!("{rule:?} part {part}: {ratio}");
-            assert!((3.3..4.8).contains(&ratio), "{rule:?}: {coarse:?} {fine:?}");
-        }
+        let along = simulate((&rod, STEP), &start, &signal(&rod, 20, 1.0), 20).1;
+        let along = along.difference(&simulate((&rod, STEP), &start, &signal(&rod, 20, 0.0), 20).1);
+        let ratios = remainder_ratios((&rod, STEP), &start, &along, (n, 0.02));
+        eprintln!("{rule:?}: {ratios:?}");
+        let halved = |ratio: &f64| (3.3..4.8).contains(ratio);
+        assert!(ratios.iter().all(halved), "{rule:?}: {ratios:?}");
     }
 }
 
@@ -232,38 +160,10 @@ fn both_sweeps_with_friction_are_transposes() {
         let rod = arm(rule, 5e-3);
         let start = State::at_rest(rod.rest.clone());
         let control = signal(&rod, n, 1.0);
-        let (trajectory, end) = simulate(&rod, &start, &control, n);
-        let motion = motion(&rod, &start, n);
+        let (trajectory, end) = simulate((&rod, STEP), &start, &control, n);
+        let motion = motion((&rod, STEP), &start, n);
         let along = end.difference(&start);
-        let source = RightHandSide::at_start(along.clone(), n);
-        let (_, end) =
-            direction(&motion, &trajectory, Some(&source), &control, 1).expect("a direction");
-        let mut covector = random_tangent(&rod, &mut dice);
-        for (part, answer) in [
-            (&mut covector.positions, &end.positions),
-            (&mut covector.rotations, &end.rotations),
-            (&mut covector.linear, &end.linear),
-            (&mut covector.angular, &end.angular),
-        ] {
-            let most = answer.iter().fold(0.0f64, |most, v| most.max(v.norm()));
-            part.iter_mut().for_each(|v| *v /= most);
-        }
-        let form = StateForm::of_covector(n, &covector);
-        let value = form.of(&end);
-        let back = adjoint(&motion, &trajectory, &[form], 1).expect("an adjoint");
-        let pulled: f64 = (0..=n)
-            .map(|k| {
-                let own = back.wrench(&motion, k, rod.tip());
-                let wrench = control.at(k).wrenches[0];
-                own.force.dot(&wrench.force) + own.moment.dot(&wrench.moment)
-            })
-            .sum();
-        let first = rod.first_free_node();
-        let at_start: f64 = (back.start.components_from(first))
-            .zip(along.components_from(first))
-            .map(|(a, b)| a * b)
-            .sum();
-        let gap = (pulled + at_start - value).abs() / (pulled.abs() + at_start.abs());
-        assert!(gap < 1e-11, "{rule:?}: {value} {pulled} {at_start}");
+        let gap = transposed_gap(&motion, &trajectory, (&along, &control), &mut dice);
+        assert!(gap < 1e-11, "{rule:?}: {gap:e}");
     }
 }

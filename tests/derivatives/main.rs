@@ -9,4 +9,5 @@ mod feedback;
 mod friction;
 mod resistance;
 mod sensitivity;
+mod tip_pull;
 mod winches;

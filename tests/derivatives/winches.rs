@@ -1,15 +1,15 @@
 //! Tendons on winches in the linearization of implicit steps, from soft tendons to ones that hardly stretch.
 
-use crate::common::{Dice, random_tangent};
+use crate::common::Dice;
+use crate::tip_pull::{motion, remainder_ratios, signal, simulate, transposed_gap};
 
 use nalgebra::{DMatrix, Vector3};
-use softarm::mechanics::linearization::{Motion, RightHandSide, StateTangent};
+use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rotation::hat;
-use softarm::mechanics::sensitivity::{adjoint, direction, transition};
+use softarm::mechanics::sensitivity::{direction, transition};
 use softarm::mechanics::{
-    ControlSignal, Density, Material, NodeWrenches, Rod, RodParameters, Route, Section,
-    SectionProfile, State, StateForm, Stepper, StrainActuator, StrainRule, TimeGrid, TimeScheme,
-    Trajectory, Winch, stable_step, static_equilibrium,
+    Density, Material, Rod, RodParameters, Route, Section, SectionProfile, State, StrainActuator,
+    StrainRule, TimeScheme, Trajectory, Winch, stable_step, static_equilibrium,
 };
 
 /// Compliances of the tendons, 1/N: that of soft cords, and 10² and 10⁴ times less.
@@ -85,60 +85,11 @@ fn held(
     (rod, State::at_rest(shape))
 }
 
-/// Returns a wrench on the tip that grows and falls again, of `size` times some hundredths of a newton.
-fn signal(rod: &Rod, n_steps: usize, size: f64) -> ControlSignal {
-    let wrenches = (0..=n_steps).map(|k| {
-        let phase = std::f64::consts::TAU * k as f64 / n_steps as f64;
-        let part = size * 0.5 * (1.0 - phase.cos());
-        softarm::mechanics::Wrench {
-            force: Vector3::new(0.02, -0.01, 0.01) * part,
-            moment: Vector3::new(1e-4, 0.0, -2e-4) * part,
-        }
-    });
-    ControlSignal::tip(rod, wrenches.collect())
-}
-
-fn simulate(rod: &Rod, start: &State, control: &ControlSignal, n: usize) -> (Trajectory, State) {
-    let mut trajectory = Trajectory::with_capacity(rod.n_nodes(), n + 1);
-    let mut stepper = Stepper::new(rod, STEP, start.clone());
-    trajectory.push(&stepper.state().configuration);
-    for k in 0..n {
-        let sides: [NodeWrenches; 2] = [control.at(k), control.at(k + 1)];
-        stepper.advance(sides).expect("a step");
-        trajectory.push(&stepper.state().configuration);
-    }
-    (trajectory, stepper.state().clone())
-}
-
-fn motion<'a>(rod: &'a Rod, initial: &'a State, n_steps: usize) -> Motion<'a> {
-    Motion {
-        rod,
-        grid: TimeGrid {
-            start: 0.0,
-            step: STEP,
-            n_steps,
-        },
-        initial,
-        stop: None,
-        control: None,
-    }
-}
-
 /// A direction of the state of an arm with stiff tendons that has the size of its own motions: the change under a wrench after some steps.
 fn natural(rod: &Rod, start: &State) -> StateTangent {
-    let (_, pushed) = simulate(rod, start, &signal(rod, 20, 1.0), 20);
-    let (_, rested) = simulate(rod, start, &signal(rod, 20, 0.0), 20);
+    let (_, pushed) = simulate((rod, STEP), start, &signal(rod, 20, 1.0), 20);
+    let (_, rested) = simulate((rod, STEP), start, &signal(rod, 20, 0.0), 20);
     pushed.difference(&rested)
-}
-
-fn scaled(tangent: &StateTangent, s: f64) -> StateTangent {
-    let times = |v: &[Vector3<f64>]| v.iter().map(|v| v * s).collect();
-    StateTangent {
-        positions: times(&tangent.positions),
-        rotations: times(&tangent.rotations),
-        linear: times(&tangent.linear),
-        angular: times(&tangent.angular),
-    }
 }
 
 /// The linearization along a change of the wrench and of the start is the derivative of the motion: halving the change divides the
@@ -156,37 +107,13 @@ fn linearized_motions_with_winches_are_derivatives_of_motions() {
                     part.fill(Vector3::zeros());
                 }
             }
-            let run = |s: f64| {
-                let start = start.retract(&scaled(&along, s));
-                simulate(&rod, &start, &signal(&rod, n, 1.0 + s), n)
-            };
-            let (trajectory, end) = run(0.0);
-            let motion = motion(&rod, &start, n);
-            let source = RightHandSide::at_start(along.clone(), n);
-            let change = signal(&rod, n, 1.0);
-            let (_, found) = direction(&motion, &trajectory, Some(&source), &change, 1)
-                .expect("a linearization");
-            let first = rod.first_free_node();
-            let slope: Vec<f64> = found.components_from(first).collect();
-            // Each part in its own unit.
-            let remainder = |s: f64| {
-                let difference = run(s).1.difference(&end);
-                let mut parts = [0.0f64; 4];
-                for (i, (d, slope)) in (difference.components_from(first).zip(&slope)).enumerate() {
-                    let part = &mut parts[i % 12 / 3];
-                    *part = part.max((d - s * slope).abs());
-                }
-                parts
-            };
-            let (coarse, fine) = (remainder(0.1), remainder(0.05));
-            for part in 0..4 {
-                let ratio = coarse[part] / fine[part];
-                eprintln!("{rule:?} {compliance:e} {damping} part {part}: {ratio}");
-                assert!(
-                    (3.3..4.8).contains(&ratio),
-                    "{rule:?} {compliance:e} {damping}: {coarse:?} {fine:?}"
-                );
-            }
+            let ratios = remainder_ratios((&rod, STEP), &start, &along, (n, 0.1));
+            eprintln!("{rule:?} {compliance:e} {damping}: {ratios:?}");
+            let halved = |ratio: &f64| (3.3..4.8).contains(ratio);
+            assert!(
+                ratios.iter().all(halved),
+                "{rule:?} {compliance:e} {damping}: {ratios:?}"
+            );
         }
     }
 }
@@ -201,9 +128,9 @@ fn steps_with_winches_are_symplectic() {
             // A moment that turns with its node has no potential.
             let mut control = signal(&rod, n, 1.0);
             (control.wrenches.iter_mut()).for_each(|wrench| wrench.moment = Vector3::zeros());
-            let (trajectory, _) = simulate(&rod, &start, &control, n);
-            let states = [4, 20].map(|k| simulate(&rod, &start, &control, k).1);
-            let motion = motion(&rod, &start, n);
+            let (trajectory, _) = simulate((&rod, STEP), &start, &control, n);
+            let states = [4, 20].map(|k| simulate((&rod, STEP), &start, &control, k).1);
+            let motion = motion((&rod, STEP), &start, n);
             let found = transition(&motion, &trajectory, 4..20, &[], 1).expect("a transition");
             let size = found.state.nrows();
             let phi = DMatrix::from_fn(size, size, |i, j| found.state[(i, j)]);
@@ -246,44 +173,12 @@ fn both_sweeps_with_winches_are_transposes() {
         for compliance in COMPLIANCES {
             let (rod, start) = held(rule, compliance, 2e-3, 4);
             let control = signal(&rod, n, 1.0);
-            let (trajectory, _) = simulate(&rod, &start, &control, n);
-            let motion = motion(&rod, &start, n);
+            let (trajectory, _) = simulate((&rod, STEP), &start, &control, n);
+            let motion = motion((&rod, STEP), &start, n);
             let along = natural(&rod, &start);
-            let source = RightHandSide::at_start(along.clone(), n);
-            let (_, end) =
-                direction(&motion, &trajectory, Some(&source), &control, 1).expect("a direction");
-            // In units of the answer, so that no part is lost.
-            let mut covector = random_tangent(&rod, &mut dice);
-            for (part, answer) in [
-                (&mut covector.positions, &end.positions),
-                (&mut covector.rotations, &end.rotations),
-                (&mut covector.linear, &end.linear),
-                (&mut covector.angular, &end.angular),
-            ] {
-                let most = answer.iter().fold(0.0f64, |most, v| most.max(v.norm()));
-                part.iter_mut().for_each(|v| *v /= most);
-            }
-            let form = StateForm::of_covector(n, &covector);
-            let value = form.of(&end);
-            let back = adjoint(&motion, &trajectory, &[form], 1).expect("an adjoint");
-            let pulled: f64 = (0..=n)
-                .map(|k| {
-                    let own = back.wrench(&motion, k, rod.tip());
-                    let wrench = control.at(k).wrenches[0];
-                    own.force.dot(&wrench.force) + own.moment.dot(&wrench.moment)
-                })
-                .sum();
-            let first = rod.first_free_node();
-            let at_start: f64 = (back.start.components_from(first))
-                .zip(along.components_from(first))
-                .map(|(a, b)| a * b)
-                .sum();
-            let gap = (pulled + at_start - value).abs() / (pulled.abs() + at_start.abs());
+            let gap = transposed_gap(&motion, &trajectory, (&along, &control), &mut dice);
             eprintln!("{rule:?} {compliance:e}: {gap:e}");
-            assert!(
-                gap < 1e-11,
-                "{rule:?} {compliance:e}: {value} {pulled} {at_start}"
-            );
+            assert!(gap < 1e-11, "{rule:?} {compliance:e}: {gap:e}");
         }
     }
 }
@@ -304,7 +199,14 @@ fn winches_of_another_arm_leave_nothing() {
         }
         let along = |rod: &Rod| {
             let change = signal(rod, n, 1.0);
-            direction(&motion(rod, &start, n), &trajectory, None, &change, 1).expect("a direction")
+            direction(
+                &motion((rod, STEP), &start, n),
+                &trajectory,
+                None,
+                &change,
+                1,
+            )
+            .expect("a direction")
         };
         let before = along(&bare);
         let other = along(&with);

@@ -2,14 +2,11 @@
 
 #![cfg(feature = "cli")]
 
-use std::fs;
-use std::path::Path;
-use std::process::Command;
-
 use nalgebra::Vector3;
 use serde_json::Value;
 
-use crate::tool::{DONE, INFEASIBLE};
+use crate::desk::Desk;
+use crate::tool::INFEASIBLE;
 
 /// A hanging arm with four tendons, and a place that is farther from its base than they hold its tip.
 const SCENE: &str = r#"
@@ -55,18 +52,6 @@ tolerance_m = 1e-3
 "#;
 const TARGET: [f64; 3] = [0.06, 0.03, -0.285];
 
-/// Runs a verb in a folder, and returns its code and summary.
-fn run(folder: &Path, arguments: &[&str]) -> (Option<i32>, Value) {
-    let output = Command::new(env!("CARGO_BIN_EXE_softarm"))
-        .current_dir(folder)
-        .args(arguments)
-        .arg("--json")
-        .output()
-        .unwrap();
-    let summary = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
-    (output.status.code(), summary)
-}
-
 fn place(value: &Value) -> Vector3<f64> {
     let numbers = value.as_array().expect("a point");
     Vector3::from_fn(|axis, _| numbers[axis].as_f64().unwrap())
@@ -77,10 +62,8 @@ fn place(value: &Value) -> Vector3<f64> {
 /// held.
 #[test]
 fn nearest_points_are_numbers() {
-    let folder = tempfile::tempdir().unwrap();
-    fs::write(folder.path().join("arm.toml"), SCENE).unwrap();
-    let (code, check) = run(folder.path(), &["check", "arm.toml"]);
-    assert_eq!(code, Some(DONE));
+    let desk = Desk::holding(SCENE);
+    let check = desk.done("check arm.toml");
     let need = &check["static_need"];
     assert_eq!(need["verdict"], "not-found", "{need}");
     let nearest = &need["nearest"];
@@ -92,16 +75,13 @@ fn nearest_points_are_numbers() {
         let tension = tension[0].as_f64().unwrap();
         assert!((-1e-4..=3.0 + 1e-4).contains(&tension), "{tension}");
     }
-    let there = format!("task.position_m=[{}, {}, {}]", point.x, point.y, point.z);
-    let (_, held) = run(folder.path(), &["check", "arm.toml", "--set", &there]);
+    let there = format!("task.position_m=[{},{},{}]", point.x, point.y, point.z);
+    let (_, held, _) = desk.run(&format!("check arm.toml --set {there}"));
     assert_eq!(held["static_need"]["verdict"], "within-bounds", "{held}");
-    let (_, solved) = run(folder.path(), &["solve", "arm.toml", "--out", "solved"]);
+    let (_, solved, _) = desk.run("solve arm.toml --out solved");
     let of_solve = place(&solved["nearest"]["position_m"]);
     assert!((of_solve - point).norm() < 1e-9, "{}", solved["nearest"]);
-    let (_, solved) = run(
-        folder.path(),
-        &["solve", "arm.toml", "--out", "held", "--set", &there],
-    );
+    let (_, solved, _) = desk.run(&format!("solve arm.toml --out held --set {there}"));
     assert!(solved["nearest"].is_null(), "{}", solved["nearest"]);
 }
 
@@ -109,23 +89,11 @@ fn nearest_points_are_numbers() {
 /// solve that finds no motion to its target has the nearest point too.
 #[test]
 fn angles_are_left() {
-    let folder = tempfile::tempdir().unwrap();
-    let text = format!("{SCENE}direction = [1, 0, 0]\nat_rest = false\n");
-    fs::write(folder.path().join("arm.toml"), text).unwrap();
-    let (_, check) = run(folder.path(), &["check", "arm.toml"]);
+    let desk = Desk::holding(&format!("{SCENE}direction = [1, 0, 0]\nat_rest = false\n"));
+    let (_, check, _) = desk.run("check arm.toml");
     let nearest = &check["static_need"]["nearest"];
     assert!(nearest["angle_rad"].as_f64().unwrap() > 1e-3, "{nearest}");
-    let (code, solved) = run(
-        folder.path(),
-        &[
-            "solve",
-            "arm.toml",
-            "--out",
-            "solved",
-            "--set",
-            "task.at_s=0.05",
-        ],
-    );
-    assert_eq!(code, Some(INFEASIBLE), "{solved}");
+    let (code, solved, _) = desk.run("solve arm.toml --out solved --set task.at_s=0.05");
+    assert_eq!(code, INFEASIBLE, "{solved}");
     assert!(solved["nearest"]["distance_m"].as_f64().unwrap() > 0.0);
 }

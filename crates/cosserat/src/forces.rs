@@ -286,8 +286,8 @@ impl SlopeMemory {
         }
     }
 
-    /// Calls `visit(actuator, slope, pull)` for every winch of a tendon without friction, for the inputs of all actuators. The slope of a slack tendon is zero, and its
-    /// pull is not evaluated.
+    /// Calls `visit(actuator, slope, pull)` for every winch of a tendon without friction, for the inputs of all actuators. The slope of a slack
+    /// tendon is zero, and its pull is not evaluated.
     pub fn visit(
         &mut self,
         rod: &Rod,
@@ -295,14 +295,12 @@ impl SlopeMemory {
         (positions, rotations): (&[Vector3<f64>], &[Matrix3<f64>]),
         mut visit: impl FnMut(usize, f64, &NodalForces),
     ) {
-        if !rod.actuators.follow_shape() {
+        let mut springs = rod.actuators.springs().peekable();
+        if springs.peek().is_none() {
             return;
         }
         rod.write_effort_state((positions, rotations), &mut self.state);
-        for (i, own) in rod.actuators.iter().enumerate() {
-            if own.winch.is_none() || rod.actuators.rubs(i) {
-                continue;
-            }
+        for i in springs {
             let law = rod.actuators.law(i, inputs[i], &self.state);
             self.pull.clear();
             if law.along_coordinate != 0.0 {
@@ -336,8 +334,9 @@ impl IntervalMemory {
         }
     }
 
-    /// Calls `visit(actuator, law, pulls)` for every winch of a tendon without friction, for the inputs of all actuators and the poses at both ends of an interval of a
-    /// time, s, with the wrenches of a unit tension at the mean strain on the nodes at either end. Those of a slack tendon are zero.
+    /// Calls `visit(actuator, law, pulls)` for every winch of a tendon without friction, for the inputs of all actuators and the poses at both
+    /// ends of an interval of a time, s, with the wrenches of a unit tension at the mean strain on the nodes at either end. Those of a slack
+    /// tendon are zero.
     pub fn visit(
         &mut self,
         rod: &Rod,
@@ -345,14 +344,12 @@ impl IntervalMemory {
         (ends, time): ([Poses; 2], f64),
         mut visit: impl FnMut(usize, &EffortLaw, [&NodalForces; 2]),
     ) {
-        if !rod.actuators.follow_shape() {
+        let mut springs = rod.actuators.springs().peekable();
+        if springs.peek().is_none() {
             return;
         }
         rod.write_interval_effort_state(ends, time, &mut self.state);
-        for (i, own) in rod.actuators.iter().enumerate() {
-            if own.winch.is_none() || rod.actuators.rubs(i) {
-                continue;
-            }
+        for i in springs {
             let law = rod.actuators.law(i, inputs[i], &self.state);
             let [start, end] = &mut self.pulls;
             if law.along_coordinate == 0.0 {

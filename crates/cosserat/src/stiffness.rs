@@ -10,7 +10,7 @@ use crate::rod::Rod;
 /// Returns the derivative of minus the forces and body moments on the free nodes (elements, loads at their value at time `t`, and
 /// actuators with their efforts) along `(δx, η)` of these nodes, the first of them in block 0; motions that a joint holds are
 /// [fast modes of their own](Rod::hold_joints). It is symmetric at an equilibrium under loads with a potential. The effort of a winch is
-/// constant here; [`effort_stiffness`] has the rest.
+/// constant here; [`winch_stiffness`] and [`friction_stiffness`] have the rest.
 pub fn tangent_stiffness(rod: &Rod, at: &Configuration, t: f64) -> BlockTridiagonal {
     let mut out = free_stiffness(rod, at, t);
     rod.hold_joints(rod.first_free_node(), &mut out);
@@ -53,42 +53,41 @@ pub struct Product {
     pub right: Vec<Vector6<f64>>,
 }
 
-/// Returns the part of the stiffness on the free nodes from efforts that change with the configuration. For every tendon of a winch with
-/// tension, without friction, it is a factor, positive, and a vector `v` over `(δx, η)` of each node, of `factor v vᵀ`; for tendons with
-/// friction along their paths a product for every element that they pass.
-#[allow(clippy::type_complexity)]
-pub fn effort_stiffness(
-    rod: &Rod,
-    at: &Configuration,
-    t: f64,
-) -> (Vec<(f64, Vec<Vector6<f64>>)>, Vec<Product>) {
+/// Returns the part of the stiffness on the free nodes from the efforts of winches, of tendons without friction, that change with the
+/// configuration: for every tendon with tension a factor, positive, and a vector `v` over `(δx, η)` of each node, of `factor v vᵀ`.
+pub fn winch_stiffness(rod: &Rod, at: &Configuration, t: f64) -> Vec<(f64, Vec<Vector6<f64>>)> {
     let first = rod.first_free_node();
     let inputs = rod.actuators.efforts(t);
-    let winches = (rod.effort_slopes(&inputs, &at.positions, &at.rotations))
-        .iter()
-        .map(|own| {
-            let nodes = own.pull.forces.iter().zip(&own.pull.moments).skip(first);
-            let vector = nodes.map(|(f, m)| Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z));
-            let mut vector: Vec<_> = vector.collect();
-            rod.project_joints(&mut vector);
-            (-own.slope, vector)
-        })
-        .collect();
+    (rod.effort_slopes(&inputs, &at.positions, &at.rotations)
+        .iter())
+    .map(|own| {
+        let nodes = own.pull.forces.iter().zip(&own.pull.moments).skip(first);
+        let vector = nodes.map(|(f, m)| Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z));
+        let mut vector: Vec<_> = vector.collect();
+        rod.project_joints(&mut vector);
+        (-own.slope, vector)
+    })
+    .collect()
+}
+
+/// Returns the part of the stiffness on the free nodes from the tensions of tendons with friction that change with the configuration: a product
+/// for every element that one of them passes.
+pub fn friction_stiffness(rod: &Rod, at: &Configuration, t: f64) -> Vec<Product> {
     let free = |numbers: &[f64], sign: f64| -> Vec<Vector6<f64>> {
-        let nodes = numbers.chunks_exact(6).skip(first);
+        let nodes = numbers.chunks_exact(6).skip(rod.first_free_node());
         let mut out: Vec<_> = nodes
             .map(|own| Vector6::from_column_slice(own) * sign)
             .collect();
         rod.project_joints(&mut out);
         out
     };
-    let lines = (rod.line_changes(&inputs, [at.poses(); 2], None).iter())
+    let inputs = rod.actuators.efforts(t);
+    (rod.line_changes(&inputs, [at.poses(); 2], None).iter())
         .map(|own| Product {
             left: free(&own.pulls[0], -1.0),
             right: free(&own.forms[0], 1.0),
         })
-        .collect();
-    (winches, lines)
+        .collect()
 }
 
 impl BlockTridiagonal {

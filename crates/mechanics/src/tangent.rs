@@ -21,7 +21,7 @@ use super::vibration::inertia_roots;
 use cosserat::block_tridiagonal::BlockTridiagonal;
 use cosserat::configuration::Configuration;
 use cosserat::rod::Rod;
-use cosserat::stiffness::{Product, effort_stiffness, tangent_stiffness};
+use cosserat::stiffness::{Product, friction_stiffness, tangent_stiffness, winch_stiffness};
 
 /// A square matrix of 6×6 blocks over the free nodes, the first of them in block 0, and products `f v vᵀ` of winches.
 ///
@@ -168,14 +168,10 @@ impl Tangent {
     /// Adds the change of efforts with the configuration, which couples all nodes that a tendon pulls: of winches as products, and with
     /// friction along the path as blocks.
     pub fn add_efforts(&mut self, rod: &Rod, at: &Configuration, t: f64) {
-        if !rod.actuators.follow_shape() {
-            return;
-        }
-        let (taut, lines) = effort_stiffness(rod, at, t);
-        let taut = taut.into_iter();
+        let taut = winch_stiffness(rod, at, t).into_iter();
         self.products
             .extend(taut.filter(|(factor, _)| *factor > 0.0));
-        for Product { left, right } in &lines {
+        for Product { left, right } in &friction_stiffness(rod, at, t) {
             let pulled = left.iter().enumerate();
             for (row, left) in pulled.filter(|(_, own)| **own != Vector6::zeros()) {
                 for (column, right) in right.iter().enumerate() {

@@ -184,8 +184,6 @@ pub(super) fn slopes(
     (efforts, along): (&[f64], &[f64]),
 ) -> Vec<LineSlope> {
     let mut out = Vec::new();
-    let zero = || vec![Nine::zeros(); rod.n_elements()];
-    let mean = |q: usize| (start[q].0 + end[q].0) * 0.5;
     let at = [start, end];
     let strain = at.map(|own| move |q: usize| own[q].0);
     for path in paths(rod, &strain[0], &strain[1], Some(time)) {
@@ -193,92 +191,118 @@ pub(super) fn slopes(
         let shares = path.shares();
         let whole = path.mean(&shares);
         let tension = efforts[own.actuator];
-        // The derivatives of the products `σ θ` along the strains at both ends.
-        let turned: Vec<[Vec<Nine>; 2]> = (0..own.n_pieces)
-            .map(|k| {
-                let mut forms = [zero(), zero()];
-                let far = k.max(1);
-                let [direction, rise] = path.directions[k];
-                for q in own.first + far - 1..(own.first + far + 1).min(own.first + own.n_pieces) {
-                    for component in 0..9 {
-                        let unit = if component < 6 {
-                            1.0
-                        } else {
-                            rod.elements[q].length.recip()
-                        };
-                        let moved = |step: f64| {
-                            path.turn(k, &|other| {
-                                let mut strain = mean(other);
-                                if other == q {
-                                    strain[component] += step * unit;
-                                }
-                                strain
-                            })
-                        };
-                        const STEP: f64 = 1e-4;
-                        let near = [moved(STEP), moved(-STEP)];
-                        let far = [moved(2.0 * STEP), moved(-2.0 * STEP)];
-                        let slope = differences::slope(near, far, STEP) / unit;
-                        for form in &mut forms {
-                            form[q][component] += 0.5 * direction * slope;
-                        }
-                    }
-                }
-                for (end, form) in forms.iter_mut().enumerate() {
-                    let sign = [-1.0, 1.0][end];
-                    for piece in k..own.n_pieces {
-                        let q = own.first + piece;
-                        let slope = coordinate(rod, q, own.line + piece, &at[end][q].0).1;
-                        form[q] += slope * (sign * path.turns[k] * rise / time);
-                    }
-                }
-                forms
-            })
-            .collect();
-        let mut lines: Vec<LineSlope> = (0..own.n_pieces)
+        let pulls: Vec<Vec<Nine>> = (0..own.n_pieces)
             .map(|piece| {
-                let mut pull = zero();
                 let q = own.first + piece;
-                pull[q] = coordinate(rod, q, own.line + piece, &mean(q)).1;
-                LineSlope {
-                    pull,
-                    forms: [zero(), zero()],
-                }
+                let mean = (start[q].0 + end[q].0) * 0.5;
+                let mut pull = vec![Nine::zeros(); rod.n_elements()];
+                pull[q] = coordinate(rod, q, own.line + piece, &mean).1;
+                pull
             })
             .collect();
-        // Those of the shares, and of the tension where the tendon leaves its winch.
-        let friction = own.law.coefficient;
-        let mut logarithms = [zero(), zero()];
-        let mut of_shares: Vec<[Vec<Nine>; 2]> = Vec::new();
-        for (turned, share) in turned.iter().zip(&shares) {
-            for (sum, turned) in logarithms.iter_mut().zip(turned) {
-                for (sum, turned) in sum.iter_mut().zip(turned) {
-                    *sum -= turned * friction;
-                }
+        let of_shares = path.share_slopes(&shares, at, time);
+        // That of the tension where the tendon leaves its winch.
+        let of_tension = [0, 1].map(|end| {
+            let mut sum = vec![Nine::zeros(); rod.n_elements()];
+            for piece in (0..own.n_pieces).filter(|_| own.has_winch) {
+                let factor = tension * own.weights[piece] / whole;
+                add(&mut sum, 0.5 * along[own.actuator], &pulls[piece]);
+                add(&mut sum, -factor, &of_shares[piece][end]);
             }
-            let scaled = |own: &Vec<Nine>| own.iter().map(|own| own * *share).collect();
-            of_shares.push(logarithms.each_ref().map(scaled));
-        }
-        for end in 0..2 {
-            let mut of_tension = zero();
-            if own.has_winch {
-                for piece in 0..own.n_pieces {
-                    let q = own.first + piece;
-                    of_tension[q] += lines[piece].pull[q] * (0.5 * along[own.actuator]);
-                    for (sum, slope) in of_tension.iter_mut().zip(&of_shares[piece][end]) {
-                        *sum -= slope * (tension * own.weights[piece] / whole);
-                    }
-                }
-            }
-            for (piece, line) in lines.iter_mut().enumerate() {
-                for (q, form) in line.forms[end].iter_mut().enumerate() {
-                    *form = of_tension[q] * shares[piece] + of_shares[piece][end][q] * tension;
-                }
-            }
-        }
-        out.extend(lines);
+            sum
+        });
+        out.extend(
+            pulls
+                .into_iter()
+                .enumerate()
+                .map(|(piece, pull)| LineSlope {
+                    pull,
+                    forms: [0, 1].map(|end| {
+                        let mut form = vec![Nine::zeros(); rod.n_elements()];
+                        add(&mut form, shares[piece], &of_tension[end]);
+                        add(&mut form, tension, &of_shares[piece][end]);
+                        form
+                    }),
+                }),
+        );
     }
     out
+}
+
+/// Adds a multiple of covectors to others.
+fn add(out: &mut [Nine], factor: f64, own: &[Nine]) {
+    for (out, own) in out.iter_mut().zip(own) {
+        *out += own * factor;
+    }
+}
+
+impl Path<'_> {
+    /// Returns the derivatives of the shares of all pieces along the strains at both ends of an interval of the time `time`, s.
+    fn share_slopes(
+        &self,
+        shares: &[f64],
+        ends: [&[Strained]; 2],
+        time: f64,
+    ) -> Vec<[Vec<Nine>; 2]> {
+        let zero = || vec![Nine::zeros(); self.rod.n_elements()];
+        let mut logarithms = [zero(), zero()];
+        (shares.iter().enumerate())
+            .map(|(k, share)| {
+                let along_mean = self.turn_slope(k, ends);
+                let [direction, rise] = self.directions[k];
+                for (end, sum) in logarithms.iter_mut().enumerate() {
+                    let friction = -self.own.law.coefficient;
+                    for (q, slope) in &along_mean {
+                        sum[*q] += slope * (0.5 * friction * direction);
+                    }
+                    let sign = [-1.0, 1.0][end];
+                    for piece in k..self.own.n_pieces {
+                        let q = self.own.first + piece;
+                        let slope =
+                            coordinate(self.rod, q, self.own.line + piece, &ends[end][q].0).1;
+                        sum[q] += slope * (friction * sign * self.turns[k] * rise / time);
+                    }
+                }
+                logarithms.each_ref().map(|own| {
+                    let mut out = zero();
+                    add(&mut out, *share, own);
+                    out
+                })
+            })
+            .collect()
+    }
+
+    /// Returns the derivatives of a turn along the mean strains of the two elements beside it, by differences.
+    fn turn_slope(&self, k: usize, [start, end]: [&[Strained]; 2]) -> Vec<(usize, Nine)> {
+        const STEP: f64 = 1e-4;
+        let mean = |q: usize| (start[q].0 + end[q].0) * 0.5;
+        let far = k.max(1);
+        (far - 1..(far + 1).min(self.own.n_pieces))
+            .map(|piece| {
+                let q = self.own.first + piece;
+                let slope = Nine::from_fn(|component, _| {
+                    let unit = if component < 6 {
+                        1.0
+                    } else {
+                        self.rod.elements[q].length.recip()
+                    };
+                    let moved = |step: f64| {
+                        self.turn(k, &|other| {
+                            let mut strain = mean(other);
+                            if other == q {
+                                strain[component] += step * unit;
+                            }
+                            strain
+                        })
+                    };
+                    let near = [moved(STEP), moved(-STEP)];
+                    let far = [moved(2.0 * STEP), moved(-2.0 * STEP)];
+                    differences::slope(near, far, STEP) / unit
+                });
+                (q, slope)
+            })
+            .collect()
+    }
 }
 
 /// Returns the mean shares of the tensions of all actuators over a step of the time `time`, s.
@@ -293,7 +317,7 @@ pub(super) fn means(rod: &Rod, ends: [&State; 2], time: f64) -> Vec<f64> {
     rubbed(rod, &|q| start[q].0, &|q| end[q].0, Some(time)).means
 }
 
-/// Returns what friction takes over an interval of the time `time`, s, J: the work of the tension at every motor less that of the tensions in
+/// Returns what friction takes over an interval, J: the work of the tension at every motor less that of the tensions in
 /// the pieces.
 pub(super) fn loss(rod: &Rod, (start, end): (&[Strained], &[Strained]), efforts: &[f64]) -> f64 {
     rod.actuators

@@ -1,17 +1,22 @@
 //! Actuators that are built into the arm: tendons, chambers, muscles.
 
 mod describing;
+mod friction;
+mod line;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::describing::Described;
 pub(in crate::scene) use self::describing::describe_hardware;
+pub use self::friction::Sliding;
+use self::friction::{default_sliding, is_default_sliding};
+pub use self::line::Offset;
 use super::super::keys::{Checked, Excludes, Keys, Needs, given, given_of};
 use super::super::values::{self, Fraction, NonNegative, Positive, digits, known};
-use super::{Scene, TimeScheme};
+use super::Scene;
 use crate::control::Hold;
-use crate::mechanics::{Density, Friction, RodModel, Route, StrainActuator, Winch};
+use crate::mechanics::{Density, Friction, Route, StrainActuator, Winch};
 use crate::task::{EffortControl, Follows};
 
 /// Writes the section of a kind of actuators: name, keys of its own, those of its line and of its effort, and more of its own. The words are the
@@ -100,8 +105,7 @@ macro_rules! actuator {
                         self.offset_to_m,
                         self.turns,
                     ),
-                    offset: (&self.offset_m, self.offset_to_m.is_some()),
-                    span: [self.from.get(), self.to.get()],
+                    offset: (&self.offset_m, self.offset_to_m),
                     turns: self.turns,
                     density,
                     scale,
@@ -206,48 +210,7 @@ actuator! {
     }
 }
 
-/// The direction in which a tendon slid before it came to rest.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Sliding {
-    /// Its motor pulled it in: the tension falls from the motor on.
-    #[default]
-    Pulled,
-    /// Its motor let it out: the tension rises from the motor on.
-    Released,
-    /// It has crept until its tension is the same everywhere.
-    None,
-}
-
-impl Sliding {
-    const ALL: [(Self, f64); 3] = [
-        (Self::Pulled, 1.0),
-        (Self::Released, -1.0),
-        (Self::None, 0.0),
-    ];
-}
-
-fn default_sliding() -> Positive<values::SlidingSpeed> {
-    known(1e-3)
-}
-
-fn is_default_sliding(speed: &Positive<values::SlidingSpeed>) -> bool {
-    *speed == default_sliding()
-}
-
 impl Tendon {
-    /// Returns the friction along its path.
-    fn rubs(&self) -> Option<Friction> {
-        let coefficient = self.friction.get();
-        let sliding = self.sliding.unwrap_or_default();
-        let at_rest = Sliding::ALL.iter().find(|own| own.0 == sliding)?.1;
-        (coefficient > 0.0).then(|| Friction {
-            coefficient,
-            speed: self.sliding_speed_m_s.get(),
-            at_rest,
-        })
-    }
-
     /// Tells whether its input is the displacement of a winch.
     fn is_on_winch(&self) -> bool {
         self.displacement_m.is_some() || self.displacement_profile.is_some()
@@ -402,84 +365,6 @@ actuator! {
     more {}
 }
 
-/// The line of an actuator in the section.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(
-    untagged,
-    expecting = "expected the place along the two axes of the section, [x, y], or rows [fraction of the length, x, y]"
-)]
-pub enum Offset {
-    /// One place, along the two axes of the section.
-    Same([f64; 2]),
-    /// Places by fractions of the length.
-    Rows(Vec<[f64; 3]>),
-}
-
-impl Default for Offset {
-    fn default() -> Self {
-        Self::Same([0.0; 2])
-    }
-}
-
-impl Offset {
-    /// Returns the parts of a line between two fractions.
-    fn routes(&self, [from, to]: [f64; 2], offset_to: Option<[f64; 2]>, turns: f64) -> Vec<Route> {
-        let rows = match self {
-            Self::Same(offset) => {
-                return vec![Route {
-                    from,
-                    to,
-                    offset_from: *offset,
-                    offset_to: offset_to.unwrap_or(*offset),
-                    turns,
-                }];
-            }
-            Self::Rows(rows) => rows,
-        };
-        let mut out = Vec::new();
-        let mut add = |[start, end]: [[f64; 3]; 2]| {
-            let (a, b) = (start[0].max(from), end[0].min(to));
-            if !(b > a) {
-                return;
-            }
-            // The section's axes have turned by so much where this part begins.
-            let (sin, cos) = (std::f64::consts::TAU * turns * (a - from) / (to - from)).sin_cos();
-            let at = |s: f64| {
-                let part = (s - start[0]) / (end[0] - start[0]);
-                let [x, y] = [1, 2].map(|i| start[i] + (end[i] - start[i]) * part);
-                [cos * x - sin * y, sin * x + cos * y]
-            };
-            out.push(Route {
-                from: a,
-                to: b,
-                offset_from: at(a),
-                offset_to: at(b),
-                turns: turns * (b - a) / (to - from),
-            });
-        };
-        if let (Some(first), Some(last)) = (rows.first(), rows.last()) {
-            add([[f64::min(from, first[0]) - 1.0, first[1], first[2]], *first]);
-            rows.windows(2).for_each(|pair| add([pair[0], pair[1]]));
-            add([*last, [f64::max(to, last[0]) + 1.0, last[1], last[2]]]);
-        }
-        // Parts meet to the bit.
-        for i in 1..out.len() {
-            out[i].from = out[i - 1].to;
-        }
-        out
-    }
-
-    /// Returns the rows of parts of a line that do not turn.
-    fn of_routes<'a>(routes: impl Iterator<Item = &'a Route>) -> Self {
-        let ends = routes.flat_map(|own| {
-            [(own.from, own.offset_from), (own.to, own.offset_to)].map(|(s, [x, y])| [s, x, y])
-        });
-        let mut rows: Vec<[f64; 3]> = ends.collect();
-        rows.dedup();
-        Self::Rows(rows)
-    }
-}
-
 /// The actuator whose control drives another one too.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -562,11 +447,10 @@ impl EffortKeys {
 struct Common<'a> {
     effort: EffortKeys,
     name: &'a Option<String>,
+    /// The parts of its line, one at least.
     routes: Vec<Route>,
-    /// The keys of its line: offsets, and whether there is another one at the end.
-    offset: (&'a Offset, bool),
-    /// Where it begins and ends, and the revolutions between.
-    span: [f64; 2],
+    /// The keys of its line: offsets, and that at the end.
+    offset: (&'a Offset, Option<[f64; 2]>),
     turns: f64,
     density: Density,
     scale: f64,
@@ -581,14 +465,9 @@ impl Common<'_> {
         (self.name.clone()).unwrap_or_else(|| format!("{section} {index}"))
     }
 
-    /// The first part of its line; of no length where `to` does not come after `from`, which the check refuses.
-    fn first_route(&self) -> Route {
-        let [from, to] = self.span;
-        (self.routes.first().copied()).unwrap_or(Route {
-            from,
-            to,
-            ..Route::straight([0.0; 2])
-        })
+    /// Where its line begins and ends.
+    fn span(&self) -> [f64; 2] {
+        [self.routes[0].from, self.routes[self.routes.len() - 1].to]
     }
 
     fn of_arm(&self) -> StrainActuator {
@@ -598,8 +477,8 @@ impl Common<'_> {
             name: self.name(),
             density: self.density,
             scale: self.scale,
-            route: self.first_route(),
-            further: self.routes.iter().skip(1).copied().collect(),
+            route: self.routes[0],
+            further: self.routes[1..].to_vec(),
             effort: if given.is_empty() {
                 vec![(0.0, self.effort.rest.1)]
             } else {
@@ -760,36 +639,6 @@ impl Keys<'_> {
         Ok(())
     }
 
-    /// Checks that the scene has what a tendon with friction needs.
-    fn check_friction(&self, index: usize, tendon: &Tendon, scene: &Scene) -> Checked {
-        let section = format!("tendon.{index}");
-        if tendon.friction.get() == 0.0 {
-            let of_friction = [
-                (
-                    "sliding_speed_m_s",
-                    !is_default_sliding(&tendon.sliding_speed_m_s),
-                ),
-                ("sliding", tendon.sliding.is_some()),
-            ];
-            let reason = "it describes the friction of a tendon along its path";
-            let rows = of_friction.map(|own| Needs(own, ("friction", false), reason));
-            return self.relations(&section, &rows);
-        }
-        let diagnostics = (scene.output.as_ref()).is_some_and(|output| output.diagnostics);
-        let reason = if scene.time.integrator == TimeScheme::Explicit {
-            "time.integrator = \"explicit\": the direction in which a tendon slides is that of a whole implicit step"
-        } else if scene.rod.model != RodModel::Standard {
-            "this rod.model, which has explicit steps only"
-        } else if diagnostics {
-            "output.diagnostics, whose balances know no friction"
-        } else {
-            return Ok(());
-        };
-        let message = format!("friction along the path does not go with {reason}");
-        let help = "leave one of them out";
-        Err((self.source).error_at(&format!("{section}.friction"), message, Some(help.into())))
-    }
-
     /// Checks that a tendon has either the keys of a tension or those of a winch.
     fn check_winch(&self, section: &str, tendon: &Tendon) -> Checked {
         let key = |name: &str| format!("{section}.{name}");
@@ -867,36 +716,8 @@ impl Keys<'_> {
     fn check_common(&self, own: &Common, hold: Option<Hold>) -> Checked {
         let EffortKeys { section, index, .. } = own.effort;
         let key = |name: &str| format!("{section}.{index}.{name}");
-        let (offset, has_end) = own.offset;
-        match offset {
-            Offset::Same(offset) => self.finite(&key("offset_m"), offset)?,
-            Offset::Rows(rows) => {
-                for (i, row) in rows.iter().enumerate() {
-                    self.finite(&key(&format!("offset_m.{i}")), row)?;
-                }
-                let (given, section) = (("offset_m", true), format!("{section}.{index}"));
-                self.relations(&section, &[Excludes(("offset_to_m", has_end), given)])?;
-                let falls = rows.windows(2).position(|pair| pair[1][0] < pair[0][0]);
-                let few = rows.len() < 2;
-                if few || falls.is_some() {
-                    let at = falls.map_or(0, |i| i + 1);
-                    let message =
-                        "rows of a line need increasing fractions of the length, two rows at least";
-                    return Err((self.source)
-                        .error_at(&key(&format!("offset_m.{at}")), message, None)
-                        .expecting("expected [fraction, x, y] after the row before; two rows at one fraction are a jump"));
-                }
-            }
-        }
-        for end in own
-            .routes
-            .iter()
-            .flat_map(|route| [route.offset_from, route.offset_to])
-        {
-            self.finite(&key("offset_to_m"), &end)?;
-        }
-        let [from, to] = own.span;
-        self.finite_number(&key("turns"), own.turns)?;
+        self.check_line(&format!("{section}.{index}"), own)?;
+        let [from, to] = own.span();
         if to <= from {
             let message = format!("{} does not come after from, {}", digits(to), digits(from));
             return Err((self.source)

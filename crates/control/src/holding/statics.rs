@@ -357,13 +357,15 @@ impl Statics<'_> {
         });
         for (index, gain) in self.problem.driven_by(component) {
             let actuator = self.problem.efforts.as_ref()?.actuators[index];
-            out[actuator] = gain * change;
-            if let Some((state, inputs)) = &along {
-                let law = actuators.law(actuator, inputs[actuator], state);
-                let lines = actuators.lines_of(actuator, out[actuator] * law.along_input, state);
-                (out.iter_mut().zip(lines).enumerate())
-                    .filter(|(line, _)| actuators.actuator_of(*line) == actuator)
-                    .for_each(|(_, (out, own))| *out = own);
+            let own = gain * change;
+            let Some((state, inputs)) = &along else {
+                out[actuator] = own;
+                continue;
+            };
+            let law = actuators.law(actuator, inputs[actuator], state);
+            let lines = actuators.lines_of(actuator, own * law.along_input, state);
+            for (out, line) in out.iter_mut().zip(lines) {
+                *out += line;
             }
         }
         Some(out)

@@ -21,7 +21,6 @@ use super::strain_actuator::{EffortLaw, EffortState, PlacedPoint, RodActuators, 
 use super::{Rod, RodError, require};
 use crate::configuration::Poses;
 use crate::element::{Element, ElementStrain, IntervalStress};
-use crate::forces::NodalForces;
 
 /// Friction of a tendon along its path.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -158,35 +157,58 @@ impl FrictionPath {
         }
     }
 
-    /// Writes the shares of the tension in all pieces, with the direction of sliding where each begins, and returns the mean of those of the
-    /// whole tendon.
-    fn write_shares(
-        &self,
-        strain: &dyn Fn(usize) -> ElementStrain,
-        direction: &dyn Fn(usize) -> f64,
-        out: &mut [f64],
-    ) -> f64 {
+    /// Returns the turns where the pieces begin.
+    fn turns(&self, course: &Course) -> Vec<Turn> {
+        let strain = |q: usize| course.mean[q];
+        (0..self.pieces.len())
+            .map(|k| self.turn(k, &strain))
+            .collect()
+    }
+
+    /// Writes the shares of the tension in all pieces, and returns the mean of those of the whole tendon of a winch, 1 of another.
+    fn write_shares(&self, turns: &[Turn], directions: &[f64], out: &mut [f64]) -> f64 {
         let (mut lost, mut mean) = (0.0, 1.0);
-        for (k, (weight, share)) in self.weights.iter().zip(out).enumerate() {
-            lost += direction(k) * self.turn(k, strain).size;
+        for (k, share) in out.iter_mut().enumerate() {
+            lost += directions[k] * turns[k].size;
             *share = (-self.law.coefficient * lost).exp();
-            mean += weight * (*share - 1.0);
+            mean += self.weights[k] * (*share - 1.0);
         }
-        mean
+        if self.has_winch { mean } else { 1.0 }
     }
 
     fn lines(&self) -> std::ops::Range<usize> {
         self.line..self.line + self.pieces.len()
     }
 
-    /// Returns the speeds at which the tendon slides where its pieces begin, from the change of the coordinates of its lines in a time.
-    fn speeds(&self, change: &dyn Fn(usize) -> f64, time: f64) -> Vec<f64> {
-        let mut out: Vec<f64> = self.lines().map(|line| change(line) / time).collect();
+    /// Returns the speeds at which the tendon slides where its pieces begin, m/s; `None` at rest.
+    fn speeds(&self, course: &Course) -> Option<Vec<f64>> {
+        let (change, time) = course.change.as_ref()?;
+        let mut out: Vec<f64> = change[self.lines()].iter().map(|own| own / time).collect();
         for k in (1..out.len()).rev() {
             out[k - 1] += out[k];
         }
-        out
+        Some(out)
     }
+
+    /// Returns `σ` where the pieces begin.
+    fn directions(&self, course: &Course) -> Vec<f64> {
+        match self.speeds(course) {
+            None => vec![self.law.at_rest; self.pieces.len()],
+            Some(speeds) => (speeds.iter())
+                .map(|own| (own / self.law.speed).tanh())
+                .collect(),
+        }
+    }
+}
+
+/// The strains along which tendons slide: of a configuration at rest, or over an interval.
+pub(super) struct Course {
+    /// Those at the start and at the end of the interval, or those at rest alone.
+    ends: Vec<Vec<ElementStrain>>,
+    /// Their mean.
+    mean: Vec<ElementStrain>,
+    /// The changes of the coordinates of all lines over the interval, and its time, s; `None` at rest.
+    change: Option<(Vec<f64>, f64)>,
 }
 
 #[derive(Default)]
@@ -326,17 +348,31 @@ impl RodActuators {
         !self.paths.is_empty()
     }
 
+    /// Returns the winches of tendons without friction, whose efforts change by one number for the whole tendon.
+    pub fn springs(&self) -> impl Iterator<Item = usize> {
+        let wound = self
+            .iter()
+            .enumerate()
+            .filter(|(_, own)| own.winch.is_some());
+        wound
+            .map(|(actuator, _)| actuator)
+            .filter(|actuator| !self.rubs(*actuator))
+    }
+
     /// Tells whether an actuator is a tendon with friction along its path.
     #[must_use]
     pub fn rubs(&self, actuator: usize) -> bool {
-        self.paths.iter().any(|path| path.actuator == actuator)
+        self.path_of(actuator).is_some()
+    }
+
+    fn path_of(&self, actuator: usize) -> Option<&FrictionPath> {
+        self.paths.iter().find(|path| path.actuator == actuator)
     }
 
     /// Returns the line in which a tendon with friction ends; `None` for another actuator.
     #[must_use]
     pub fn last_line(&self, actuator: usize) -> Option<usize> {
-        let path = self.paths.iter().find(|path| path.actuator == actuator)?;
-        path.lines().last()
+        self.path_of(actuator)?.lines().last()
     }
 
     /// Returns the actuator of a line.
@@ -375,7 +411,7 @@ impl RodActuators {
         for path in &self.paths {
             let tension = out[path.actuator];
             for line in path.lines() {
-                out[line] = tension * state.shares[line - self.len()];
+                out[line] = tension * self.share(line, state);
             }
         }
     }
@@ -392,10 +428,12 @@ impl RodActuators {
     pub fn lines_of(&self, actuator: usize, size: f64, state: &EffortState) -> Vec<f64> {
         let mut out = vec![0.0; self.n_efforts()];
         out[actuator] = size;
-        for path in self.paths.iter().filter(|path| path.actuator == actuator) {
-            for line in path.lines() {
-                out[line] = size * self.share(line, state);
-            }
+        for line in self
+            .path_of(actuator)
+            .into_iter()
+            .flat_map(FrictionPath::lines)
+        {
+            out[line] = size * self.share(line, state);
         }
         out
     }
@@ -418,7 +456,7 @@ impl RodActuators {
     pub fn unit_effort(&self, actuator: usize) -> Vec<f64> {
         let mut out = vec![0.0; self.n_efforts()];
         out[actuator] = 1.0;
-        for path in self.paths.iter().filter(|path| path.actuator == actuator) {
+        if let Some(path) = self.path_of(actuator) {
             out[path.lines()].fill(1.0);
         }
         out
@@ -435,59 +473,62 @@ impl Rod {
             .collect()
     }
 
-    /// Writes the shares of tendons with friction at rest in a configuration.
-    pub(super) fn write_shares_at_rest(&self, poses: Poses, state: &mut EffortState) {
-        let actuators = &self.actuators;
-        if actuators.paths.is_empty() {
-            return;
-        }
-        let strains = self.strains_of(poses);
-        let n = actuators.len();
-        for path in &actuators.paths {
-            let own = path.line - n..path.line - n + path.pieces.len();
-            let at_rest = |_: usize| path.law.at_rest;
-            let mean = path.write_shares(&|q| strains[q], &at_rest, &mut state.shares[own]);
-            state.means[path.actuator] = if path.has_winch { mean } else { 1.0 };
+    /// Returns the strains at rest in the first of two configurations, or over an interval of a time (s) between both.
+    fn course(&self, ends: [Poses; 2], time: Option<f64>) -> Course {
+        let start = self.strains_of(ends[0]);
+        let Some(time) = time else {
+            return Course {
+                mean: start.clone(),
+                ends: vec![start],
+                change: None,
+            };
+        };
+        let end = self.strains_of(ends[1]);
+        let mean = start.iter().zip(&end).map(|(a, b)| a.mean(b)).collect();
+        let [from, to] = [&start, &end].map(|own| self.line_coordinates(&|q| own[q]));
+        let change = to.iter().zip(&from).map(|(to, from)| to - from).collect();
+        Course {
+            ends: vec![start, end],
+            mean,
+            change: Some((change, time)),
         }
     }
 
-    /// Writes the shares of tendons with friction over an interval.
-    pub(super) fn write_interval_shares(
+    /// Writes the shares of tendons with friction, at rest in the first of two configurations, or over an interval of a time (s) between both.
+    pub(super) fn write_shares(
         &self,
         ends: [Poses; 2],
-        time: f64,
+        time: Option<f64>,
         state: &mut EffortState,
     ) {
-        let actuators = &self.actuators;
-        if actuators.paths.is_empty() {
+        if !self.actuators.has_friction() {
             return;
         }
-        let strains = ends.map(|poses| self.strains_of(poses));
-        let mean = |q: usize| strains[0][q].mean(&strains[1][q]);
-        let lengths = strains
-            .each_ref()
-            .map(|own| self.line_coordinates(&|q| own[q]));
-        let n = actuators.len();
-        for path in &actuators.paths {
-            let own = path.line - n..path.line - n + path.pieces.len();
-            let speeds = path.speeds(&|line| lengths[1][line] - lengths[0][line], time);
-            let direction = |k: usize| (speeds[k] / path.law.speed).tanh();
-            let mean = path.write_shares(&mean, &direction, &mut state.shares[own]);
-            state.means[path.actuator] = if path.has_winch { mean } else { 1.0 };
+        let course = self.course(ends, time);
+        for path in &self.actuators.paths {
+            let directions = path.directions(&course);
+            let first = path.line - self.actuators.len();
+            let own = &mut state.shares[first..][..path.pieces.len()];
+            state.means[path.actuator] = path.write_shares(&path.turns(&course), &directions, own);
         }
     }
 
     /// Returns the coordinates of all lines for the strains of the elements.
     fn line_coordinates(&self, strain: &dyn Fn(usize) -> ElementStrain) -> Vec<f64> {
         let mut out = vec![0.0; self.actuators.n_efforts()];
-        let at = |point: &PlacedPoint| point.line;
-        (self.actuators).add_strain_coordinates(
-            (self.strain_rule, &self.elements),
-            strain,
-            &at,
-            &mut out,
-        );
+        self.add_coordinates(strain, &|point| point.line, &mut out);
         out
+    }
+
+    /// Adds the coordinates of actuators on strains at all points, each where `of` says.
+    pub(super) fn add_coordinates(
+        &self,
+        strain: &dyn Fn(usize) -> ElementStrain,
+        of: &dyn Fn(&PlacedPoint) -> usize,
+        out: &mut [f64],
+    ) {
+        let elements = (self.strain_rule, &self.elements[..]);
+        (self.actuators).add_strain_coordinates(elements, strain, of, out);
     }
 
     /// Returns the power that friction takes from the tendons over an interval of a time `time` (s), W, for the inputs of all actuators:
@@ -499,13 +540,10 @@ impl Rod {
         self.write_interval_effort_state(ends, time, &mut state);
         let mut efforts = vec![0.0; actuators.n_efforts()];
         actuators.write_lines(inputs, &state, &mut efforts);
-        let strains = ends.map(|poses| self.strains_of(poses));
-        let lengths = strains
-            .each_ref()
-            .map(|own| self.line_coordinates(&|q| own[q]));
+        let course = self.course(ends, Some(time));
         (actuators.paths.iter())
             .map(|path| {
-                let speeds = path.speeds(&|line| lengths[1][line] - lengths[0][line], time);
+                let speeds = path.speeds(&course).unwrap_or_default();
                 let mut before = efforts[path.actuator];
                 let mut sum = 0.0;
                 for (line, speed) in path.lines().zip(speeds) {
@@ -555,128 +593,22 @@ impl Rod {
         time: Option<f64>,
         slope: impl Fn(f64) -> f64,
     ) -> Vec<LineChange> {
-        let actuators = &self.actuators;
-        let mut out = Vec::new();
-        if actuators.paths.is_empty() {
-            return out;
+        if !self.actuators.has_friction() {
+            return Vec::new();
         }
-        let mut state = actuators.effort_state();
-        match time {
-            None => self.write_effort_state(ends[0], &mut state),
-            Some(time) => self.write_interval_effort_state(ends, time, &mut state),
-        }
-        let strains = ends.map(|poses| self.strains_of(poses));
-        let mean = |q: usize| match time {
-            None => strains[0][q],
-            Some(_) => strains[0][q].mean(&strains[1][q]),
-        };
-        // The weight of a strain in the mean.
-        let half = if time.is_some() { 0.5 } else { 1.0 };
-        let lengths = strains
-            .each_ref()
-            .map(|own| self.line_coordinates(&|q| own[q]));
-        let n_ends = if time.is_some() { 2 } else { 1 };
-        let n = 6 * self.n_nodes();
-        for path in &actuators.paths {
-            let law = actuators.law(path.actuator, inputs[path.actuator], &state);
-            let friction = &path.law;
-            let n_pieces = path.pieces.len();
-            let shares: Vec<f64> = path
-                .lines()
-                .map(|line| actuators.share(line, &state))
-                .collect();
-            let speeds =
-                time.map(|time| path.speeds(&|line| lengths[1][line] - lengths[0][line], time));
-            // `σ` and its derivative along the speed.
-            let directions: Vec<[f64; 2]> = (0..n_pieces)
-                .map(|k| match &speeds {
-                    None => [friction.at_rest, 0.0],
-                    Some(speeds) => {
-                        let ratio = speeds[k] / friction.speed;
-                        [ratio.tanh(), slope(ratio) / friction.speed]
-                    }
-                })
-                .collect();
-            let mut changes: Vec<LineChange> = (path.lines())
-                .map(|line| LineChange {
-                    actuator: path.actuator,
-                    line,
-                    pulls: [(); 2].map(|()| vec![0.0; n]),
-                    forms: [(); 2].map(|()| vec![0.0; n]),
-                })
-                .collect();
-            for end in 0..n_ends {
-                // Derivatives of the coordinates of the lines at the strains of this end.
-                let mut slopes = vec![vec![0.0; n]; n_pieces];
-                for k in 0..n_pieces {
-                    let q = path.first + k;
-                    let unit = |line: usize| f64::from(u8::from(line == path.line + k));
-                    let add = |strain: &ElementStrain, out: &mut [f64]| {
-                        if let Some(stress) = self.active_stress_under(q, strain, &unit) {
-                            self.add_pull(q, ends[end], &stress, 1.0, out);
-                        }
-                    };
-                    add(&mean(q), &mut changes[k].pulls[end]);
-                    add(&strains[end][q], &mut slopes[k]);
-                }
-                // `δ(σ θ)` of every turn.
-                let mut beyond = vec![0.0; n];
-                let mut turned = vec![vec![0.0; n]; n_pieces];
-                for k in (0..n_pieces).rev() {
-                    for (sum, slope) in beyond.iter_mut().zip(&slopes[k]) {
-                        *sum += slope;
-                    }
-                    let turn = path.turn(k, &mean);
-                    let [direction, rise] = directions[k];
-                    if let Some(time) = time {
-                        let sign = if end == 0 { -1.0 } else { 1.0 };
-                        let factor = sign * turn.size * rise / time;
-                        for (out, slope) in turned[k].iter_mut().zip(&beyond) {
-                            *out += factor * slope;
-                        }
-                    }
-                    for (piece, covector) in turn.along.iter().flatten() {
-                        let q = path.first + piece;
-                        // A pull is minus the derivative.
-                        self.add_pull(q, ends[end], covector, -direction * half, &mut turned[k]);
-                    }
-                }
-                let mut whole = vec![0.0; n];
-                for own in &changes {
-                    for (sum, pull) in whole.iter_mut().zip(&own.pulls[end]) {
-                        *sum += pull;
-                    }
-                }
-                // `Σ w c` of the pieces from each on, over the mean share.
-                let mut weights = vec![0.0; n_pieces];
-                if path.has_winch {
-                    let mut sum = 0.0;
-                    for k in (0..n_pieces).rev() {
-                        sum += path.weights[k] * shares[k];
-                        weights[k] = sum / state.means[path.actuator];
-                    }
-                }
-                for (i, change) in changes.iter_mut().enumerate() {
-                    let form = &mut change.forms[end];
-                    let along = law.along_coordinate * shares[i] * half;
-                    for (out, pull) in form.iter_mut().zip(&whole) {
-                        *out += along * pull;
-                    }
-                    for (k, turned) in turned.iter().enumerate() {
-                        let passed = if k <= i { 1.0 } else { 0.0 };
-                        let factor =
-                            friction.coefficient * law.effort * shares[i] * (weights[k] - passed);
-                        if factor != 0.0 {
-                            for (out, own) in form.iter_mut().zip(turned) {
-                                *out += factor * own;
-                            }
-                        }
-                    }
-                }
-            }
-            out.extend(changes);
-        }
-        out
+        let course = self.course(ends, time);
+        let mut coordinates = vec![0.0; self.actuators.len()];
+        self.add_coordinates(
+            &|q| course.mean[q],
+            &|point| point.actuator,
+            &mut coordinates,
+        );
+        (self.actuators.paths.iter())
+            .flat_map(|path| {
+                let input = (inputs[path.actuator], coordinates[path.actuator]);
+                SlidingTendon::of(self, path, &course, input, &slope).changes(self, ends)
+            })
+            .collect()
     }
 
     /// Returns by how much the forces (kg/s) and moments (kg m/s) of tendons with friction change at most per speed of sliding, around half a
@@ -712,6 +644,149 @@ impl Rod {
     }
 }
 
+/// A tendon with friction along a course.
+struct SlidingTendon<'a> {
+    path: &'a FrictionPath,
+    course: &'a Course,
+    law: EffortLaw,
+    turns: Vec<Turn>,
+    /// `σ` where the pieces begin, and its derivatives along the speeds.
+    directions: Vec<f64>,
+    rises: Vec<f64>,
+    shares: Vec<f64>,
+    /// `Σ w c` of the pieces from each on, over the mean share of the whole tendon, if it is on a winch.
+    beyond: Vec<f64>,
+}
+
+impl<'a> SlidingTendon<'a> {
+    /// Evaluates the tendon under an input at its coordinate, with a slope of `tanh`.
+    fn of(
+        rod: &Rod,
+        path: &'a FrictionPath,
+        course: &'a Course,
+        (input, coordinate): (f64, f64),
+        slope: &impl Fn(f64) -> f64,
+    ) -> Self {
+        let n = path.pieces.len();
+        let turns = path.turns(course);
+        let directions = path.directions(course);
+        let mut shares = vec![1.0; n];
+        let mean = path.write_shares(&turns, &directions, &mut shares);
+        let mut beyond = vec![0.0; n];
+        if path.has_winch {
+            let mut sum = 0.0;
+            for k in (0..n).rev() {
+                sum += path.weights[k] * shares[k];
+                beyond[k] = sum / mean;
+            }
+        }
+        let speed = path.law.speed;
+        Self {
+            law: rod.actuators.law_at(path.actuator, input, coordinate, mean),
+            rises: path.speeds(course).map_or_else(
+                || vec![0.0; n],
+                |speeds| {
+                    (speeds.iter())
+                        .map(|own| slope(own / speed) / speed)
+                        .collect()
+                },
+            ),
+            path,
+            course,
+            turns,
+            directions,
+            shares,
+            beyond,
+        }
+    }
+
+    /// Returns the changes of the tensions of all pieces.
+    fn changes(&self, rod: &Rod, poses: [Poses; 2]) -> Vec<LineChange> {
+        let n = 6 * rod.n_nodes();
+        let mut out: Vec<LineChange> = (self.path.lines())
+            .map(|line| LineChange {
+                actuator: self.path.actuator,
+                line,
+                pulls: [(); 2].map(|()| vec![0.0; n]),
+                forms: [(); 2].map(|()| vec![0.0; n]),
+            })
+            .collect();
+        let half = self.half();
+        for (end, strains) in self.course.ends.iter().enumerate() {
+            let mut whole = vec![0.0; n];
+            for (k, change) in out.iter_mut().enumerate() {
+                change.pulls[end] = self.pull(rod, k, poses[end], &self.course.mean);
+                add(&mut whole, 1.0, &change.pulls[end]);
+            }
+            let turned = self.turned(rod, end, poses[end], strains);
+            for (i, change) in out.iter_mut().enumerate() {
+                let form = &mut change.forms[end];
+                let share = self.shares[i];
+                add(form, self.law.along_coordinate * share * half, &whole);
+                for (k, turned) in turned.iter().enumerate() {
+                    let passed = if k <= i { 1.0 } else { 0.0 };
+                    let lost = self.path.law.coefficient * self.law.effort * share;
+                    let factor = lost * (self.beyond[k] - passed);
+                    if factor != 0.0 {
+                        add(form, factor, turned);
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    /// The weight of a strain at one end in the mean.
+    fn half(&self) -> f64 {
+        1.0 / self.course.ends.len() as f64
+    }
+
+    /// Returns the wrenches of a unit tension in a piece at these strains, which are the derivatives of its coordinate.
+    fn pull(&self, rod: &Rod, k: usize, poses: Poses, strains: &[ElementStrain]) -> Vec<f64> {
+        let mut out = vec![0.0; 6 * rod.n_nodes()];
+        let q = self.path.first + k;
+        let unit = |line: usize| f64::from(u8::from(line == self.path.line + k));
+        if let Some(stress) = rod.active_stress_under(q, &strains[q], &unit) {
+            rod.add_pull(q, poses, &stress, 1.0, &mut out);
+        }
+        out
+    }
+
+    /// Returns the derivatives of the products `σ θ` of all turns along the poses at one end, whose strains are given.
+    fn turned(
+        &self,
+        rod: &Rod,
+        end: usize,
+        poses: Poses,
+        strains: &[ElementStrain],
+    ) -> Vec<Vec<f64>> {
+        let n = 6 * rod.n_nodes();
+        let mut beyond = vec![0.0; n];
+        let mut out = vec![vec![0.0; n]; self.turns.len()];
+        for (k, out) in out.iter_mut().enumerate().rev() {
+            let turn = &self.turns[k];
+            if let Some((_, time)) = self.course.change {
+                add(&mut beyond, 1.0, &self.pull(rod, k, poses, strains));
+                let sign = if end == 0 { -1.0 } else { 1.0 };
+                add(out, sign * turn.size * self.rises[k] / time, &beyond);
+            }
+            for (piece, covector) in turn.along.iter().flatten() {
+                // A pull is minus the derivative.
+                let factor = -self.directions[k] * self.half();
+                rod.add_pull(self.path.first + piece, poses, covector, factor, out);
+            }
+        }
+        out
+    }
+}
+
+/// Adds a multiple of numbers to others.
+fn add(out: &mut [f64], factor: f64, own: &[f64]) {
+    for (out, own) in out.iter_mut().zip(own) {
+        *out += factor * own;
+    }
+}
+
 impl EffortLaw {
     /// Returns the law of a tendon whose tension is a factor times as much.
     pub(super) fn times(self, factor: f64) -> Self {
@@ -721,16 +796,6 @@ impl EffortLaw {
             along_input: self.along_input * factor,
             mixed: self.mixed * factor,
             bend: self.bend * factor,
-        }
-    }
-}
-
-impl NodalForces {
-    /// Adds six numbers of every node.
-    pub fn add_flat(&mut self, numbers: &[f64]) {
-        for (node, own) in numbers.chunks_exact(6).enumerate() {
-            self.forces[node] += Vector3::from_column_slice(&own[..3]);
-            self.moments[node] += Vector3::from_column_slice(&own[3..]);
         }
     }
 }

@@ -661,7 +661,18 @@ impl RodActuators {
     /// Returns the effort of an actuator for an input; of a tendon with friction it is the tension where it leaves its motor.
     #[must_use]
     pub fn law(&self, actuator: usize, input: f64, state: &EffortState) -> EffortLaw {
-        let coordinate = state.coordinates[actuator];
+        let mean = state.means.get(actuator).copied().unwrap_or(1.0);
+        self.law_at(actuator, input, state.coordinates[actuator], mean)
+    }
+
+    /// Returns [`Self::law`] at a coordinate, with the mean share of the tension over the whole tendon of a winch.
+    pub(super) fn law_at(
+        &self,
+        actuator: usize,
+        input: f64,
+        coordinate: f64,
+        mean: f64,
+    ) -> EffortLaw {
         let law = match &self.drives[actuator].winch {
             Some(winch) if self.push => {
                 winch.law_of_a_spring(input, coordinate, self.at_rest[actuator])
@@ -673,9 +684,10 @@ impl RodActuators {
                 ..EffortLaw::default()
             },
         };
-        match state.means.get(actuator) {
-            Some(mean) if *mean != 1.0 => law.times(1.0 / mean),
-            _ => law,
+        if mean == 1.0 {
+            law
+        } else {
+            law.times(1.0 / mean)
         }
     }
 
@@ -1043,7 +1055,7 @@ impl Rod {
     /// Writes what efforts depend on in a configuration at rest.
     pub fn write_effort_state(&self, poses: Poses, out: &mut EffortState) {
         self.write_actuator_coordinates(poses, &mut out.coordinates);
-        self.write_shares_at_rest(poses, out);
+        self.write_shares([poses; 2], None, out);
     }
 
     /// Returns what efforts depend on in a configuration at rest.
@@ -1069,7 +1081,7 @@ impl Rod {
         let elements = (self.strain_rule, &self.elements[..]);
         let coordinates = &mut out.coordinates;
         (self.actuators).add_strain_coordinates(elements, &strain, &of_actuator, coordinates);
-        self.write_interval_shares(ends, time, out);
+        self.write_shares(ends, Some(time), out);
     }
 
     /// Writes what efforts depend on in a set of pulls (`integrator::sensitivity::EffortPulls`): at a time node, or under the implicit scheme

@@ -2,9 +2,7 @@
 
 use super::super::super::values::{self, Positive, known};
 use super::super::Scene;
-use super::{
-    Braid, Chamber, FollowKeys, Muscle, RateBound, SECTIONS, Sliding, Tendon, default_sliding,
-};
+use super::{Braid, Chamber, FollowKeys, Muscle, RateBound, SECTIONS, Sliding, Tendon};
 use crate::mechanics::{Density, Route, StrainActuator};
 use crate::task::{EffortControl, Follows};
 
@@ -24,32 +22,24 @@ pub(in crate::scene) fn describe_hardware(
                     Density::Threaded { spacing } => known(spacing),
                     _ => known(0.0),
                 };
-                let friction = own.friction;
-                let sliding = match friction {
-                    None => None,
-                    Some(own) => (Sliding::ALL.iter())
-                        .find(|(_, at)| *at == own.at_rest)
-                        .map(|(sliding, _)| *sliding),
-                };
-                let tendon = Tendon {
-                    friction: known(friction.map_or(0.0, |own| own.coefficient)),
-                    sliding_speed_m_s: friction
-                        .map_or_else(default_sliding, |own| known(own.speed)),
+                let sliding = own.friction.and_then(|own| {
+                    let found = Sliding::ALL.iter().find(|(_, at)| *at == own.at_rest);
+                    found.map(|(sliding, _)| *sliding)
+                });
+                let friction = own.friction.unwrap_or_default();
+                let tendon = Tendon::describing(
+                    common,
+                    None,
+                    None,
+                    0.0,
+                    None,
+                    None,
+                    known(0.0),
+                    spacing,
+                    known(friction.coefficient),
+                    known(friction.speed),
                     sliding,
-                    ..Tendon::describing(
-                        common,
-                        None,
-                        None,
-                        0.0,
-                        None,
-                        None,
-                        known(0.0),
-                        spacing,
-                        known(0.0),
-                        default_sliding(),
-                        None,
-                    )
-                };
+                );
                 out.tendon.push(match own.winch {
                     Some(winch) => tendon.put_on(winch),
                     None => tendon,

@@ -94,10 +94,7 @@ impl<'a> Winches<'a> {
         out.winches.clear();
         out.responses.clear();
         out.pulls.clear();
-        for (i, own) in self.rod.actuators.iter().enumerate() {
-            if own.winch.is_none() || self.rod.actuators.rubs(i) {
-                continue;
-            }
+        for i in self.rod.actuators.springs() {
             let [mut near, mut far] = [0, 1].map(|_| NodalForces::zeros(self.rod.n_nodes()));
             let ends = [&self.start, end].map(Configuration::poses);
             (self.rod).write_interval_pulls(i, ends, [&mut near, &mut far]);
