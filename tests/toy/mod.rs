@@ -129,6 +129,12 @@ impl Jet {
         self.map(e, e, e)
     }
 
+    pub fn tanh(&self) -> Self {
+        let t = self.value.tanh();
+        let slope = 1.0 - t * t;
+        self.map(t, slope, -2.0 * t * slope)
+    }
+
     pub fn ln(&self) -> Self {
         let v = self.value;
         self.map(v.ln(), 1.0 / v, -1.0 / (v * v))
@@ -154,6 +160,10 @@ pub struct Program {
     pub screening_margin: f64,
     /// State equations, one per state, triangular or not.
     pub dynamics: Box<Values>,
+    /// Functions whose second derivatives stand for those of the state equations in the curvature, which then leaves terms out.
+    pub curved: Option<Box<Values>>,
+    /// Tells whether the program says that its curvature is that of the Lagrangian.
+    pub knows_curvature: bool,
     pub sets: Vec<ConvexSet>,
     /// Outside this radius of the variables evaluation fails.
     pub radius: f64,
@@ -181,6 +191,8 @@ impl Default for Program {
             softness: Vec::new(),
             screening_margin: f64::INFINITY,
             dynamics: nothing(),
+            curved: None,
+            knows_curvature: true,
             sets: Vec::new(),
             radius: f64::INFINITY,
             n_controls: usize::MAX,
@@ -205,12 +217,17 @@ struct All {
     dynamics: Vec<Jet>,
 }
 
+/// The variables and states of a point as jets.
+fn unknowns(point: &Point) -> Vec<Jet> {
+    let n = point.v.len() + point.q.len();
+    (point.v.iter().chain(&point.q).enumerate())
+        .map(|(i, &value)| Jet::variable(value, i, n))
+        .collect()
+}
+
 impl Program {
     fn all(&self, point: &Point) -> All {
-        let n = self.n_variables + self.n_states;
-        let w: Vec<Jet> = (point.v.iter().chain(&point.q).enumerate())
-            .map(|(i, &value)| Jet::variable(value, i, n))
-            .collect();
+        let w = unknowns(point);
         let residuals = (self.residuals)(&w);
         let zero = w[0].map(0.0, 0.0, 0.0);
         let mut objective = residuals
@@ -298,6 +315,10 @@ impl LiftedProgram for Program {
         self.n_controls
     }
 
+    fn knows_curvature(&self) -> bool {
+        self.knows_curvature
+    }
+
     fn evaluate(&self, point: &Point) -> Result<Evaluation<Vec<f64>>, Failure> {
         let size = point.v.iter().map(|v| v * v).sum::<f64>().sqrt();
         if size > self.radius {
@@ -374,7 +395,8 @@ impl LiftedProgram for Program {
             } else {
                 Mat::zeros(0, 1)
             };
-            let lagrangian = (all.dynamics.iter().enumerate())
+            let curved = self.curved.as_ref().map(|curved| curved(&unknowns(point)));
+            let lagrangian = (curved.as_ref().unwrap_or(&all.dynamics).iter().enumerate())
                 .fold(outcome, |sum, (i, d)| sum.plus(d, lambda[(i, 0)]));
             let reduced = z.transpose() * &lagrangian.hessian * &z;
             curvature = Some(&reduced - &gauss_newton);
