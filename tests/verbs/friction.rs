@@ -76,11 +76,13 @@ fn equilibria_have_the_tension_where_a_tendon_ends() {
     }
 }
 
-/// A solve counts the friction, and its check agrees; without the friction the same controls lead elsewhere.
+/// A solve counts the friction, and its check agrees, whose bound on the momentum counts the rounding of speeds of sliding: a tension changes
+/// by `μ T φ/v₀` with each of them.
 #[test]
 fn solves_are_certified() {
     let desk = Desk::holding(ARM);
-    let found = desk.done("solve arm.toml --out run");
+    let few = "--set rod.elements=5 --set time.end_s=0.4 --set control.blocks=8";
+    let found = desk.done(&format!("solve arm.toml --out run {few}"));
     assert_eq!(found["check"]["verdict"], "certified");
     assert!(number(&found["check"]["same_grid_m"]) < 1e-9);
     assert!(number(&found["tip_error_m"]) < 2e-3);

@@ -246,6 +246,14 @@ impl Path<'_> {
     ) -> Vec<[Vec<Nine>; 2]> {
         let zero = || vec![Nine::zeros(); self.rod.n_elements()];
         let mut logarithms = [zero(), zero()];
+        let coordinates = ends.map(|end| -> Vec<Nine> {
+            (0..self.own.n_pieces)
+                .map(|piece| {
+                    let q = self.own.first + piece;
+                    coordinate(self.rod, q, self.own.line + piece, &end[q].0).1
+                })
+                .collect()
+        });
         (shares.iter().enumerate())
             .map(|(k, share)| {
                 let along_mean = self.turn_slope(k, ends);
@@ -256,12 +264,12 @@ impl Path<'_> {
                         sum[*q] += slope * (0.5 * friction * direction);
                     }
                     let sign = [-1.0, 1.0][end];
-                    for piece in k..self.own.n_pieces {
-                        let q = self.own.first + piece;
-                        let slope =
-                            coordinate(self.rod, q, self.own.line + piece, &ends[end][q].0).1;
-                        sum[q] += slope * (friction * sign * self.turns[k] * rise / time);
-                    }
+                    let factor = friction * sign * self.turns[k] * rise / time;
+                    add(
+                        &mut sum[self.own.first + k..],
+                        factor,
+                        &coordinates[end][k..],
+                    );
                 }
                 logarithms.each_ref().map(|own| {
                     let mut out = zero();

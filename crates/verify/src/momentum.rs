@@ -209,10 +209,12 @@ impl Conditions<'_> {
                 )
             })
             .fold((0.0f64, 0.0f64), |m, e| (m.0.max(e.0), m.1.max(e.1)));
-        let linear = momentum + h * stiffest.0;
+        // A speed of sliding has the rounding of lengths over the step, and acts for as long.
+        let rubbed = rod.friction_per_speed().map(|own| own * far);
+        let linear = momentum + h * stiffest.0 + rubbed[0];
         [
             ROUNDINGS * linear,
-            ROUNDINGS * (linear * far + spin + h * stiffest.1),
+            ROUNDINGS * (linear * far + spin + h * stiffest.1 + rubbed[1]),
         ]
     }
 }

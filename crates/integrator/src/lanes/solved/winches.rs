@@ -29,6 +29,8 @@ pub struct WinchFactors {
     winches: Vec<Option<usize>>,
     responses: Vec<Vec<Column>>,
     pulls: Vec<Vec<Column>>,
+    /// `Qᵀ A⁻¹P`.
+    coupling: DMatrix<f64>,
 }
 
 /// The winches in one step.
@@ -129,6 +131,8 @@ impl<'a> Winches<'a> {
             });
             out.add(chain, None, &p, q);
         }
+        let n = out.pulls.len();
+        out.coupling = DMatrix::from_fn(n, n, |i, j| dot(&out.pulls[i], &out.responses[j]));
     }
 
     /// Turns the solution of `A x₀ = r` into that of the whole matrix, with the weight `w`.
@@ -142,7 +146,7 @@ impl<'a> Winches<'a> {
         }
         let small = DMatrix::from_fn(n, n, |i, j| {
             let own = if i == j { 1.0 } else { 0.0 };
-            own + factor[i] * dot(&factors.pulls[i], &factors.responses[j])
+            own + factor[i] * factors.coupling[(i, j)]
         });
         let right = DVector::from_fn(n, |i, _| factor[i] * dot(&factors.pulls[i], columns));
         // A singular matrix gives a residual that is not finite, at which the step ends.
