@@ -22,8 +22,8 @@ use crate::scene::{OptimalControl, Scene};
 use crate::solve::nearest::nearest;
 use crate::solve::scene_check::{expectation, warnings};
 use crate::solve::{
-    Chosen, Earlier, Examination, Examined, Solution, choose, diagnostics, findings, help, legend,
-    publish, read_coefficients, start_not_begun, start_summary, status_words, summarize,
+    Chosen, Doubted, Earlier, Examination, Examined, Solution, choose, diagnostics, findings, help,
+    legend, publish, read_coefficients, start_not_begun, start_summary, status_words, summarize,
 };
 use crate::sqp::{IterationRecord, SqpStatus, StopSignal};
 use crate::task::staying::nearest_in_words;
@@ -70,6 +70,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     }
     let starts = usize::from(arguments.starts);
     memory::require(&of_solve(&described, starts, global.n_threads()), &source)?;
+    Doubted::of(&described, &source, global.n_threads())?;
     let target = arguments.scene.directory("solve");
     let directory = RunDirectory::open(&target, ResultKind::Solve)?;
 
@@ -82,9 +83,16 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
         attempt(setup, previous, arguments, global, console)
     };
     let first = (described, previous);
-    let found = solve_on_grids(&scene, first, pose, attempt, |words| console.say(words))?;
+    let mut found = solve_on_grids(&scene, first, pose, attempt, |words| console.say(words))?;
     if let Some(warning) = &found.warning {
         console.warn(warning);
+    }
+    if let Some(doubted) = Doubted::of(&found.setup, &source, global.n_threads())? {
+        let again = |setup: &OptimalControl, controls| attempt(setup, Some(controls));
+        let unnarrowed = (found.setup, found.chosen);
+        let (setup, mut chosen) = doubted.narrow(unnarrowed, again, |words| console.say(words))?;
+        doubted.replay_chosen(&setup, &mut chosen);
+        (found.setup, found.chosen) = (setup, chosen);
     }
     let Chosen {
         solution,

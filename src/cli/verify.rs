@@ -14,7 +14,7 @@ use crate::memory::of_verify;
 use crate::output::read_text;
 use crate::output::summary::NOT_CHECKED;
 use crate::scene::{LARGEST_SCENE, Scene};
-use crate::solve::{SavedSolution, VerifySummary};
+use crate::solve::{Doubted, SavedSolution, VerifySummary, narrow_as_saved};
 
 /// Arguments of `verify`.
 #[derive(Debug, Args)]
@@ -36,12 +36,14 @@ pub(super) fn run(arguments: &VerifyArguments, global: &Global, console: &Consol
     let path = directory.join("scene.toml");
     let text = read_text(&path, LARGEST_SCENE)?;
     let (scene, source) = Scene::from_toml(&path.to_string_lossy(), &text, &global.set)?;
-    let setup = (scene.optimal_control_until(&source, &stop))
+    let mut setup = (scene.optimal_control_until(&source, &stop))
         .map_err(|error| CliError::of_scene(error, &stop))?;
+    narrow_as_saved(&mut setup, directory)?;
+    let doubted = Doubted::of(&setup, &source, global.n_threads())?;
     memory::require(&of_verify(&setup, !arguments.quick), &source)?;
     let saved = SavedSolution::read(directory, &setup)?;
     let awaited = Awaited::check(&setup.problem, !arguments.quick, console);
-    let examined = saved.examine(arguments.quick, global.n_threads());
+    let examined = saved.examine(arguments.quick, doubted.as_ref(), global.n_threads());
     drop(awaited);
     let seconds = || started.elapsed().as_secs_f64();
     let found = match examined {

@@ -2,6 +2,7 @@
 
 use super::data::{self, Case, Data, Marker};
 use super::{FitError, FitOptions};
+use crate::scene::number;
 
 /// A number that is fitted.
 pub struct Free {
@@ -245,22 +246,4 @@ fn largest_input(cases: &[Case], key: &str) -> f64 {
         }
     }
     largest
-}
-
-/// Returns the number at a dotted path.
-pub fn number(table: &toml::Table, key: &str) -> Option<f64> {
-    let mut parts = key.split('.');
-    let mut value = table.get(parts.next()?)?;
-    for part in parts {
-        value = match value {
-            toml::Value::Table(table) => table.get(part)?,
-            toml::Value::Array(items) => items.get(part.parse::<usize>().ok()?)?,
-            _ => return None,
-        };
-    }
-    match value {
-        toml::Value::Float(number) => Some(*number),
-        toml::Value::Integer(number) => Some(*number as f64),
-        _ => None,
-    }
 }

@@ -18,7 +18,7 @@ pub use self::assumed::Assumption;
 use self::assumed::{Assumed, Kind};
 use self::data::{Case, Marker, Sight};
 pub use self::explained::Explanation;
-use self::free::{Free, number, parameters, refuse_set};
+use self::free::{Free, parameters, refuse_set};
 use self::least_squares::{Beside, Minimum, Problem, stacked};
 pub use self::report::FitSummary;
 use self::resting::Remembered;
@@ -27,7 +27,7 @@ use crate::mechanics::place::{locate, pose};
 use crate::mechanics::rotation::{exp, log};
 use crate::mechanics::{Configuration, NodeSpring, NodeWrenches, Rod, Stepper, TimeScheme};
 use crate::output::{MotionRecord, ResidualRow};
-use crate::scene::{Scene, SceneError, SceneSource};
+use crate::scene::{Scene, SceneError, SceneSource, number};
 use crate::stop::{Stop, StopSignal};
 use crate::task::{Arm, StartShape};
 

@@ -46,6 +46,9 @@ impl Scene {
         if let Some(solver) = &self.solver {
             keys.check_solver(solver)?;
         }
+        if let Some(doubt) = &self.doubt {
+            keys.check_doubt(doubt, self)?;
+        }
         keys.check_closed_loop(self)
     }
 }

@@ -54,6 +54,7 @@ pub use error::{DescribeError, SceneError};
 pub(crate) use file::LARGEST_SCENE;
 pub use materials::{MaterialFigures, MaterialPreset, Shear};
 pub use model::*;
+pub(crate) use overrides::number;
 pub use source::SceneSource;
 pub use translate::{OptimalControl, Simulation};
 pub use values::{Fraction, NonNegative, PoissonRatio, Positive};
@@ -146,6 +147,11 @@ impl Scene {
         let erased: &dyn erased_serde::Serialize = self;
         toml::to_string(erased)
             .unwrap_or_else(|error| format!("# this scene cannot be written as TOML: {error}\n"))
+    }
+
+    /// Returns the number at a dotted path, with every default written out.
+    pub(crate) fn number(&self, key: &str) -> Option<f64> {
+        number(&toml::from_str(&self.to_toml()).ok()?, key)
     }
 
     /// JSON Schema of the scene file, for editors and other programs.

@@ -126,3 +126,21 @@ fn index(segment: &str) -> Option<usize> {
         .then(|| segment.parse().ok())
         .flatten()
 }
+
+/// Returns the number at a dotted path.
+pub(crate) fn number(table: &Table, key: &str) -> Option<f64> {
+    let mut parts = key.split('.');
+    let mut value = table.get(parts.next()?)?;
+    for part in parts {
+        value = match value {
+            Value::Table(table) => table.get(part)?,
+            Value::Array(items) => items.get(part.parse::<usize>().ok()?)?,
+            _ => return None,
+        };
+    }
+    match value {
+        Value::Float(number) => Some(*number),
+        Value::Integer(number) => Some(*number as f64),
+        _ => None,
+    }
+}

@@ -225,9 +225,20 @@ impl Scene {
         if self.rod.accuracy.is_some() {
             return Ok(self.simulation(source)?.rod);
         }
+        self.rod_of(source, &self.discretization())
+    }
+
+    /// Returns the rod of the scene's arm with a discretization.
+    ///
+    /// # Errors
+    /// As [`Self::discrete_rod`].
+    pub(crate) fn rod_of(
+        &self,
+        source: &SceneSource,
+        discretization: &Discretization,
+    ) -> Result<Rod, SceneError> {
         let arm = self.arm(source)?;
-        (arm.rod(&self.discretization()))
-            .map_err(|error| self.discretize_error(source, error.into()))
+        (arm.rod(discretization)).map_err(|error| self.discretize_error(source, error.into()))
     }
 
     /// The optimal-control problem that the scene describes; its horizon ends at `task.at_s`, or without a task at `time.end_s`.

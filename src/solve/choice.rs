@@ -19,6 +19,13 @@ pub(crate) struct Chosen {
     pub spent: Spent,
 }
 
+impl Chosen {
+    /// Tells whether the solve converged and the check certifies what it found.
+    pub fn is_certified(&self) -> bool {
+        self.examined.is_certified() && self.solution.has_converged()
+    }
+}
+
 /// Extent of the examination of solutions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Examination<'a> {

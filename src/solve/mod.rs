@@ -9,6 +9,8 @@ mod constraints;
 mod controls;
 mod diagnostics;
 #[cfg(feature = "cli")]
+mod doubt;
+#[cfg(feature = "cli")]
 mod earlier;
 mod efforts;
 #[cfg(feature = "cli")]
@@ -35,6 +37,7 @@ pub(crate) use self::{
     choice::{Chosen, Examination, choose},
     closed_loop::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun},
     diagnostics::diagnostics,
+    doubt::{Doubted, narrow_as_saved},
     earlier::Earlier,
     equilibrium::{EquilibriumSummary, sweep_record, write_tables},
     examined::Examined,

@@ -385,6 +385,7 @@ fn past_a_ball(aside: f64) -> (RodParameters, OptimalControlProblem) {
         },
         time_nodes: (0..=n_steps).collect(),
         enforcement: PathEnforcement::Hard,
+        margins: Vec::new(),
     });
     (parameters, problem)
 }
@@ -408,6 +409,7 @@ fn worst_rows_are_named() {
         },
         time_nodes: (0..=150).collect(),
         enforcement: PathEnforcement::Hard,
+        margins: Vec::new(),
     });
     let mut solved = Solved::of(parameters, problem);
     let controls = solved.controls();

@@ -59,6 +59,7 @@ fn limits() -> Vec<PathConstraint> {
         limit,
         time_nodes: (0..=BUSY_STEPS).step_by(7).collect(),
         enforcement: PathEnforcement::Hard,
+        margins: Vec::new(),
     };
     let clearance = |shape| PathLimit::Clearance {
         velocity: Vector3::new(0.02, -0.01, 0.005),

@@ -222,6 +222,7 @@ fn reach_past(ball: Option<PathEnforcement>) -> (RodParameters, OptimalControlPr
             },
             time_nodes: (0..=n_steps).collect(),
             enforcement,
+            margins: Vec::new(),
         });
     }
     (parameters, problem)
@@ -344,6 +345,7 @@ fn strains_speeds_and_sets_hold() {
                 limit: limit(largest),
                 time_nodes: (0..=problem.grid.n_steps).collect(),
                 enforcement: PathEnforcement::Hard,
+                margins: Vec::new(),
             });
             problem
         };

@@ -191,6 +191,7 @@ energy = 0.3
                 limit,
                 time_nodes: (0..=problem.grid.n_steps).collect(),
                 enforcement: PathEnforcement::Hard,
+                margins: Vec::new(),
             });
         }
         let report = check(&problem, 3).unwrap();

@@ -146,6 +146,7 @@ fn problems() -> Vec<(&'static str, OptimalControlProblem)> {
         limit,
         time_nodes: (0..=150).step_by(every).collect(),
         enforcement,
+        margins: Vec::new(),
     };
     let ball = Shape::Sphere {
         center: Vector3::new(0.15, 0.08, 0.8),

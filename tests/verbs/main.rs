@@ -10,6 +10,7 @@ mod contact;
 mod continued;
 #[cfg(feature = "cli")]
 mod desk;
+mod doubt;
 mod export;
 mod files;
 mod fit;

@@ -93,6 +93,9 @@ pub struct PathConstraint {
     pub time_nodes: Vec<usize>,
     /// Hard, or at a price per scaled violation and second.
     pub enforcement: PathEnforcement,
+    /// By how much each row must stay inside of the limit, in the limit's own unit: for each time node, one number for each item. Empty
+    /// where the limit itself is the end.
+    pub margins: Vec<f64>,
 }
 
 impl PathConstraint {
@@ -103,6 +106,17 @@ impl PathConstraint {
             [k] => vec![(*k, 1.0)],
             nodes => durations(nodes, step),
         }
+    }
+
+    /// Returns the margin of a row at time node `k`, in the unit of the limit.
+    #[must_use]
+    pub fn margin(&self, k: usize, item: usize) -> f64 {
+        if self.margins.is_empty() {
+            return 0.0;
+        }
+        let n_items = self.margins.len() / self.time_nodes.len();
+        (self.time_nodes.binary_search(&k))
+            .map_or(0.0, |place| self.margins[place * n_items + item])
     }
 }
 

@@ -49,7 +49,7 @@ pub use feedback::{
 #[doc(hidden)]
 pub use json::json_value;
 pub use motion::{MotionRecord, ThinnedMotion};
-pub use multipliers::{MultiplierRecord, read_multipliers};
+pub use multipliers::{MultiplierRecord, read_margins, read_multipliers};
 #[doc(hidden)]
 pub use reading::read_text;
 #[doc(hidden)]

@@ -1,4 +1,4 @@
-//! `multipliers.json`: the Lagrange multipliers that `softarm verify` needs.
+//! `multipliers.json`: the Lagrange multipliers that `softarm verify` needs, and the margins by which limits are narrowed.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::OutputError;
 use super::reading::read_text;
-use control::{LiftedPoint, OptimalControlProblem, PathMultiplier, Transcription};
+use control::{LiftedPoint, OptimalControlProblem, PathConstraint, PathMultiplier, Transcription};
 use sqp::SqpOutcome;
 use verify::SolutionMultipliers;
 
@@ -32,6 +32,9 @@ struct MultiplierFile {
     rates: Vec<Vec<f64>>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     commands: Vec<Vec<f64>>,
+    /// For each path constraint its [margins](control::PathConstraint::margins); empty if none has any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    margins: Vec<Vec<f64>>,
 }
 
 /// Returns the rows of a file from the normals of all numbers of the controls, interval by interval.
@@ -73,7 +76,10 @@ impl MultiplierRecord {
 
     /// Returns the contents of the file.
     pub fn file(&self, problem: &OptimalControlProblem) -> impl Serialize {
+        let margins = problem.path.iter().map(|own| own.margins.clone());
+        let has_margins = problem.path.iter().any(|own| !own.margins.is_empty());
         MultiplierFile {
+            margins: margins.filter(|_| has_margins).collect(),
             goals: self.goals.clone(),
             path: self.path.clone(),
             rates: by_control(problem, &self.rates),
@@ -105,25 +111,7 @@ pub fn read_multipliers(
     path: &Path,
     problem: &OptimalControlProblem,
 ) -> Result<MultiplierRecord, OutputError> {
-    let goals = problem.goal_rows().len() as u64;
-    let path_rows = (problem.path.iter()).fold(0u64, |sum, constraint| {
-        let rows = constraint.limit.n_items(&problem.rod) as u64;
-        sum.saturating_add(rows.saturating_mul(constraint.time_nodes.len() as u64))
-    });
-    let rates = (problem.control.n_coefficients() * problem.n_numbers()) as u64;
-    // At most four rows of commands begin at a coefficient.
-    let commands = rates.saturating_mul(4);
-    // A row of a path takes six lines, a number of rates or commands one, and their row two.
-    let entries = (path_rows.saturating_add(rates).saturating_add(commands))
-        .saturating_mul(8)
-        .saturating_add(goals + 64);
-    let text = read_text(path, entries.saturating_mul(LARGEST_ENTRY))?;
-    let file: MultiplierFile =
-        serde_json::from_str(&text).map_err(|error| OutputError::Malformed {
-            path: path.to_path_buf(),
-            line: Some(error.line() as u64),
-            reason: error.to_string(),
-        })?;
+    let file = read_file(path, problem)?;
     let normals = |rows: &[Vec<f64>]| {
         by_number(problem, rows).map_err(|length| {
             let n_controls = problem.actuated_components().len();
@@ -138,5 +126,49 @@ pub fn read_multipliers(
         commands: normals(&file.commands)?,
         goals: file.goals,
         path: file.path,
+    })
+}
+
+/// Reads the margins of the path constraints of a problem: none, or those of each.
+///
+/// # Errors
+/// Returns [`OutputError`] if the file cannot be read, is not a file of multipliers, or has margins of another problem, or negative ones.
+pub fn read_margins(
+    path: &Path,
+    problem: &OptimalControlProblem,
+) -> Result<Vec<Vec<f64>>, OutputError> {
+    let found = read_file(path, problem)?.margins;
+    let fits = |(constraint, own): (&PathConstraint, &Vec<f64>)| {
+        let n = constraint.time_nodes.len() * constraint.limit.n_items(&problem.rod);
+        (own.is_empty() || own.len() == n) && own.iter().all(|margin| *margin >= 0.0)
+    };
+    if found.is_empty()
+        || found.len() == problem.path.len() && problem.path.iter().zip(&found).all(fits)
+    {
+        return Ok(found);
+    }
+    let reason =
+        "its margins are not those of the limits of scene.toml, one of 0 or more for each row";
+    Err(OutputError::malformed(path, reason))
+}
+
+fn read_file(path: &Path, problem: &OptimalControlProblem) -> Result<MultiplierFile, OutputError> {
+    let goals = problem.goal_rows().len() as u64;
+    let path_rows = (problem.path.iter()).fold(0u64, |sum, constraint| {
+        let rows = constraint.limit.n_items(&problem.rod) as u64;
+        sum.saturating_add(rows.saturating_mul(constraint.time_nodes.len() as u64))
+    });
+    let rates = (problem.control.n_coefficients() * problem.n_numbers()) as u64;
+    // At most four rows of commands begin at a coefficient.
+    let commands = rates.saturating_mul(4);
+    // A row of a path takes six lines and its margin one, a number of rates or commands one, and their row two.
+    let entries = (path_rows.saturating_add(rates).saturating_add(commands))
+        .saturating_mul(8)
+        .saturating_add(goals + 64);
+    let text = read_text(path, entries.saturating_mul(LARGEST_ENTRY))?;
+    serde_json::from_str(&text).map_err(|error| OutputError::Malformed {
+        path: path.to_path_buf(),
+        line: Some(error.line() as u64),
+        reason: error.to_string(),
     })
 }

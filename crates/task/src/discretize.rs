@@ -479,6 +479,7 @@ impl Task {
                 limit: limit.kind.on(rod, radii),
                 time_nodes: time_nodes(limit),
                 enforcement: limit.enforcement,
+                margins: Vec::new(),
             })
             .collect()
     }

@@ -30,6 +30,7 @@ pub(super) fn keep_taut(problem: &mut OptimalControlProblem) {
         limit: PathLimit::Taut { tendons },
         time_nodes,
         enforcement: PathEnforcement::Hard,
+        margins: Vec::new(),
     });
 }
 

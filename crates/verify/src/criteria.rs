@@ -68,6 +68,9 @@ impl CheckItem {
             "contact_through" => {
                 "the arm passes through a body, or may: give its [[contact]] a smaller penetration_m, or a larger force_n"
             }
+            "doubt" => {
+                "give doubt.share a larger value, or the limits and the target more room; narrower ranges need better known numbers"
+            }
             "momentum" => "the motion is not one of this rod: the files do not belong together",
             "second_order" => "solve again from elsewhere: --starts N, or another solver.guess",
             "same_grid_m" | "same_grid_rad" => {

@@ -10,6 +10,8 @@ mod acting;
 mod bodies;
 mod contact;
 mod criteria;
+#[doc(hidden)]
+pub mod doubt;
 mod dual;
 mod duration;
 #[doc(hidden)]
@@ -46,6 +48,7 @@ use serde::Serialize;
 pub use self::contact::ContactCheck;
 use self::criteria::criteria;
 pub use self::criteria::{CheckItem, CheckLimits};
+use self::doubt::UnderDoubt;
 use self::growth::Growth;
 use self::kkt::KktPart;
 use self::momentum::MomentumBalance;
@@ -135,6 +138,9 @@ pub struct ForwardCheck {
     /// equilibrium is next to it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub held: Option<HeldGrowth>,
+    /// The controls on plants of a stated doubt; absent until [`Self::replayed`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<UnderDoubt>,
     /// Part of the objective that may be left to gain at a saddle.
     #[serde(skip)]
     pub saddle_gain: f64,
@@ -185,6 +191,18 @@ impl ForwardCheck {
         self.second_order = Some(found);
         self.growth = Some(growth::examine(&probe, &tip)?);
         Ok(())
+    }
+
+    /// Adds what the controls do on the plants of a stated doubt, and if a part of these may leave a limit, the criterion that no more do.
+    pub fn replayed(&mut self, found: UnderDoubt, share: Option<f64>) {
+        self.items.extend(share.map(|share| CheckItem {
+            name: "doubt",
+            value: found.share,
+            limit: share,
+            unit: "",
+            meaning: "part of the plants of the stated doubt that leave a limit by more than 1 % of it, or break down",
+        }));
+        self.doubt = Some(found);
     }
 
     /// Returns the decrease of the Lagrangian from a saddle, divided by the objective.
@@ -386,6 +404,7 @@ pub fn forward_check(
         finest_tip: refinement.tip,
         stays: refinement.stays,
         held: refinement.held,
+        doubt: None,
         energy: EnergyAccount::of(same.balance, &half.balance),
         momentum,
         second_order: None,

@@ -264,11 +264,13 @@ fn price(conditions: &Conditions, row: &PathMultiplier) -> Option<[f64; 2]> {
 impl Conditions<'_> {
     /// Returns the scaled value of a row of a path constraint.
     pub(super) fn row_value(&self, row: &PathMultiplier) -> f64 {
-        let limit = &self.path[row.constraint].limit;
+        let constraint = &self.path[row.constraint];
+        let limit = &constraint.limit;
         let here = self.pose_under(limit, row.time_node);
         let before = (row.time_node > 0)
             .then(|| Pose::at(self.trajectory, row.time_node - 1, self.problem.grid));
         let measure = self.measure();
-        measure.excess(limit, row.item, &here, before.as_ref()) / limit.scale(self.rod())
+        let excess = measure.excess(limit, row.item, &here, before.as_ref());
+        (excess + constraint.margin(row.time_node, row.item)) / limit.scale(self.rod())
     }
 }

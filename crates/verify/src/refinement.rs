@@ -115,7 +115,7 @@ const STEP_FRACTION: f64 = 0.9;
 /// Returns the smallest divisor of the step, at least `least`, for which the `finer` rod is stable. Implicit steps have no linear limit,
 /// but one under bending, `2 sqrt(J/m)`: a step within that of the solution's own rod stays within that of the finer one, whose nodes have
 /// less rotary inertia (in proportion to the length of its elements, or to the cube of it for the inertia of segments).
-fn stable_factor(step: f64, own: &Rod, finer: &Rod, least: usize) -> usize {
+pub(super) fn stable_factor(step: f64, own: &Rod, finer: &Rod, least: usize) -> usize {
     let needed = match finer.scheme {
         TimeScheme::Explicit => step / (STEP_FRACTION * stable_step(finer)),
         TimeScheme::Implicit => step.min(bent_step(own)) / bent_step(finer),
@@ -348,18 +348,18 @@ fn held_growth(
 }
 
 /// Evaluates the hard path constraints on a finer rod at each of its steps.
-struct Watch<'a> {
+pub(super) struct Watch<'a> {
     rod: &'a Rod,
     radii: Vec<f64>,
     step: f64,
     /// Limits, each with its first and last time, s.
     limits: Vec<(PathLimit, [f64; 2])>,
-    worst: Vec<Between>,
+    pub(super) worst: Vec<Between>,
     before: Pose,
 }
 
 impl<'a> Watch<'a> {
-    fn new(problem: &OptimalControlProblem, rod: &'a Rod, step: f64) -> Self {
+    pub(super) fn new(problem: &OptimalControlProblem, rod: &'a Rod, step: f64) -> Self {
         let factor = rod.n_elements() / problem.rod.n_elements();
         let radius = |q: usize| {
             let (from, s) = (q / factor, (q % factor) as f64 / factor as f64);
@@ -421,7 +421,7 @@ impl<'a> Watch<'a> {
         }
     }
 
-    fn look(&mut self, stepper: &Stepper) {
+    pub(super) fn look(&mut self, stepper: &Stepper) {
         if self.limits.is_empty() {
             return;
         }

@@ -4,6 +4,7 @@
 mod base;
 mod contact;
 mod control;
+mod doubt;
 mod estimator;
 mod field;
 pub(super) mod geometry;
@@ -24,6 +25,7 @@ mod time;
 pub use self::base::*;
 pub use self::contact::*;
 pub use self::control::*;
+pub use self::doubt::*;
 pub use self::estimator::*;
 pub use self::field::*;
 pub use self::hardware::*;
@@ -111,6 +113,9 @@ pub struct Scene {
     pub objective: Option<Objective>,
     /// Settings of the optimizer. Absent: the defaults.
     pub solver: Option<Solver>,
+    /// Doubt about the arm, under which the controls of a solve are replayed. Absent: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<Doubt>,
     /// Contents of the result files. Absent: the defaults.
     pub output: Option<Output>,
     /// Model-predictive controller of a closed loop. Absent: there is no loop.
@@ -156,6 +161,7 @@ impl Scene {
             limit: Vec::new(),
             objective: None,
             solver: None,
+            doubt: None,
             output: None,
             mpc: None,
             plant: None,

@@ -1,5 +1,6 @@
 //! Findings of a check beside its criteria, in sentences for the console.
 
+use crate::verify::doubt::UnderDoubt;
 use crate::verify::growth::Growth;
 use crate::verify::second_order::Extremum;
 use crate::verify::{ContactCheck, ForwardCheck};
@@ -42,7 +43,8 @@ pub(crate) fn findings(check: &ForwardCheck) -> Vec<String> {
     });
     let contact = check.contact.as_ref().map(contact);
     let growth = check.growth.as_ref().map(Growth::sentence);
-    (rows.chain(contact).chain(stays))
+    let doubt = check.doubt.as_ref().map(UnderDoubt::sentence);
+    (rows.chain(contact).chain(stays).chain(doubt))
         .chain(second)
         .chain(growth)
         .collect()

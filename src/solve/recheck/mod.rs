@@ -20,6 +20,7 @@ use serde_json::Value;
 
 use self::file_check::{FileCheck, MOST_NAMES, Mismatch};
 use super::controls::{coefficients_of, read_rows};
+use super::doubt::Doubted;
 use super::summary::{check_outcome, tip_end};
 use crate::control::{Feedback, OptimalControlProblem, TrackingError, tracking_errors};
 use crate::mechanics::Trajectory;
@@ -206,9 +207,17 @@ impl<'a> SavedSolution<'a> {
     ///
     /// # Errors
     /// [`RecheckError`]
-    pub fn examine(&self, quick: bool, n_threads: usize) -> Result<Rechecked, RecheckError> {
+    pub fn examine(
+        &self,
+        quick: bool,
+        doubted: Option<&Doubted>,
+        n_threads: usize,
+    ) -> Result<Rechecked, RecheckError> {
         let problem = &self.setup.problem;
         let mut check = self.setup.certify(&self.claim())?;
+        if let Some(doubted) = doubted {
+            doubted.replay(self.setup, &self.claim(), &mut check)?;
+        }
         let (files, cover) = self.compare(&check, n_threads)?;
         problem.stop.check().map_err(CheckError::from)?;
         check.items.extend(files.iter().map(FileCheck::item));

@@ -407,8 +407,11 @@ impl<'a> Transcription<'a> {
         let mut values = Vec::with_capacity(self.n_path_rows());
         for constraint in &self.path {
             let n_items = constraint.limit.n_items(&self.problem.rod);
+            let scale = constraint.limit.scale(&self.problem.rod);
             for item in 0..n_items {
-                let value = |&k: &usize| constraint.limit.value(&rod_view, k, item);
+                let value = |&k: &usize| {
+                    constraint.limit.value(&rod_view, k, item) + constraint.margin(k, item) / scale
+                };
                 values.extend(constraint.time_nodes.iter().map(value));
             }
         }

@@ -170,7 +170,7 @@ impl Conditions<'_> {
                 let before = (k > 0).then(|| Pose::at(self.trajectory, k - 1, self.problem.grid));
                 for item in 0..constraint.limit.n_items(self.rod()) {
                     let excess = measure.excess(&constraint.limit, item, &here, before.as_ref());
-                    let h = excess / scale;
+                    let h = (excess + constraint.margin(k, item)) / scale;
                     let z = given.remove(&(index, k, item)).unwrap_or(0.0);
                     let place = |value: f64, unit: String| Place {
                         name: constraint.name.clone(),

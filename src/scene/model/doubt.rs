@@ -1,0 +1,146 @@
+//! Stated doubt about the arm: ranges of numbers, from which plants are drawn on which the controls of a solve are replayed.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::keys::{Checked, Keys, given};
+use super::Scene;
+
+/// Doubt about the arm: its numbers are known up to ranges. `softarm solve` and `softarm verify` replay the controls on plants that are drawn
+/// from them, and say how many leave a limit and where they end.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Doubt {
+    /// Number of plants that are drawn, 1 to 10000, default 100.
+    #[serde(default = "usual_plants")]
+    #[schemars(range(min = 1, max = 10000))]
+    pub plants: usize,
+    /// Seed of the draws, default 0.
+    #[serde(default)]
+    pub seed: u64,
+    /// Largest part of the plants that may leave a limit, above 0 and below 1: the hard limits are narrowed for it, and a result that keeps
+    /// them on fewer plants is rejected. It needs at least `1/share` plants. Absent: limits are as they are, and what plants do is told.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub share: Option<f64>,
+    /// The numbers in doubt.
+    pub number: Vec<DoubtedNumber>,
+}
+
+/// A number of the scene that is known up to a range, in which every value is as likely as any other.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DoubtedNumber {
+    /// Dotted key of the number, as `rod.material.youngs_modulus_pa` or `load.0.force_n.2`, in a section of the arm or of what acts on it.
+    pub key: String,
+    /// Least and largest value, in the unit of the key.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range: Option<[f64; 2]>,
+    /// Least and largest factor on the number of the scene. One of `range` and `factor` is given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub factor: Option<[f64; 2]>,
+}
+
+impl DoubtedNumber {
+    /// Returns the least and the largest value for the number of the scene.
+    #[must_use]
+    pub fn ends(&self, own: f64) -> [f64; 2] {
+        match (self.range, self.factor) {
+            (Some(range), _) => range,
+            (None, Some(factor)) => factor.map(|factor| factor * own),
+            (None, None) => [own; 2],
+        }
+    }
+}
+
+const MOST_PLANTS: usize = 10_000;
+
+fn usual_plants() -> usize {
+    100
+}
+
+/// Sections of the arm and of what acts on it.
+const DRAWN: [&str; 18] = [
+    "rod",
+    "base",
+    "tip",
+    "gravity",
+    "damping",
+    "fluid",
+    "payload",
+    "body",
+    "load",
+    "distributed_load",
+    "tendon",
+    "chamber",
+    "muscle",
+    "braid",
+    "magnet",
+    "cable",
+    "contact",
+    "initial",
+];
+/// Keys in these sections of what a solve chooses, or of the discretization.
+const NOT_DRAWN: [&str; 3] = ["rod.elements", "rod.accuracy", "rod.strain"];
+/// Last parts of keys of actuators that belong to their controls.
+const OF_CONTROLS: [&str; 3] = ["lag_s", "rate_n_s", "follows"];
+
+impl Keys<'_> {
+    pub(in crate::scene) fn check_doubt(&self, doubt: &Doubt, scene: &Scene) -> Checked {
+        self.count("doubt.plants", doubt.plants, MOST_PLANTS)?;
+        if let Some(share) = doubt.share {
+            if !(share > 0.0 && share < 1.0) {
+                return Err(self.out_of_range(
+                    "doubt.share",
+                    share,
+                    "part above 0 and below 1",
+                    "",
+                ));
+            }
+            if share * ((doubt.plants + 1) as f64) < 1.0 {
+                let message = format!("{} plants cannot tell a share of {share}", doubt.plants);
+                return Err((self.source.error_at("doubt.plants", message, None))
+                    .expecting(format!("expected {:.0} or more", (1.0 / share).ceil())));
+            }
+        }
+        if doubt.number.is_empty() {
+            return Err(self.missing("doubt.number", "the numbers in doubt, one at least"));
+        }
+        for (index, own) in doubt.number.iter().enumerate() {
+            self.check_doubted(own, &format!("doubt.number.{index}"), scene)?;
+        }
+        Ok(())
+    }
+
+    fn check_doubted(&self, own: &DoubtedNumber, section: &str, scene: &Scene) -> Checked {
+        let of = |key: &str| format!("{section}.{key}");
+        self.exactly_one(section, &given!(own: range, factor))?;
+        for (key, ends) in [("range", own.range), ("factor", own.factor)] {
+            let Some(ends) = ends else { continue };
+            self.finite(&of(key), &ends)?;
+            if ends[0] > ends[1] {
+                return Err((self.source)
+                    .error_at(&of(key), format!("{} is above {}", ends[0], ends[1]), None)
+                    .expecting("expected the least value first"));
+            }
+        }
+        let (first, last) = (own.key.split('.').next(), own.key.rsplit('.').next());
+        let is_drawn = first.is_some_and(|first| DRAWN.contains(&first))
+            && !NOT_DRAWN.iter().any(|key| own.key.starts_with(key))
+            && !last.is_some_and(|last| OF_CONTROLS.contains(&last));
+        if !is_drawn {
+            let help = format!("numbers of {} can be drawn", DRAWN.join(", "));
+            let message = format!(
+                "`{}` is no number of the arm or of what acts on it",
+                own.key
+            );
+            return Err(self.source.error_at(&of("key"), message, Some(help)));
+        }
+        if own.factor.is_some() && scene.number(&own.key).is_none() {
+            let message = format!("the scene has no number at `{}`", own.key);
+            let help = "give the range of the number in place of a factor".to_string();
+            return Err(self.source.error_at(&of("key"), message, Some(help)));
+        }
+        Ok(())
+    }
+}

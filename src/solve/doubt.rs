@@ -1,0 +1,229 @@
+//! The plants of the doubt that a scene states, and the solve whose limits are narrowed for them.
+
+use std::path::Path;
+
+use fastrand::Rng;
+
+use super::choice::Chosen;
+use crate::mechanics::{Rod, State};
+use crate::output::{OutputError, read_margins};
+use crate::scene::{Doubt, OptimalControl, Scene, SceneError, SceneSource};
+use crate::stop::StopSignal;
+use crate::task::Discretization;
+use crate::verify::doubt::{Margins, Plants, replay_on_plants};
+use crate::verify::{CheckError, ForwardCheck, Solution};
+
+/// The use of drawn plants, each of which has plants of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Purpose {
+    /// Margins are computed from them.
+    Margins = 1,
+    /// The result is replayed on them.
+    Check = 2,
+}
+
+/// The plants of the doubt of a scene.
+pub(crate) struct Doubted {
+    doubt: Doubt,
+    discretization: Discretization,
+    stop: StopSignal,
+    /// The scene with every default written out.
+    text: String,
+    /// The least and the largest value of every number.
+    ends: Vec<[f64; 2]>,
+    n_threads: usize,
+}
+
+impl Doubted {
+    /// Returns the plants of the doubt of a scene, if it states one; both ends of every range are tried.
+    ///
+    /// # Errors
+    /// [`SceneError`] at a number that is none of the scene, or whose ends give no arm.
+    pub fn of(
+        setup: &OptimalControl,
+        source: &SceneSource,
+        n_threads: usize,
+    ) -> Result<Option<Self>, SceneError> {
+        let Some(doubt) = &setup.resolved.doubt else {
+            return Ok(None);
+        };
+        let own = |key: &str| setup.resolved.number(key).unwrap_or(f64::NAN);
+        let out = Self {
+            doubt: doubt.clone(),
+            discretization: setup.discretization,
+            stop: setup.problem.stop.clone(),
+            text: setup.resolved.to_toml(),
+            ends: (doubt.number.iter())
+                .map(|number| number.ends(own(&number.key)))
+                .collect(),
+            n_threads,
+        };
+        for (index, (number, ends)) in doubt.number.iter().zip(&out.ends).enumerate() {
+            for value in ends {
+                out.arm(&[format!("{}={value:e}", number.key)])
+                    .map_err(|error| {
+                        let message = format!("with {} = {value}: {error}", number.key);
+                        source.error_at(&format!("doubt.number.{index}"), message, None)
+                    })?;
+            }
+        }
+        Ok(Some(out))
+    }
+
+    /// Returns the arm with overrides, and the state in which it starts, if it has that.
+    fn arm(&self, overrides: &[String]) -> Result<(Rod, Option<State>), SceneError> {
+        let (scene, source) = Scene::from_toml("doubt", &self.text, overrides)?;
+        let rod = scene.rod_of(&source, &self.discretization)?;
+        let start = scene.start().state(&rod, &self.stop).ok();
+        Ok((rod, start))
+    }
+
+    fn draw(&self, purpose: Purpose, plant: usize) -> Option<(Rod, State)> {
+        let place = (purpose as u64) << 32 | plant as u64;
+        let mut dice = Rng::with_seed(self.doubt.seed ^ place.wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        let overrides: Vec<String> = (self.doubt.number.iter().zip(&self.ends))
+            .map(|(number, [least, most])| {
+                let value = least + (most - least) * dice.f64();
+                format!("{}={value:e}", number.key)
+            })
+            .collect();
+        let (rod, start) = self.arm(&overrides).ok()?;
+        Some((rod, start?))
+    }
+
+    /// Replays a solution on the plants of the check, and adds what is found to it.
+    ///
+    /// # Errors
+    /// As [`replay_on_plants`].
+    pub fn replay(
+        &self,
+        setup: &OptimalControl,
+        solution: &Solution,
+        check: &mut ForwardCheck,
+    ) -> Result<(), CheckError> {
+        let draw = |plant: usize| self.draw(Purpose::Check, plant);
+        let found = replay_on_plants(&setup.problem, solution, &self.plants(&draw))?;
+        check.replayed(found, self.doubt.share);
+        Ok(())
+    }
+
+    /// Computes the margins of a solution for a part of the plants that may leave a limit.
+    fn margins(
+        &self,
+        setup: &OptimalControl,
+        solution: &Solution,
+        share: f64,
+    ) -> Result<Margins, CheckError> {
+        let draw = |plant: usize| self.draw(Purpose::Margins, plant);
+        Margins::of(&setup.problem, solution, &self.plants(&draw), share)
+    }
+
+    fn plants<'b>(&self, draw: &'b (dyn Fn(usize) -> Option<(Rod, State)> + Sync)) -> Plants<'b> {
+        Plants {
+            draw,
+            n: self.doubt.plants,
+            n_threads: self.n_threads,
+        }
+    }
+
+    /// Replays the solution of a solve, if it converged. Other failures than a stop become warnings.
+    pub fn replay_chosen(&self, setup: &OptimalControl, chosen: &mut Chosen) {
+        let Chosen {
+            solution, examined, ..
+        } = chosen;
+        let Some(check) = (examined.check.as_mut()).filter(|_| solution.has_converged()) else {
+            return;
+        };
+        let setup = setup.around(&solution.problem);
+        if let Err(error) = self.replay(&setup, &solution.claim(), check) {
+            match error.stopped() {
+                Some(stop) => examined.unchecked = Some(stop),
+                None => (examined.warnings).push(format!("no plants were replayed: {error}")),
+            }
+        }
+    }
+
+    /// Solves a problem again with limits that are narrowed by the margins of the solution before, as long as that lowers the objective, and
+    /// returns the best certified solution whose limits no more plants leave than may; if there is none, the last certified one.
+    ///
+    /// # Errors
+    /// Those of `attempt`, and of the replays.
+    pub fn narrow<E: From<CheckError>>(
+        &self,
+        found: Posed,
+        attempt: impl Fn(&OptimalControl, Vec<f64>) -> Result<Chosen, E>,
+        say: impl Fn(&str),
+    ) -> Result<Posed, E> {
+        let (Some(share), true) = (self.doubt.share, found.1.is_certified()) else {
+            return Ok(found);
+        };
+        let most = Margins::most_violating(share, self.doubt.plants).unwrap_or(0);
+        // The best one before the last.
+        let mut best: Option<Posed> = None;
+        let mut last = found;
+        let mut round = 0;
+        loop {
+            let setup = last.0.around(&last.1.solution.problem);
+            let margins = self.margins(&setup, &last.1.solution.claim(), share)?;
+            let keeps = margins.violating <= most;
+            say(&format!(
+                "doubt: {} of {} plants leave a limit, {most} may",
+                margins.violating, self.doubt.plants
+            ));
+            let gains = best.as_ref().is_none_or(|best| {
+                last.1.solution.objective() < (1.0 - WORTH) * best.1.solution.objective()
+            });
+            if keeps && (round == 0 || !gains) || round == MOST_ROUNDS {
+                return Ok(better(best, last, keeps));
+            }
+            say(&format!(
+                "limits are narrowed by {:.2} times the spread of their rows",
+                margins.factor
+            ));
+            let mut narrowed = setup;
+            narrowed.problem = margins.on(&narrowed.problem);
+            let next = attempt(&narrowed, last.1.solution.coefficients.clone())?;
+            if !next.is_certified() {
+                say("no certified solution was found with these limits");
+                return Ok(better(best, last, keeps));
+            }
+            let before = std::mem::replace(&mut last, (narrowed, next));
+            if keeps {
+                best = Some(better(best, before, keeps));
+            }
+            round += 1;
+        }
+    }
+}
+
+/// A problem with its solution.
+type Posed = (OptimalControl, Chosen);
+
+/// Returns the one of lower objective, where the last one keeps its limits on enough plants as those before do.
+fn better(before: Option<Posed>, last: Posed, keeps: bool) -> Posed {
+    let objective = |own: &Posed| own.1.solution.objective();
+    match before {
+        Some(before) if !keeps || objective(&before) <= objective(&last) => before,
+        _ => last,
+    }
+}
+
+/// Largest number of solves with narrowed limits.
+const MOST_ROUNDS: usize = 8;
+/// Another solve with narrowed limits is worth this part of the objective.
+const WORTH: f64 = 0.01;
+
+/// Gives the path constraints of a setup the margins of a result.
+///
+/// # Errors
+/// Those of [`read_margins`].
+pub(crate) fn narrow_as_saved(
+    setup: &mut OptimalControl,
+    directory: &Path,
+) -> Result<(), OutputError> {
+    let margins = read_margins(&directory.join("multipliers.json"), &setup.problem)?;
+    for (constraint, own) in setup.problem.path.iter_mut().zip(margins) {
+        constraint.margins = own;
+    }
+    Ok(())
+}

@@ -1,0 +1,213 @@
+//! Solves under stated doubt: replays on drawn plants against motions computed one by one, limits that are narrowed for a part of them, and
+//! refusals.
+
+#![cfg(feature = "cli")]
+
+use crate::desk::Desk;
+use crate::tool::{REJECTED, USAGE};
+
+use std::fs;
+
+use nalgebra::Vector3;
+use serde_json::Value;
+use softarm::mechanics::{NodeWrenches, Stepper, TimeGrid, Wrench};
+use softarm::scene::Scene;
+
+/// A soft arm that stops before a wall, and a modulus that is known up to a fifth.
+const ARM: &str = "\
+[rod]
+length_m = 1.0
+elements = 8
+[rod.material]
+youngs_modulus_pa = 1e6
+poisson_ratio = 0.5
+density_kg_m3 = 1000.0
+[rod.section]
+radius_m = 0.05
+[damping]
+viscous_1_s = 1.0
+[time]
+end_s = 1.0
+[[obstacle]]
+name = \"wall\"
+half_space = { point_m = [0.56, 0.0, 0.0], normal = [-1.0, 0.0, 0.0] }
+[task]
+position_m = [0.5, 0.0, 0.8]
+hard = false
+weight = 100.0
+at_rest = false
+[control]
+blocks = 10
+force_max_n = 20.0
+moment_max_n_m = 5.0
+[doubt]
+plants = 200
+[[doubt.number]]
+key = \"rod.material.youngs_modulus_pa\"
+factor = [0.8, 1.2]
+";
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap()
+}
+
+/// Returns by how much the arm of another modulus enters the wall under the controls of a result, m: from its surface, at every step.
+fn excess(desk: &Desk, factor: f64) -> f64 {
+    let text = desk.read("run/scene.toml");
+    let modulus = [format!("rod.material.youngs_modulus_pa={:e}", 1e6 * factor)];
+    let (own, source) = Scene::from_toml("run", &text, &[]).unwrap();
+    let setup = own.optimal_control(&source).unwrap();
+    let (other, source) = Scene::from_toml("run", &text, &modulus).unwrap();
+    let rod = other.discrete_rod(&source).unwrap();
+    let problem = &setup.problem;
+    // Rows of the times at which blocks end, between which the controls are linear.
+    let rows: Vec<Vec<f64>> = (desk.read("run/controls.csv").lines().skip(1))
+        .map(|line| line.split(',').map(|part| part.parse().unwrap()).collect())
+        .collect();
+    let control = |t: f64| {
+        let pair = rows.windows(2).find(|pair| t <= pair[1][0]);
+        let [from, to] = pair.map_or([&rows[rows.len() - 1]; 2], |pair| [&pair[0], &pair[1]]);
+        let part = ((t - from[0]) / (to[0] - from[0]).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        let at = |column: usize| from[column] * (1.0 - part) + to[column] * part;
+        Wrench {
+            force: Vector3::from_fn(|axis, _| at(2 + axis)),
+            moment: Vector3::from_fn(|axis, _| at(5 + axis)),
+        }
+    };
+    let nodes = [rod.tip()];
+    let start = rod.at_rest_on_base(rod.rest.clone());
+    // Half of the step is stable for a modulus that is a fifth larger.
+    let grid = TimeGrid {
+        step: 0.5 * problem.grid.step,
+        n_steps: 2 * problem.grid.n_steps,
+        ..problem.grid
+    };
+    let mut stepper = Stepper::new(&rod, grid, start);
+    let mut most = f64::NEG_INFINITY;
+    for k in 0..grid.n_steps {
+        let both = [control(grid.time(k)), control(grid.time(k + 1))];
+        let acting = both
+            .each_ref()
+            .map(|wrench| NodeWrenches::on(&nodes, std::slice::from_ref(wrench)));
+        stepper.advance(acting).unwrap();
+        for node in 0..rod.n_nodes() {
+            most = most.max(stepper.position(node).x + 0.05 - 0.56);
+        }
+    }
+    most
+}
+
+/// A softer arm goes farther into the wall. The modulus at which it goes as deep as a check allows, found by bisection of motions of its own,
+/// parts the plants as their count does, to three standard deviations of the draws.
+#[test]
+fn plants_are_counted_as_motions_say() {
+    let desk = Desk::holding(ARM);
+    let found = desk.done("solve arm.toml --out run");
+    let doubt = &found["check"]["doubt"];
+    let wall = &doubt["limits"][0];
+    assert_eq!(wall["name"], "wall");
+    let allowed = 0.01 * number(&found["check"]["between"][0]["reference"]);
+    let [mut soft, mut stiff] = [0.8, 1.2];
+    assert!(excess(&desk, soft) > allowed && excess(&desk, stiff) < 0.0);
+    while stiff - soft > 1e-4 {
+        let middle = 0.5 * (soft + stiff);
+        if excess(&desk, middle) > allowed {
+            soft = middle;
+        } else {
+            stiff = middle;
+        }
+    }
+    let part = (soft - 0.8) / 0.4;
+    let spread = (part * (1.0 - part) / 200.0).sqrt();
+    let share = number(&doubt["share"]);
+    assert!((share - part).abs() < 3.0 * spread, "{share} {part}");
+    assert!(number(&wall["excess"]) <= excess(&desk, 0.8) + 1e-6);
+    assert!(number(&wall["excess"]) > 0.8 * excess(&desk, 0.8));
+    // Nothing is promised, so that nothing is rejected.
+    assert_eq!(found["check"]["verdict"], "certified");
+}
+
+/// With a part of the plants that may leave a limit, the limits are narrowed: on plants that were not drawn for it no more leave them, at a
+/// price; without the margins the result is rejected, and with others than its own too.
+#[test]
+fn narrowed_limits_keep_their_promise() {
+    let desk = Desk::holding(ARM);
+    let free = desk.done("solve arm.toml --out free");
+    let mut before = f64::INFINITY;
+    for share in [0.05, 0.2] {
+        let line = format!("solve arm.toml --out run{share} --set doubt.share={share}");
+        let found = desk.done(&line);
+        let doubt = &found["check"]["doubt"];
+        assert!(number(&doubt["share"]) <= share, "{doubt}");
+        assert!(number(&doubt["at_most"]) > number(&doubt["share"]));
+        let objective = number(&found["objective"]);
+        assert!(objective > number(&free["objective"]) && objective < before);
+        before = objective;
+        let again = desk.done(&format!("verify run{share} --quick"));
+        assert_eq!(again["check"]["doubt"], *doubt);
+    }
+    let path = desk.path("run0.2/multipliers.json");
+    let text = fs::read_to_string(&path).unwrap();
+    let mut file: Value = serde_json::from_str(&text).unwrap();
+    for change in [0.0, 0.5, -1.0] {
+        for margin in file["margins"][0].as_array_mut().unwrap() {
+            *margin = serde_json::json!(number(margin) * change);
+        }
+        fs::write(&path, file.to_string()).unwrap();
+        let (code, _, talk) = desk.run("verify run0.2 --quick");
+        assert_ne!(code, 0, "{change}: {talk}");
+        file = serde_json::from_str(&text).unwrap();
+    }
+}
+
+/// A promise that no motion can keep is rejected: with a hard target beside the wall, a soft arm that is moved there as the model is enters it.
+#[test]
+fn promises_that_cannot_be_kept_are_rejected() {
+    let hard = ARM.replace("hard = false\nweight = 100.0\n", "");
+    let desk = Desk::holding(&hard);
+    let wide = "--set doubt.share=0.02 --set doubt.number.0.factor=[0.5,2.0]";
+    let (code, found, _) = desk.run(&format!("solve arm.toml --out run {wide}"));
+    assert_eq!(code, REJECTED);
+    assert_eq!(found["check"]["verdict"], "rejected");
+    assert!(number(&found["check"]["doubt"]["share"]) > 0.02);
+}
+
+/// What cannot be drawn is refused before the solve, with the place and a remedy.
+#[test]
+fn doubt_that_says_nothing_is_refused() {
+    let desk = Desk::holding(ARM);
+    for (change, words) in [
+        (
+            "doubt.share=1.5",
+            "doubt.share: 1.5 is not a part above 0 and below 1",
+        ),
+        ("doubt.share=0.001", "expected 1000 or more"),
+        ("doubt.plants=0", "doubt.plants"),
+        ("doubt.number=[]", "doubt.number: missing"),
+        ("doubt.number.0.range=[1e6,2e6]", "contradicts"),
+        (
+            "doubt.number.0.factor=[1.2,0.8]",
+            "expected the least value first",
+        ),
+        (
+            "doubt.number.0.key=\"rod.elements\"",
+            "is no number of the arm",
+        ),
+        (
+            "doubt.number.0.key=\"control.blocks\"",
+            "is no number of the arm",
+        ),
+        (
+            "doubt.number.0.key=\"payload.mass_kg\"",
+            "has no number at `payload.mass_kg`",
+        ),
+        (
+            "doubt.number.0.factor=[-1.0,1.0]",
+            "with rod.material.youngs_modulus_pa = -1000000",
+        ),
+    ] {
+        let (code, _, talk) = desk.run(&format!("solve arm.toml --out run --set {change}"));
+        assert_eq!(code, USAGE, "{change}");
+        assert!(talk.contains(words), "{change}: {talk}");
+    }
+}
