@@ -143,8 +143,8 @@ impl Doubted {
         }
     }
 
-    /// Solves a problem again with limits that are narrowed by the margins of the solution before, as long as that lowers the objective, and
-    /// returns the best certified solution whose limits no more plants leave than may; if there is none, the last certified one.
+    /// Solves a problem again with limits that are narrowed by the margins of the solution before, as long as that lowers the objective,
+    /// and returns the best certified solution whose limits no more plants leave than may; if there is none, the last certified one.
     ///
     /// # Errors
     /// Those of `attempt`, and of the replays.

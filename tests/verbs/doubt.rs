@@ -97,8 +97,8 @@ fn excess(desk: &Desk, factor: f64) -> f64 {
     most
 }
 
-/// A softer arm goes farther into the wall. The modulus at which it goes as deep as a check allows, found by bisection of motions of its own,
-/// parts the plants as their count does, to three standard deviations of the draws.
+/// A softer arm goes farther into the wall. The modulus at which it goes as deep as a check allows, found by bisection of motions of its
+/// own, parts the plants as their count does, to three standard deviations of the draws.
 #[test]
 fn plants_are_counted_as_motions_say() {
     let desk = Desk::holding(ARM);
@@ -160,7 +160,8 @@ fn narrowed_limits_keep_their_promise() {
     }
 }
 
-/// A promise that no motion can keep is rejected: with a hard target beside the wall, a soft arm that is moved there as the model is enters it.
+/// A promise that no motion can keep is rejected: with a hard target beside the wall, a soft arm that is moved there as the model is enters
+/// it.
 #[test]
 fn promises_that_cannot_be_kept_are_rejected() {
     let hard = ARM.replace("hard = false\nweight = 100.0\n", "");

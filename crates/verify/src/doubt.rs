@@ -4,11 +4,11 @@
 //! steps. Of `n` plants drawn independently, `k` leave a limit. The part of all plants that do is then below the largest `p` with
 //! `Σ_{i≤k} C(n, i) pⁱ (1 - p)ⁿ⁻ⁱ ≥ 0.05`, with a confidence of 95 % (Clopper and Pearson 1934, one side).
 //!
-//! Margins narrow the limits so that a stated part of the plants stays inside. Every row of a limit at a time node deviates on plant `i` from
-//! its value on the model by `d_i`; with the root `s` of the mean square of these, the score of a plant is the largest `d_i/s` of all rows that
-//! plants come near. The quantile of the scores times `s` is the margin of a row (split conformal prediction; Lindemann and others 2023 for
-//! motions). The margins are recomputed for the controls that keep them and not differentiated, which is the zero-order method for
-//! robust optimal control (Zanelli, Frey, Messerer and Diehl 2021).
+//! Margins narrow the limits so that a stated part of the plants stays inside. Every row of a limit at a time node deviates on plant `i`
+//! from its value on the model by `d_i`; with the root `s` of the mean square of these, the score of a plant is the largest `d_i/s` of all
+//! rows that plants come near. The quantile of the scores times `s` is the margin of a row (split conformal prediction; Lindemann and
+//! others 2023 for motions). The margins are recomputed for the controls that keep them and not differentiated, which is the zero-order
+//! method for robust optimal control (Zanelli, Frey, Messerer and Diehl 2021).
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};

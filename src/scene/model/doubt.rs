@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::super::keys::{Checked, Keys, given};
 use super::Scene;
 
-/// Doubt about the arm: its numbers are known up to ranges. `softarm solve` and `softarm verify` replay the controls on plants that are drawn
-/// from them, and say how many leave a limit and where they end.
+/// Doubt about the arm: its numbers are known up to ranges. `softarm solve` and `softarm verify` replay the controls on plants that are
+/// drawn from them, and say how many leave a limit and where they end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Doubt {
