@@ -274,7 +274,11 @@ pub fn block_transitions(
         .collect()
 }
 
-fn check_weights(weights: &FeedbackWeights) -> Result<(), FeedbackError> {
+/// Checks that the weights are in their ranges.
+///
+/// # Errors
+/// Returns [`FeedbackError::Weight`] with the first one that is not.
+pub fn check_weights(weights: &FeedbackWeights) -> Result<(), FeedbackError> {
     let require = |name, value: f64, holds: bool, expected| {
         if value.is_finite() && holds {
             Ok(())
@@ -462,8 +466,12 @@ const GROWTH_ACCURACY: f32 = 1e-4;
 const KRYLOV_VECTORS: usize = 64;
 
 /// Returns the largest factor by which the stages lengthen a `z` from the start to the end of each of them, after 1 for the start itself;
-/// with the gains, if given, or without.
-fn growth(
+/// with the gains, if given, or without. A factor is the largest singular value of the product of the stages up to there, in single
+/// precision.
+///
+/// # Errors
+/// Returns [`StepError`] if the signal to stop is raised.
+pub fn growth(
     stages: &[Stage],
     gains: Option<&[Mat<f64>]>,
     stop: &StopSignal,
@@ -549,141 +557,5 @@ impl Single {
             parameters,
         );
         self.scale * f64::from(value[0])
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use nalgebra::DMatrix;
-
-    use super::*;
-
-    fn dense(m: &Mat<f64>) -> DMatrix<f64> {
-        DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)])
-    }
-
-    /// Pseudorandom numbers between -1 and 1.
-    fn random(rows: usize, columns: usize, seed: u64) -> Mat<f64> {
-        let mut rng = fastrand::Rng::with_seed(seed);
-        Mat::from_fn(rows, columns, |_, _| 2.0 * rng.f64() - 1.0)
-    }
-
-    fn stages() -> Vec<Stage> {
-        (0..6)
-            .map(|j| Stage {
-                state: random(5, 5, j),
-                input: random(5, 2, 100 + j),
-                state_weight: 0.3 + 0.1 * j as f64,
-                input_weight: 0.2,
-            })
-            .collect()
-    }
-
-    /// The inputs that minimize the whole sum, found as one dense least-squares problem over all of them, are those of the regulator, and
-    /// its cost is the minimum.
-    #[test]
-    fn riccati_minimizes_the_whole_sum() {
-        let stages = stages();
-        let root = random(3, 5, 7);
-        let regulator = riccati(&stages, root.transpose() * &root).expect("well posed");
-        let z0 = dense(&random(5, 1, 55));
-        let (n, m, last) = (5, 2, stages.len());
-        // z_j = free_j + forced_j v
-        let mut free = z0.clone();
-        let mut forced = DMatrix::zeros(n, m * last);
-        let mut hessian = DMatrix::zeros(m * last, m * last);
-        let mut slope = DMatrix::zeros(m * last, 1);
-        let mut constant = 0.0;
-        let mut add = |free: &DMatrix<f64>, forced: &DMatrix<f64>, weight: &DMatrix<f64>| {
-            hessian += forced.transpose() * weight * forced;
-            slope += forced.transpose() * weight * free;
-            constant += (free.transpose() * weight * free)[(0, 0)];
-        };
-        for (j, stage) in stages.iter().enumerate() {
-            add(
-                &free,
-                &forced,
-                &(DMatrix::identity(n, n) * stage.state_weight),
-            );
-            free = dense(&stage.state) * &free;
-            forced = dense(&stage.state) * &forced;
-            let mut own = forced.columns_mut(m * j, m);
-            own += dense(&stage.input);
-        }
-        let root = dense(&root);
-        add(&free, &forced, &(root.transpose() * &root));
-        for (j, stage) in stages.iter().enumerate() {
-            for i in 0..m {
-                hessian[(m * j + i, m * j + i)] += stage.input_weight;
-            }
-        }
-        let inputs = -hessian.clone().cholesky().expect("positive").solve(&slope);
-        let least = constant + (slope.transpose() * &inputs)[(0, 0)];
-        let promised = (z0.transpose() * dense(&regulator.cost_to_go) * &z0)[(0, 0)];
-        assert!((least - promised).abs() < 1e-12 * promised);
-        let mut z = z0;
-        for (j, (stage, gain)) in stages.iter().zip(&regulator.gains).enumerate() {
-            let v = -dense(gain) * &z;
-            assert!((&v - inputs.rows(m * j, m)).amax() < 1e-12);
-            z = dense(&stage.state) * z + dense(&stage.input) * v;
-        }
-    }
-
-    /// Stages that are not finite are refused, and so are weights out of range.
-    #[test]
-    fn ill_posed_regulators_are_refused() {
-        let mut broken = stages();
-        broken[3].state[(1, 2)] = f64::NAN;
-        let error = riccati(&broken, Mat::identity(5, 5)).expect_err("a NaN");
-        assert!(matches!(error, FeedbackError::IllPosed { .. }), "{error}");
-        let mut weightless = stages();
-        weightless[5].input_weight = -1e9;
-        let error = riccati(&weightless, Mat::identity(5, 5)).expect_err("a negative weight");
-        assert!(
-            matches!(error, FeedbackError::IllPosed { block: 5, .. }),
-            "{error}"
-        );
-        for (name, weights) in [
-            (
-                "state",
-                FeedbackWeights {
-                    state: -1.0,
-                    ..FeedbackWeights::default()
-                },
-            ),
-            (
-                "input",
-                FeedbackWeights {
-                    input: 0.0,
-                    ..FeedbackWeights::default()
-                },
-            ),
-            (
-                "tolerance",
-                FeedbackWeights {
-                    tolerance: f64::NAN,
-                    ..FeedbackWeights::default()
-                },
-            ),
-        ] {
-            let error = check_weights(&weights)
-                .expect_err("out of range")
-                .to_string();
-            assert!(error.starts_with(name), "{error}");
-        }
-    }
-
-    /// The largest singular value agrees with the full decomposition, for clustered and for spread values.
-    #[test]
-    fn norms_are_singular_values() {
-        for (size, seed) in [(1, 1), (7, 2), (64, 4), (65, 5), (150, 3)] {
-            let m = random(size, size, seed);
-            let whole = dense(&m).singular_values().max();
-            let found = Single::of(&m).largest_singular_value();
-            // Rounding of products and sums of `size` numbers in single precision.
-            let rounding = size as f64 * f64::from(f32::EPSILON);
-            assert!(found <= whole * (1.0 + rounding) && found > whole * (1.0 - 1e-3));
-        }
-        assert_eq!(Single::of(&Mat::zeros(3, 3)).largest_singular_value(), 0.0);
     }
 }

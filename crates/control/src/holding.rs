@@ -6,9 +6,9 @@
 //! constant; body moments have no potential in space, so that under them the growth of all small motions decides. If the equilibrium of
 //! least effort is unstable and there are more controls than equations, stability becomes a constraint; where motions grow by the moments,
 //! equilibria with smaller moments follow. Likewise obstacles and limits of the task at its end become constraints where the equilibrium
-//! of least effort [crosses](clearance) them.
+//! of least effort crosses them (`holding/clearance.rs`).
 //!
-//! Where tendons are on winches, [tensions](tensions) are searched first, and displacements follow from them: a slack tendon does not feel its
+//! Where tendons are on winches, tensions are searched first, and displacements follow from them: a slack tendon does not feel its
 //! winch.
 //!
 //! There are three verdicts: the target is held, with the wrench; it cannot be held, with the reason; or nothing was found, which proves
@@ -18,9 +18,9 @@
 
 mod along;
 mod clearance;
-mod ends;
-mod program;
-mod statics;
+pub mod ends;
+pub mod program;
+pub mod statics;
 mod tensions;
 mod verdict;
 

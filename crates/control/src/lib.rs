@@ -1,7 +1,7 @@
 //! Optimal control of a rod: the problem, its transcription, and the initial guess.
 //!
 //! An [`OptimalControlProblem`] comes from `softarm::task::Task::discretize`; [`search`](fn@search) solves it,
-//! [`holding`] finds the wrench that holds the target, and a [`StateTerm`] is a user-defined cost or limit.
+//! [`holding`](fn@holding) finds the wrench that holds the target, and a [`StateTerm`] is a user-defined cost or limit.
 //!
 //! ```
 //! # mod softarm { pub use {mechanics, softarm_control as control, task}; }
@@ -36,7 +36,8 @@ pub mod guess;
 mod held;
 #[doc(hidden)]
 pub mod hold;
-mod holding;
+#[doc(hidden)]
+pub mod holding;
 mod journal;
 #[doc(hidden)]
 pub mod named;

@@ -206,9 +206,9 @@ fn side(item: usize) -> f64 {
 
 /// Depth, divided by the radius, to which a chord between two points may dip into an obstacle that both only touch: a fifth of what the
 /// check allows by default (`CheckLimits::between`, 0.01), which also has the motion between samples.
-const CHORD_DIP: f64 = 2e-3;
+pub const CHORD_DIP: f64 = 2e-3;
 /// Cap on the points per element: a box without margin has edges of radius zero, which would need infinitely many.
-const MOST_POINTS: usize = 8;
+pub const MOST_POINTS: usize = 8;
 
 impl PathLimit {
     /// Returns the limit on a rod whose nodes have these radii in m: at a node of that rod, and with the number of points per element that
@@ -754,6 +754,3 @@ pub fn durations(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
         })
         .collect()
 }
-
-#[cfg(test)]
-mod tests;

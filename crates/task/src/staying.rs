@@ -66,12 +66,12 @@ pub fn nearest_in_words(
     )
 }
 
-/// Returns the verdict on holding the goal of `problem` over a stay, the same for a solve and for `check`. It is that of [`holding`],
-/// except that an equilibrium whose deviations grow too little over the stay to matter is held, and one without a positive stiffness is
-/// not.
+/// Returns the verdict on holding the goal of `problem` over a stay, the same for a solve and for `check`. It is that of
+/// [`holding`](fn@holding), except that an equilibrium whose deviations grow too little over the stay to matter is held, and one without a
+/// positive stiffness is not.
 ///
 /// # Errors
-/// Those of [`holding`].
+/// Those of [`holding`](fn@holding).
 pub fn holding_over(
     problem: &OptimalControlProblem,
     staying: Staying,

@@ -71,8 +71,10 @@ fn room(problem: &OptimalControlProblem, channel: &Channel, first: f64, range: f
     }
 }
 
-/// Returns the ratio `r` for a lag in units of the gap.
-fn ratio(lag: f64, is_cubic: bool) -> f64 {
+/// Returns the ratio `r` of the distances of two coefficients from a bound, one after the other, for a `lag` in units of the gap between
+/// them: of a cubic hold, or else of a linear one.
+#[must_use]
+pub fn ratio(lag: f64, is_cubic: bool) -> f64 {
     if !is_cubic {
         return lag / (1.0 + lag);
     }
@@ -82,28 +84,4 @@ fn ratio(lag: f64, is_cubic: bool) -> f64 {
         r -= value / (3.0 * r * r + lag);
     }
     r
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::hold::ControlGrid;
-
-    /// Coefficients that fall by the ratio, from any lag, have commands that are not negative on grids of equal blocks, for both holds.
-    #[test]
-    fn efforts_fall_as_fast_as_commands_allow() {
-        for hold in [Hold::Linear, Hold::Cubic] {
-            for lag in [0.01, 0.1, 1.0] {
-                let grid = ControlGrid::new(hold, 8, 80, 0.01).unwrap();
-                let mut u = vec![1.0];
-                for gap in grid.rate_gaps() {
-                    u.push(u[u.len() - 1] * ratio(lag / gap, hold == Hold::Cubic));
-                }
-                for row in grid.command_rows(lag) {
-                    let command: f64 = row.iter().map(|(j, weight)| weight * u[*j]).sum();
-                    assert!(command > -1e-12, "{hold:?} {lag}: {command}");
-                }
-            }
-        }
-    }
 }

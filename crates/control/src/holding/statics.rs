@@ -47,7 +47,8 @@ impl Target {
 
     /// Returns the residual of the node: the position error divided by the length, then `log(R*ᵀ R)` and the deviation from the direction,
     /// rad.
-    pub(super) fn residual(&self, rod: &Rod, shape: &Configuration) -> Vec<f64> {
+    #[must_use]
+    pub fn residual(&self, rod: &Rod, shape: &Configuration) -> Vec<f64> {
         let mut out = Vec::new();
         if let Some(target) = self.position {
             let way = (shape.positions[self.node] - target) / rod.scales.length;
@@ -98,7 +99,8 @@ impl Target {
 
 /// The arm of a problem at the end of its horizon, under its controls and springs on a node. Motions that joints hold have no residual and
 /// no variation.
-pub(super) struct Statics<'a> {
+pub struct Statics<'a> {
+    /// The problem, with its rod, channels and actuators.
     pub problem: &'a OptimalControlProblem,
     /// The actuated components; the controls are their values divided by the scales of their channels.
     pub components: Vec<Component>,

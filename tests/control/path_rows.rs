@@ -1,8 +1,13 @@
-//! Tests of the module above.
+//! Rows of path limits: their derivatives against differences, and how far chords between their points dip into an obstacle.
 
-use super::*;
-use mechanics::rotation::exp;
-use mechanics::{Material, RodParameters, Section, SectionProfile, StrainRule, TrajectoryTangent};
+use nalgebra::Vector3;
+use softarm::control::path::{CHORD_DIP, MOST_POINTS, RowGradient};
+use softarm::control::{PathLimit, RodView, Shape};
+use softarm::mechanics::rotation::exp;
+use softarm::mechanics::{
+    FormTerm, Material, Place, Rod, RodParameters, Section, SectionProfile, StrainRule, TimeGrid,
+    Trajectory, TrajectoryTangent,
+};
 
 fn rod(rule: StrainRule) -> Rod {
     let section = Section::circle(&Material::isotropic(1e6, 0.5, 1e3), 0.05);
