@@ -6,6 +6,7 @@ mod creation;
 mod effort;
 mod issued;
 mod outlet;
+mod parts;
 mod settings;
 mod step_length;
 mod steps;
@@ -16,6 +17,7 @@ pub use self::effort::ReferenceNeed;
 pub use self::effort::followed;
 pub use self::issued::Issued;
 use self::outlet::Outlet;
+pub use self::parts::ControllerParts;
 pub use self::settings::{EffortFrom, MpcSettings};
 use self::steps::Divided;
 pub use self::steps::with_long_steps;
@@ -490,7 +492,7 @@ impl Controller {
         for i in present..n {
             hessian[(i, i)] = 1.0;
         }
-        for coefficient in 0..self.horizon.knots.len() {
+        for coefficient in 0..self.horizon.knots.n_coefficients() {
             let [own, next] = self.control_weights(coefficient);
             let hessian = &mut self.subproblem.hessian;
             for c in 0..n_components {
@@ -513,7 +515,7 @@ impl Controller {
         let [effort, rate] = self.weights;
         let [own, next] = knots.square(coefficient);
         let mut out = [effort * own, effort * next];
-        let last = knots.len() - 1;
+        let last = knots.n_coefficients() - 1;
         if coefficient < last {
             let slope = rate / knots.gap(coefficient);
             out[0] += slope;
@@ -553,7 +555,7 @@ impl Controller {
         let gradient = &mut self.gradient[..];
         gradient.fill(0.0);
         let cost = (self.horizon).gradient(&self.deviation, &mut gradient[..present]);
-        for coefficient in 0..self.horizon.knots.len() {
+        for coefficient in 0..self.horizon.knots.n_coefficients() {
             let [own, next] = self.control_weights(coefficient);
             for c in 0..n_components {
                 let i = coefficient * n_components + c;
@@ -671,7 +673,7 @@ impl Controller {
         }
         for plan in [&mut self.plan, &mut self.trusted] {
             self.before.copy_from_slice(plan);
-            for index in 0..self.horizon.knots.len() {
+            for index in 0..self.horizon.knots.n_coefficients() {
                 let pair = self.before_knots.at(self.horizon.knots.time(index));
                 for c in 0..n_components {
                     plan[index * n_components + c] = (pair.iter())
@@ -682,6 +684,3 @@ impl Controller {
         }
     }
 }
-
-#[cfg(test)]
-pub(super) mod tests;

@@ -344,7 +344,7 @@ impl Horizon {
 
     /// Variables of the present horizon.
     pub fn n_present(&self) -> usize {
-        self.knots.len() * self.components.len()
+        self.knots.n_coefficients() * self.components.len()
     }
 
     /// Returns the nodes on which components act, those of wrenches before those of actuators of one's own, each once.
@@ -592,7 +592,7 @@ impl Horizon {
         };
         let forms = self.rows.present_forms();
         (self.sweep).sweep(&motion, &self.trajectory, &columns, forms)?;
-        let n = self.knots.len() * self.components.len();
+        let n = self.knots.n_coefficients() * self.components.len();
         let n_rows = self.rows.present().len();
         for j in 0..n {
             let column = &mut self.jacobian.col_as_slice_mut(j)[..n_rows];
@@ -644,13 +644,11 @@ impl Horizon {
     }
 
     /// Residuals of the present horizon, from the motion of the last roll-out.
-    #[cfg(test)]
     pub fn residuals(&self) -> &[f64] {
         self.rows.present()
     }
 
     /// Slope of a present residual along a variable, of the last linearization.
-    #[cfg(test)]
     pub fn slope(&self, row: usize, variable: usize) -> f64 {
         self.jacobian[(row, variable)]
     }

@@ -16,7 +16,7 @@ const SAME: f64 = 1e-6;
 /// distance from the start: a block of `2^m` lattice lengths then begins at a multiple of itself, so that it is divided when it comes
 /// nearer, and no other knot is lost.
 #[derive(Debug)]
-pub(super) struct Knots {
+pub struct Knots {
     hold: Hold,
     block: f64,
     /// Number of whole blocks of each length after the block that has begun; `None` if all are equal.
@@ -25,7 +25,7 @@ pub(super) struct Knots {
 }
 
 /// The coefficients that act at one time, with their weights; unused entries have weight 0.
-pub(super) type Pair = [(usize, f64); 2];
+pub type Pair = [(usize, f64); 2];
 
 impl Clone for Knots {
     fn clone(&self) -> Self {
@@ -133,7 +133,7 @@ impl Knots {
     }
 
     /// Returns the number of coefficients.
-    pub fn len(&self) -> usize {
+    pub fn n_coefficients(&self) -> usize {
         match self.hold {
             Hold::Constant => self.times.len() - 1,
             Hold::Linear | Hold::Cubic => self.times.len(),
@@ -196,87 +196,6 @@ impl Knots {
                 let before = index.checked_sub(1);
                 let before = before.map_or(0.0, |i| self.times[index] - self.times[i]);
                 [(before + after) / 3.0, after / 6.0]
-            }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Weights sum to one at every time node; a plan that is carried over to a moved horizon is the same function of time where both
-    /// overlap, between the knots as well.
-    #[test]
-    fn plans_are_carried_over() {
-        let value = |knots: &Knots, u: &[f64], t: f64| -> f64 {
-            knots.at(t).iter().map(|(i, w)| w * u[*i]).sum()
-        };
-        for hold in [Hold::Constant, Hold::Linear] {
-            let mut before = Knots::new(hold, 0.05, None, 0.5).unwrap();
-            let mut after = before.clone();
-            // The horizon moves by whole blocks, which a constant course needs; for a linear one the knot at the start moves as well.
-            for start in [0.0, 0.35, 1.05] {
-                before.place(start, start + 0.5);
-                let u: Vec<f64> = (0..before.len()).map(|i| ((7 * i) as f64).sin()).collect();
-                after.place(start + 0.05, start + 0.55);
-                assert!(after.len() <= after.most(0.5));
-                let moved: Vec<f64> = (0..after.len())
-                    .map(|i| value(&before, &u, after.time(i)))
-                    .collect();
-                for i in 0..90 {
-                    let t = start + 0.0501 + 0.005 * f64::from(i);
-                    let gap = value(&before, &u, t) - value(&after, &moved, t);
-                    assert!(gap.abs() < 1e-9, "{hold:?} {t}: {gap:e}");
-                }
-                let grid = TimeGrid {
-                    start,
-                    step: 0.5 / 37.0,
-                    n_steps: 37,
-                };
-                for k in 0..=37 {
-                    let sum: f64 = before.at_node(&grid, k).iter().map(|(_, w)| w).sum();
-                    assert!((sum - 1.0).abs() < 1e-12);
-                }
-                let ones: f64 = (0..before.len())
-                    .map(|i| {
-                        let [own, next] = before.square(i);
-                        own + 2.0 * next
-                    })
-                    .sum();
-                assert!((ones - 0.5).abs() < 1e-12, "{hold:?} {ones}");
-            }
-        }
-    }
-
-    /// Blocks that double cover the horizon with few knots, the shortest first; whatever the start, moving the horizon by a block loses
-    /// none of the knots ahead, so that a linear plan is carried over exactly.
-    #[test]
-    fn doubling_blocks_are_carried_over() {
-        for (equal, blocks) in [(1, 40), (2, 40), (3, 57), (4, 100)] {
-            let longest = f64::from(blocks) * 0.05;
-            let mut before = Knots::new(Hold::Linear, 0.05, Some(equal), longest).unwrap();
-            let most = before.most(longest);
-            assert!(most < blocks as usize / 2 + 2, "{equal}: {most}");
-            let mut after = before.clone();
-            for phase in 0..130 {
-                let start = (f64::from(phase) + 0.3) * 0.05;
-                before.place(start, start + longest);
-                after.place(start + 0.05, start + 0.05 + longest);
-                assert!(before.len() <= most && after.len() <= most);
-                let lengths: Vec<f64> = before.times.windows(2).map(|w| w[1] - w[0]).collect();
-                for block in &lengths[1..=equal] {
-                    assert!((block - 0.05).abs() < 1e-9, "{equal} {phase}: {block}");
-                }
-                // The last block is cut off by the end of the horizon.
-                let whole = &lengths[1..lengths.len() - 1];
-                let growth = whole.windows(2).map(|w| w[1] / w[0]);
-                assert!(growth.clone().all(|factor| factor < 2.0 + 1e-9));
-                for knot in before.times.iter().filter(|t| **t > start + 0.0501) {
-                    let is_end = *knot == start + longest;
-                    let kept = (after.times.iter()).any(|own| (own - knot).abs() < 1e-9);
-                    assert!(is_end || kept, "{equal} {phase}: {knot}");
-                }
             }
         }
     }

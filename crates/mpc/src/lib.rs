@@ -58,19 +58,26 @@ mod closed_loop;
 mod command;
 mod controller;
 mod error;
-mod estimator;
-mod holding;
+#[doc(hidden)]
+pub mod estimator;
+#[doc(hidden)]
+pub mod holding;
 mod horizon;
-mod knots;
-mod limits;
+#[doc(hidden)]
+pub mod knots;
+#[doc(hidden)]
+pub mod limits;
 mod plant;
 mod rows;
-mod sensor;
+#[doc(hidden)]
+pub mod sensor;
 mod serving;
 mod signal;
 mod simulated_arm;
-mod soft_rows;
-mod subproblem;
+#[doc(hidden)]
+pub mod soft_rows;
+#[doc(hidden)]
+pub mod subproblem;
 mod transfer;
 
 pub use closed_loop::{
@@ -81,7 +88,7 @@ pub use closed_loop::{
 pub use command::Command;
 pub use controller::{Controller, EffortFrom, Issued, MpcSettings, ReferenceNeed, SampleRecord};
 #[doc(hidden)]
-pub use controller::{followed, with_long_steps};
+pub use controller::{ControllerParts, followed, with_long_steps};
 pub use error::MpcError;
 pub use estimator::{
     Disturbance, Estimate, EstimateError, Estimator, Inbox, Innovation, KalmanFilter,

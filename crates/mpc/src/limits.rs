@@ -199,7 +199,7 @@ impl Maxima {
     }
 }
 /// Returns the items of the greatest local maxima, the greatest first.
-fn maxima(n: usize, value: impl Fn(usize) -> f64) -> [Option<usize>; MAXIMA] {
+pub fn maxima(n: usize, value: impl Fn(usize) -> f64) -> [Option<usize>; MAXIMA] {
     let mut found: [Option<(usize, f64)>; MAXIMA] = [None; MAXIMA];
     let mut before = f64::NEG_INFINITY;
     let mut here = value(0);
@@ -221,19 +221,4 @@ fn maxima(n: usize, value: impl Fn(usize) -> f64) -> [Option<usize>; MAXIMA] {
         (before, here) = (here, after);
     }
     found.map(|one| one.map(|(item, _)| item))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The greatest local maxima, ends and plateaus among them.
-    #[test]
-    fn maxima_are_local() {
-        let of = |values: &[f64]| maxima(values.len(), |i| values[i]);
-        assert_eq!(of(&[1.0, 0.0, 3.0, 2.0, 2.5]), [Some(2), Some(4)]);
-        assert_eq!(of(&[5.0, 4.0, 3.0]), [Some(0), None]);
-        assert_eq!(of(&[0.0, 2.0, 2.0, 1.0]), [Some(2), None]);
-        assert_eq!(of(&[7.0]), [Some(0), None]);
-    }
 }

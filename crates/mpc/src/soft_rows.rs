@@ -18,7 +18,7 @@ pub(super) const INSIDE: f64 = 0.99;
 
 /// Rows with penalties, and the memory of their steps.
 #[derive(Debug)]
-pub(super) struct SoftRows {
+pub struct SoftRows {
     /// `r` at `x = 0`, one per row.
     pub values: Vec<f64>,
     /// `w₁` and `w₂`.
@@ -48,7 +48,9 @@ impl SoftRows {
         }
     }
 
-    pub fn len(&self) -> usize {
+    /// Returns the number of rows.
+    #[must_use]
+    pub fn n_rows(&self) -> usize {
         self.values.len()
     }
 
@@ -64,7 +66,7 @@ impl SoftRows {
 
     /// Returns the largest value of a row at `x`; negative infinity without rows.
     pub fn largest(&self, x: &[f64]) -> f64 {
-        (0..self.len())
+        (0..self.n_rows())
             .map(|i| self.value(i, x))
             .fold(f64::NEG_INFINITY, f64::max)
     }
@@ -87,7 +89,7 @@ impl SoftRows {
 
     /// Sets slacks and multipliers at `x` to the products `product`, as far as the prices allow.
     pub fn start(&mut self, x: &[f64], product: f64) {
-        for i in 0..self.len() {
+        for i in 0..self.n_rows() {
             let r = self.value(i, x);
             let [w1, w2] = self.prices[i];
             let violated = r.max(0.0);
@@ -102,7 +104,7 @@ impl SoftRows {
 
     /// Returns the sum of the products of slacks and multipliers.
     pub fn gap(&self) -> f64 {
-        (0..self.len())
+        (0..self.n_rows())
             .map(|i| {
                 let [y1, y2] = self.y[i];
                 y1 * (self.sigma[i] - self.r[i]) + y2 * self.sigma[i]
@@ -112,7 +114,7 @@ impl SoftRows {
 
     /// Adds the terms of the rows to the lower half of the matrix and to minus the gradient, for the products `target`.
     pub fn assemble(&mut self, target: f64, matrix: &mut Mat<f64>, direction: &mut Mat<f64>) {
-        let m = self.len();
+        let m = self.n_rows();
         if m == 0 {
             return;
         }
@@ -138,7 +140,7 @@ impl SoftRows {
     /// multipliers positive.
     pub fn step(&mut self, direction: &[f64], target: f64) -> f64 {
         let mut longest = f64::INFINITY;
-        for i in 0..self.len() {
+        for i in 0..self.n_rows() {
             let Terms { a, b, d, c, pull } = self.terms(i, target);
             let along = self.times(i, direction);
             let sigma = (a * along - c) / d;
@@ -162,7 +164,7 @@ impl SoftRows {
 
     /// Moves by a fraction `part` of the last [step](Self::step).
     pub fn advance(&mut self, part: f64) {
-        for i in 0..self.len() {
+        for i in 0..self.n_rows() {
             let [along, sigma, first, second] = self.along[i];
             self.r[i] += part * along;
             self.sigma[i] += part * sigma;

@@ -18,8 +18,6 @@ mod experiment;
 mod fallback;
 mod law;
 mod sample;
-#[cfg(test)]
-mod tests;
 mod tuning;
 
 use std::collections::VecDeque;

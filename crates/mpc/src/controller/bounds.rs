@@ -112,7 +112,7 @@ impl Controller {
         from_acting.clear();
         let n_components = horizon.components.len();
         let is_constant = horizon.knots.hold() == Hold::Constant;
-        for coefficient in 0..horizon.knots.len() {
+        for coefficient in 0..horizon.knots.n_coefficients() {
             let base = coefficient * n_components;
             for (range, channel) in channels(horizon) {
                 let unit = 1.0 / channel.scale;
@@ -203,7 +203,7 @@ impl Controller {
             } else {
                 inner
             };
-            for coefficient in 0..horizon.knots.len() {
+            for coefficient in 0..horizon.knots.n_coefficients() {
                 let time = match coefficient.checked_sub(1) {
                     Some(before) => horizon.knots.gap(before),
                     None if is_constant => settings.period,

@@ -258,7 +258,7 @@ impl Controller {
         let horizon = &self.horizon;
         let n_components = horizon.components.len();
         let tracks = [place_track(&horizon.problem), turn_track(&horizon.problem)];
-        for coefficient in 0..horizon.knots.len() {
+        for coefficient in 0..horizon.knots.n_coefficients() {
             let t = horizon.knots.time(coefficient) + horizon.delay();
             // Before the track begins to count, no control holds the arm.
             let holding = (self.holding.as_ref())

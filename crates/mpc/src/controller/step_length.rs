@@ -90,7 +90,7 @@ impl Controller {
         let n_components = self.horizon.components.len();
         let off = |i: usize| self.plan[i] - self.free[i];
         let mut cost = 0.0;
-        for coefficient in 0..self.horizon.knots.len() {
+        for coefficient in 0..self.horizon.knots.n_coefficients() {
             let [mut own, next] = self.control_weights(coefficient);
             if coefficient == 0 {
                 own -= self.jump();

@@ -24,7 +24,7 @@ const MOST_REFUSALS: usize = 3;
 /// coarse model does not have, the model is wrong, and refusing the signals would leave it wrong. The median remains that of the right
 /// signals as long as fewer than half are wrong (the identifier of Hampel 1974).
 #[derive(Debug)]
-pub(super) struct Gate {
+pub struct Gate {
     /// Marks for the refused signals of the last measurement; empty if all are used.
     refused: Vec<bool>,
     /// Signals that were refused, and how many consecutive times.
@@ -35,8 +35,8 @@ pub(super) struct Gate {
     sorted: Vec<f64>,
 }
 
-impl Gate {
-    pub fn new() -> Self {
+impl Default for Gate {
+    fn default() -> Self {
         Self {
             refused: Vec::new(),
             in_a_row: Vec::new(),
@@ -45,7 +45,9 @@ impl Gate {
             sorted: Vec::with_capacity(RECENT),
         }
     }
+}
 
+impl Gate {
     /// Accepts all signals of the next measurement.
     pub fn clear(&mut self) {
         self.refused.clear();
@@ -108,49 +110,5 @@ impl Gate {
             self.recent[self.oldest] = square;
             self.oldest = (self.oldest + 1) % RECENT;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::signal::{Reading, Signal};
-    use nalgebra::Vector3;
-
-    /// Numbers of refused signals for successive measurements of five signals with these squares.
-    fn judged(squares: &[[f64; 5]]) -> Vec<usize> {
-        let measurement = Measurement {
-            time: 0.0,
-            signals: (1..=5)
-                .map(|place| Signal {
-                    place: f64::from(place) / 5.0,
-                    offset: [0.0; 2],
-                    reading: Reading::Vector(Quantity::Position, Vector3::zeros()),
-                    sigma: 1e-3,
-                })
-                .collect(),
-        };
-        let mut gate = Gate::new();
-        (squares.iter())
-            .map(|squares| gate.judge(&measurement, squares.iter().copied()))
-            .collect()
-    }
-
-    /// A single signal that is off is refused three times; if most of them are off, those that are as far off as the others are used.
-    #[test]
-    fn outliers_are_refused_and_wrong_models_are_not() {
-        let right = [3.0; 5];
-        let one = [3.0, 3.0, 3.0, 3.0, 1e4];
-        let mut squares = vec![right; 10];
-        squares.extend([one, one, one, one, right, one]);
-        assert_eq!(judged(&squares)[10..], [1, 1, 1, 0, 0, 1]);
-        // All signals are ten times farther off than expected, and one of them far more.
-        let off = [240.0; 5];
-        let mut squares = vec![off; 10];
-        let one = [240.0, 240.0, 240.0, 240.0, 1e5];
-        squares.extend([one, off]);
-        let found = judged(&squares);
-        assert_eq!(found[..4], [5, 5, 5, 0]);
-        assert_eq!(found[6..], [0, 0, 0, 0, 1, 0]);
     }
 }

@@ -164,7 +164,7 @@ impl KalmanFilter {
             point: estimate.clone(),
             next: state.clone(),
             acting: Acting::default(),
-            gate: Gate::new(),
+            gate: Gate::default(),
             expected: Vec::new(),
             before: (estimate.clone(), Mat::zeros(layout.n, layout.n)),
             tangent: StateTangent::zeros(n_nodes),

@@ -25,7 +25,7 @@ use mechanics::{Rod, State, StepError, Wrench};
 
 pub(super) mod comparison;
 mod covariance;
-mod gate;
+pub mod gate;
 mod inbox;
 mod kalman;
 mod motions;

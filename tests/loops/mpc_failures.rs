@@ -1,19 +1,67 @@
-//! Tests of a loop whose controller fails by itself.
+//! Loops whose controller fails now and then, because a derivative of its cost is no number.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::mpc_model::tendon_arm;
 use nalgebra::Vector3;
-
-use super::{Cause, Contender, Experiment};
-use crate::MpcSettings;
-use crate::controller::tests::tendon_arm;
-use crate::subproblem::FAILS;
-use control::{Bound, Hold};
-use mechanics::{Material, TimeScheme};
-use task::{
+use softarm::control::{Bound, Hold, NodeForm, SharedTerm, StateCost, StateTerm, StateView};
+use softarm::mechanics::{Material, Rod, TimeScheme};
+use softarm::mpc::{Cause, Contender, Experiment, MpcSettings};
+use softarm::task::{
     Arm, ChannelLimits, Cost, Discretization, Place, PointLoad, Task, Track, WrenchActuator,
 };
+
+/// A cost of zero whose derivative is no number while the switch is on: the Hessian of the controller then has no factor.
+#[derive(Debug)]
+struct Broken(Arc<AtomicBool>);
+
+impl StateTerm for Broken {
+    fn nodes(&self, rod: &Rod, _: usize) -> Vec<usize> {
+        vec![rod.tip()]
+    }
+
+    fn value(&self, _: &StateView, _: usize) -> f64 {
+        0.0
+    }
+
+    fn gradient(&self, at: &StateView, _: usize) -> NodeForm {
+        let slope = if self.0.load(Ordering::Relaxed) {
+            f64::NAN
+        } else {
+            0.0
+        };
+        NodeForm::default().along_position(at.rod.tip(), &Vector3::repeat(slope))
+    }
+}
+
+/// Adds the broken cost to a task, and returns its switch.
+fn broken(task: &mut Task) -> Arc<AtomicBool> {
+    let switch = Arc::<AtomicBool>::default();
+    task.cost.terms.push(StateCost {
+        term: SharedTerm::new(Broken(switch.clone())),
+        weight: 1.0,
+    });
+    switch
+}
+
+/// Tells of one sample after the other whether its factorizations fail: singly, and in bursts of a hundred with this chance.
+fn failing(seed: u64, of_bursts: f64) -> impl FnMut() -> bool {
+    let mut dice = fastrand::Rng::with_seed(seed);
+    let mut burst = 0;
+    move || {
+        let chance = dice.f64();
+        burst = match chance {
+            _ if burst > 0 => burst - 1,
+            _ if chance < of_bursts => 100,
+            _ if chance < 0.05 => 1,
+            _ => 0,
+        };
+        burst > 0
+    }
+}
 
 const FORCE: f64 = 3.0;
 /// Rate, N/s, at which the force reaches its limit within a tenth of a second.
@@ -74,21 +122,10 @@ fn scene() -> Experiment {
 /// at its reference once the controller works again.
 #[test]
 fn forced_failures_are_survived() {
-    let scene = scene();
-    let mut dice = fastrand::Rng::with_seed(7);
-    let mut burst = 0;
-    let forced: Box<dyn FnMut() -> bool> = Box::new(move || {
-        let chance = dice.f64();
-        burst = match chance {
-            _ if burst > 0 => burst - 1,
-            0.0..0.002 => 100,
-            0.002..0.05 => 1,
-            _ => 0,
-        };
-        burst > 0
-    });
+    let mut scene = scene();
     // The first plan is made without failures.
-    let mut forced = Some(forced);
+    let switch = broken(&mut scene.task);
+    let mut fails = failing(7, 0.002);
     let mut causes = BTreeMap::new();
     let (mut n, mut since, mut worst) = (0, 0, 0.0f64);
     let mut before = Vector3::zeros();
@@ -99,9 +136,7 @@ fn forced_failures_are_survived() {
         let most = RATE * (sent.end - sent.start) * (1.0 + 1e-9);
         assert!((to - from).norm() < most, "{} is too fast", sample.t);
         before = to;
-        if let Some(forced) = forced.take() {
-            FAILS.set(forced);
-        }
+        switch.store(fails(), Ordering::Relaxed);
         n += 1;
         let force = sample.wrench.force;
         assert!(force.norm() <= FORCE * (1.0 + 1e-9), "{} {force}", sample.t);
@@ -120,7 +155,6 @@ fn forced_failures_are_survived() {
         }
         ControlFlow::Continue(())
     });
-    FAILS.set(Box::new(|| false));
     outcome.unwrap();
     println!("{causes:?} {worst}");
     assert_eq!(n, SAMPLES);
@@ -170,19 +204,8 @@ fn tensions_keep_their_bounds_while_factorizations_fail() {
         let settings = MpcSettings::receding(0.2);
         let mut scene = Experiment::new(arm.clone(), task.clone(), discretization, settings);
         scene.duration = 10.0;
-        let mut dice = fastrand::Rng::with_seed(9);
-        let mut burst = 0;
-        let forced: Box<dyn FnMut() -> bool> = Box::new(move || {
-            let chance = dice.f64();
-            burst = match chance {
-                _ if burst > 0 => burst - 1,
-                0.0..0.004 => 100,
-                0.004..0.05 => 1,
-                _ => 0,
-            };
-            burst > 0
-        });
-        let mut forced = Some(forced);
+        let switch = broken(&mut scene.task);
+        let mut fails = failing(9, 0.004);
         let mut before = [0.4; 4];
         let mut fell_back = 0;
         let outcome = scene.run(Contender::Mpc, &mut |sample, closed| {
@@ -198,13 +221,10 @@ fn tensions_keep_their_bounds_while_factorizations_fail() {
                 assert!(fastest.contains(&change), "{} {name} {change}", sample.t);
                 before[i] = to;
             }
-            if let Some(forced) = forced.take() {
-                FAILS.set(forced);
-            }
+            switch.store(fails(), Ordering::Relaxed);
             fell_back += usize::from(sample.fallback.is_some());
             ControlFlow::Continue(())
         });
-        FAILS.set(Box::new(|| false));
         let outcome = outcome.unwrap();
         assert!(outcome.broke_down.is_none() && outcome.samples.len() == 1000);
         assert!(fell_back > 100, "{fell_back}");

@@ -1,18 +1,19 @@
-//! Tests of the controller's model of the measured state.
+//! The controller's model of the measured state and of its rows, against models made anew and differences; efforts that hold an arm.
 
-use nalgebra::Vector3;
-
-use super::*;
-use crate::estimator::Disturbance;
-use crate::soft_rows::SoftRows;
-use control::{NodeForm, PathEnforcement, Shape, SharedTerm, StateCost, StateTerm, StateView};
-use mechanics::{
-    Density, Material, NodeSpring, Rod, Route, StrainActuator, StrainRule, TimeScheme,
+use nalgebra::{Matrix3, Vector3};
+use softarm::control::{
+    Hold, NodeForm, PathEnforcement, Shape, SharedTerm, StateCost, StateTerm, StateView,
+};
+use softarm::mechanics::linearization::StateTangent;
+use softarm::mechanics::rotation::exp;
+use softarm::mechanics::{
+    Density, Material, NodeSpring, Rod, Route, StrainActuator, StrainRule, TimeScheme, Wrench,
     static_equilibrium,
 };
-use task::{
-    ChannelLimits, Cost, EffortControl, Limit, PathLimit, Place, Rest, Target, Track,
-    WrenchActuator,
+use softarm::mpc::{Controller, Disturbance, MpcSettings};
+use softarm::task::{
+    Arm, ChannelLimits, Cost, Discretization, EffortControl, Limit, PathLimit, Place, PointLoad,
+    Rest, Start, StartShape, Target, Task, Track, WrenchActuator,
 };
 
 /// A bent arm at rest whose tip is to stay where it is: residuals and plan are zero, so that the Gauss-Newton model is exact to first
@@ -65,18 +66,9 @@ fn both_ways(controller: &mut Controller, tangent: &StateTangent, s: f64) -> [Ve
         linear: times(&tangent.linear),
         angular: times(&tangent.angular),
     };
-    let (plan, start) = (controller.plan.clone(), controller.horizon.start.clone());
-    controller.deviation = deviation.clone();
-    controller.correct().unwrap();
-    let linear = std::mem::replace(&mut controller.plan, plan.clone());
-    controller.horizon.start = start.retract(&deviation);
-    controller.deviation.fill_zero();
-    controller.model().unwrap();
-    controller.correct().unwrap();
-    let anew = std::mem::replace(&mut controller.plan, plan);
-    controller.horizon.start = start;
-    controller.model().unwrap();
-    [linear, anew]
+    let mut parts = controller.parts();
+    let linear = parts.corrected(&deviation).unwrap();
+    [linear, parts.corrected_anew(&deviation).unwrap()]
 }
 
 /// The change of the controls by the condensed linear term of the measured state, configuration and momentum, is that of a problem
@@ -103,10 +95,8 @@ fn measured_states_are_a_parameter() {
     };
     let mut gap = |s: f64| {
         let [linear, anew] = both_ways(&mut controller, &tangent, s);
-        let size = linear
-            .iter()
-            .zip(&controller.plan)
-            .map(|(a, b)| (a - b).abs());
+        let parts = controller.parts();
+        let size = (linear.iter().zip(parts.plan())).map(|(a, b)| (a - b).abs());
         let moved = size.fold(0.0, f64::max);
         let gap = linear.iter().zip(&anew).map(|(a, b)| (a - b).abs());
         (gap.fold(0.0, f64::max), moved)
@@ -171,7 +161,7 @@ fn slopes_of_all_rows_agree_with_differences() {
     let task = Task {
         targets: vec![Target {
             position: Some(Vector3::new(0.2, 0.1, 0.8)),
-            rotation: Some(mechanics::rotation::exp(&Vector3::new(0.1, 0.3, -0.2))),
+            rotation: Some(exp(&Vector3::new(0.1, 0.3, -0.2))),
             rest: Rest::Instant,
             ..Target::default()
         }],
@@ -209,7 +199,7 @@ fn slopes_of_all_rows_agree_with_differences() {
             tracks: vec![Track {
                 path,
                 weight: Some(1e2),
-                rotations: vec![(0.0, nalgebra::Matrix3::identity())],
+                rotations: vec![(0.0, Matrix3::identity())],
                 rotation_weight: Some(10.0),
                 speed_weight: 3.0,
                 ..Track::default()
@@ -234,44 +224,32 @@ fn slopes_of_all_rows_agree_with_differences() {
 
 /// Compares the slopes of all rows along a plan whose coefficients have this size with central differences of half this width.
 fn compare_slopes(mut controller: Controller, size: f64, step: f64) {
-    let n = controller.horizon.n_present();
+    let mut parts = controller.parts();
+    let n = parts.n_coefficients();
     let plan: Vec<f64> = (0..n).map(|i| size * (1.7 * i as f64).sin()).collect();
-    controller.horizon.roll_out(&plan).unwrap();
-    controller.horizon.linearize().unwrap();
-    let still = StateTangent::zeros(controller.horizon.problem.rod.n_nodes());
-    let n_limits = controller.horizon.n_limit_rows();
-    let mut soft = SoftRows::new(n, n_limits);
-    controller.horizon.write_limits(&mut soft);
-    let values = |controller: &mut Controller, plan: &[f64]| {
-        controller.horizon.roll_out(plan).unwrap();
-        let mut limits = vec![0.0; n_limits];
-        controller.horizon.write_limit_values(&still, &mut limits);
-        (controller.horizon.residuals().to_vec(), limits)
-    };
+    let [of_residuals, of_limits] = parts.slopes(&plan).unwrap();
     for j in 0..n {
         let mut at = |s: f64| {
             let mut moved = plan.clone();
             moved[j] += s;
-            values(&mut controller, &moved)
+            parts.values(&moved).unwrap()
         };
         let (plus, minus) = (at(step), at(-step));
-        let slopes = |plus: &[f64], minus: &[f64]| -> Vec<f64> {
-            (plus.iter().zip(minus))
+        let slopes = |kind: usize| -> Vec<f64> {
+            (plus[kind].iter().zip(&minus[kind]))
                 .map(|(a, b)| (a - b) / (2.0 * step))
                 .collect()
         };
-        let of_residuals = slopes(&plus.0, &minus.0);
-        let of_limits = slopes(&plus.1, &minus.1);
-        let largest = of_residuals.iter().fold(1e-3, |a: f64, b| a.max(b.abs()));
-        for (row, expected) in of_residuals.iter().enumerate() {
-            let found = controller.horizon.slope(row, j);
+        let largest = slopes(0).iter().fold(1e-3, |a: f64, b| a.max(b.abs()));
+        for (row, expected) in slopes(0).iter().enumerate() {
+            let found = of_residuals[(row, j)];
             assert!(
                 (found - expected).abs() < 1e-6 * largest,
                 "row {row}, {j}: {found} {expected}"
             );
         }
-        for (row, expected) in of_limits.iter().enumerate() {
-            let found = soft.slopes[(j, row)];
+        for (row, expected) in slopes(1).iter().enumerate() {
+            let found = of_limits[(row, j)];
             assert!(
                 (found - expected).abs() < 1e-6,
                 "limit {row}, {j}: {found} {expected}"
@@ -282,7 +260,7 @@ fn compare_slopes(mut controller: Controller, size: f64, step: f64) {
 
 /// Hanging, 30 cm long, with four tendons, of which the last one winds around it and ends at three quarters, and a chamber with a given
 /// pressure; the efforts of the tendons are controls, with rates.
-pub(crate) fn tendon_arm() -> (Arm, Vec<EffortControl>) {
+pub fn tendon_arm() -> (Arm, Vec<EffortControl>) {
     let tendon = |offset: [f64; 2], turns: f64, to: f64| StrainActuator {
         name: format!("{offset:?}"),
         density: Density::Shortening,
@@ -300,7 +278,7 @@ pub(crate) fn tendon_arm() -> (Arm, Vec<EffortControl>) {
     };
     let arm = Arm {
         gravity: Vector3::new(0.0, 0.0, -9.81),
-        base_rotation: mechanics::rotation::exp(&(Vector3::x() * std::f64::consts::PI)),
+        base_rotation: exp(&(Vector3::x() * std::f64::consts::PI)),
         viscous_damping: 1.0,
         internal_damping: 5e-3,
         actuators: vec![
@@ -403,8 +381,8 @@ fn holding_efforts_hold() {
     };
     let target = settle(&arm, &[1.2, 0.5, 0.1, 0.4]);
     let task = Task {
-        start: task::Start {
-            shape: task::StartShape::Equilibrium,
+        start: Start {
+            shape: StartShape::Equilibrium,
             ..Default::default()
         },
         targets: vec![Target {
@@ -419,10 +397,8 @@ fn holding_efforts_hold() {
     let mut controller = Controller::new(&arm, &task, &discretization, &settings).unwrap();
     let mut free = |disturbance: &Disturbance| -> Vec<f64> {
         controller.disturb(disturbance).unwrap();
-        controller.note_free();
-        (controller.free.iter().zip(&controller.horizon.scales))
-            .map(|(value, scale)| 0.4 + value * scale)
-            .collect()
+        let parts = controller.parts().free_controls();
+        parts[..4].iter().map(|tension| 0.4 + tension).collect()
     };
     let length = rod.scales.length;
     let off = |arm: &Arm, efforts: &[f64]| (settle(arm, efforts) - target).norm() / length;
@@ -448,7 +424,7 @@ fn holding_efforts_hold() {
     assert!(corrected < 0.5 * uncorrected, "{corrected} {uncorrected}");
     let force = Vector3::new(5e-3, -3e-3, 0.0);
     let mut loaded = arm.clone();
-    loaded.loads.push(task::PointLoad {
+    loaded.loads.push(PointLoad {
         at: Place::Tip,
         force,
         ..Default::default()
