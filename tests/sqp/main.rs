@@ -5,7 +5,11 @@ mod common;
 #[path = "../toy/mod.rs"]
 mod toy;
 
+mod balls;
+mod progress;
+mod qp_elastic;
 mod qp_oracle;
+mod qp_polish;
 mod qp_routes;
 mod sqp_inequalities;
 mod sqp_programs;

@@ -2,7 +2,8 @@
 
 #![forbid(unsafe_code)]
 
-mod balls;
+#[doc(hidden)]
+pub mod balls;
 mod best_point;
 mod correction;
 #[doc(hidden)]

@@ -391,6 +391,3 @@ pub(super) fn peaks(rows: &[(usize, f64)]) -> Vec<(usize, f64)> {
         .map(|(_, &row)| row)
         .collect()
 }
-
-#[cfg(test)]
-mod tests;

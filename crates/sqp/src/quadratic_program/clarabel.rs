@@ -113,8 +113,12 @@ impl Attempt {
 }
 
 impl QuadraticProgram<'_> {
-    /// Solves with one attempt after the other until one succeeds. If all attempts with states fail, solves without them.
-    pub(super) fn solve_with(&self, working: &[usize]) -> Result<QpSolution, QpError> {
+    /// Solves the subproblem with the inequalities `working` alone, ascending, with one attempt after the other until one succeeds; the
+    /// solution is not polished. If all attempts with states fail, solves without them.
+    ///
+    /// # Errors
+    /// Returns [`QpError`] if Clarabel finds no solution with any of its settings, or the solve was stopped.
+    pub fn solve_with(&self, working: &[usize]) -> Result<QpSolution, QpError> {
         if self.states.is_some() {
             let found = (STATES_LADDER.iter())
                 .find_map(|attempt| self.attempt(working, attempt, false).ok());

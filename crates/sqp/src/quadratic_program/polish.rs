@@ -614,6 +614,3 @@ fn open_slack(rows: &LinearInequalities, slack_groups: &[usize], at: usize) -> O
 fn moved(variables: &[f64], change: &[f64]) -> Vec<f64> {
     variables.iter().zip(change).map(|(v, d)| v + d).collect()
 }
-
-#[cfg(test)]
-mod tests;

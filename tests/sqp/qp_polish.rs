@@ -1,9 +1,25 @@
-//! Tests of the polish.
+//! The polish of a subproblem's solution: its conditions hold to rounding, and a solution near an expected one is found without iterations.
 
-use super::*;
-use crate::program::affine;
+use faer::Mat;
+use softarm::sqp::quadratic_program::{LinearInequalities, QpSolution, QuadraticProgram};
+use softarm::sqp::{ConvexSet, Multipliers, Softness, norm};
 
 const N: usize = 9;
+
+/// Returns `offset + matrix change`.
+fn affine(offset: &[f64], matrix: &Mat<f64>, change: &[f64]) -> Vec<f64> {
+    (offset.iter().enumerate())
+        .map(|(i, a)| {
+            a + (0..change.len())
+                .map(|j| matrix[(i, j)] * change[j])
+                .sum::<f64>()
+        })
+        .collect()
+}
+
+fn moved(variables: &[f64], change: &[f64]) -> Vec<f64> {
+    variables.iter().zip(change).map(|(v, d)| v + d).collect()
+}
 
 /// A problem with all kinds of sets and rows at once.
 struct Example {
@@ -101,14 +117,15 @@ impl Example {
                 ..qp.inequalities
             },
             variables: &moved(qp.variables, way),
+            expected: Some(near),
             ..qp.clone()
         };
-        let again = as_expected(&nearer, near)?;
-        assert_eq!(again.iterations, 0);
-        Some(
+        // Clarabel iterates only if the active set is not the expected one.
+        let again = nearer.solve().expect("solvable");
+        (again.iterations == 0).then(|| {
             (again.change.iter().zip(way).zip(&solution.change))
-                .fold(0.0, |m: f64, ((a, b), c)| m.max((a + b - c).abs())),
-        )
+                .fold(0.0, |m: f64, ((a, b), c)| m.max((a + b - c).abs()))
+        })
     }
 
     /// Returns the gradient of the Lagrangian at a solution; multipliers of balls point outward.
@@ -130,7 +147,9 @@ impl Example {
         for (set, normal) in self.sets.iter().zip(&multipliers.normals) {
             match set {
                 ConvexSet::Ball { rows, .. } => {
-                    let inside: Vec<f64> = rows.iter().map(|row| along(row, &there)).collect();
+                    let inside: Vec<f64> = (rows.iter())
+                        .map(|row| row.iter().map(|&(index, c)| c * there[index]).sum())
+                        .collect();
                     let outward: f64 = inside.iter().zip(normal).map(|(u, z)| u * z).sum();
                     let lost = norm(&inside) * norm(normal) - outward;
                     assert!(lost <= 1e-13, "{lost:e}");
@@ -215,7 +234,7 @@ fn conditions_hold_to_rounding() {
         }
         let mut rest = example.stationarity(&solution);
         rest.extend(example.conditions_on_slacks(&solution));
-        polished += usize::from(infinity_norm(&rest) <= 1e-11);
+        polished += usize::from(rest.iter().all(|r| r.abs() <= 1e-11));
     }
     assert!(polished >= 70, "{polished} of 80");
     assert!(slack >= 20, "{slack} of 80");
