@@ -1,10 +1,13 @@
 //! Parts of the vectorized kernels, which only tests see by themselves. They stand here, and not beside the kernels, so that tests do not
 //! compile these a second time.
 
+mod block_tridiagonal;
 mod chain;
 mod lanes;
 mod linearize;
+mod logarithm;
 mod reduction;
+mod rotation_step;
 mod team;
 mod turn;
 

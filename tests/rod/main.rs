@@ -3,11 +3,14 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod base_motion;
 mod boundary_conditions;
 mod contacts;
 mod diagnostics;
+mod differences;
 mod discrete_action;
 mod discrete_mechanics;
+mod elements;
 mod ends;
 mod extremes;
 mod fluid;
@@ -15,8 +18,17 @@ mod friction;
 mod implicit;
 mod lanes;
 mod load_jumps;
+mod loads;
+mod mesh;
+mod nodal_state;
+mod obstacles;
 mod paper;
 mod pose_actuators;
 mod published_dynamics;
+mod resistance;
+mod rotations;
+mod rows;
+mod section_shapes;
 mod strain_actuators;
+mod strain_coordinates;
 mod winches;

@@ -55,31 +55,6 @@ impl BlockCholesky {
     pub fn below(&self) -> &[Matrix6<f64>] {
         &self.below
     }
-
-    /// `L⁻¹ b`, in place.
-    #[cfg(test)]
-    pub fn solve_lower(&self, b: &mut [Vector6<f64>]) {
-        for i in 0..b.len() {
-            if i > 0 {
-                let before = self.below[i - 1] * b[i - 1];
-                b[i] -= before;
-            }
-            // The factors' diagonals are positive, so the solve always succeeds.
-            self.diagonal[i].solve_lower_triangular_mut(&mut b[i]);
-        }
-    }
-
-    /// `L⁻ᵀ b`, in place.
-    #[cfg(test)]
-    pub fn solve_lower_transposed(&self, b: &mut [Vector6<f64>]) {
-        for i in (0..b.len()).rev() {
-            if i + 1 < b.len() {
-                let after = self.below[i].tr_mul(&b[i + 1]);
-                b[i] -= after;
-            }
-            self.diagonal[i].tr_solve_lower_triangular_mut(&mut b[i]);
-        }
-    }
 }
 
 /// A block-tridiagonal matrix: `diagonal[i] = A_ii`, `below[i] = A_{i+1,i}`, `above[i] = A_{i,i+1}`.
@@ -233,94 +208,5 @@ impl BlockLu {
             let after = above[i - 1] * b[i];
             b[i - 1] -= after;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// LU of a matrix without symmetry reproduces a known solution, and a singular matrix is refused.
-    #[test]
-    fn lu_solves() {
-        let n = 6;
-        let noise =
-            |seed: f64| Matrix6::from_fn(|i, j| (seed + 2.3 * i as f64 - 1.1 * j as f64).sin());
-        let matrix = BlockTridiagonal {
-            diagonal: (0..n)
-                .map(|i| noise(0.7 * i as f64) + Matrix6::identity() * 9.0)
-                .collect(),
-            below: (1..n).map(|i| noise(20.0 + i as f64)).collect(),
-            above: (1..n).map(|i| noise(40.0 + 1.3 * i as f64)).collect(),
-        };
-        let dense = nalgebra::DMatrix::from_fn(6 * n, 6 * n, |i, j| {
-            let (p, q) = (i / 6, j / 6);
-            let at = (i % 6, j % 6);
-            match p as isize - q as isize {
-                0 => matrix.diagonal[p][at],
-                1 => matrix.below[q][at],
-                -1 => matrix.above[p][at],
-                _ => 0.0,
-            }
-        });
-        let x = nalgebra::DVector::from_fn(6 * n, |i, _| (0.4 * i as f64).cos());
-        let factor = matrix.clone().factor().expect("regular");
-        let right = &dense * &x;
-        let mut b: Vec<Vector6<f64>> = (0..n)
-            .map(|i| right.fixed_rows::<6>(6 * i).into_owned())
-            .collect();
-        factor.solve(&mut b);
-        for (i, solved) in b.iter().enumerate() {
-            assert!((solved - x.fixed_rows::<6>(6 * i)).norm() < 1e-13);
-        }
-        assert!(BlockTridiagonal::zeros(2).factor().is_none());
-    }
-
-    /// `L Lᵀ` solves reproduce a known solution of a random positive definite matrix.
-    #[test]
-    fn factor_solves() {
-        let n = 5;
-        let noise =
-            |seed: f64| Matrix6::from_fn(|i, j| (seed + 1.7 * i as f64 + 0.9 * j as f64).sin());
-        let below: Vec<_> = (1..n).map(|i| noise(i as f64)).collect();
-        let diagonal: Vec<_> = (0..n)
-            .map(|i| {
-                let m = noise(0.3 * i as f64);
-                m * m.transpose() + Matrix6::identity() * 12.0
-            })
-            .collect();
-        let x: Vec<_> = (0..n)
-            .map(|i| Vector6::from_fn(|j, _| (i * 6 + j) as f64))
-            .collect();
-        let mut b: Vec<_> = (0..n)
-            .map(|i| {
-                let mut sum = diagonal[i] * x[i];
-                if i > 0 {
-                    sum += below[i - 1] * x[i - 1];
-                }
-                if i + 1 < n {
-                    sum += below[i].transpose() * x[i + 1];
-                }
-                sum
-            })
-            .collect();
-        let factor = BlockCholesky::new(&diagonal, &below).expect("positive definite");
-        factor.solve_lower(&mut b);
-        factor.solve_lower_transposed(&mut b);
-        for (solved, exact) in b.iter().zip(&x) {
-            assert!((solved - exact).norm() < 1e-12 * 30.0);
-        }
-    }
-
-    /// An indefinite matrix is refused.
-    #[test]
-    fn indefinite_is_refused() {
-        assert!(
-            BlockCholesky::new(
-                &[Matrix6::identity(), -Matrix6::identity()],
-                &[Matrix6::zeros()]
-            )
-            .is_none()
-        );
     }
 }

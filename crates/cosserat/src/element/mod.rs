@@ -470,6 +470,3 @@ pub fn log_second_derivative(psi: &Vector3<f64>, y: &Vector3<f64>) -> Matrix3<f6
     let m = tangent_derivative(psi, y, -1.0) * log_tangent(psi).transpose();
     0.5 * (m + m.transpose())
 }
-
-#[cfg(test)]
-pub(crate) mod tests;

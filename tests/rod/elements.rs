@@ -1,23 +1,17 @@
-//! Tests of the strain rules.
+//! Energy, gradient and stiffness of one element, for every strain rule and model.
 
-use super::*;
-use crate::rotation::exp;
+use crate::common;
+
+use common::{RULES, laws};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 use proptest::prelude::*;
+use softarm::mechanics::element::{
+    Element, ElementGradient, ElementPose, ElementStrain, IntervalStress, StrainDerivative,
+};
+use softarm::mechanics::rotation::exp;
+use softarm::mechanics::{RodModel, StrainRule};
 
-const RULES: [StrainRule; 2] = [StrainRule::Helical, StrainRule::Trapezoidal];
-const MODELS: [RodModel; 3] = [
-    RodModel::Standard,
-    RodModel::Dilatation,
-    RodModel::Consistent,
-];
-
-pub(super) fn laws() -> impl Iterator<Item = (StrainRule, RodModel)> {
-    RULES
-        .into_iter()
-        .flat_map(|rule| MODELS.map(|model| (rule, model)))
-}
-
-pub(super) fn element() -> Element {
+fn element() -> Element {
     Element {
         model: RodModel::Standard,
         length: 0.13,
@@ -34,7 +28,7 @@ pub(super) fn element() -> Element {
 }
 
 /// The helical rule has one rest strain, the trapezoidal one two of the same length.
-pub(super) fn element_for(rule: StrainRule, model: RodModel) -> Element {
+fn element_for(rule: StrainRule, model: RodModel) -> Element {
     let mut e = element();
     e.model = model;
     e.rest.linear[1] *= e.rest.linear[0].norm() / e.rest.linear[1].norm();
@@ -82,12 +76,12 @@ prop_compose! {
     }
 }
 
-pub(super) fn direction() -> impl Strategy<Value = SMatrix<f64, 9, 1>> {
+fn direction() -> impl Strategy<Value = SMatrix<f64, 9, 1>> {
     proptest::collection::vec(-1.0..1.0f64, 9)
         .prop_map(|v| SMatrix::<f64, 9, 1>::from_column_slice(&v))
 }
 
-pub(super) fn flat(g: &ElementGradient) -> SMatrix<f64, 9, 1> {
+fn flat(g: &ElementGradient) -> SMatrix<f64, 9, 1> {
     let mut out = SMatrix::<f64, 9, 1>::zeros();
     out.fixed_rows_mut::<3>(0).copy_from(&g.force);
     out.fixed_rows_mut::<3>(3).copy_from(&g.moment_a);
@@ -96,7 +90,7 @@ pub(super) fn flat(g: &ElementGradient) -> SMatrix<f64, 9, 1> {
 }
 
 /// Returns the derivative of `f(h)` at zero to fourth order: Richardson's extrapolation of central differences.
-pub(super) fn derivative<T>(f: impl Fn(f64) -> T) -> T
+fn derivative<T>(f: impl Fn(f64) -> T) -> T
 where
     T: std::ops::Sub<Output = T> + std::ops::Mul<f64, Output = T>,
 {
@@ -242,7 +236,7 @@ proptest! {
 
 /// Pure stretching, both models with dilatation: the axial force is `EA (e - 1)/e`, the paper's law.
 #[test]
-pub(super) fn stretching_obeys_the_law_of_the_paper() {
+fn stretching_obeys_the_law_of_the_paper() {
     let element = Element {
         rest: ElementStrain {
             linear: [Vector3::z(); 2],
