@@ -7,7 +7,11 @@ mod common;
 mod tool;
 
 mod certificate;
+mod control_splines;
+mod dual_numbers;
+mod finer_rods;
 mod named_controls;
+mod sample_durations;
 mod second_opinion;
 mod tampered_contact;
 mod tampered_efforts;

@@ -196,17 +196,15 @@ fn bending_factor(t: f64) -> (f64, f64) {
 }
 
 /// Returns the elastic energy, J.
-pub(super) fn energy_value(element: &Element, rule: StrainRule, pose: &ElementPose) -> f64 {
+#[must_use]
+pub fn energy_value(element: &Element, rule: StrainRule, pose: &ElementPose) -> f64 {
     energy(element, rule, &Relative::of(pose)).value
 }
 
 /// Returns the gradient `(F, M_a, M_b)` of an element's energy, by differentiating the energy; at frozen dilatation under the paper's
 /// model. It does not depend on the instruction set.
-pub(super) fn gradient(
-    element: &Element,
-    rule: StrainRule,
-    pose: &ElementPose,
-) -> [Vector3<f64>; 3] {
+#[must_use]
+pub fn gradient(element: &Element, rule: StrainRule, pose: &ElementPose) -> [Vector3<f64>; 3] {
     let relative = Relative::of(pose);
     let energy = Arch::new().dispatch(
         #[inline(always)]
@@ -216,7 +214,8 @@ pub(super) fn gradient(
 }
 
 /// Returns the strain `(v_a, v_b, κ)` of an element and its derivative along `(δx_b - δx_a, η_a, η_b)`.
-pub(super) fn strain(
+#[must_use]
+pub fn strain(
     length: f64,
     rule: StrainRule,
     pose: &ElementPose,
@@ -504,75 +503,4 @@ fn end_difference(relative: &Relative) -> Vector {
         }
         out
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use mechanics::element::ElementStrain;
-    use mechanics::rotation::exp;
-
-    /// Two routes to one force: the differentiated energy equals the analytic gradient, both rules, small and large
-    /// strains.
-    #[test]
-    fn agrees_with_the_analytic_gradient() {
-        let element = Element {
-            model: RodModel::Standard,
-            length: 0.2,
-            linear_stiffness: Vector3::new(3.0, 4.0, 9.0),
-            angular_stiffness: Vector3::new(0.2, 0.3, 0.1),
-            rest: ElementStrain {
-                linear: [Vector3::new(0.0, 0.1, 1.0); 2],
-                curvature: Vector3::new(0.5, -0.4, 0.2),
-            },
-        };
-        let a = exp(&Vector3::new(0.3, -1.1, 0.6));
-        for size in [0.0, 1e-8, 1e-3, 0.05, 0.3, 1.0, 2.5] {
-            let b = a * exp(&(Vector3::new(0.6, -0.3, 0.74) * size));
-            let pose = ElementPose {
-                dx: a * Vector3::new(0.02, -0.03, 0.25),
-                rotation_a: &a,
-                rotation_b: &b,
-            };
-            let laws = [StrainRule::Helical, StrainRule::Trapezoidal]
-                .into_iter()
-                .flat_map(|rule| {
-                    [
-                        RodModel::Standard,
-                        RodModel::Dilatation,
-                        RodModel::Consistent,
-                    ]
-                    .map(|model| (rule, model))
-                });
-            for (rule, model) in laws {
-                let element = Element { model, ..element };
-                let analytic = element.gradient(rule, &pose);
-                let [force, moment_a, moment_b] = gradient(&element, rule, &pose);
-                let scale = 1.0 + analytic.force.norm() + analytic.moment_a.norm();
-                assert!(
-                    (analytic.force - force).norm() < 1e-12 * scale,
-                    "{rule:?} {model:?} {size}"
-                );
-                assert!(
-                    (analytic.moment_a - moment_a).norm() < 1e-12 * scale,
-                    "{rule:?} {model:?} {size}"
-                );
-                assert!(
-                    (analytic.moment_b - moment_b).norm() < 1e-12 * scale,
-                    "{rule:?} {model:?} {size}"
-                );
-                let plain = element.energy(rule, &pose);
-                assert!(
-                    (energy_value(&element, rule, &pose) - plain).abs() < 1e-13 * (1.0 + plain)
-                );
-                let (analytic, derivative) = rule.strain_derivative(element.length, &pose);
-                let (found, slope) = strain(element.length, rule, &pose);
-                let parts = [analytic.linear[0], analytic.linear[1], analytic.curvature];
-                for (i, part) in parts.iter().enumerate() {
-                    assert!((found.fixed_rows::<3>(3 * i) - part).norm() < 1e-12);
-                }
-                assert!((slope - derivative).norm() < 1e-12 * derivative.norm());
-            }
-        }
-    }
 }

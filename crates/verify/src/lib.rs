@@ -12,7 +12,8 @@ mod contact;
 mod criteria;
 #[doc(hidden)]
 pub mod doubt;
-mod dual;
+#[doc(hidden)]
+pub mod dual;
 mod duration;
 #[doc(hidden)]
 pub mod efforts;
@@ -32,7 +33,8 @@ mod probe;
 pub mod refinement;
 mod replay;
 mod resisted;
-mod samples;
+#[doc(hidden)]
+pub mod samples;
 #[doc(hidden)]
 pub mod second_order;
 mod solution;

@@ -115,7 +115,8 @@ const STEP_FRACTION: f64 = 0.9;
 /// Returns the smallest divisor of the step, at least `least`, for which the `finer` rod is stable. Implicit steps have no linear limit,
 /// but one under bending, `2 sqrt(J/m)`: a step within that of the solution's own rod stays within that of the finer one, whose nodes have
 /// less rotary inertia (in proportion to the length of its elements, or to the cube of it for the inertia of segments).
-pub(super) fn stable_factor(step: f64, own: &Rod, finer: &Rod, least: usize) -> usize {
+#[must_use]
+pub fn stable_factor(step: f64, own: &Rod, finer: &Rod, least: usize) -> usize {
     let needed = match finer.scheme {
         TimeScheme::Explicit => step / (STEP_FRACTION * stable_step(finer)),
         TimeScheme::Implicit => step.min(bent_step(own)) / bent_step(finer),
@@ -495,34 +496,5 @@ impl PeakStrains {
             }
         }
         out
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use mechanics::{Material, RodParameters, RotaryInertia, Section, SectionProfile};
-
-    /// A wire bent as far as its step allows: the finer rod's step allows it as well. With the inertia of sections a quarter of the step
-    /// suffices for a quarter of the length, with that of segments an eighth.
-    #[test]
-    fn finer_rods_are_replayed_with_stable_steps() {
-        let steel = Material::isotropic(200e9, 0.3, 7850.0);
-        let section = SectionProfile::Uniform(Section::circle(&steel, 0.5e-3));
-        for (inertia, expected) in [(RotaryInertia::Section, 4), (RotaryInertia::Segment, 8)] {
-            let rod = |elements: usize| {
-                Rod::new(&RodParameters {
-                    scheme: TimeScheme::Implicit,
-                    rotary_inertia: inertia,
-                    ..RodParameters::straight(0.3, elements, section.clone())
-                })
-                .expect("a rod")
-            };
-            let (own, finer) = (rod(10), rod(40));
-            let step = bent_step(&own);
-            let factor = stable_factor(step, &own, &finer, 4);
-            assert_eq!(factor, expected, "{inertia:?}");
-            assert!(step / factor as f64 <= bent_step(&finer) * (1.0 + 1e-3));
-        }
     }
 }

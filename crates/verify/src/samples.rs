@@ -3,7 +3,8 @@
 use control::{OptimalControlProblem, PathConstraint};
 
 /// Returns the weights of the trapezoidal rule: half of every interval between neighboring time nodes for either of its ends, s.
-fn trapezoidal(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
+#[must_use]
+pub fn trapezoidal(nodes: &[usize], step: f64) -> Vec<(usize, f64)> {
     let mut out: Vec<(usize, f64)> = nodes.iter().map(|&k| (k, 0.0)).collect();
     for i in 1..nodes.len() {
         let half = 0.5 * step * (nodes[i] - nodes[i - 1]) as f64;
@@ -32,30 +33,5 @@ pub(super) fn of_path(constraint: &PathConstraint, step: f64) -> Vec<(usize, f64
     match constraint.time_nodes.as_slice() {
         [k] => vec![(*k, 1.0)],
         nodes => trapezoidal(nodes, step),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use control::path::durations;
-    use proptest::prelude::*;
-
-    proptest! {
-        /// Any ascending nodes: the durations are those of the solver, and add up to the time between the first and the last.
-        #[test]
-        fn durations_equal_those_of_the_solver(gaps in prop::collection::vec(1..50usize, 0..20), step in 1e-6..1.0f64) {
-            let mut nodes = vec![3];
-            for gap in gaps {
-                nodes.push(nodes[nodes.len() - 1] + gap);
-            }
-            let (ours, theirs) = (trapezoidal(&nodes, step), durations(&nodes, step));
-            let end = step * (nodes[nodes.len() - 1] - 3) as f64;
-            for ((k, a), (other, b)) in ours.iter().zip(&theirs) {
-                prop_assert!(k == other && (a - b).abs() <= 1e-14 * end);
-            }
-            let sum: f64 = ours.iter().map(|(_, durations)| durations).sum();
-            prop_assert!((sum - end).abs() <= 1e-13 * end);
-        }
     }
 }
