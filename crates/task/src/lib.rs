@@ -26,7 +26,8 @@ mod contradictions;
 mod definition;
 mod discretization;
 mod discretize;
-mod distributed;
+#[doc(hidden)]
+pub mod distributed;
 mod effort;
 mod error;
 mod goals;
