@@ -16,7 +16,7 @@ use crate::output::closed_loop::MpcSummary;
 use crate::output::quantity::digits;
 use crate::output::{ResultKind, RunDirectory};
 use crate::scene::ClosedLoopSetup;
-use crate::solve::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun};
+use crate::solve::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun, LoopsInDoubt};
 
 #[derive(Debug, Args)]
 pub(super) struct MpcArguments {
@@ -54,6 +54,7 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
         let name = scene_name(&arguments.scene.scene);
         return serve::run(&name, &scene, &source, &setup, &stop, console);
     }
+    let doubt = LoopsInDoubt::of(&setup, &source, global.n_threads(), &stop)?;
     let target = arguments.scene.directory("mpc");
     let directory = RunDirectory::open(&target, ResultKind::Mpc)?;
     for warning in setup.warnings.iter().chain(&setup.unbent_paths(&stop)) {
@@ -66,6 +67,7 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
         setup: &setup,
         name: &scene_name(&arguments.scene.scene),
         baselines: arguments.baselines,
+        doubt: doubt.as_ref(),
         target: &target,
         started,
         stop: &stop,
@@ -77,6 +79,7 @@ pub(super) fn run(arguments: &MpcArguments, global: &Global, console: &Console) 
         }
         LoopEvent::Ended => progress.bar.finish_and_clear(),
         LoopEvent::Baseline(contender) => console.say(&format!("running {}", label(contender))),
+        LoopEvent::InDoubt => console.say("running the plants of the stated doubt"),
         LoopEvent::Tuned(gains) => console.say(&format!(
             "  the best of {} sets of gains: {} times the stiffness of the tip, a damping ratio of {}, {} integrals a period",
             TipGains::TRIALS,
@@ -266,6 +269,12 @@ fn conclude(setup: &ClosedLoopSetup, summary: &MpcSummary, console: &Console) {
     for (cause, n) in &summary.fallbacks {
         console.say(&format!(
             "  {n} samples without a command of their own: {cause}"
+        ));
+    }
+    if let Some(found) = &summary.doubt {
+        console.say(&format!(
+            "  {}",
+            found.sentence("rms distances from the reference are")
         ));
     }
     say_errors(setup, summary, console);

@@ -15,27 +15,79 @@ use crate::verify::{CheckError, ForwardCheck, Solution};
 
 /// The use of drawn plants, each of which has plants of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Purpose {
+pub(crate) enum Purpose {
     /// Margins are computed from them.
     Margins = 1,
     /// The result is replayed on them.
     Check = 2,
 }
 
-/// The plants of the doubt of a scene.
-pub(crate) struct Doubted {
-    doubt: Doubt,
-    discretization: Discretization,
-    stop: StopSignal,
+/// The numbers of the doubt of a scene, from which plants are drawn.
+pub(crate) struct Draws {
+    pub doubt: Doubt,
     /// The scene with every default written out.
-    text: String,
+    pub text: String,
     /// The least and the largest value of every number.
     ends: Vec<[f64; 2]>,
+}
+
+impl Draws {
+    /// Returns the numbers in doubt of a scene in which every default is written out, if it states any.
+    pub fn of(resolved: &Scene) -> Option<Self> {
+        let doubt = resolved.doubt.clone()?;
+        let own = |key: &str| resolved.number(key).unwrap_or(f64::NAN);
+        Some(Self {
+            text: resolved.to_toml(),
+            ends: (doubt.number.iter())
+                .map(|number| number.ends(own(&number.key)))
+                .collect(),
+            doubt,
+        })
+    }
+
+    /// Tries both ends of every range.
+    ///
+    /// # Errors
+    /// [`SceneError`] at a number at whose end `attempt` fails.
+    pub fn try_ends(
+        &self,
+        source: &SceneSource,
+        attempt: impl Fn(&[String]) -> Result<(), SceneError>,
+    ) -> Result<(), SceneError> {
+        for (index, (number, ends)) in self.doubt.number.iter().zip(&self.ends).enumerate() {
+            for value in ends {
+                attempt(&[format!("{}={value:e}", number.key)]).map_err(|error| {
+                    let message = format!("with {} = {value}: {error}", number.key);
+                    source.error_at(&format!("doubt.number.{index}"), message, None)
+                })?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the numbers of a drawn plant as overrides of the scene.
+    pub fn overrides(&self, purpose: Purpose, plant: usize) -> Vec<String> {
+        let place = (purpose as u64) << 32 | plant as u64;
+        let mut dice = Rng::with_seed(self.doubt.seed ^ place.wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        (self.doubt.number.iter().zip(&self.ends))
+            .map(|(number, [least, most])| {
+                let value = least + (most - least) * dice.f64();
+                format!("{}={value:e}", number.key)
+            })
+            .collect()
+    }
+}
+
+/// The plants of the doubt of an optimal-control problem.
+pub(crate) struct Doubted {
+    draws: Draws,
+    discretization: Discretization,
+    stop: StopSignal,
     n_threads: usize,
 }
 
 impl Doubted {
-    /// Returns the plants of the doubt of a scene, if it states one; both ends of every range are tried.
+    /// Returns the plants of the doubt of a problem, if its scene states one; both ends of every range are tried.
     ///
     /// # Errors
     /// [`SceneError`] at a number that is none of the scene, or whose ends give no arm.
@@ -44,50 +96,31 @@ impl Doubted {
         source: &SceneSource,
         n_threads: usize,
     ) -> Result<Option<Self>, SceneError> {
-        let Some(doubt) = &setup.resolved.doubt else {
+        // The doubt of a closed loop is about its plant.
+        let draws = Draws::of(&setup.resolved).filter(|_| setup.resolved.mpc.is_none());
+        let Some(draws) = draws else {
             return Ok(None);
         };
-        let own = |key: &str| setup.resolved.number(key).unwrap_or(f64::NAN);
         let out = Self {
-            doubt: doubt.clone(),
+            draws,
             discretization: setup.discretization,
             stop: setup.problem.stop.clone(),
-            text: setup.resolved.to_toml(),
-            ends: (doubt.number.iter())
-                .map(|number| number.ends(own(&number.key)))
-                .collect(),
             n_threads,
         };
-        for (index, (number, ends)) in doubt.number.iter().zip(&out.ends).enumerate() {
-            for value in ends {
-                out.arm(&[format!("{}={value:e}", number.key)])
-                    .map_err(|error| {
-                        let message = format!("with {} = {value}: {error}", number.key);
-                        source.error_at(&format!("doubt.number.{index}"), message, None)
-                    })?;
-            }
-        }
+        (out.draws).try_ends(source, |overrides| out.arm(overrides).map(drop))?;
         Ok(Some(out))
     }
 
     /// Returns the arm with overrides, and the state in which it starts, if it has that.
     fn arm(&self, overrides: &[String]) -> Result<(Rod, Option<State>), SceneError> {
-        let (scene, source) = Scene::from_toml("doubt", &self.text, overrides)?;
+        let (scene, source) = Scene::from_toml("doubt", &self.draws.text, overrides)?;
         let rod = scene.rod_of(&source, &self.discretization)?;
         let start = scene.start().state(&rod, &self.stop).ok();
         Ok((rod, start))
     }
 
     fn draw(&self, purpose: Purpose, plant: usize) -> Option<(Rod, State)> {
-        let place = (purpose as u64) << 32 | plant as u64;
-        let mut dice = Rng::with_seed(self.doubt.seed ^ place.wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        let overrides: Vec<String> = (self.doubt.number.iter().zip(&self.ends))
-            .map(|(number, [least, most])| {
-                let value = least + (most - least) * dice.f64();
-                format!("{}={value:e}", number.key)
-            })
-            .collect();
-        let (rod, start) = self.arm(&overrides).ok()?;
+        let (rod, start) = self.arm(&self.draws.overrides(purpose, plant)).ok()?;
         Some((rod, start?))
     }
 
@@ -103,7 +136,7 @@ impl Doubted {
     ) -> Result<(), CheckError> {
         let draw = |plant: usize| self.draw(Purpose::Check, plant);
         let found = replay_on_plants(&setup.problem, solution, &self.plants(&draw))?;
-        check.replayed(found, self.doubt.share);
+        check.replayed(found, self.draws.doubt.share);
         Ok(())
     }
 
@@ -121,7 +154,7 @@ impl Doubted {
     fn plants<'b>(&self, draw: &'b (dyn Fn(usize) -> Option<(Rod, State)> + Sync)) -> Plants<'b> {
         Plants {
             draw,
-            n: self.doubt.plants,
+            n: self.draws.doubt.plants,
             n_threads: self.n_threads,
         }
     }
@@ -154,10 +187,10 @@ impl Doubted {
         attempt: impl Fn(&OptimalControl, Vec<f64>) -> Result<Chosen, E>,
         say: impl Fn(&str),
     ) -> Result<Posed, E> {
-        let (Some(share), true) = (self.doubt.share, found.1.is_certified()) else {
+        let (Some(share), true) = (self.draws.doubt.share, found.1.is_certified()) else {
             return Ok(found);
         };
-        let most = Margins::most_violating(share, self.doubt.plants).unwrap_or(0);
+        let most = Margins::most_violating(share, self.draws.doubt.plants).unwrap_or(0);
         // The best one before the last.
         let mut best: Option<Posed> = None;
         let mut last = found;
@@ -168,7 +201,7 @@ impl Doubted {
             let keeps = margins.violating <= most;
             say(&format!(
                 "doubt: {} of {} plants leave a limit, {most} may",
-                margins.violating, self.doubt.plants
+                margins.violating, self.draws.doubt.plants
             ));
             let gains = best.as_ref().is_none_or(|best| {
                 last.1.solution.objective() < (1.0 - WORTH) * best.1.solution.objective()

@@ -35,7 +35,7 @@ mod summary;
 pub(crate) use self::{
     causes::{causes, stands_by_symmetry},
     choice::{Chosen, Examination, choose},
-    closed_loop::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun},
+    closed_loop::{BASELINES, LoopError, LoopEvent, LoopOrder, LoopRun, LoopsInDoubt},
     diagnostics::diagnostics,
     doubt::{Doubted, narrow_as_saved},
     earlier::Earlier,

@@ -8,6 +8,7 @@ mod tool;
 
 mod certificate;
 mod control_splines;
+mod doubt;
 mod dual_numbers;
 mod finer_rods;
 mod named_controls;

@@ -212,3 +212,51 @@ fn doubt_that_says_nothing_is_refused() {
         assert!(talk.contains(words), "{change}: {talk}");
     }
 }
+
+/// A closed loop runs on drawn plants, each with noise of its own, and the same on any number of threads. Without any doubt about the plant
+/// they differ from the loop itself by the noise alone; plants that are far softer are farther from their reference.
+#[test]
+fn loops_run_on_drawn_plants() {
+    let desk = Desk::holding("");
+    let line = |least: f64, most: f64, more: &str| {
+        format!(
+            "mpc mpc-obstacle --set time.end_s=1.0 --set doubt.plants=5 --set doubt.number.0.key=plant.stiffness_factor \
+             --set doubt.number.0.range=[{least:?},{most:?}] --out run{least} {more}"
+        )
+    };
+    let none = desk.done(&line(0.9, 0.9, ""));
+    let doubt = &none["doubt"];
+    assert_eq!(
+        (number(&doubt["plants"]), number(&doubt["failed"])),
+        (5.0, 0.0)
+    );
+    assert_eq!(doubt["limits"][0]["name"], "ball");
+    let rms = number(&none["tip_error_m"]["rms"]);
+    let [median, largest] = ["median_m", "largest_m"].map(|key| number(&doubt["goal"][key]));
+    assert!(0.5 * rms < median && largest < 2.0 * rms, "{rms} {doubt}");
+    let soft = desk.done(&line(0.3, 0.6, "--threads 1"));
+    let again = desk.done(&line(0.3, 0.6, "--threads 2"));
+    assert_eq!(soft["doubt"], again["doubt"]);
+    assert!(
+        number(&soft["doubt"]["goal"]["median_m"]) > 1.5 * median,
+        "{soft}"
+    );
+    for (change, words) in [
+        (
+            "--set doubt.share=0.1 --set doubt.plants=50",
+            "closed loops have no margins",
+        ),
+        (
+            "--set doubt.number.0.key=rod.length_m",
+            "is no number of the plant",
+        ),
+        (
+            "--set doubt.number.0.range=[-1.0,1.0]",
+            "plant.stiffness_factor",
+        ),
+    ] {
+        let (code, _, talk) = desk.run(&line(0.9, 0.9, &format!("{change}")));
+        assert_eq!(code, USAGE, "{change}");
+        assert!(talk.contains(words), "{change}: {talk}");
+    }
+}

@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::OutputError;
 use super::reading::read_text;
 use mpc::{Disturbance, Innovations, Percentiles, Sample, TipError};
+use verify::doubt::UnderDoubt;
 
 /// Figures of a closed loop before it runs, as `check` reports them.
 #[derive(Clone, Debug, Serialize)]
@@ -143,6 +144,9 @@ pub struct MpcSummary {
     pub breaking: usize,
     /// Nearest approaches to obstacles and limits, at the ends of samples.
     pub limits: Vec<LimitPeak>,
+    /// The loop on the plants of the stated doubt, its limits at the ends of samples; absent without one, and where it was stopped.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<UnderDoubt>,
     /// Ranges of the efforts that acted in the actuators in the arm, at the ends of samples; absent without them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub efforts: Vec<EffortRange>,

@@ -16,7 +16,7 @@ use std::sync::{Mutex, PoisonError};
 use serde::Serialize;
 
 use super::limits::{Measure, Pose};
-use super::refinement::{Between, Watch, stable_factor};
+use super::refinement::{Watch, stable_factor};
 use super::{CheckError, Solution, refined_grid, refined_signal};
 use control::{OptimalControlProblem, PathEnforcement};
 use mechanics::{Rod, State, Stepper};
@@ -44,7 +44,8 @@ pub struct LimitInDoubt {
     pub unit: &'static str,
 }
 
-/// Distances of the plants' tips, or of the nodes that have the goal, from their target at the end, m.
+/// Distances of the plants' tips, or of the nodes that have the goal, from their target at the end, m; of closed loops the root of the mean
+/// square of those from their reference.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GoalInDoubt {
     /// Distance that half of the plants stay within.
@@ -70,7 +71,7 @@ pub struct UnderDoubt {
     pub at_most: f64,
     /// The hard limits.
     pub limits: Vec<LimitInDoubt>,
-    /// The goal at the end; absent without a target position.
+    /// The goal; absent without a target position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub goal: Option<GoalInDoubt>,
 }
@@ -80,10 +81,20 @@ const LEFT: f64 = 0.01;
 /// One minus the confidence of the bound.
 const RISK: f64 = 0.05;
 
+/// A plant whose motion does not break down.
+#[derive(Clone, Debug, Default)]
+pub struct OnPlant {
+    /// Largest excess over each limit in its own unit.
+    pub excess: Vec<f64>,
+    /// Tells of each limit whether the plant leaves it.
+    pub leaves: Vec<bool>,
+    /// Distance from the goal, m.
+    pub distance: Option<f64>,
+}
+
 /// The motion of one plant.
 struct Motion {
-    between: Vec<Between>,
-    distance: Option<f64>,
+    on_plant: OnPlant,
     /// Excess of every row at its time nodes; empty unless it is asked for.
     rows: Vec<f64>,
 }
@@ -98,49 +109,60 @@ pub fn replay_on_plants(
     plants: &Plants,
 ) -> Result<UnderDoubt, CheckError> {
     solution.validate(problem)?;
-    let motions = on_threads(problem, plants, |rod, start| {
+    let motions = plants.each(problem, |rod, start| {
         move_plant(problem, solution, rod, start, false)
     })?;
-    let moved: Vec<&Motion> = motions.iter().flatten().collect();
-    let leaves = |between: &Between| !(between.excess <= LEFT * between.reference);
     let watched = Watch::new(problem, &problem.rod, problem.grid.step).worst;
-    let limits = (watched.into_iter().enumerate())
-        .map(|(index, own)| {
-            let all = moved.iter().map(|motion| &motion.between[index]);
-            LimitInDoubt {
-                violating: all.clone().filter(|own| leaves(own)).count(),
-                excess: all.map(|own| own.excess).fold(f64::NEG_INFINITY, f64::max),
-                name: own.name,
-                unit: own.unit,
-            }
-        })
+    let limits = watched.into_iter().map(|own| (own.name, own.unit));
+    let outcomes: Vec<_> = (motions.into_iter())
+        .map(|own| own.map(|motion| motion.on_plant))
         .collect();
-    let failed = motions.len() - moved.len();
-    let violating = moved.iter().filter(|own| own.between.iter().any(leaves));
-    let violating = failed + violating.count();
-    let mut distances: Vec<f64> = moved.iter().filter_map(|own| own.distance).collect();
-    distances.sort_by(f64::total_cmp);
-    let within = |part: f64| {
-        let rank = (part * distances.len() as f64).ceil() as usize;
-        distances.get(rank.max(1) - 1).copied()
-    };
-    let goal =
-        (within(0.5).zip(within(0.95)).zip(within(1.0))).map(|((median_m, most_m), largest_m)| {
-            GoalInDoubt {
+    Ok(UnderDoubt::of(limits.collect(), &outcomes))
+}
+
+impl UnderDoubt {
+    /// Counts what plants do with some limits, each with its name and unit; `None` is a plant without a motion to the end.
+    #[must_use]
+    pub fn of(limits: Vec<(String, &'static str)>, outcomes: &[Option<OnPlant>]) -> Self {
+        let moved: Vec<&OnPlant> = outcomes.iter().flatten().collect();
+        let limits = (limits.into_iter().enumerate())
+            .map(|(index, (name, unit))| LimitInDoubt {
+                name,
+                violating: moved.iter().filter(|own| own.leaves[index]).count(),
+                excess: (moved.iter())
+                    .fold(f64::NEG_INFINITY, |most, own| most.max(own.excess[index])),
+                unit,
+            })
+            .collect();
+        let failed = outcomes.len() - moved.len();
+        let violating = failed
+            + moved
+                .iter()
+                .filter(|own| own.leaves.contains(&true))
+                .count();
+        let mut distances: Vec<f64> = moved.iter().filter_map(|own| own.distance).collect();
+        distances.sort_by(f64::total_cmp);
+        let within = |part: f64| {
+            let rank = (part * distances.len() as f64).ceil() as usize;
+            distances.get(rank.max(1) - 1).copied()
+        };
+        let goal = (within(0.5).zip(within(0.95)).zip(within(1.0))).map(
+            |((median_m, most_m), largest_m)| GoalInDoubt {
                 median_m,
                 most_m,
                 largest_m,
-            }
-        });
-    Ok(UnderDoubt {
-        plants: plants.n,
-        violating,
-        failed,
-        share: violating as f64 / plants.n as f64,
-        at_most: at_most(violating, plants.n),
-        limits,
-        goal,
-    })
+            },
+        );
+        Self {
+            plants: outcomes.len(),
+            violating,
+            failed,
+            share: violating as f64 / outcomes.len() as f64,
+            at_most: at_most(violating, outcomes.len()),
+            limits,
+            goal,
+        }
+    }
 }
 
 /// Margins of the path constraints of a problem, under which a part of plants may leave a limit.
@@ -176,7 +198,7 @@ impl Margins {
         let own = problem.rod.clone();
         let on_model = move_plant(problem, solution, &own, problem.initial.clone(), true)?;
         let rows = on_model.map_or_else(Vec::new, |own| own.rows);
-        let motions = on_threads(problem, plants, |rod, start| {
+        let motions = plants.each(problem, |rod, start| {
             move_plant(problem, solution, rod, start, true)
         })?;
         let moved: Vec<&[f64]> = motions.iter().flatten().map(|own| &own.rows[..]).collect();
@@ -283,9 +305,14 @@ fn move_plant(
     let target = super::last_goal(problem, |goal| goal.position).map(|(target, _)| target);
     let distance = target.map(|target| (stepper.position(problem.goal_node()) - target).norm());
     let is_number = distance.is_none_or(f64::is_finite);
-    Ok(is_number.then_some(Motion {
-        between: watch.worst,
-        distance,
+    Ok(is_number.then(|| Motion {
+        on_plant: OnPlant {
+            excess: watch.worst.iter().map(|own| own.excess).collect(),
+            leaves: (watch.worst.iter())
+                .map(|own| !(own.excess <= LEFT * own.reference))
+                .collect(),
+            distance,
+        },
         rows: rows.in_order(),
     }))
 }
@@ -341,39 +368,53 @@ impl Rows {
     }
 }
 
-/// Evaluates all plants, each on one of the threads; the order of what is found is that of the plants.
-fn on_threads(
-    problem: &OptimalControlProblem,
-    plants: &Plants,
-    evaluate: impl Fn(&Rod, State) -> Result<Option<Motion>, CheckError> + Sync,
-) -> Result<Vec<Option<Motion>>, CheckError> {
+impl Plants<'_> {
+    /// Evaluates all plants.
+    fn each<T: Send>(
+        &self,
+        problem: &OptimalControlProblem,
+        evaluate: impl Fn(&Rod, State) -> Result<Option<T>, CheckError> + Sync,
+    ) -> Result<Vec<Option<T>>, CheckError> {
+        on_threads(self.n, self.n_threads, |number| {
+            problem.stop.check()?;
+            match (self.draw)(number) {
+                Some((rod, start)) => evaluate(&rod, start),
+                None => Ok(None),
+            }
+        })
+    }
+}
+
+/// Evaluates numbers from 0 on, each on one of some threads; the order of what is found is theirs.
+///
+/// # Errors
+/// An error of one of the evaluations; the numbers after it are left out.
+pub fn on_threads<T: Send, E: Send>(
+    n: usize,
+    n_threads: usize,
+    evaluate: impl Fn(usize) -> Result<Option<T>, E> + Sync,
+) -> Result<Vec<Option<T>>, E> {
     let next = AtomicUsize::new(0);
-    let found: Mutex<Vec<Option<Motion>>> = Mutex::new((0..plants.n).map(|_| None).collect());
-    let work = || -> Result<(), CheckError> {
+    let found: Mutex<Vec<Option<T>>> = Mutex::new((0..n).map(|_| None).collect());
+    let work = || -> Result<(), E> {
         loop {
             let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= plants.n {
+            if number >= n {
                 return Ok(());
             }
-            problem.stop.check()?;
-            let motion = match (plants.draw)(number) {
-                Some((rod, start)) => evaluate(&rod, start)?,
-                None => None,
-            };
-            let mut found = found.lock().unwrap_or_else(PoisonError::into_inner);
-            found[number] = motion;
+            let own = evaluate(number).inspect_err(|_| next.store(n, Ordering::Relaxed))?;
+            found.lock().unwrap_or_else(PoisonError::into_inner)[number] = own;
         }
     };
     std::thread::scope(|scope| {
-        let n_threads = plants.n_threads.clamp(1, plants.n.max(1));
-        let threads: Vec<_> = (0..n_threads).map(|_| scope.spawn(work)).collect();
-        (threads.into_iter())
-            .map(|thread| {
-                thread
-                    .join()
-                    .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-            })
-            .collect::<Result<(), CheckError>>()
+        let threads: Vec<_> = (0..n_threads.clamp(1, n.max(1)))
+            .map(|_| scope.spawn(work))
+            .collect();
+        (threads.into_iter()).try_for_each(|thread| {
+            thread
+                .join()
+                .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        })
     })?;
     Ok(found.into_inner().unwrap_or_else(PoisonError::into_inner))
 }
@@ -406,17 +447,16 @@ pub fn at_most(k: usize, n: usize) -> f64 {
 }
 
 impl UnderDoubt {
-    /// Returns what was found in sentences.
+    /// Returns what was found in sentences; `tips` says what the distances are.
     #[must_use]
-    pub fn sentence(&self) -> String {
+    pub fn sentence(&self, tips: &str) -> String {
         let mut out = format!(
             "{} of {} plants leave a limit: with 95 % confidence at most {:.1} % of all do",
             self.violating,
             self.plants,
             100.0 * self.at_most
         );
-        let worst = (self.limits.iter()).filter(|own| own.violating > 0);
-        for own in worst {
+        for own in self.limits.iter().filter(|own| own.violating > 0) {
             out += &format!(
                 "; {} by up to {:.1e} {} ({} plants)",
                 own.name, own.excess, own.unit, own.violating
@@ -427,7 +467,7 @@ impl UnderDoubt {
         }
         if let Some(goal) = &self.goal {
             out += &format!(
-                "; they end within {:.1e} m of the target (median), 95 % within {:.1e} m",
+                "; {tips} {:.1e} m (median), of 95 % within {:.1e} m",
                 goal.median_m, goal.most_m
             );
         }

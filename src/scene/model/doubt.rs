@@ -7,7 +7,8 @@ use super::super::keys::{Checked, Keys, given};
 use super::Scene;
 
 /// Doubt about the arm: its numbers are known up to ranges. `softarm solve` and `softarm verify` replay the controls on plants that are
-/// drawn from them, and say how many leave a limit and where they end.
+/// drawn from them, and say how many leave a limit and where they end. `softarm mpc` runs the loop on drawn plants, whose numbers are those
+/// of `plant`, `disturbance` and `sensor`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Doubt {
@@ -31,7 +32,8 @@ pub struct Doubt {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DoubtedNumber {
-    /// Dotted key of the number, as `rod.material.youngs_modulus_pa` or `load.0.force_n.2`, in a section of the arm or of what acts on it.
+    /// Dotted key of the number, as `rod.material.youngs_modulus_pa` or `load.0.force_n.2`, in a section of the arm or of what acts on it,
+    /// or in a closed loop as `plant.stiffness_factor`.
     pub key: String,
     /// Least and largest value, in the unit of the key.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -80,6 +82,8 @@ const DRAWN: [&str; 18] = [
     "contact",
     "initial",
 ];
+/// Sections of what a closed loop does not know.
+const DRAWN_IN_LOOPS: [&str; 3] = ["plant", "disturbance", "sensor"];
 /// Keys in these sections of what a solve chooses, or of the discretization.
 const NOT_DRAWN: [&str; 3] = ["rod.elements", "rod.accuracy", "rod.strain"];
 /// Last parts of keys of actuators that belong to their controls.
@@ -88,6 +92,11 @@ const OF_CONTROLS: [&str; 3] = ["lag_s", "rate_n_s", "follows"];
 impl Keys<'_> {
     pub(in crate::scene) fn check_doubt(&self, doubt: &Doubt, scene: &Scene) -> Checked {
         self.count("doubt.plants", doubt.plants, MOST_PLANTS)?;
+        if let (Some(_), Some(_)) = (doubt.share, &scene.mpc) {
+            let help = "leave it out: a closed loop tells what its plants do".to_string();
+            let message = "closed loops have no margins for a share of plants";
+            return Err((self.source).error_at("doubt.share", message, Some(help)));
+        }
         if let Some(share) = doubt.share {
             if !(share > 0.0 && share < 1.0) {
                 return Err(self.out_of_range(
@@ -125,16 +134,20 @@ impl Keys<'_> {
             }
         }
         let (first, last) = (own.key.split('.').next(), own.key.rsplit('.').next());
-        let is_drawn = first.is_some_and(|first| DRAWN.contains(&first))
+        let (sections, whose) = match scene.mpc {
+            None => (&DRAWN[..], "the arm or of what acts on it"),
+            Some(_) => (
+                &DRAWN_IN_LOOPS[..],
+                "the plant or of what the loop does not know",
+            ),
+        };
+        let is_drawn = first.is_some_and(|first| sections.contains(&first))
             && !NOT_DRAWN.iter().any(|key| own.key.starts_with(key))
             && !last.is_some_and(|last| OF_CONTROLS.contains(&last));
         if !is_drawn {
-            let help = format!("numbers of {} can be drawn", DRAWN.join(", "));
-            let message = format!(
-                "`{}` is no number of the arm or of what acts on it",
-                own.key
-            );
-            return Err(self.source.error_at(&of("key"), message, Some(help)));
+            let help = format!("numbers of {} can be drawn", sections.join(", "));
+            let message = format!("`{}` is no number of {whose}", own.key);
+            return Err((self.source).error_at(&of("key"), message, Some(help)));
         }
         if own.factor.is_some() && scene.number(&own.key).is_none() {
             let message = format!("the scene has no number at `{}`", own.key);

@@ -1,6 +1,7 @@
 //! A closed loop from its first sample to its files: what the verb `mpc` calls.
 
 mod advice;
+mod doubt;
 mod recording;
 
 use std::cell::RefCell;
@@ -10,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use self::advice::advice;
+pub(crate) use self::doubt::LoopsInDoubt;
 use self::recording::Recording;
 use crate::mpc::{Contender, Law, MpcError, Outcome, Sample, TipError, TipGains};
 use crate::output::closed_loop::{BaselineSummary, LimitPeak, MpcSummary};
@@ -17,6 +19,7 @@ use crate::output::summary::{SCHEMA_VERSION, TOOL};
 use crate::output::{OutputError, RunDirectory};
 use crate::scene::ClosedLoopSetup;
 use crate::stop::{Stop, StopSignal};
+use crate::verify::doubt::UnderDoubt;
 
 /// Other laws and other arms that a loop is compared with.
 pub(crate) const BASELINES: [Contender; 5] = [
@@ -48,6 +51,8 @@ pub(crate) enum LoopEvent<'a> {
     Baseline(Contender),
     /// The best gains of those that were tried.
     Tuned(&'a TipGains),
+    /// The loop begins on the plants of the stated doubt.
+    InDoubt,
 }
 
 /// A closed loop that has ended.
@@ -67,6 +72,8 @@ pub(crate) struct LoopOrder<'a> {
     pub name: &'a str,
     /// Tells whether the [baselines](BASELINES) run as well.
     pub baselines: bool,
+    /// The plants of the stated doubt, on which the loop runs as well.
+    pub doubt: Option<&'a LoopsInDoubt>,
     pub target: &'a Path,
     pub started: Instant,
     pub stop: &'a StopSignal,
@@ -88,9 +95,10 @@ impl LoopOrder<'_> {
                 let run = self.own(&mut recording, tell)?;
                 let mut missing = BTreeMap::new();
                 let others = self.others(&run, &mut missing, tell)?;
-                Ok((recording, run, others, missing))
+                let doubt = self.in_doubt(&run, tell)?;
+                Ok((recording, run, others, missing, doubt))
             });
-        let (recording, run, others, missing) = match computed {
+        let (recording, run, others, missing, doubt) = match computed {
             Ok(found) => found,
             Err(error) => {
                 directory.remove()?;
@@ -100,6 +108,7 @@ impl LoopOrder<'_> {
         let ended = self.stop.raised();
         let mut summary = self.summarize(&run, &others, recording.limits.peaks.clone(), ended);
         summary.baselines.extend(missing);
+        summary.doubt = doubt;
         summary.efforts = recording.effort_ranges(&self.setup.plant);
         let recording = RefCell::new(recording);
         let written = directory.publish_or_rescue(|result| {
@@ -178,6 +187,23 @@ impl LoopOrder<'_> {
         Ok(others)
     }
 
+    /// The loop on the plants of the stated doubt, if it states one; absent where these are stopped.
+    fn in_doubt(
+        &self,
+        run: &Outcome,
+        tell: &mut dyn FnMut(LoopEvent),
+    ) -> Result<Option<UnderDoubt>, LoopError> {
+        let Some(doubt) = self.doubt.filter(|_| run.broke_down.is_none()) else {
+            return Ok(None);
+        };
+        tell(LoopEvent::InDoubt);
+        match doubt.run(self.stop) {
+            Ok(found) => Ok(Some(found)),
+            Err(MpcError::Stopped(_)) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
     fn or_stop(&self) -> ControlFlow<()> {
         match self.stop.check() {
             Ok(()) => ControlFlow::Continue(()),
@@ -243,6 +269,7 @@ impl LoopOrder<'_> {
             bounded: tally.bounded,
             breaking: tally.breaking,
             efforts: Vec::new(),
+            doubt: None,
             advice: advice(setup, run, others, &limits),
             limits,
             transfer_error_m: run.transfer_error,

@@ -44,7 +44,7 @@ pub(super) struct LimitWatch {
 }
 
 impl LimitWatch {
-    fn new(setup: &ClosedLoopSetup) -> Self {
+    pub(super) fn new(setup: &ClosedLoopSetup) -> Self {
         let (own, rod) = (&setup.experiment, &setup.plant);
         let radii = own.plant.radii_at_nodes(&rod.mesh);
         let limits: Vec<_> = (own.task.limits.iter())
@@ -70,6 +70,12 @@ impl LimitWatch {
             peaks,
             before: None,
         }
+    }
+
+    /// Looks at the arm at the end of a sample.
+    pub(super) fn look(&mut self, closed: &ClosedLoop) {
+        let arm = closed.arm();
+        self.see(arm.rod(), arm.time(), &arm.state());
     }
 
     fn see(&mut self, rod: &Rod, t: f64, state: &State) {

@@ -1,6 +1,5 @@
 //! Findings of a check beside its criteria, in sentences for the console.
 
-use crate::verify::doubt::UnderDoubt;
 use crate::verify::growth::Growth;
 use crate::verify::second_order::Extremum;
 use crate::verify::{ContactCheck, ForwardCheck};
@@ -43,7 +42,7 @@ pub(crate) fn findings(check: &ForwardCheck) -> Vec<String> {
     });
     let contact = check.contact.as_ref().map(contact);
     let growth = check.growth.as_ref().map(Growth::sentence);
-    let doubt = check.doubt.as_ref().map(UnderDoubt::sentence);
+    let doubt = (check.doubt.as_ref()).map(|own| own.sentence("distances from the target are"));
     (rows.chain(contact).chain(stays).chain(doubt))
         .chain(second)
         .chain(growth)
