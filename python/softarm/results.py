@@ -96,6 +96,12 @@ class Result:
         """What the check of a solve found."""
         return Certificate(self.summary.get("check") or {"verdict": "not checked"})
 
+    @property
+    def doubt(self) -> dict[str, Any] | None:
+        """What a solve or a closed loop does on the plants of a stated doubt (`[doubt]`): `plants`, `violating`, `share`, `at_most`, `limits` and
+        `goal`; None without one."""
+        return self.summary.get("doubt") or self.certificate.found.get("doubt")
+
     @cached_property
     def trajectory(self) -> dict[str, np.ndarray]:
         """All arrays of `trajectory.npz` by name."""

@@ -107,6 +107,20 @@ impl Doubted {
             stop: setup.problem.stop.clone(),
             n_threads,
         };
+        let problem = &setup.problem;
+        let n_rows: usize = (problem.path.iter())
+            .map(|own| own.time_nodes.len() * own.limit.n_items(&problem.rod))
+            .sum();
+        let doubt = &out.draws.doubt;
+        if doubt.share.is_some() && n_rows * doubt.plants > MOST_ROWS {
+            let message = format!(
+                "{} plants with {n_rows} rows of limits take {:.0} GB",
+                doubt.plants,
+                8e-9 * (n_rows * doubt.plants) as f64
+            );
+            let help = "fewer plants, or a lower rate_hz of what is limited".to_string();
+            return Err(source.error_at("doubt.plants", message, Some(help)));
+        }
         (out.draws).try_ends(source, |overrides| out.arm(overrides).map(drop))?;
         Ok(Some(out))
     }
@@ -209,6 +223,10 @@ impl Doubted {
             if keeps && (round == 0 || !gains) || round == MOST_ROUNDS {
                 return Ok(better(best, last, keeps));
             }
+            if !margins.factor.is_finite() {
+                say("more plants break down than may: no margin helps these");
+                return Ok(better(best, last, keeps));
+            }
             say(&format!(
                 "limits are narrowed by {:.2} times the spread of their rows",
                 margins.factor
@@ -241,6 +259,8 @@ fn better(before: Option<Posed>, last: Posed, keeps: bool) -> Posed {
     }
 }
 
+/// Largest number of rows of limits on all plants together: a gigabyte of numbers.
+const MOST_ROWS: usize = 125_000_000;
 /// Largest number of solves with narrowed limits.
 const MOST_ROUNDS: usize = 8;
 /// Another solve with narrowed limits is worth this part of the objective.

@@ -255,7 +255,7 @@ fn loops_run_on_drawn_plants() {
             "plant.stiffness_factor",
         ),
     ] {
-        let (code, _, talk) = desk.run(&line(0.9, 0.9, &format!("{change}")));
+        let (code, _, talk) = desk.run(&line(0.9, 0.9, change));
         assert_eq!(code, USAGE, "{change}");
         assert!(talk.contains(words), "{change}: {talk}");
     }
