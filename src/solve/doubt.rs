@@ -45,21 +45,31 @@ impl Draws {
         })
     }
 
-    /// Tries both ends of every range.
+    /// Tries both ends of every range; `attempt` returns what is made of a scene in words.
     ///
     /// # Errors
-    /// [`SceneError`] at a number at whose end `attempt` fails.
+    /// [`SceneError`] at a number at whose end `attempt` fails, and at one both of whose ends are the same to it.
     pub fn try_ends(
         &self,
         source: &SceneSource,
-        attempt: impl Fn(&[String]) -> Result<(), SceneError>,
+        attempt: impl Fn(&[String]) -> Result<String, SceneError>,
     ) -> Result<(), SceneError> {
         for (index, (number, ends)) in self.doubt.number.iter().zip(&self.ends).enumerate() {
-            for value in ends {
+            let refuse = |message: String, help: Option<String>| {
+                source.error_at(&format!("doubt.number.{index}"), message, help)
+            };
+            let of = |value: f64| {
                 attempt(&[format!("{}={value:e}", number.key)]).map_err(|error| {
-                    let message = format!("with {} = {value}: {error}", number.key);
-                    source.error_at(&format!("doubt.number.{index}"), message, None)
-                })?;
+                    refuse(format!("with {} = {value}: {error}", number.key), None)
+                })
+            };
+            if of(ends[0])? == of(ends[1])? && ends[0] < ends[1] {
+                let help = "a bound, a gain, or a number whose place another key takes is none of the arm's";
+                let message = format!(
+                    "{} from {} to {} changes nothing",
+                    number.key, ends[0], ends[1]
+                );
+                return Err(refuse(message, Some(help.into())));
             }
         }
         Ok(())
@@ -90,7 +100,7 @@ impl Doubted {
     /// Returns the plants of the doubt of a problem, if its scene states one; both ends of every range are tried.
     ///
     /// # Errors
-    /// [`SceneError`] at a number that is none of the scene, or whose ends give no arm.
+    /// [`SceneError`] at a number that is none of the scene, whose ends give no arm, or that changes nothing.
     pub fn of(
         setup: &OptimalControl,
         source: &SceneSource,
@@ -121,7 +131,11 @@ impl Doubted {
             let help = "fewer plants, or a lower rate_hz of what is limited".to_string();
             return Err(source.error_at("doubt.plants", message, Some(help)));
         }
-        (out.draws).try_ends(source, |overrides| out.arm(overrides).map(drop))?;
+        let in_words = |overrides: &[String]| {
+            let (rod, start) = out.arm(overrides)?;
+            Ok(format!("{rod:?} {start:?}"))
+        };
+        (out.draws).try_ends(source, in_words)?;
         Ok(Some(out))
     }
 

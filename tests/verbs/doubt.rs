@@ -203,6 +203,11 @@ fn doubt_that_says_nothing_is_refused() {
             "has no number at `payload.mass_kg`",
         ),
         (
+            "chamber.0.area_m2=1e-5 --set chamber.0.offset_m=[0.0,0.02] --set chamber.0.pressure_pa=[0.0,1e4] \
+             --set chamber.0.rate_pa_s=1e5 --set doubt.number.0.key=chamber.0.rate_pa_s",
+            "changes nothing",
+        ),
+        (
             "doubt.number.0.factor=[-1.0,1.0]",
             "with rod.material.youngs_modulus_pa = -1000000",
         ),

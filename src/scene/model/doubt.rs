@@ -19,8 +19,8 @@ pub struct Doubt {
     /// Seed of the draws, default 0.
     #[serde(default)]
     pub seed: u64,
-    /// Largest part of the plants that may leave a limit, above 0 and below 1: the hard limits are narrowed for it, and a result that keeps
-    /// them on fewer plants is rejected. It needs at least `1/share` plants. Absent: limits are as they are, and what plants do is told.
+    /// Largest part of the plants that may leave a limit, above 0 and below 1: the hard limits are narrowed for it, and a result is
+    /// rejected if more leave one. It needs at least `1/share` plants. Absent: limits are as they are, and what plants do is told.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 1.0))]
     pub share: Option<f64>,

@@ -21,7 +21,7 @@ impl LoopsInDoubt {
     /// Returns the plants of the doubt of a closed loop, if its scene states one; both ends of every range are tried.
     ///
     /// # Errors
-    /// [`SceneError`] at a number that is none of the scene, or whose ends give no plant.
+    /// [`SceneError`] at a number that is none of the scene, whose ends give no plant, or that changes nothing.
     pub fn of(
         setup: &ClosedLoopSetup,
         source: &SceneSource,
@@ -32,7 +32,11 @@ impl LoopsInDoubt {
             return Ok(None);
         };
         let out = Self { draws, n_threads };
-        (out.draws).try_ends(source, |overrides| out.setup(overrides, 0, stop).map(drop))?;
+        let in_words = |overrides: &[String]| {
+            let setup = out.setup(overrides, 0, stop)?;
+            Ok(format!("{:?} {:?}", setup.experiment, setup.initial))
+        };
+        (out.draws).try_ends(source, in_words)?;
         Ok(Some(out))
     }
 
