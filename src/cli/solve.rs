@@ -70,7 +70,7 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     }
     let starts = usize::from(arguments.starts);
     memory::require(&of_solve(&described, starts, global.n_threads()), &source)?;
-    Doubted::of(&described, &source, global.n_threads())?;
+    let doubted = Doubted::of(&described, &source, global.n_threads())?;
     let target = arguments.scene.directory("solve");
     let directory = RunDirectory::open(&target, ResultKind::Solve)?;
 
@@ -87,7 +87,8 @@ pub(super) fn run(arguments: &SolveArguments, global: &Global, console: &Console
     if let Some(warning) = &found.warning {
         console.warn(warning);
     }
-    if let Some(doubted) = Doubted::of(&found.setup, &source, global.n_threads())? {
+    if let Some(doubted) = doubted {
+        let doubted = doubted.on(&found.setup, &source)?;
         let again = |setup: &OptimalControl, controls| attempt(setup, Some(controls));
         let unnarrowed = (found.setup, found.chosen);
         let (setup, mut chosen) = doubted.narrow(unnarrowed, again, |words| console.say(words))?;

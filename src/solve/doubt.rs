@@ -7,7 +7,7 @@ use fastrand::Rng;
 use super::choice::Chosen;
 use crate::mechanics::{Rod, State};
 use crate::output::{OutputError, read_margins};
-use crate::scene::{Doubt, OptimalControl, Scene, SceneError, SceneSource};
+use crate::scene::{Doubt, OptimalControl, Scene, SceneError, SceneSource, number};
 use crate::stop::StopSignal;
 use crate::task::Discretization;
 use crate::verify::doubt::{Margins, Plants, replay_on_plants};
@@ -35,12 +35,14 @@ impl Draws {
     /// Returns the numbers in doubt of a scene in which every default is written out, if it states any.
     pub fn of(resolved: &Scene) -> Option<Self> {
         let doubt = resolved.doubt.clone()?;
-        let own = |key: &str| resolved.number(key).unwrap_or(f64::NAN);
+        let text = resolved.to_toml();
+        let table = toml::from_str(&text).unwrap_or_default();
+        let own = |key: &str| number(&table, key).unwrap_or(f64::NAN);
         Some(Self {
-            text: resolved.to_toml(),
             ends: (doubt.number.iter())
                 .map(|number| number.ends(own(&number.key)))
                 .collect(),
+            text,
             doubt,
         })
     }
@@ -117,11 +119,25 @@ impl Doubted {
             stop: setup.problem.stop.clone(),
             n_threads,
         };
-        let problem = &setup.problem;
+        let in_words = |overrides: &[String]| {
+            let (rod, start) = out.arm(overrides)?;
+            Ok(format!("{rod:?} {start:?}"))
+        };
+        (out.draws).try_ends(source, in_words)?;
+        out.on(setup, source).map(Some)
+    }
+
+    /// Returns the same plants on the grid of a problem of the scene.
+    ///
+    /// # Errors
+    /// [`SceneError`] where limits that are to be narrowed have too many rows.
+    pub fn on(mut self, setup: &OptimalControl, source: &SceneSource) -> Result<Self, SceneError> {
+        self.discretization = setup.discretization;
+        self.draws.text = setup.resolved.to_toml();
+        let (problem, doubt) = (&setup.problem, &self.draws.doubt);
         let n_rows: usize = (problem.path.iter())
             .map(|own| own.time_nodes.len() * own.limit.n_items(&problem.rod))
             .sum();
-        let doubt = &out.draws.doubt;
         if doubt.share.is_some() && n_rows * doubt.plants > MOST_ROWS {
             let message = format!(
                 "{} plants with {n_rows} rows of limits take {:.0} GB",
@@ -131,12 +147,7 @@ impl Doubted {
             let help = "fewer plants, or a lower rate_hz of what is limited".to_string();
             return Err(source.error_at("doubt.plants", message, Some(help)));
         }
-        let in_words = |overrides: &[String]| {
-            let (rod, start) = out.arm(overrides)?;
-            Ok(format!("{rod:?} {start:?}"))
-        };
-        (out.draws).try_ends(source, in_words)?;
-        Ok(Some(out))
+        Ok(self)
     }
 
     /// Returns the arm with overrides, and the state in which it starts, if it has that.
@@ -225,7 +236,10 @@ impl Doubted {
         let mut round = 0;
         loop {
             let setup = last.0.around(&last.1.solution.problem);
-            let margins = self.margins(&setup, &last.1.solution.claim(), share)?;
+            let margins = match self.margins(&setup, &last.1.solution.claim(), share) {
+                Err(error) if error.stopped().is_some() => return Ok(better(best, last, false)),
+                margins => margins?,
+            };
             let keeps = margins.violating <= most;
             say(&format!(
                 "doubt: {} of {} plants leave a limit, {most} may",

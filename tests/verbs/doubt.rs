@@ -4,7 +4,7 @@
 #![cfg(feature = "cli")]
 
 use crate::desk::Desk;
-use crate::tool::{REJECTED, USAGE};
+use crate::tool::{REJECTED, STOPPED, USAGE};
 
 use std::fs;
 
@@ -171,6 +171,17 @@ fn promises_that_cannot_be_kept_are_rejected() {
     assert_eq!(code, REJECTED);
     assert_eq!(found["check"]["verdict"], "rejected");
     assert!(number(&found["check"]["doubt"]["share"]) > 0.02);
+}
+
+/// A deadline ends the replays, and what was found before is written.
+#[test]
+fn deadlines_end_the_replays() {
+    let desk = Desk::holding(ARM);
+    let many = "--set doubt.plants=10000 --set doubt.share=0.1 --set solver.deadline_s=3.0";
+    let (code, found, talk) = desk.run(&format!("solve arm.toml --out run {many}"));
+    assert_eq!(code, STOPPED, "{talk}");
+    assert_eq!(found["command"], "solve");
+    assert!(desk.path("run/trajectory.npz").exists() && desk.path("run/summary.json").exists());
 }
 
 /// What cannot be drawn is refused before the solve, with the place and a remedy.

@@ -138,6 +138,9 @@ impl CheckLimits {
     pub const LOOSEST_KKT: f64 = 1e-3;
 }
 
+/// Usual limit of the violation of a path constraint between nodes and samples, divided by the radius of obstacle and arm, or by the limit.
+pub(super) const BETWEEN: f64 = 0.01;
+
 impl Default for CheckLimits {
     fn default() -> Self {
         Self {
@@ -149,7 +152,7 @@ impl Default for CheckLimits {
             rest: [0.2, 0.5],
             energy: 0.02,
             energy_halving: 0.8,
-            between: 0.01,
+            between: BETWEEN,
             saddle_gain: SADDLE_GAIN,
         }
     }

@@ -15,10 +15,11 @@ use std::sync::{Mutex, PoisonError};
 
 use serde::Serialize;
 
-use super::limits::{Measure, Pose};
+use super::criteria::BETWEEN;
+use super::limits::{Measure, Pose, is_watched};
 use super::refinement::{Watch, stable_factor};
 use super::{CheckError, Solution, refined_grid, refined_signal};
-use control::{OptimalControlProblem, PathEnforcement};
+use control::OptimalControlProblem;
 use mechanics::{Rod, State, Stepper};
 
 /// The plants of a stated doubt.
@@ -61,7 +62,7 @@ pub struct GoalInDoubt {
 pub struct UnderDoubt {
     /// Number of plants.
     pub plants: usize,
-    /// Number of plants that leave a limit, or whose motion breaks down.
+    /// Number of plants that leave a limit by more than a certificate allows between samples, or whose motion breaks down.
     pub violating: usize,
     /// Number of plants that could not be built, or whose motion breaks down.
     pub failed: usize,
@@ -76,8 +77,6 @@ pub struct UnderDoubt {
     pub goal: Option<GoalInDoubt>,
 }
 
-/// A limit is left by more than this part of its reference: as much as a certificate allows between samples.
-const LEFT: f64 = 0.01;
 /// One minus the confidence of the bound.
 const RISK: f64 = 0.05;
 
@@ -260,18 +259,13 @@ impl Margins {
     }
 }
 
-/// Hard limits on the motion itself; between samples a tendon may be slack.
-fn is_watched(constraint: &control::PathConstraint) -> bool {
-    constraint.enforcement == PathEnforcement::Hard && !constraint.limit.depends_on_inputs()
-}
-
 /// Returns the excess by which each row leaves its limit.
 fn tolerances(problem: &OptimalControlProblem) -> Vec<f64> {
     (problem.path.iter().filter(|own| is_watched(own)))
         .flat_map(|own| {
             let reference = own.limit.reference(&problem.rod, &problem.radii);
             let n = own.time_nodes.len() * own.limit.n_items(&problem.rod);
-            std::iter::repeat_n(LEFT * reference, n)
+            std::iter::repeat_n(BETWEEN * reference, n)
         })
         .collect()
 }
@@ -309,7 +303,7 @@ fn move_plant(
         on_plant: OnPlant {
             excess: watch.worst.iter().map(|own| own.excess).collect(),
             leaves: (watch.worst.iter())
-                .map(|own| !(own.excess <= LEFT * own.reference))
+                .map(|own| !(own.excess <= BETWEEN * own.reference))
                 .collect(),
             distance,
         },
@@ -336,13 +330,7 @@ impl Rows {
         if self.of.is_empty() {
             return;
         }
-        let state = stepper.state();
-        let here = Pose {
-            x: state.configuration.positions,
-            r: state.configuration.rotations,
-            t: problem.grid.time(k),
-            inputs: Vec::new(),
-        };
+        let here = Pose::now(stepper);
         let measure = Measure {
             rod,
             radii: &problem.radii,

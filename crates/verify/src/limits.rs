@@ -7,11 +7,13 @@ use super::bodies::{away, distance, unit};
 use super::dual;
 use super::efforts;
 use super::interval::add_to_nodes;
-use control::{OptimalControlProblem, PathLimit, StateTerm, StateView};
+use control::{
+    OptimalControlProblem, PathConstraint, PathEnforcement, PathLimit, StateTerm, StateView,
+};
 use mechanics::differences;
 use mechanics::direction::across;
 use mechanics::rotation::{exp, log};
-use mechanics::{Rod, StrainRule, TimeGrid, Trajectory};
+use mechanics::{Configuration, Rod, Stepper, StrainRule, TimeGrid, Trajectory};
 
 /// Positions and rotations at one time node.
 #[derive(Clone)]
@@ -33,6 +35,26 @@ impl Pose {
             inputs: Vec::new(),
         }
     }
+
+    /// Returns the present one of a motion.
+    pub(super) fn now(stepper: &Stepper) -> Self {
+        let Configuration {
+            positions,
+            rotations,
+        } = stepper.state().configuration;
+        Self {
+            t: stepper.time(),
+            x: positions,
+            r: rotations,
+            inputs: Vec::new(),
+        }
+    }
+}
+
+/// Tells whether a limit is looked at in replays: a hard one of the motion itself. Between samples a tendon may be slack: its tension is part
+/// of the motion there.
+pub(super) fn is_watched(constraint: &PathConstraint) -> bool {
+    constraint.enforcement == PathEnforcement::Hard && !constraint.limit.depends_on_inputs()
 }
 
 /// Values of a term of the user at a pose.

@@ -4,12 +4,12 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::contact::{ContactCheck, Depths};
-use super::limits::{Measure, Pose};
+use super::limits::{Measure, Pose, is_watched};
 use super::standing::{Fastest, Held, HeldGrowth, reach_at_rest};
 use super::stay::{StayReplay, follow};
 use super::worse::worse;
 use super::{CheckError, ReplayKind, Solution, Variant, refined_grid, refined_signal};
-use control::{OptimalControlProblem, PathEnforcement, PathLimit};
+use control::{OptimalControlProblem, PathLimit};
 use mechanics::stability::{bent_step, stable_step};
 use mechanics::{
     Configuration, ControlSignal, Rod, RodError, State, Stepper, TimeScheme, Trajectory,
@@ -384,10 +384,7 @@ impl<'a> Watch<'a> {
             let (Some(first), Some(last)) = (nodes.first(), nodes.last()) else {
                 continue;
             };
-            // Between samples a tendon may be slack: its tension is part of the motion there.
-            if constraint.enforcement != PathEnforcement::Hard
-                || constraint.limit.depends_on_inputs()
-            {
+            if !is_watched(constraint) {
                 continue;
             }
             let limit = constraint.limit.clone();
@@ -426,13 +423,7 @@ impl<'a> Watch<'a> {
         if self.limits.is_empty() {
             return;
         }
-        let state = stepper.state();
-        let here = Pose {
-            x: state.configuration.positions,
-            r: state.configuration.rotations,
-            t: stepper.time(),
-            inputs: Vec::new(),
-        };
+        let here = Pose::now(stepper);
         let measure = Measure {
             rod: self.rod,
             radii: &self.radii,
