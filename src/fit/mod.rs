@@ -10,6 +10,7 @@ mod report;
 mod resting;
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::path::Path;
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
@@ -25,6 +26,7 @@ use self::resting::Remembered;
 use crate::mechanics::equilibrium::static_equilibrium_until;
 use crate::mechanics::place::{locate, pose};
 use crate::mechanics::rotation::{exp, log};
+use crate::mechanics::threads::on_threads;
 use crate::mechanics::{Configuration, NodeSpring, NodeWrenches, Rod, Stepper, TimeScheme};
 use crate::output::{MotionRecord, ResidualRow};
 use crate::scene::{Scene, SceneError, SceneSource, number};
@@ -576,26 +578,11 @@ impl Model<'_> {
         let is_table = |case: usize| self.cases[case].rows().is_some();
         let (tables, work): (Vec<_>, Vec<_>) =
             work.into_iter().partition(|(_, case)| is_table(*case));
-        let share = work.len().div_ceil(self.n_threads.max(1)).max(1);
-        let mut found: Vec<Result<Vec<Pose>, FitError>> = Vec::new();
-        std::thread::scope(|scope| {
-            let threads: Vec<_> = (work.chunks(share))
-                .map(|work| {
-                    scope.spawn(move || {
-                        let one = |&(point, case): &(usize, usize)| {
-                            self.case(&points[point], case, steps, changed)
-                        };
-                        work.iter().map(one).collect::<Vec<_>>()
-                    })
-                })
-                .collect();
-            for thread in threads {
-                match thread.join() {
-                    Ok(own) => found.extend(own),
-                    Err(panic) => std::panic::resume_unwind(panic),
-                }
-            }
-        });
+        let one = |index: usize| {
+            let (point, case) = work[index];
+            Ok::<_, Infallible>(self.case(&points[point], case, steps, changed))
+        };
+        let Ok(found) = on_threads(work.len(), self.n_threads, one);
         let mut others = work.iter().zip(found).peekable();
         let mut tables = tables.into_iter().peekable();
         (0..points.len())

@@ -9,6 +9,7 @@ use super::equilibrium::{
     EquilibriumError, NodeSpring, nearby_equilibrium_until, static_equilibrium_until,
 };
 use super::tangent::{Stability, Tangent};
+use super::threads::on_threads;
 use cosserat::configuration::Configuration;
 use cosserat::forces::NodalForces;
 use cosserat::rod::Rod;
@@ -32,9 +33,8 @@ pub fn in_runs<T: Send, E: Send>(
     n_threads: usize,
     of_row: OfRow<T, E>,
 ) -> Result<Vec<T>, E> {
-    let runs: Vec<usize> = (0..n_rows).step_by(RUN).collect();
-    let share = runs.len().div_ceil(n_threads.max(1)).max(1);
-    let run = |first: usize| -> Result<Vec<T>, E> {
+    let run = |index: usize| -> Result<Vec<T>, E> {
+        let first = index * RUN;
         let mut near = None;
         let mut out = Vec::new();
         for row in first..(first + RUN).min(n_rows) {
@@ -44,21 +44,8 @@ pub fn in_runs<T: Send, E: Send>(
         }
         Ok(out)
     };
-    let run = &run;
-    std::thread::scope(|scope| {
-        let threads: Vec<_> = (runs.chunks(share))
-            .map(|own| scope.spawn(move || own.iter().map(|first| run(*first)).collect()))
-            .collect();
-        let mut out = Vec::with_capacity(n_rows);
-        for thread in threads {
-            let found: Result<Vec<Vec<T>>, E> = match thread.join() {
-                Ok(found) => found,
-                Err(panic) => std::panic::resume_unwind(panic),
-            };
-            out.extend(found?.into_iter().flatten());
-        }
-        Ok(out)
-    })
+    let found = on_threads(n_rows.div_ceil(RUN), n_threads, run)?;
+    Ok(found.into_iter().flatten().collect())
 }
 
 /// Returns the shape at rest next to the first of some shapes that leads to one, whose bases need not be where that of the rod is; a stable one

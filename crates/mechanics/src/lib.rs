@@ -46,6 +46,8 @@ mod swept;
 #[doc(hidden)]
 pub mod tangent;
 #[doc(hidden)]
+pub mod threads;
+#[doc(hidden)]
 pub mod vibration;
 
 #[doc(inline)]

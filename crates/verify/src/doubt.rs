@@ -10,9 +10,6 @@
 //! others 2023 for motions). The margins are recomputed for the controls that keep them and not differentiated, which is the zero-order
 //! method for robust optimal control (Zanelli, Frey, Messerer and Diehl 2021).
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
-
 use serde::Serialize;
 
 use super::criteria::BETWEEN;
@@ -20,6 +17,7 @@ use super::limits::{Measure, Pose, is_watched};
 use super::refinement::{Watch, stable_factor};
 use super::{CheckError, Solution, refined_grid, refined_signal};
 use control::OptimalControlProblem;
+use mechanics::threads::on_threads;
 use mechanics::{Rod, State, Stepper};
 
 /// The plants of a stated doubt.
@@ -371,40 +369,6 @@ impl Plants<'_> {
             }
         })
     }
-}
-
-/// Evaluates numbers from 0 on, each on one of some threads; the order of what is found is theirs.
-///
-/// # Errors
-/// An error of one of the evaluations; the numbers after it are left out.
-pub fn on_threads<T: Send, E: Send>(
-    n: usize,
-    n_threads: usize,
-    evaluate: impl Fn(usize) -> Result<Option<T>, E> + Sync,
-) -> Result<Vec<Option<T>>, E> {
-    let next = AtomicUsize::new(0);
-    let found: Mutex<Vec<Option<T>>> = Mutex::new((0..n).map(|_| None).collect());
-    let work = || -> Result<(), E> {
-        loop {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= n {
-                return Ok(());
-            }
-            let own = evaluate(number).inspect_err(|_| next.store(n, Ordering::Relaxed))?;
-            found.lock().unwrap_or_else(PoisonError::into_inner)[number] = own;
-        }
-    };
-    std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..n_threads.clamp(1, n.max(1)))
-            .map(|_| scope.spawn(work))
-            .collect();
-        (threads.into_iter()).try_for_each(|thread| {
-            thread
-                .join()
-                .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-        })
-    })?;
-    Ok(found.into_inner().unwrap_or_else(PoisonError::into_inner))
 }
 
 /// Returns the bound on a part of which `k` of `n` were found, with the confidence `1 - RISK`.

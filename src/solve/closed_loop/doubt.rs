@@ -4,12 +4,13 @@ use std::ops::ControlFlow;
 
 use super::errors;
 use super::recording::LimitWatch;
+use crate::mechanics::threads::on_threads;
 use crate::mpc::{Contender, MpcError};
 use crate::output::closed_loop::LimitPeak;
 use crate::scene::{ClosedLoopSetup, Scene, SceneError, SceneSource};
 use crate::solve::doubt::{Draws, Purpose};
 use crate::stop::StopSignal;
-use crate::verify::doubt::{OnPlant, UnderDoubt, on_threads};
+use crate::verify::doubt::{OnPlant, UnderDoubt};
 
 /// The plants of the doubt of a closed loop.
 pub(crate) struct LoopsInDoubt {
