@@ -18,6 +18,7 @@ from .profiles import profile
 from .program import Component, Program, Quadratic
 from .progress import progress
 from .results import Certificate, Result, load, verify
+from .rollout import Gradient, Motion, Rollout
 from .scene import Scene, Shapes, batch, run, schema
 from .shortcuts import arm, figure_eight, reach
 
@@ -27,13 +28,16 @@ __all__ = [
     "Command",
     "Component",
     "Controller",
+    "Gradient",
     "InternalError",
     "ModelError",
+    "Motion",
     "Plant",
     "Program",
     "Quadratic",
     "Result",
     "ResultError",
+    "Rollout",
     "Scene",
     "SceneError",
     "Shapes",

@@ -9,8 +9,10 @@ from .control import State
 __all__ = [
     "Batch",
     "Controller",
+    "Motions",
     "Plant",
     "Program",
+    "Rollout",
     "__version__",
     "builtin_scenes",
     "call",
@@ -41,6 +43,7 @@ def shapes(
     overrides: list[str],
     inputs: npt.ArrayLike | None,
     columns: list[tuple[str, list[float]]] = ...,
+    along: list[str] = ...,
     jacobian: bool = False,
     stability: bool = False,
     threads: int | None = None,
@@ -49,6 +52,7 @@ def shapes(
     npt.NDArray[np.float64],
     npt.NDArray[np.float64] | None,
     npt.NDArray[np.bool_] | None,
+    tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None,
 ]: ...
 
 @final
@@ -187,6 +191,47 @@ class Controller:
         angular_velocities: npt.ArrayLike | None = None,
         more: str | None = None,
     ) -> str: ...
+
+@final
+class Rollout:
+    """Motions of a scene's arm: `Rollout(name, text, overrides, dt, keys, linear, nodes)`."""
+
+    def __new__(
+        cls, name: str, text: str | None, overrides: list[str], dt: float, keys: list[str], linear: bool, nodes: list[int]
+    ) -> Rollout: ...
+    @property
+    def actuators(self) -> list[str]: ...
+    @property
+    def values(self) -> npt.NDArray[np.float64]: ...
+    @property
+    def n_nodes(self) -> int: ...
+    @property
+    def steps(self) -> tuple[float, int]: ...
+    def run(
+        self,
+        batch: int,
+        rows: int,
+        efforts: npt.ArrayLike | None = None,
+        wrenches: npt.ArrayLike | None = None,
+        values: npt.ArrayLike | None = None,
+        start: list[Any] | None = None,
+        threads: int | None = None,
+    ) -> Motions: ...
+
+@final
+class Motions:
+    """Motions of a batch of arms."""
+
+    def states(self) -> list[npt.NDArray[np.float64]]: ...
+    def pull_back(
+        self,
+        x: npt.ArrayLike | None = None,
+        r: npt.ArrayLike | None = None,
+        v: npt.ArrayLike | None = None,
+        w: npt.ArrayLike | None = None,
+        numbers: bool = True,
+        threads: int | None = None,
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64], list[npt.NDArray[np.float64]]]: ...
 
 @final
 class Program:

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,9 @@ from .errors import ResultError, SceneError
 from .profiles import with_rows
 from .program import Program
 from .results import Folder, Result
+
+if TYPE_CHECKING:
+    from .rollout import Rollout
 
 
 
@@ -37,6 +40,9 @@ class Shapes:
     """Derivatives of the tip's position along the inputs, `(n, 3, m)`, NaN of a shape that is about to buckle; `None` if not asked for."""
     stable: npt.NDArray[np.bool_] | None = None
     """Whether the shapes are stable, `(n,)`; `None` if not asked for."""
+    along: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
+    """Derivatives of positions, `(n, p, K+1, 3)`, and rotations, rad in the frames of the nodes in the same shape, along the `p` numbers of `gradient`;
+    NaN of a shape that is about to buckle; `None` if not asked for."""
 
     @property
     def tips(self) -> npt.NDArray[np.float64]:
@@ -316,6 +322,7 @@ class Scene:
         inputs: Any = None,
         *,
         changes: Mapping[str, Any] | None = None,
+        gradient: Sequence[str] = (),
         jacobian: bool = False,
         stability: bool = False,
         threads: int | None = None,
@@ -324,8 +331,8 @@ class Scene:
         others are zero; without inputs they are those of the scene. `changes` has columns of numbers by the keys of the scene that they
         change from row to row: loads, moduli, places. Rows that change little from one to the next are fast, because every search begins at the shape of the row before.
 
-        With `jacobian` the derivatives of the tip's position along the inputs are computed too, and with `stability` whether the shapes
-        are stable. A row without a shape at rest raises `ModelError`.
+        With `jacobian` the derivatives of the tip's position along the inputs are computed too, with `gradient` those of all nodes along numbers
+        by their keys (moduli, places of tendons, loads, the base), and with `stability` whether the shapes are stable. A row without a shape at rest raises `ModelError`.
         """
         if isinstance(inputs, Mapping):
             names = [name for name, _ in self.inputs]
@@ -345,7 +352,7 @@ class Scene:
             changed = {key: np.repeat(column, n) if len(column) == 1 else column for key, column in changed.items()}
         listed = [(key, column.tolist()) for key, column in changed.items()]
         overrides = list(self._overrides)
-        found = _softarm.shapes(self._name, self._text, overrides, inputs, listed, jacobian, stability, threads)
+        found = _softarm.shapes(self._name, self._text, overrides, inputs, listed, list(gradient), jacobian, stability, threads)
         return Shapes(*found)
 
     def tradeoff(
@@ -395,6 +402,13 @@ class Scene:
     def program(self) -> Program:
         """Returns the optimal-control problem as arrays, for a solver of one's own."""
         return Program(_softarm.Program(self._name, self._text, list(self._overrides)))
+
+    def rollout(self, dt: float, numbers: Sequence[str] = (), *, linear: bool = False, nodes: Sequence[int] = ()) -> Rollout:
+        """Returns motions of that arm under sequences of controls, with derivatives along the controls, the state at the start and some numbers of
+        the scene."""
+        from .rollout import Rollout
+
+        return Rollout(self, dt, numbers, linear=linear, nodes=nodes)
 
     def plant(self) -> Plant:
         """Returns the simulated arm: of `[plant]` in a scene with a closed loop, else of `[rod]`."""

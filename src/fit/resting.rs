@@ -5,14 +5,13 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use nalgebra::{DMatrix, DVector, Vector6};
+use nalgebra::{DMatrix, DVector};
 
 use super::data::Rows;
 use super::least_squares::{Beside, Residuals, stacked};
 use super::{FitError, Model, Pose};
-use crate::mechanics::at_rest::{self, OfRow, carry_to_base, displace, forces, shape_near};
+use crate::mechanics::at_rest::{self, OfRow, shape_near};
 use crate::mechanics::equilibrium::EquilibriumError;
-use crate::mechanics::tangent::Tangent;
 use crate::mechanics::{Configuration, Rod};
 
 /// Change of an input by which its actuator is found, as a part of the largest one.
@@ -240,30 +239,14 @@ impl Resting<'_> {
         (rod, shape): (&Rod, &Configuration),
         others: &[Option<Resting>],
     ) -> Result<(DVector<f64>, Residuals<usize>), FitError> {
-        let lu = (Tangent::stiffness(rod, shape, 0.0).factor())
+        let known = || others.iter().flatten();
+        let rods: Vec<Rod> = known().map(|other| other.commanded(row)).collect();
+        let shapes = at_rest::shapes_beside(rod, shape, &rods)
             .ok_or_else(|| self.refused(row, "the shape at rest is about to buckle"))?;
-        let here = forces(rod, shape);
-        let beside: Vec<_> = (others.iter())
-            .map(|other| {
-                let other = other.as_ref()?;
-                let rod = other.commanded(row);
-                let mut shape = shape.clone();
-                carry_to_base(&rod, &mut shape);
-                Some((other, rod, shape))
-            })
-            .collect();
-        let changes: Vec<Vec<Vector6<f64>>> = (beside.iter().flatten())
-            .map(|(_, rod, shape)| {
-                let there = forces(rod, shape);
-                there.iter().zip(&here).map(|(a, b)| a - b).collect()
-            })
-            .collect();
-        let mut steps = lu.solve(&changes).into_iter();
-        let moved = beside.into_iter().enumerate().map(|(index, own)| {
-            let (other, rod, mut shape) = own.ok_or(index)?;
-            let step = steps.next().ok_or(index)?;
-            displace(&rod, &mut shape, &step);
-            Ok(other.residuals(row, &rod, &shape))
+        let mut found = known().zip(rods.iter().zip(shapes));
+        let moved = others.iter().enumerate().map(|(index, other)| {
+            let (other, (rod, shape)) = other.as_ref().and_then(|_| found.next()).ok_or(index)?;
+            Ok(other.residuals(row, rod, &shape))
         });
         Ok((self.residuals(row, rod, shape), moved.collect()))
     }

@@ -395,6 +395,20 @@ impl Scene {
         (plant, own)
     }
 
+    /// Returns the rod of the plant with the discretization of one.
+    ///
+    /// # Errors
+    /// As [`Self::closed_loop`].
+    pub(super) fn plant_rod(
+        &self,
+        source: &SceneSource,
+        discretization: &Discretization,
+    ) -> Result<Rod, SceneError> {
+        let (plant, _) = self.plant(&self.arm(source)?, discretization);
+        (plant.rod(discretization))
+            .map_err(|error| source.error_at("plant", error.to_string(), Some(OF_PLANT.into())))
+    }
+
     fn actuator_dynamics(&self) -> ActuatorDynamics {
         let own = self
             .plant

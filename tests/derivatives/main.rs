@@ -7,6 +7,7 @@ mod curvature;
 mod derivatives;
 mod feedback;
 mod friction;
+mod numbers;
 mod resistance;
 mod sensitivity;
 mod tip_pull;

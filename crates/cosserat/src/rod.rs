@@ -241,7 +241,7 @@ impl Scales {
 }
 
 /// A rod of `K` elements and `K + 1` nodes.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Rod {
     /// The strain rule.
     pub strain_rule: StrainRule,

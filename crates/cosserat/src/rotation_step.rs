@@ -6,7 +6,7 @@
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Scalar, Simd};
 
-use super::rotation::hat;
+use super::rotation::{cay_inverse, hat};
 use super::vector::{Lanes, Mat3, Vec3};
 
 /// `1/α`
@@ -41,6 +41,19 @@ pub fn momentum_slope<S: Simd>(
 pub fn spin_inertia<S: Simd>(slope: Mat3<S>, f: Vec3<S>) -> Mat3<S> {
     let one = Mat3::multiple(Lanes::splat(f.x.simd, 1.0));
     slope.product(one + Mat3::hat(f) * 0.5 + Mat3::outer(f, f) * 0.25)
+}
+
+/// Returns the derivatives of `covector·g h` along the moments of inertia of a node that turns by a rotation in a step of length `h`, for its
+/// angular momentum `g` before the step (with the sign `1`) or after it (`-1`), both in the frame there.
+#[must_use]
+pub fn momentum_coefficients(
+    turn: &Matrix3<f64>,
+    covector: &Vector3<f64>,
+    sign: f64,
+) -> Vector3<f64> {
+    let f = cay_inverse(turn);
+    let along = covector + covector.cross(&f) * (0.5 * sign);
+    along.component_mul(&f) / (1.0 + 0.25 * f.norm_squared())
 }
 
 /// A node of inertia `rotary`, kg m², that turns by `f` in a step of length `h`, s.

@@ -67,6 +67,18 @@ pub struct Efforts {
     pub gains: Vec<f64>,
 }
 
+impl Efforts {
+    /// Returns efforts that drive all of so many actuators, each by an input of its own.
+    #[must_use]
+    pub fn of_all(n_actuators: usize) -> Self {
+        Self {
+            actuators: (0..n_actuators).collect(),
+            places: (0..n_actuators).collect(),
+            gains: vec![1.0; n_actuators],
+        }
+    }
+}
+
 impl NodeWrenches<'_> {
     /// Returns the efforts of the signal, in the order of the actuators that it drives.
     fn effort_values(&self) -> Vec<f64> {

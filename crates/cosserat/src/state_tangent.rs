@@ -62,6 +62,18 @@ impl StateTangent {
         ][part]
     }
 
+    /// Returns the sum with another direction.
+    #[must_use]
+    pub fn plus(&self, other: &Self) -> Self {
+        let mut out = self.clone();
+        for part in 0..4 {
+            for (own, more) in out.part_mut(part).iter_mut().zip(other.part(part)) {
+                *own += more;
+            }
+        }
+        out
+    }
+
     /// The direction times a number.
     pub fn scaled(&self, factor: f64) -> Self {
         let mut out = self.clone();

@@ -10,7 +10,7 @@ use super::equilibrium::{
 };
 use super::tangent::{Stability, Tangent};
 use super::threads::on_threads;
-use cosserat::configuration::Configuration;
+use cosserat::configuration::{Configuration, State, TrajectoryTangent};
 use cosserat::forces::NodalForces;
 use cosserat::rod::Rod;
 use cosserat::rotation::exp;
@@ -115,6 +115,34 @@ pub fn displace(rod: &Rod, shape: &mut Configuration, step: &[Vector6<f64>]) {
     }
 }
 
+/// Returns the shapes at rest of other rods than that of a shape, to first order in the change of its forces; `None` where the shape is about to
+/// buckle. Rods whose base is elsewhere carry the shape along.
+#[must_use]
+pub fn shapes_beside(
+    rod: &Rod,
+    shape: &Configuration,
+    others: &[Rod],
+) -> Option<Vec<Configuration>> {
+    let lu = Tangent::stiffness(rod, shape, 0.0).factor()?;
+    let here = forces(rod, shape);
+    let mut shapes = Vec::with_capacity(others.len());
+    let changes: Vec<Vec<Vector6<f64>>> = (others.iter())
+        .map(|other| {
+            let mut shape = shape.clone();
+            carry_to_base(other, &mut shape);
+            let there = forces(other, &shape);
+            shapes.push(shape);
+            let mut change: Vec<_> = there.iter().zip(&here).map(|(a, b)| a - b).collect();
+            other.project_joints(&mut change);
+            change
+        })
+        .collect();
+    for ((other, shape), step) in others.iter().zip(&mut shapes).zip(lu.solve(&changes)) {
+        displace(other, shape, &step);
+    }
+    Some(shapes)
+}
+
 /// What is asked of every shape.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Wanted {
@@ -123,6 +151,9 @@ pub struct Wanted {
     /// Stability.
     pub stability: bool,
 }
+
+/// Rods beside that of a row, with more and with less of each of some numbers, and by how much more.
+pub type RodsBeside = Vec<([Rod; 2], f64)>;
 
 /// A shape at rest.
 #[derive(Clone, Debug)]
@@ -133,6 +164,9 @@ pub struct AtRest {
     pub jacobian: Option<Vec<Vector3<f64>>>,
     /// Tells whether it is stable, where that is wanted.
     pub is_stable: Option<bool>,
+    /// Derivatives of positions and rotations (spatial, and in the frame of the node) along the numbers of [`RodsBeside`], one tangent for each;
+    /// `None` without any, and of a shape that is about to buckle.
+    pub along: Option<Vec<TrajectoryTangent>>,
 }
 
 /// Returns the shapes at rest of a rod for rows of inputs of all its actuators: efforts in their units, of winches displacements in m.
@@ -147,22 +181,23 @@ pub fn shapes_at_rest(
     stop: &StopSignal,
 ) -> Result<Vec<AtRest>, (usize, EquilibriumError)> {
     let n = rod.actuators.len().max(1);
-    let rod = |row: usize| Ok(rod.with_inputs(&inputs[n * row..][..n]));
+    let rod = |row: usize| Ok((rod.with_inputs(&inputs[n * row..][..n]), Vec::new()));
     shapes_of_rods(&rod, inputs.len() / n, wanted, (n_threads, stop))
 }
 
-/// Returns the shapes at rest of rods of the same elements, one for every row, under their given inputs.
+/// Returns the shapes at rest of rods of the same elements, one for every row, under their given inputs, with their derivatives along the numbers in
+/// which rods beside them differ.
 ///
 /// # Errors
 /// Returns the error of a rod, or that of [`shapes_at_rest`].
 pub fn shapes_of_rods<E: From<(usize, EquilibriumError)> + Send>(
-    rod_of: &(dyn Fn(usize) -> Result<Rod, E> + Sync),
+    rod_of: &(dyn Fn(usize) -> Result<(Rod, RodsBeside), E> + Sync),
     n_rows: usize,
     wanted: Wanted,
     (n_threads, stop): (usize, &StopSignal),
 ) -> Result<Vec<AtRest>, E> {
     in_runs(n_rows, n_threads, &|row, near| {
-        let rod = &rod_of(row)?;
+        let (rod, beside) = &rod_of(row)?;
         let inputs = &rod.actuators.efforts(0.0)[..];
         let shape = shape_near(rod, near, stop).map_err(|error| (row, error))?;
         let found = AtRest {
@@ -171,10 +206,37 @@ pub fn shapes_of_rods<E: From<(usize, EquilibriumError)> + Send>(
                 .flatten(),
             is_stable: (wanted.stability)
                 .then(|| Stability::of(rod, &shape, 0.0).is_some_and(|own| own.is_stable)),
+            along: derivatives(rod, &shape, beside),
             shape: shape.clone(),
         };
         Ok((shape, found))
     })
+}
+
+/// Returns the derivatives of a shape at rest along the numbers in which rods beside its own differ.
+fn derivatives(
+    rod: &Rod,
+    shape: &Configuration,
+    beside: &RodsBeside,
+) -> Option<Vec<TrajectoryTangent>> {
+    if beside.is_empty() {
+        return None;
+    }
+    let rods: Vec<Rod> = beside.iter().flat_map(|own| own.0.clone()).collect();
+    let shapes = shapes_beside(rod, shape, &rods)?;
+    let pairs = shapes.chunks_exact(2).zip(beside);
+    Some(
+        pairs
+            .map(|(pair, (_, width))| {
+                let [ahead, behind] = [&pair[0], &pair[1]].map(|own| State::at_rest(own.clone()));
+                let slope = ahead.difference(&behind).scaled(1.0 / width);
+                TrajectoryTangent {
+                    positions: slope.positions,
+                    rotations: slope.rotations,
+                }
+            })
+            .collect(),
+    )
 }
 
 /// Returns the derivatives of the tip's position along the inputs of a shape at rest; `None` where it is about to buckle.

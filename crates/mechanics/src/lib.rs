@@ -40,6 +40,7 @@ mod energy_norm;
 pub mod equilibrium;
 
 pub mod load_path;
+pub mod rollout;
 #[doc(hidden)]
 pub mod slow_modes;
 mod swept;

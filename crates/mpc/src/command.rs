@@ -179,11 +179,7 @@ impl ControlOrder {
         let n_actuators = rod.actuators.len();
         Self {
             nodes,
-            efforts: (n_actuators > 0).then(|| Efforts {
-                actuators: (0..n_actuators).collect(),
-                places: (0..n_actuators).collect(),
-                gains: vec![1.0; n_actuators],
-            }),
+            efforts: (n_actuators > 0).then(|| Efforts::of_all(n_actuators)),
         }
     }
 

@@ -9,6 +9,7 @@ mod arrays;
 mod controller;
 mod plant;
 mod program;
+mod rollout;
 mod shapes;
 mod words;
 
@@ -40,6 +41,8 @@ mod _softarm {
     use super::plant::{Batch, Plant};
     #[pymodule_export]
     use super::program::Program;
+    #[pymodule_export]
+    use super::rollout::{Motions, Rollout};
     #[pymodule_export]
     use super::shapes::{inputs, shapes};
     #[pymodule_export]

@@ -17,9 +17,9 @@ use crate::arrays::{Numbers, array_of_matrices, array_of_vectors, matrices, numb
 use crate::controller::Controller;
 use softarm::mechanics::energy::kinetic_energy;
 use softarm::mechanics::rotation::{orthonormalized, stray};
-use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::{
-    Efforts, NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, TimeGrid, Wrench,
+    Configuration, Efforts, NodeWrenches, Rod, State, StepError, Stepper, StepperMemory, TimeGrid,
+    Wrench,
 };
 use softarm::mpc::Transfer;
 use softarm::scene::{Scene, SceneSource};
@@ -140,11 +140,7 @@ impl<'a> Packed<'a> {
             acting,
             wrenches: Vec::with_capacity(acting.nodes.len()),
             inputs: Vec::with_capacity(m),
-            efforts: (m > 0).then(|| Efforts {
-                actuators: (0..m).collect(),
-                places: (0..m).collect(),
-                gains: vec![1.0; m],
-            }),
+            efforts: (m > 0).then(|| Efforts::of_all(m)),
         }
     }
 
@@ -196,31 +192,20 @@ impl Arm {
     ) -> PyResult<()> {
         let n = self.rod.n_nodes();
         let names = ["positions", "velocities", "angular_velocities"];
-        let mut found = Vec::new();
-        for (name, own) in names.into_iter().zip(&vectors_of) {
+        let mut found = [const { Vec::new() }; 3];
+        for ((name, own), found) in names.into_iter().zip(&vectors_of).zip(&mut found) {
             let still = || Ok(vec![Vector3::zeros(); n]);
-            found.push(
-                own.as_ref()
-                    .map_or_else(still, |own| vectors(name, own, n))?,
-            );
+            *found = own
+                .as_ref()
+                .map_or_else(still, |own| vectors(name, own, n))?;
         }
-        let rotations = (matrices("rotations", rotations, n)?.into_iter().enumerate())
-            .map(|(q, matrix)| rotation(q, &matrix))
-            .collect::<PyResult<Vec<_>>>()?;
         if !time.is_finite() {
             return Err(PyValueError::new_err(format!(
                 "time = {time}; expected a finite time in s"
             )));
         }
-        let mut rotations = rotations;
-        self.keep_base(&mut found[0], &mut rotations, time)?;
-        let state = &mut self.state;
-        for (q, node) in self.rod.nodes.iter().enumerate() {
-            state.configuration.positions[q] = found[0][q];
-            state.linear_momentum[q] = found[1][q] * node.mass;
-            state.angular_momentum[q] = found[2][q].component_mul(&node.rotary);
-        }
-        state.configuration.rotations = rotations;
+        let rotations = matrices("rotations", rotations, n)?;
+        self.state = state_of(&self.rod, found, rotations, time)?;
         self.time = time;
         self.inputs = None;
         Ok(())
@@ -229,40 +214,6 @@ impl Arm {
     /// Returns the inputs of all actuators that act now: those of the call before, or those of the scene.
     fn inputs(&self) -> Vec<f64> {
         (self.inputs.clone()).unwrap_or_else(|| self.rod.actuators.efforts(self.time))
-    }
-
-    /// Puts a base that is clamped exactly where it is held.
-    ///
-    /// # Errors
-    /// Returns a `ValueError` for a state that moves such a base, or turns it.
-    fn keep_base(
-        &self,
-        positions: &mut [Vector3<f64>],
-        rotations: &mut [Matrix3<f64>],
-        time: f64,
-    ) -> PyResult<()> {
-        let rod = &self.rod;
-        if rod.first_free_node() == 0 || rod.driven_base(time).is_some() {
-            return Ok(());
-        }
-        let (x, r) = (rod.rest.positions[0], rod.rest.rotations[0]);
-        let away = (positions[0] - x).norm();
-        if away > NEARLY_A_ROTATION * rod.scales.length {
-            return Err(PyValueError::new_err(format!(
-                "positions: node 0 is {away:.3e} m away from where the base is clamped, {:?} m; a state does not move the base, [base] of the scene \
-                 does",
-                x.as_slice()
-            )));
-        }
-        let turned = (rotations[0] - r).norm();
-        if turned > NEARLY_A_ROTATION.sqrt() {
-            return Err(PyValueError::new_err(format!(
-                "rotations: node 0 is turned from how the base is clamped (by {turned:.3e} in norm); a state does not turn the base, [base] of the \
-                 scene does"
-            )));
-        }
-        (positions[0], rotations[0]) = (x, r);
-        Ok(())
     }
 
     /// Moves the arm by `n` steps of `step` (s), or leaves it where it is, if `goes_on` says no after one of them.
@@ -361,12 +312,73 @@ impl Arm {
     }
 }
 
+/// Returns the state of positions, velocities and angular velocities of the nodes, and their rotations, at a time in s.
+///
+/// # Errors
+/// Returns a `ValueError` for matrices that are no rotations, and for a state that moves a clamped base.
+pub(super) fn state_of(
+    rod: &Rod,
+    [mut x, v, w]: [Vec<Vector3<f64>>; 3],
+    rotations: Vec<Matrix3<f64>>,
+    time: f64,
+) -> PyResult<State> {
+    let mut rotations = (rotations.into_iter().enumerate())
+        .map(|(q, matrix)| rotation(q, &matrix))
+        .collect::<PyResult<Vec<_>>>()?;
+    keep_base(rod, &mut x, &mut rotations, time)?;
+    let nodes = || rod.nodes.iter();
+    Ok(State {
+        configuration: Configuration {
+            positions: x,
+            rotations,
+        },
+        linear_momentum: nodes().zip(v).map(|(own, v)| v * own.mass).collect(),
+        angular_momentum: nodes()
+            .zip(w)
+            .map(|(own, w)| w.component_mul(&own.rotary))
+            .collect(),
+    })
+}
+
+/// Puts a base that is clamped exactly where it is held.
+///
+/// # Errors
+/// Returns a `ValueError` for a state that moves such a base, or turns it.
+fn keep_base(
+    rod: &Rod,
+    positions: &mut [Vector3<f64>],
+    rotations: &mut [Matrix3<f64>],
+    time: f64,
+) -> PyResult<()> {
+    if rod.first_free_node() == 0 || rod.driven_base(time).is_some() {
+        return Ok(());
+    }
+    let (x, r) = (rod.rest.positions[0], rod.rest.rotations[0]);
+    let away = (positions[0] - x).norm();
+    if away > NEARLY_A_ROTATION * rod.scales.length {
+        return Err(PyValueError::new_err(format!(
+            "positions: node 0 is {away:.3e} m away from where the base is clamped, {:?} m; a state does not move the base, [base] of the scene \
+             does",
+            x.as_slice()
+        )));
+    }
+    let turned = (rotations[0] - r).norm();
+    if turned > NEARLY_A_ROTATION.sqrt() {
+        return Err(PyValueError::new_err(format!(
+            "rotations: node 0 is turned from how the base is clamped (by {turned:.3e} in norm); a state does not turn the base, [base] of the \
+             scene does"
+        )));
+    }
+    (positions[0], rotations[0]) = (x, r);
+    Ok(())
+}
+
 /// The scene that arms are made of.
 #[derive(Clone)]
-struct Origin {
-    name: String,
-    text: Option<String>,
-    overrides: Vec<String>,
+pub(super) struct Origin {
+    pub name: String,
+    pub text: Option<String>,
+    pub overrides: Vec<String>,
 }
 
 /// The rod, start and time step that arms of one scene have in common.
@@ -388,14 +400,9 @@ impl Kind {
     }
 
     fn read(scene: &Scene, source: &SceneSource) -> Result<Self, softarm::scene::SceneError> {
-        let (rod, initial, longest_step) = if scene.mpc.is_some() {
-            let setup = scene.closed_loop(source, 0, &StopSignal::default())?;
-            let step = automatic_step(&setup.plant);
-            (setup.plant, setup.initial, step)
-        } else {
-            let setup = scene.simulation(source)?;
-            (Arc::new(setup.rod), setup.initial, setup.grid.step)
-        };
+        let arm = scene.moving_arm(source, &StopSignal::default())?;
+        let (initial, longest_step) = (arm.initial, arm.longest_step);
+        let rod = Arc::new(arm.rod);
         let names = (rod.actuators.iter())
             .map(|actuator| actuator.name.clone())
             .collect();
@@ -419,15 +426,7 @@ impl Kind {
 
     /// Returns the number of steps that cover `dt`, and their length.
     fn steps(&self, dt: f64) -> PyResult<(usize, f64)> {
-        let n = dt / self.longest_step;
-        if !(dt > 0.0 && n <= MOST_STEPS) {
-            return Err(PyValueError::new_err(format!(
-                "dt = {dt} s; expected a positive time of at most {MOST_STEPS:e} steps of {:e} s",
-                self.longest_step
-            )));
-        }
-        let grid = TimeGrid::covering(dt, self.longest_step, 1);
-        Ok((grid.n_steps, grid.step))
+        steps_of(dt, self.longest_step)
     }
 
     fn efforts(&self, name: &str, array: &Numbers<'_>) -> PyResult<Vec<f64>> {
@@ -435,7 +434,19 @@ impl Kind {
     }
 }
 
-fn wrench(six: &[f64]) -> Wrench {
+/// Returns the number of steps that cover `dt`, and their length, for steps of at most this length (all in s).
+pub(super) fn steps_of(dt: f64, longest: f64) -> PyResult<(usize, f64)> {
+    let n = dt / longest;
+    if !(dt > 0.0 && n <= MOST_STEPS) {
+        return Err(PyValueError::new_err(format!(
+            "dt = {dt} s; expected a positive time of at most {MOST_STEPS:e} steps of {longest:e} s"
+        )));
+    }
+    let grid = TimeGrid::covering(dt, longest, 1);
+    Ok((grid.n_steps, grid.step))
+}
+
+pub(super) fn wrench(six: &[f64]) -> Wrench {
     Wrench {
         force: Vector3::new(six[0], six[1], six[2]),
         moment: Vector3::new(six[3], six[4], six[5]),

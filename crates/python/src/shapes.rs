@@ -1,5 +1,6 @@
 //! Shapes at rest of one arm under many inputs.
 
+use nalgebra::Vector3;
 use numpy::ndarray::{Array3, Array4};
 use numpy::{IntoPyArray, PyArray1, PyArray3, PyArray4};
 use pyo3::exceptions::PyValueError;
@@ -7,17 +8,20 @@ use pyo3::prelude::*;
 
 use super::arrays::{Numbers, numbers};
 use super::{beside, raise, read, scene_error};
-use softarm::mechanics::at_rest::{AtRest, Wanted, shapes_of_rods};
-use softarm::mechanics::{EquilibriumError, Rod};
+use softarm::mechanics::at_rest::{AtRest, RodsBeside, Wanted, shapes_of_rods};
+use softarm::mechanics::{EquilibriumError, Rod, TrajectoryTangent};
 use softarm::scene::{Scene, SceneError};
 use softarm::stop::StopSignal;
 
-/// Positions, rotations, derivatives of the tip along the inputs, and stability.
+/// Derivatives of positions and rotations of the nodes along numbers.
+type Along<'py> = [Bound<'py, PyArray4<f64>>; 2];
+/// Positions, rotations, derivatives of the tip along the inputs, stability, and derivatives along numbers.
 type Arrays<'py> = (
     Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray4<f64>>,
     Option<Bound<'py, PyArray3<f64>>>,
     Option<Bound<'py, PyArray1<bool>>>,
+    Option<Along<'py>>,
 );
 
 /// Returns the names of the actuators of a scene, in the order of inputs, and their units.
@@ -54,7 +58,7 @@ impl From<(usize, EquilibriumError)> for Failure {
 /// Returns the shapes at rest for rows of inputs of all actuators, `(n, m)`, or without them for those of the scene, and for columns of
 /// numbers of other keys.
 #[pyfunction]
-#[pyo3(signature = (name, text, overrides, inputs, columns=Vec::new(), jacobian=false, stability=false, threads=None))]
+#[pyo3(signature = (name, text, overrides, inputs, columns=Vec::new(), along=Vec::new(), jacobian=false, stability=false, threads=None))]
 #[allow(clippy::too_many_arguments)]
 pub(super) fn shapes<'py>(
     py: Python<'py>,
@@ -63,6 +67,7 @@ pub(super) fn shapes<'py>(
     overrides: Vec<String>,
     inputs: Option<Numbers<'py>>,
     columns: Vec<(String, Vec<f64>)>,
+    along: Vec<String>,
     jacobian: bool,
     stability: bool,
     threads: Option<usize>,
@@ -96,14 +101,22 @@ pub(super) fn shapes<'py>(
         stability,
     };
     let n_nodes = rod.n_nodes();
+    let n_along = along.len();
+    let beside_own = if n_along == 0 {
+        RodsBeside::new()
+    } else {
+        let numbers = scene.arm_numbers(&source);
+        let found = numbers.and_then(|own| own.rods_beside(&rod, &along, n_threads));
+        found.map_err(|error| scene_error(py, &error))?
+    };
     let name = name.to_owned();
     let text = source.text;
     let (found, interrupted) = beside(
         py,
         move |_, flag| {
             let stop = StopSignal::new(None, Some(flag));
-            let of_row = |row: usize| -> Result<Rod, Failure> {
-                let mut own = rod.clone();
+            let of_row = |row: usize| -> Result<(Rod, RodsBeside), Failure> {
+                let (mut own, mut others) = (rod.clone(), beside_own.clone());
                 if !columns.is_empty() {
                     let mut changed = overrides.clone();
                     changed.extend(
@@ -111,13 +124,26 @@ pub(super) fn shapes<'py>(
                             .iter()
                             .map(|(key, column)| format!("{key}={:e}", column[row])),
                     );
-                    own = Scene::from_toml(&name, &text, &changed)
-                        .and_then(|(scene, source)| scene.discrete_rod(&source))
-                        .map_err(Failure::Scene)?;
+                    let read = || {
+                        let (scene, source) = Scene::from_toml(&name, &text, &changed)?;
+                        let rod = scene.discrete_rod(&source)?;
+                        let beside = match n_along {
+                            0 => RodsBeside::new(),
+                            _ => (scene.arm_numbers(&source)?).rods_beside(&rod, &along, 1)?,
+                        };
+                        Ok((rod, beside))
+                    };
+                    (own, others) = read().map_err(Failure::Scene)?;
                 }
                 match rows.get(m * row..m * (row + 1)) {
-                    Some(inputs) if m > 0 => Ok(own.with_inputs(inputs)),
-                    _ => Ok(own),
+                    Some(inputs) if m > 0 => {
+                        let with = |rod: &Rod| rod.with_inputs(inputs);
+                        for (rods, _) in &mut others {
+                            *rods = rods.each_ref().map(with);
+                        }
+                        Ok((with(&own), others))
+                    }
+                    _ => Ok((own, others)),
                 }
             };
             shapes_of_rods(&of_row, n, wanted, (n_threads, &stop))
@@ -151,5 +177,21 @@ pub(super) fn shapes<'py>(
     });
     let stable = stability
         .then(|| PyArray1::from_iter(py, found.iter().map(|own| own.is_stable == Some(true))));
-    Ok((x.into_pyarray(py), r.into_pyarray(py), slopes, stable))
+    let along = (n_along > 0).then(|| {
+        let of = |part: fn(&TrajectoryTangent) -> &[Vector3<f64>]| {
+            Array4::from_shape_fn((n, n_along, n_nodes, 3), |(row, j, q, i)| {
+                let own = found[row].along.as_ref();
+                own.map_or(f64::NAN, |along| part(&along[j])[q][i])
+            })
+            .into_pyarray(py)
+        };
+        [of(|own| &own.positions), of(|own| &own.rotations)]
+    });
+    Ok((
+        x.into_pyarray(py),
+        r.into_pyarray(py),
+        slopes,
+        stable,
+        along,
+    ))
 }

@@ -93,7 +93,7 @@ pub struct IntervalStress {
 }
 
 /// Stiffness and stress-free strain of one element.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Element {
     /// The model of the section: how the dilatation enters the stress.
     pub model: RodModel,
@@ -133,6 +133,15 @@ impl StrainRule {
         match self {
             Self::Helical => "helical",
             Self::Trapezoidal => "trapezoidal",
+        }
+    }
+
+    /// Returns the weight of an end at which the linear strain is taken.
+    #[must_use]
+    pub fn end_weight(self) -> f64 {
+        match self {
+            Self::Helical => Helical::END_WEIGHT,
+            Self::Trapezoidal => Trapezoidal::END_WEIGHT,
         }
     }
 

@@ -788,6 +788,40 @@ impl RodActuators {
         }
     }
 
+    /// Returns all points, in the order of the elements.
+    #[must_use]
+    pub fn points(&self) -> &[PlacedPoint] {
+        &self.points
+    }
+
+    /// Returns the index of the first point in element `q` among all.
+    #[must_use]
+    pub fn first_point(&self, q: usize) -> usize {
+        self.starts.get(q).copied().unwrap_or_default()
+    }
+
+    /// Returns these actuators along the lines and with the scales of others; unchanged where tensions follow the shape, and where the others have
+    /// other points.
+    #[must_use]
+    pub fn with_lines_of(&self, other: &Self) -> Self {
+        let mut out = self.clone();
+        let kind = |point: &PlacedPoint| (point.actuator, point.line, point.density);
+        let same = self
+            .points
+            .iter()
+            .map(kind)
+            .eq(other.points.iter().map(kind));
+        if same && self.strains.len() == other.strains.len() && !self.follow_shape() {
+            out.points.clone_from(&other.points);
+            out.at_rest.clone_from(&other.at_rest);
+            for (own, other) in out.strains.iter_mut().zip(&other.strains) {
+                (own.route, own.scale) = (other.route, other.scale);
+                own.further.clone_from(&other.further);
+            }
+        }
+        out
+    }
+
     /// Returns the given inputs at the instant `t`: efforts, or the displacements of winches.
     #[must_use]
     pub fn efforts(&self, t: f64) -> Vec<f64> {

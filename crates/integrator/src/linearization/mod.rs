@@ -111,6 +111,14 @@ impl Motion<'_> {
         }
     }
 
+    /// Returns the number of time nodes at the ends of a set of efforts: the one, or those of an interval.
+    pub fn n_ends(&self) -> usize {
+        match self.rod.scheme {
+            TimeScheme::Explicit => 1,
+            TimeScheme::Implicit => 2,
+        }
+    }
+
     /// Writes the inputs of all actuators of the rod in a set.
     pub fn write_inputs_of_set(&self, set: usize, out: &mut [f64]) {
         let Self {
@@ -130,6 +138,19 @@ impl Motion<'_> {
     /// the decay of the next kick leaves of it what the kick's own factor on impulses would.
     pub(crate) fn arriving_impulse(&self) -> f64 {
         1.0 / self.undamped()
+    }
+
+    /// Returns the factors on the elastic stress at a time node with this kick, and on the stresses of the intervals after and before it where
+    /// there are any, s.
+    pub(crate) fn stress_weights(&self, kick: &Kick, [leaves, arrives]: [bool; 2]) -> [f64; 3] {
+        let half_step = 0.5 * self.grid.step;
+        let after = if leaves { kick.impulse } else { 0.0 };
+        let before = if arrives {
+            kick.decay * self.arriving_impulse()
+        } else {
+            0.0
+        };
+        [kick.weight, half_step * after, half_step * before]
     }
 
     /// Returns `1 - c h/2`, the factor of damping on the momentum of an interval at its end. If it is zero, the rounding unit is returned,

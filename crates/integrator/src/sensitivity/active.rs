@@ -276,7 +276,7 @@ impl<S: Simd> ActiveEfforts<'_, S> {
     }
 
     #[inline(always)]
-    fn effort(&self, simd: S, line: usize) -> Lanes<S> {
+    pub fn effort(&self, simd: S, line: usize) -> Lanes<S> {
         Lanes {
             simd,
             value: self.efforts[line],

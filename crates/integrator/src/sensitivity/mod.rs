@@ -21,6 +21,7 @@ mod combined;
 mod conveyor;
 mod dilated;
 pub mod linearize;
+mod numbers;
 pub mod reduction;
 mod repeated;
 pub mod residual;
@@ -53,6 +54,7 @@ use cosserat::signal::ControlSignal;
 use cosserat::step_error::StepError;
 
 pub use self::active::{Covectors, EffortPulls, interval_share};
+pub use self::numbers::{Contracted, CovectorSums, Neighbor, NumberChange, change_between};
 pub use self::repeated::{RepeatedForward, RepeatedReverse};
 pub use self::residual::defects;
 pub use self::step::{
@@ -213,18 +215,34 @@ pub fn adjoint(
     forms: &[StateForm],
     n_threads: usize,
 ) -> Result<AdjointSweep, StepError> {
+    let nothing = OneColumn(&ControlSignal::default());
+    adjoint_along(motion, trajectory, forms, &nothing, n_threads).map(|(sweep, _)| sweep)
+}
+
+/// [`adjoint`], with the values of the sum on the answers to the columns of a control.
+///
+/// # Errors
+/// As [`adjoint`].
+pub fn adjoint_along(
+    motion: &Motion,
+    trajectory: &Trajectory,
+    forms: &[StateForm],
+    columns: &dyn ControlColumns,
+    n_threads: usize,
+) -> Result<(AdjointSweep, Vec<f64>), StepError> {
     let n_times = motion.grid.n_steps + 1;
-    let nothing = ControlSignal::default();
     let task = Task {
         motion,
         trajectory,
         sources: &[],
-        columns: &OneColumn(&nothing),
+        columns,
         forms,
         n_threads,
     };
+    let n_columns = columns.n_columns();
     if forms.is_empty() {
-        return Ok(AdjointSweep::zeros(motion.rod.n_nodes(), n_times));
+        let zeros = AdjointSweep::zeros(motion.rod.n_nodes(), n_times);
+        return Ok((zeros, vec![0.0; n_columns]));
     }
     let tile = Mutex::new(ReverseTile::of_sum(&task));
     let arch = Arch::new();
@@ -240,8 +258,12 @@ pub fn adjoint(
     )?;
     let mut tile = tile.into_inner().unwrap_or_else(PoisonError::into_inner);
     let start = tile.start_of(0);
+    let values = (0..n_columns)
+        .map(|column| tile.values[column * TILE])
+        .collect();
     let sum = tile.sum.take().map(|sum| AdjointSweep { start, ..sum });
-    Ok(sum.unwrap_or_else(|| AdjointSweep::zeros(0, 0)))
+    let sweep = sum.unwrap_or_else(|| AdjointSweep::zeros(0, 0));
+    Ok((sweep, values))
 }
 
 /// Solves the linearized equations of motion forward for one change of the control and of their right-hand side, the state at

@@ -80,16 +80,9 @@ impl SolveRows {
         motion: &Motion,
         (lane, n_lanes): (usize, usize),
         kick: &Kick,
-        [leaves, arrives]: [bool; 2],
+        ends: [bool; 2],
     ) {
-        let half_step = 0.5 * motion.grid.step;
-        let after = if leaves { kick.impulse } else { 0.0 };
-        let before = if arrives {
-            kick.decay * motion.arriving_impulse()
-        } else {
-            0.0
-        };
-        let weights = [kick.weight, half_step * after, half_step * before];
+        let weights = motion.stress_weights(kick, ends);
         for (row, weight) in weights.into_iter().enumerate() {
             self.weights[row * n_lanes + lane] = weight;
         }
@@ -131,7 +124,24 @@ impl<S: Simd> Weights<S> {
         last: &R::Pose<S>,
     ) -> Stress<S> {
         let strain = R::strain(here);
-        (strain.minus(law.rest).times(self.elastic))
+        self.weighted::<R>(strain.minus(law.rest), strain, [there, last])
+    }
+
+    /// Returns the part of [`Self::strain`] that does not depend on the strain at rest.
+    #[inline(always)]
+    pub fn elongation<R: TangentRule>(&self, [here, there, last]: [&R::Pose<S>; 3]) -> Stress<S> {
+        let strain = R::strain(here);
+        self.weighted::<R>(strain, strain, [there, last])
+    }
+
+    #[inline(always)]
+    fn weighted<R: TangentRule>(
+        &self,
+        elastic: Stress<S>,
+        strain: Stress<S>,
+        [there, last]: [&R::Pose<S>; 2],
+    ) -> Stress<S> {
+        (elastic.times(self.elastic))
             .plus(R::strain(there).minus(strain).times(self.after))
             .plus(strain.minus(R::strain(last)).times(self.past))
     }
@@ -162,7 +172,11 @@ impl<S: Simd> Weights<S> {
 
     /// Returns the mean strains of the intervals after and before the time node.
     #[inline(always)]
-    fn means<R: TangentRule>(&self, here: Stress<S>, poses: [&R::Pose<S>; 3]) -> [Stress<S>; 2] {
+    pub fn means<R: TangentRule>(
+        &self,
+        here: Stress<S>,
+        poses: [&R::Pose<S>; 3],
+    ) -> [Stress<S>; 2] {
         let half = Lanes::splat(self.elastic.simd, 0.5);
         [
             here.plus(R::strain(poses[1])).times(half),
