@@ -13,11 +13,15 @@ use std::time::Instant;
 use common::soft_arm;
 use nalgebra::Vector3;
 use softarm::control::{Guess, OptimalControlProblem, Transcription, first_point};
+use softarm::mechanics::linearization::StateTangent;
+use softarm::mechanics::rollout::{Beside, ControlRows, Rollout};
 use softarm::mechanics::stability::{automatic_step, stable_step};
 use softarm::mechanics::{
-    Density, Material, Rod, RodParameters, Route, Stepper, StrainActuator, StrainRule, TimeScheme,
+    Density, Material, NodeInertia, Rod, RodParameters, Route, SectionProfile, State, Stepper,
+    StrainActuator, StrainRule, TimeScheme,
 };
 use softarm::sqp::{HessianChoice, SqpSettings, solve};
+use softarm::stop::StopSignal;
 use softarm::task::{Arm, Discretization, EffortControl, Task};
 use support::{moving, push};
 
@@ -38,6 +42,7 @@ fn main() {
             iterations(hessian, scheme);
         }
     }
+    numbers();
 }
 
 /// Prints the least times of cases that take turns, each over `units`, and their ratios to the first one.
@@ -250,5 +255,134 @@ fn iterations(hessian: HessianChoice, scheme: TimeScheme) {
         &[&names[0], &names[1]],
         |case| work(case, &mut counts),
         |case| per[case] as f64,
+    );
+}
+
+/// A number of an arm, and a change of it.
+type Change = Box<dyn Fn(&mut RodParameters, f64)>;
+
+/// Thirty numbers of a tapered arm with four tendons: the ends of their lines, the section, the shape at rest, gravity and a payload.
+fn thirty() -> Vec<Change> {
+    let mut out: Vec<Change> = Vec::new();
+    for i in 0..16 {
+        let (tendon, axis) = (i / 4, i % 2);
+        out.push(Box::new(move |p, x| {
+            let route = &mut p.actuators[tendon].route;
+            let offset = [&mut route.offset_from, &mut route.offset_to];
+            offset[i / 2 % 2][axis] += 1e-6 * x;
+        }));
+    }
+    for i in 0..5 {
+        out.push(Box::new(move |p, x| {
+            if let SectionProfile::TaperedCircle {
+                material,
+                base_radius,
+                tip_radius,
+            } = &mut p.section
+            {
+                let numbers = [
+                    &mut material.youngs_modulus,
+                    &mut material.shear_modulus,
+                    &mut material.density,
+                    base_radius,
+                    tip_radius,
+                ];
+                *numbers.into_iter().nth(i).expect("a number") *= 1.0 + 1e-5 * x;
+            }
+        }));
+    }
+    for axis in 0..3 {
+        out.push(Box::new(move |p, x| p.rest_curvature[axis] += 1e-5 * x));
+        out.push(Box::new(move |p, x| p.gravity[axis] += 1e-4 * x));
+    }
+    out.push(Box::new(|p, x| p.rest_stretch += 1e-6 * x));
+    for mass in [true, false] {
+        out.push(Box::new(move |p, x| {
+            if let Some(body) = &mut p.payload {
+                let number = if mass {
+                    &mut body.mass
+                } else {
+                    &mut body.rotary.x
+                };
+                *number *= 1.0 + 1e-5 * x;
+            }
+        }));
+    }
+    out
+}
+
+/// A rollout of 1000 steps in 50 intervals, and the derivative of a function of its states along efforts, start and numbers, whose rods are given.
+fn numbers() {
+    let material = Material::isotropic(1e6, 0.45, 1100.0);
+    let arm = RodParameters {
+        actuators: around(Density::Shortening, 1.0, 0.0, 5.0, 0.03),
+        payload: Some(NodeInertia {
+            mass: 0.05,
+            rotary: Vector3::new(1e-5, 1e-5, 1e-5),
+        }),
+        section: SectionProfile::TaperedCircle {
+            material,
+            base_radius: 0.05,
+            tip_radius: 0.03,
+        },
+        ..soft_arm(StrainRule::Helical, ELEMENTS)
+    };
+    let rod = Rod::new(&arm).expect("a rod");
+    let initial = State::at_rest(rod.rest.clone());
+    let beside = |change: &dyn Fn(&mut RodParameters, f64)| {
+        let side = |x: f64| {
+            let mut arm = arm.clone();
+            change(&mut arm, x);
+            Rod::new(&arm).expect("a rod")
+        };
+        Beside {
+            rods: [side(1.0), side(-1.0)],
+            initial: [initial.clone(), initial.clone()],
+            width: 2.0,
+        }
+    };
+    let known: Vec<Beside> = thirty().iter().map(|change| beside(change)).collect();
+    let other = [beside(&|p, x| p.viscous_damping += 1e-4 * (1.0 + x))];
+    let controls = ControlRows {
+        n_rows: 50,
+        inputs: (0..200).map(|i| 5.0 + 3.0 * f64::from(i).sin()).collect(),
+        ..ControlRows::default()
+    };
+    let stop = StopSignal::default();
+    let rollout = Rollout {
+        rod: &rod,
+        start: 0.0,
+        step: 0.7 * stable_step(&rod),
+        n_steps: 20,
+        controls: &controls,
+        stop: &stop,
+    };
+    let states = rollout.states(&initial).expect("a motion");
+    let mut covectors = vec![StateTangent::zeros(rod.n_nodes()); states.len()];
+    for covector in &mut covectors {
+        covector.positions[rod.tip()].x = 1.0;
+    }
+    let back = |numbers: &[Beside]| {
+        (rollout.pull_back(&states, &covectors, numbers)).expect("a derivative");
+    };
+    rows(
+        "1000 steps, four tendons",
+        ("ms", 1e3),
+        ROUNDS,
+        &[
+            "the motion",
+            "backward: 200 efforts, the start",
+            "and 30 numbers of sections, lines, inertia, weight",
+            "and one number of another kind",
+            "61 motions, for differences along 30 numbers",
+        ],
+        |case| match case {
+            0 => drop(rollout.states(&initial)),
+            1 => back(&[]),
+            2 => back(&known),
+            3 => back(&other),
+            _ => (0..61).for_each(|_| drop(rollout.states(&initial))),
+        },
+        |_| 1.0,
     );
 }

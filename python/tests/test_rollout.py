@@ -1,6 +1,8 @@
 """Motions under sequences of controls, and their derivatives against differences of whole motions."""
 
 import pickle
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -170,3 +172,21 @@ def test_torch_and_jax_have_the_same_derivatives():
     rows = np.stack([own, 2 * own])
     many = jax.vmap(jax.grad(lambda efforts: (function(efforts, rollout.values)[0][:, -1] ** 2).sum()))(rows)
     assert np.allclose(many[0], expected.efforts, rtol=1e-12)
+
+
+def test_an_arm_is_designed(capsys, monkeypatch):
+    pytest.importorskip("scipy")
+    program = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "codesign.py"))
+    design, own, found = program["optimum"](np.array([0.009, 0.005, 0.005]))
+    assert found.success and own.gives < 1.0001 * program["GIVES"]
+    # No neighbour that keeps the limits is better.
+    for i in range(3):
+        for change in (-2e-5, 2e-5):
+            other = program["Design"]()
+            at = design + change * np.eye(3)[i]
+            other.evaluate(at)
+            kept = other.gives <= program["GIVES"] and at[2] <= at[0] - program["WALL"] and (at <= program["BOUNDS"][:, 1]).all()
+            assert not kept or other.tensions.max() > own.tensions.max() - 1e-6
+    monkeypatch.setattr("sys.argv", ["codesign.py"])
+    program["main"]()
+    assert "20 of 20 shapes are stable" in (said := capsys.readouterr().out) and "certified" in said

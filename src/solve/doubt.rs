@@ -47,14 +47,14 @@ impl Draws {
         })
     }
 
-    /// Tries both ends of every range; `attempt` returns what is made of a scene in words.
+    /// Tries both ends of every range; `attempt` returns what is made of a scene.
     ///
     /// # Errors
     /// [`SceneError`] at a number at whose end `attempt` fails, and at one both of whose ends are the same to it.
-    pub fn try_ends(
+    pub fn try_ends<T: PartialEq>(
         &self,
         source: &SceneSource,
-        attempt: impl Fn(&[String]) -> Result<String, SceneError>,
+        attempt: impl Fn(&[String]) -> Result<T, SceneError>,
     ) -> Result<(), SceneError> {
         for (index, (number, ends)) in self.doubt.number.iter().zip(&self.ends).enumerate() {
             let refuse = |message: String, help: Option<String>| {
@@ -119,11 +119,7 @@ impl Doubted {
             stop: setup.problem.stop.clone(),
             n_threads,
         };
-        let in_words = |overrides: &[String]| {
-            let (rod, start) = out.arm(overrides)?;
-            Ok(format!("{rod:?} {start:?}"))
-        };
-        (out.draws).try_ends(source, in_words)?;
+        (out.draws).try_ends(source, |overrides| out.arm(overrides))?;
         out.on(setup, source).map(Some)
     }
 

@@ -174,8 +174,9 @@ fn carried(motion: &Motion, trajectory: &Trajectory, rod: &Rod) -> Option<Trajec
     let Motion { rod: own, grid, .. } = motion;
     let ends = |rod: &Rod| {
         let joints = rod.joints.clone();
-        let poses = (rod.base.clone(), rod.base_reference);
-        (poses, rod.tip_end.clone(), rod.tip_reference, joints)
+        let base = (rod.base.clone(), rod.base_reference);
+        let tip = (!rod.has_free_tip()).then_some(rod.tip_reference);
+        (base, rod.tip_end.clone(), tip, joints)
     };
     if ends(own) == ends(rod) {
         return None;
@@ -254,6 +255,12 @@ impl CovectorSums {
             rest: behind.rest.clone(),
             gravity: behind.gravity,
             scales: behind.scales,
+            // Where a free tip is in the stress-free shape.
+            tip_reference: if ahead.has_free_tip() {
+                behind.tip_reference
+            } else {
+                ahead.tip_reference
+            },
             actuators: ahead.actuators.with_lines_of(&behind.actuators),
             ..ahead.clone()
         };
