@@ -793,6 +793,14 @@ def test_the_example_of_learning_runs(tmp_path):
     assert np.isfinite(list(means.values())).all() and (tmp_path / "curve.png").stat().st_size > 0
 
 
+def test_the_example_of_gradients_runs(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    pytest.importorskip("matplotlib")
+    example = runpy.run_path(str(EXAMPLES / "learn_by_gradient.py"))
+    clocks = example["main"](840, 64, tmp_path / "curve.png")
+    assert all(np.isfinite(mean) for clock in clocks for _, _, mean in clock.rows) and (tmp_path / "curve.png").stat().st_size > 0
+
+
 @pytest.fixture(scope="module")
 def cases():
     return SimpleNamespace(**runpy.run_path(str(EXAMPLES / "elastica_cases.py")))
