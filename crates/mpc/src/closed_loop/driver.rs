@@ -53,6 +53,8 @@ pub struct Driver {
     late: Command,
     measurement: Measurement,
     state: State,
+    /// State at the time of the last knowledge.
+    known: State,
     disturbance: Disturbance,
     deviation: Disturbance,
     /// Time of the estimate, s, and time of the last measurement that it has used.
@@ -132,6 +134,7 @@ impl Driver {
             sent: VecDeque::from([before]),
             measurement: Measurement::default(),
             state: controller.expected().clone(),
+            known: controller.expected().clone(),
             disturbance: Disturbance::NONE,
             deviation: Disturbance::NONE,
             known_at: 0.0,
@@ -169,6 +172,12 @@ impl Driver {
     #[must_use]
     pub fn known_at(&self) -> f64 {
         self.known_at
+    }
+
+    /// Returns the state at the time of the last knowledge, on the nodes of the model: as it was measured or estimated.
+    #[must_use]
+    pub fn known(&self) -> &State {
+        &self.known
     }
 
     /// Returns the estimated disturbance.
@@ -282,6 +291,7 @@ impl Driver {
                 (self.controller.reference(self.known_at), turn)
             }
         };
+        self.known.clone_from(&self.state);
         sample.estimate_s = self.begin.wall();
 
         let acts_from = beginning + self.lead();

@@ -305,6 +305,11 @@ impl<W: Write> Server<W> {
         self.driver.next_sample() as f64 * self.period()
     }
 
+    /// Returns the controller's side of the loop.
+    pub fn driver(&self) -> &Driver {
+        &self.driver
+    }
+
     /// Returns the rod of the controller's model.
     pub fn model(&self) -> &mechanics::Rod {
         self.driver.controller().rod()
