@@ -86,6 +86,126 @@ fn calls_that_are_wrong_are_codes_and_texts() {
     );
 }
 
+/// The messages of the node of ROS 2, with types that have the fields of its own: poses there and back, a path, a command, and what diagnostics say;
+/// a loop closes through them.
+#[test]
+fn messages_of_ros_2_carry_a_loop() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let source = folder.path().join("messages.cpp");
+    let header = example().with_file_name("ros2").join("conversion.hpp");
+    let program = format!("#include \"{}\"\n{MESSAGES}", header.display());
+    std::fs::write(&source, program).expect("a file");
+    let out = run("c++", &source, &[]);
+    let words = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(
+        out.status.success(),
+        "{words}{}",
+        String::from_utf8_lossy(&out.stderr)
+    );
+    assert_eq!(
+        words.lines().last(),
+        Some("all is as it should be"),
+        "{words}"
+    );
+}
+
+const MESSAGES: &str = r#"
+#include <cstring>
+
+struct Point { double x = 0, y = 0, z = 0; };
+struct Quaternion { double x = 0, y = 0, z = 0, w = 1; };
+struct Pose { Point position; Quaternion orientation; };
+struct PoseArray { std::vector<Pose> poses; };
+struct Stamp { int sec = 0; unsigned nanosec = 0; };
+struct Header { Stamp stamp; };
+struct PoseStamped { Header header; Pose pose; };
+struct Path { std::vector<PoseStamped> poses; };
+struct JointState { std::vector<std::string> name; std::vector<double> effort; };
+struct Status { unsigned char level = 9; std::string name, message; };
+
+#define EXPECT(truth) \
+    do { if (!(truth)) { std::printf("line %d: %s; %s\n", __LINE__, #truth, softarm_text()); return 1; } } while (0)
+
+int main() {
+    using namespace softarm_ros;
+    // Turns about all kinds of axes, by any angle, of quaternions of any length, there and back.
+    for (int i = 0; i < 2000; i++) {
+        Quaternion q;
+        q.w = std::sin(1.0 + 3.1 * i);
+        q.x = std::sin(2.0 + 1.7 * i);
+        q.y = std::cos(0.3 * i) * (i % 7 != 0);
+        q.z = std::sin(0.9 * i * i) * (i % 5 != 0);
+        double rows[9], again[9];
+        rotation_of(q, rows);
+        for (int a = 0; a < 3; a++) {
+            for (int b = 0; b < 3; b++) {
+                double dot = 0;
+                for (int c = 0; c < 3; c++) dot += rows[3 * a + c] * rows[3 * b + c];
+                EXPECT(std::fabs(dot - (a == b)) < 1e-12);
+            }
+        }
+        const Quaternion back = quaternion_of<Quaternion>(rows);
+        const double size = std::sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
+        EXPECT(back.w >= 0 && std::fabs(std::fabs(back.w * q.w + back.x * q.x + back.y * q.y + back.z * q.z) / size - 1) < 1e-12);
+        rotation_of(back, again);
+        for (int a = 0; a < 9; a++) EXPECT(std::fabs(rows[a] - again[a]) < 1e-12);
+    }
+    // A quarter turn about z takes x to y.
+    Quaternion quarter;
+    quarter.z = quarter.w = std::sqrt(0.5);
+    double rows[9];
+    rotation_of(quarter, rows);
+    EXPECT(std::fabs(rows[3] - 1) < 1e-12 && std::fabs(rows[1] + 1) < 1e-12);
+
+    softarm_controller *controller = nullptr;
+    softarm_plant *plant = nullptr;
+    EXPECT(softarm_new("mpc-track-circle", nullptr, 0, &controller) == SOFTARM_OK);
+    EXPECT(softarm_plant_new(controller, &plant) == SOFTARM_OK);
+    softarm_description own;
+    EXPECT(softarm_describe(controller, &own) == SOFTARM_OK);
+    Arm arm(own.n_nodes), measured(own.n_nodes), known(own.n_nodes);
+    PoseArray message;
+    EXPECT(!take_poses(message, measured));
+    JointState command;
+    Status status;
+    std::vector<double> values(own.n_controls);
+    // Where the tip is to stay, in the place of the circle.
+    Path path;
+    path.poses.resize(2);
+    path.poses[0].header.stamp.sec = 100;
+    path.poses[1].header.stamp = {101, 500000000};
+    for (auto &point : path.poses) point.pose.position = {0.1, 0.05, 0.98};
+    std::string more = reference_of(path, 100.0);
+    EXPECT(more.find("[1.5, 0.1") != std::string::npos);
+    for (int k = 0; k < 300; k++) {
+        softarm_measurement in{};
+        EXPECT(softarm_plant_state(plant, &in.time_s, arm.x.data(), arm.r.data(), nullptr, nullptr) == SOFTARM_OK);
+        put_poses(arm, message);
+        EXPECT(take_poses(message, measured));
+        in.positions = measured.x.data();
+        in.rotations = measured.r.data();
+        in.more = k == 0 ? more.c_str() : nullptr;
+        put_diagnostics(softarm_step(controller, &in, nullptr), status);
+        EXPECT(status.level == 0 && status.message.empty() && status.name == "softarm");
+        EXPECT(softarm_acting(controller, in.time_s, values.data()) == SOFTARM_OK);
+        EXPECT(softarm_plant_step(plant, controller, own.period_s) == SOFTARM_OK);
+    }
+    put_command(own, values, command);
+    EXPECT(command.name.size() == own.n_controls && command.effort == values && command.name[0] == "tip force x");
+    EXPECT(softarm_state(controller, nullptr, known.x.data(), known.r.data(), nullptr, nullptr) == SOFTARM_OK);
+    const double *tip = &known.x[3 * (own.n_nodes - 1)];
+    const double off = std::hypot(std::hypot(tip[0] - 0.1, tip[1] - 0.05), tip[2] - 0.98);
+    if (!(off < 5e-3)) std::printf("%g\n", off);
+    EXPECT(off < 5e-3);
+    put_diagnostics(SOFTARM_FALLBACK, status);
+    EXPECT(status.level == 2);
+    softarm_plant_free(plant);
+    softarm_free(controller);
+    std::puts("all is as it should be");
+    return 0;
+}
+"#;
+
 const WRONG: &str = r#"
 #include <atomic>
 #include <cmath>
