@@ -145,6 +145,26 @@ def test_shapes_have_derivatives_along_numbers():
         assert np.abs(found.along[0][:, i] - expected).max() < 1e-6 * np.abs(expected).max()
 
 
+def test_numbers_at_the_end_of_their_range_have_a_derivative():
+    """An arm without damping, which cannot be negative; and the shapes of a scene with a loop are those of its model, not of its plant."""
+    arm = scene().replace({"damping.viscous_1_s": 0.0})
+    motion = arm.rollout(0.02, KEYS[3:4])(efforts())
+    found = motion.gradient(tip=np.ones_like(motion.tip)).values[0]
+
+    def of(value):
+        return arm.replace({KEYS[3]: value}).rollout(0.02)(efforts()).tip.sum()
+
+    step = 1e-3
+    expected = (-3 * of(0.0) + 4 * of(step) - of(2 * step)) / (2 * step)
+    assert abs(found - expected) < 1e-5 * abs(expected)
+    looped, key = sa.Scene.load("mpc-tendons"), ["rod.material.youngs_modulus_pa"]
+    pulls = [[0.3] + [0.1] * (len(looped.inputs) - 1)]
+    found = looped.shapes(pulls, gradient=key).along[0][0, 0]
+    value = looped[key[0]]
+    two = [looped.replace({key[0]: value * (1 + step)}).shapes(pulls).x[0] for step in (1e-4, -1e-4)]
+    assert np.allclose(found, (two[0] - two[1]) / (2e-4 * value), rtol=1e-5, atol=1e-6 * np.abs(found).max())
+
+
 def test_torch_and_jax_have_the_same_derivatives():
     torch = pytest.importorskip("torch")
     rollout, own = scene().rollout(0.02, KEYS[:3]), efforts()

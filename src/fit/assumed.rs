@@ -4,6 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 use super::explained::upper_tail;
+use super::free::longest;
 use super::least_squares::{Minimum, weigh};
 use super::{FitError, Free, Model, Steps, number};
 
@@ -102,7 +103,7 @@ impl Model<'_> {
         let mut out = Vec::new();
         for assumed in self.assumed() {
             let by = match assumed.kind {
-                Kind::Clock => DIFFERENCE * self.longest(),
+                Kind::Clock => DIFFERENCE * longest(self.fitted()),
                 _ => DIFFERENCE,
             };
             let changed = match self.changed_residuals(&found.at, steps, (&assumed, by)) {
@@ -133,14 +134,6 @@ impl Model<'_> {
             });
         }
         Ok(out)
-    }
-
-    /// Returns the duration of the longest fitted recording, s.
-    fn longest(&self) -> f64 {
-        (self.fitted())
-            .filter_map(|case| case.sights.last())
-            .map(|sight| sight.time)
-            .fold(0.0, f64::max)
     }
 }
 

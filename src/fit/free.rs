@@ -1,4 +1,4 @@
-//! The numbers that are fitted: keys of the scene, factors and summands of keys, and offsets of markers.
+//! The numbers that are fitted: keys of the scene, factors and summands of keys, offsets of markers, and clocks of recordings.
 
 use super::data::{self, Case, Data, Marker};
 use super::{FitError, FitOptions};
@@ -13,6 +13,8 @@ pub struct Free {
     pub plus: Vec<String>,
     /// Marker and axis whose offset it is.
     pub marker: Option<(usize, usize)>,
+    /// Recordings by whose clock it is.
+    pub clock: Vec<usize>,
     pub start: f64,
     /// Unit of the search.
     pub scale: f64,
@@ -50,10 +52,12 @@ impl Free {
             }
         }
         let marker = marker_axis(key, &data.marker)?;
+        let clock = clocks(key, cases)?;
         let given = described
             .and_then(|free| free.start)
             .or_else(|| match marker {
                 Some((marker, axis)) => Some(data.marker[marker].offset_m[axis]),
+                None if !clock.is_empty() => Some(0.0),
                 None if !times.is_empty() => Some(1.0),
                 None if !plus.is_empty() => Some(0.0),
                 None => number(own, key),
@@ -64,7 +68,7 @@ impl Free {
             ));
         };
         let part = |of: fn(&data::Free) -> Option<f64>| described.and_then(of);
-        let is_positive = start > 0.0 && marker.is_none() && plus.is_empty();
+        let is_positive = start > 0.0 && marker.is_none() && clock.is_empty() && plus.is_empty();
         let bounds = [
             part(|free| free.lower).unwrap_or(if is_positive {
                 1e-3 * start
@@ -95,6 +99,10 @@ impl Free {
             .fold(0.0, f64::max);
         let scale = if marker.is_some() {
             start.abs().max(OFFSET * length)
+        } else if !clock.is_empty() {
+            start
+                .abs()
+                .max(CLOCK * longest(clock.iter().map(|&case| &cases[case])))
         } else if start != 0.0 {
             start.abs()
         } else if of_rows > 0.0 {
@@ -111,6 +119,7 @@ impl Free {
             times: times.to_vec(),
             plus: plus.to_vec(),
             marker,
+            clock,
             start,
             scale,
             bounds,
@@ -132,7 +141,7 @@ impl Free {
 
     /// Tells whether it is the number at its key in the scene.
     pub fn is_key(&self) -> bool {
-        self.related().next().is_none() && self.marker.is_none()
+        self.related().next().is_none() && self.marker.is_none() && self.clock.is_empty()
     }
 
     pub fn scaled_bounds(&self) -> [f64; 2] {
@@ -142,6 +151,15 @@ impl Free {
 
 /// Scale of an offset of a marker in the search, as a part of the length of the arm.
 const OFFSET: f64 = 1e-2;
+
+/// Scale of the time by which a clock is ahead, as a part of the longest recording.
+const CLOCK: f64 = 1e-2;
+
+/// Returns the last time of some recordings, s.
+pub fn longest<'a>(cases: impl Iterator<Item = &'a Case>) -> f64 {
+    let last = cases.filter_map(|case| case.sights.last());
+    last.map(|sight| sight.time).fold(0.0, f64::max)
+}
 
 /// Returns the numbers that are fitted, with their starts; `own` are the entries of the scene, and `tables` those of the cases.
 pub fn parameters(
@@ -234,6 +252,28 @@ fn marker_axis(key: &str, markers: &[Marker]) -> Result<Option<(usize, usize)>, 
             "{key}: expected marker.NAME.offset_m.0, .1 or .2, with the name of a marker"
         ))),
     }
+}
+
+/// Returns the recordings by whose clock a key is: all of them for `clock_s`, and one for `recording.NAME.clock_s`; none for another key.
+///
+/// # Errors
+/// Returns [`FitError`] where there is no recording, or none of this name.
+fn clocks(key: &str, cases: &[Case]) -> Result<Vec<usize>, FitError> {
+    let name = (key.strip_prefix("recording.")).and_then(|rest| rest.strip_suffix(".clock_s"));
+    if key != "clock_s" && name.is_none() {
+        return Ok(Vec::new());
+    }
+    let moves = |case: &usize| cases[*case].is_motion();
+    let all: Vec<usize> = (0..cases.len()).filter(moves).collect();
+    let is_own = |case: &usize| name.is_none_or(|name| cases[*case].name == name);
+    let found: Vec<usize> = all.iter().copied().filter(is_own).collect();
+    if found.is_empty() {
+        let names: Vec<&str> = all.iter().map(|&case| &cases[case].name[..]).collect();
+        return Err(FitError::Data(format!(
+            "{key}: a clock is that of a recording, and the data have {names:?}"
+        )));
+    }
+    Ok(found)
 }
 
 /// Returns the size of the largest command of a key in tables.

@@ -382,7 +382,8 @@ impl Model<'_> {
             overrides.push("initial.shape=\"equilibrium\"".into());
         } else {
             let last = case.sights.last().map_or(0.0, |sight| sight.time);
-            overrides.push(format!("time.end_s={:e}", last.max(1e-9)));
+            let end = (last - self.clock(at, index)).max(last);
+            overrides.push(format!("time.end_s={:e}", end.max(1e-9)));
             if let Some((step, scheme)) = step {
                 overrides.push(format!("time.step_s={step:e}"));
                 overrides.push(format!("time.integrator=\"{scheme}\""));
@@ -423,15 +424,16 @@ impl Model<'_> {
         });
         let (scene, source) = self.scene(at, index, steps.get(&index), &more)?;
         let mut setup = scene.simulation_until(&source, self.stop)?;
-        let late = match changed {
-            Some((
-                Assumed {
-                    kind: Kind::Clock, ..
-                },
-                by,
-            )) => by,
-            _ => 0.0,
-        };
+        let late = self.clock(at, index)
+            + match changed {
+                Some((
+                    Assumed {
+                        kind: Kind::Clock, ..
+                    },
+                    by,
+                )) => by,
+                _ => 0.0,
+            };
         if let Some((
             Assumed {
                 kind: Kind::Loads, ..
@@ -486,6 +488,13 @@ impl Model<'_> {
             });
         }
         Ok(out)
+    }
+
+    /// Returns the time by which the clock of a recording is ahead of the scene, s.
+    fn clock(&self, at: &[f64], case: usize) -> f64 {
+        let own = self.parameters.iter().zip(at);
+        let own = own.filter(|(own, _)| own.clock.contains(&case));
+        own.map(|(own, at)| at * own.scale).sum()
     }
 
     /// Returns the pose of a marker, given the [places of the nodes](crate::mechanics::Rod::places).

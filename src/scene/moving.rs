@@ -13,6 +13,8 @@ use crate::task::{Discretization, StartError};
 /// Half of the distance of two arms beside one, as a part of the number in which they differ: the error of their central difference is some
 /// 1e-9 of it, and rounding is a little less.
 const DIFFERENCE: f64 = 3e-5;
+/// Part of that distance for a difference to one side, whose error is of first order.
+const ONE_SIDED: f64 = 1e-3;
 
 /// What has more and what has less of a number, and by how much more.
 type Pair<T> = ([T; 2], f64);
@@ -24,6 +26,8 @@ pub struct ArmNumbers {
     /// The scene with every default written out.
     resolved: Scene,
     discretization: Discretization,
+    /// Tells whether the arm is that of `[plant]`.
+    is_plant: bool,
 }
 
 /// The arm of a scene, at the start of a motion that a program commands.
@@ -52,6 +56,7 @@ impl Scene {
             source: source.clone(),
             resolved,
             discretization,
+            is_plant: self.mpc.is_some(),
         };
         if self.mpc.is_some() {
             let setup = self.closed_loop(source, 0, stop)?;
@@ -81,6 +86,7 @@ impl Scene {
             source: source.clone(),
             resolved: self.resolved(&self.arm(source)?, &discretization),
             discretization,
+            is_plant: false,
         })
     }
 }
@@ -127,7 +133,6 @@ impl ArmNumbers {
         make: &(impl Fn(&Scene, Rod) -> Result<(Rod, T), SceneError> + Sync),
     ) -> Result<Vec<Pair<(Rod, T)>>, SceneError> {
         let values = self.values(keys)?;
-        let is_plant = self.resolved.mpc.is_some();
         let one = |index: usize| {
             let (key, value) = (&keys[index], values[index]);
             let half = match value {
@@ -139,19 +144,20 @@ impl ArmNumbers {
                 let setter = [format!("{key}={x:e}")];
                 let overrides = [&self.source.overrides[..], &setter].concat();
                 let (scene, source) = Scene::from_toml(name, text, &overrides)?;
-                let rod = if is_plant {
+                let rod = if self.is_plant {
                     scene.plant_rod(&source, &self.discretization)?
                 } else {
                     scene.rod_of(&source, &self.discretization)?
                 };
                 make(&scene, rod)
             };
-            // A number at the end of its range has one side.
             let here = || (rod.clone(), own.clone());
+            let near = ONE_SIDED * half;
             let (ahead, behind, width) = match (with(value + half), with(value - half)) {
                 (Ok(ahead), Ok(behind)) => (ahead, behind, 2.0 * half),
-                (Ok(ahead), Err(_)) => (ahead, here(), half),
-                (Err(_), Ok(behind)) => (here(), behind, half),
+                // A number at the end of its range has one side.
+                (Ok(_), Err(_)) => (with(value + near)?, here(), near),
+                (Err(_), Ok(_)) => (here(), with(value - near)?, near),
                 (Err(error), Err(_)) => return Err(error),
             };
             let refuse =

@@ -681,6 +681,69 @@ fn several_recordings_add_their_information() {
     assert!(both["cases"][2]["left_out_rms_m"].is_null());
 }
 
+/// Two recordings whose clocks are ahead by 12 ms and late by 7 ms give back both, with the modulus; a clock of no recording is refused by the names that
+/// there are.
+#[test]
+fn clocks_of_recordings_are_found() {
+    let desk = Desk::new();
+    let load = "[[load]]\nnode = \"tip\"\nforce_n = [0.0, 0.0, 0.0]\n";
+    desk.write("arm.toml", &format!("{SCENE}{load}"));
+    let modulus = "rod.material.youngs_modulus_pa";
+    let mut data = MARKERS.to_string();
+    for (i, (force, ahead)) in [("[0.05, 0.0, 0.0]", 0.012), ("[0.0, 0.04, 0.02]", -0.007)]
+        .into_iter()
+        .enumerate()
+    {
+        let set = format!("load.0.force_n={force}");
+        let mut made = Motion::new(
+            &desk,
+            3,
+            &[&format!("{modulus}=1e6"), &set, "time.step_s=1e-4"],
+        );
+        for t in &mut made.record.t {
+            *t += ahead;
+        }
+        desk.write(&format!("{i}.csv"), &made.places("tip", 6, || 0.0));
+        let _ = write!(
+            data,
+            "[[recording]]\ncsv = \"{i}.csv\"\nset = [\"{set}\"]\n"
+        );
+    }
+    desk.write("data.toml", &data);
+    let fit = |free: &str| {
+        let words = [
+            "fit",
+            "arm.toml",
+            "--data",
+            "data.toml",
+            "--out",
+            "fit",
+            "--free",
+            free,
+        ];
+        desk.run(&words)
+    };
+    let (code, _, talk) = fit(&format!("{modulus},recording.none.clock_s"));
+    assert_ne!(code, DONE);
+    let first = talk.split('"').nth(1).unwrap_or_default().to_string();
+    assert!(
+        talk.contains("a clock is that of a recording") && !first.is_empty(),
+        "{talk}"
+    );
+    let second = talk.split('"').nth(3).unwrap_or_default().to_string();
+    let free = format!("{modulus},recording.{first}.clock_s,recording.{second}.clock_s");
+    let (code, summary, talk) = fit(&free);
+    assert_eq!(code, DONE, "{talk}");
+    for (index, truth, most) in [(0, 1e6, 1e3), (1, 0.012, 5e-5), (2, -0.007, 5e-5)] {
+        let found = value(&summary, index, "value");
+        assert!((found - truth).abs() < most, "{found} {truth} {talk}");
+    }
+    let (code, summary, talk) = fit(&format!("{modulus},clock_s"));
+    assert_eq!(code, DONE, "{talk}");
+    let both = value(&summary, 1, "value");
+    assert!(-0.007 < both && both < 0.012, "{both}");
+}
+
 /// Orientations alone give back the numbers that made them: of a recording with a gap and quaternions of either sign modulus and damping, of
 /// a shape at rest the modulus.
 #[test]
