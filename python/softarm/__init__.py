@@ -15,7 +15,7 @@ from ._softarm import Batch, __version__, builtin_scenes
 from .control import Command, Controller, Plant, State
 from .errors import InternalError, ModelError, ResultError, SceneError, SoftarmError, Stopped
 from .profiles import profile
-from .program import Component, Program, Quadratic
+from .program import Component, Derivatives, Program, Quadratic
 from .progress import progress
 from .results import Certificate, Result, load, verify
 from .rollout import Gradient, Motion, Rollout
@@ -28,6 +28,7 @@ __all__ = [
     "Command",
     "Component",
     "Controller",
+    "Derivatives",
     "Gradient",
     "InternalError",
     "ModelError",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,22 @@ class Quadratic:
         return self.gauss_newton if self.curvature is None else self.gauss_newton + self.curvature
 
 
+@dataclass(frozen=True)
+class Derivatives:
+    """Derivatives of a solution along p numbers of its scene, for the same active bounds and limits."""
+
+    variables: np.ndarray
+    """Of the variables of the program, in its units, (n, p)."""
+    objective: np.ndarray
+    """Of the least objective, (p,)."""
+    x: np.ndarray
+    """Of the positions of the motion, m, (N+1, K+1, 3, p)."""
+    active: int
+    """How many bounds and limits are active."""
+    residual: float
+    """Part of the objective's gradient that no multipliers balance: 0 at an optimum."""
+
+
 class Program:
     """The discrete optimal-control problem of a scene, condensed to its variables: minimize the objective over `v` in the sets, subject
     to `constraints(v) = 0` and `inequalities(v) <= 0`, where the motion follows from `v` by simulation.
@@ -66,8 +83,8 @@ class Program:
     soft or within a tolerance. All values are those of the solver of `Scene.solve`, which keeps the motion as an unknown of its own.
     """
 
-    def __init__(self, native: _softarm.Program):
-        self._native = native
+    def __init__(self, native: _softarm.Program, scene: Any):
+        self._native, self.scene = native, scene
 
     @property
     def n_variables(self) -> int:
@@ -140,3 +157,178 @@ class Program:
         components, constant over the block, in N, N m or the unit of the effort.
         """
         return self._native.transitions(variables)
+
+    def solution(self, result: Any) -> np.ndarray:
+        """Returns the variables of the solution of a result, whose scene the program is of."""
+        variables = self._native.solution(str(result.directory))
+        soft = slice(self.n_controls, None)
+        local = self.linearize(variables)
+        # The residuals of soft goals are those of the motion; the constraints are linear in them.
+        variables[soft] -= np.linalg.lstsq(local.jacobian[:, soft], local.constraints, rcond=None)[0]
+        return variables
+
+    def _scale(self, other: Program) -> np.ndarray:
+        """Returns by what the variables of this program are multiplied to be those of another one with other units of its controls."""
+        names = [[(own.name, own.node, own.axis) for own in program.components] for program in (self, other)]
+        if other.n_variables != self.n_variables or names[0] != names[1]:
+            raise ValueError("the number changes the size of the program, along which there is no derivative")
+        units = [np.array([own.unit for own in program.components]) for program in (self, other)]
+        out = np.ones(self.n_variables)
+        out[: self.n_controls] = np.tile(units[0] / units[1], self.n_controls // len(units[0]))
+        return out
+
+    def derivatives(self, variables: npt.ArrayLike, keys: Sequence[str]) -> Derivatives:
+        """Returns the derivatives of a solution along numbers of the scene, by their dotted keys.
+
+        The conditions of optimality, with the bounds and limits that are active, define the solution as a function of the numbers; their matrix is
+        the exact one of Newton's method. How they change along a number at the solution is a central difference of the analytic gradients of
+        two programs. The numbers are those of the scene of the program, of which nothing else changes. At the point where a bound is
+        about to become active, or no longer, there are derivatives to one side alone, and these are those of the bounds that are active.
+
+        Raises `ValueError` for variables that are no solution, and for numbers that change the size of the program.
+        """
+        v = np.array(variables, float)
+        local = self.linearize(v)
+        values = self.evaluate(v)
+        near = [i for i, value in enumerate(values[2]) if value > -_ACTIVE]
+        local = self.linearize(v, rows=near)
+        places = [i for i, own in enumerate(self.sets) if _Bound(own).slack(v) < _ACTIVE]
+        bounds = [_Bound(self.sets[i]) for i in places]
+        normals = np.array([own.normal(v) for own in bounds]).reshape(len(bounds), len(v))
+        # Multipliers that balance the gradient; those of active bounds and limits are not negative.
+        m = len(local.constraints)
+        rows = np.vstack([local.jacobian, local.inequality_jacobian, normals])
+        kept = list(range(len(rows)))
+        while True:
+            found = np.linalg.lstsq(rows[kept].T, -local.gradient, rcond=None)[0]
+            free = {m + len(near) + j for j, own in enumerate(bounds) if own.is_equality}
+            low = [(value, i) for value, i in zip(found, kept) if i >= m and i not in free and value <= 0.0]
+            if not low:
+                break
+            kept.remove(min(low)[1])
+        multipliers = np.zeros(len(rows))
+        multipliers[kept] = found
+        residual = np.abs(local.gradient + rows.T @ multipliers).max() / max(np.abs(local.gradient).max(), 1e-300)
+        if not (residual < _RESIDUAL and np.abs(local.constraints).max(initial=0.0) < _RESIDUAL):
+            raise ValueError(
+                f"the variables are no solution: {residual:.1e} of the gradient is not balanced; solve with a smaller solver.tolerance"
+            )
+        inequalities = np.zeros(len(values[2]))
+        inequalities[near] = multipliers[m : m + len(near)]
+        held = [i for i in kept if i >= m + len(near)]
+        taut = [near[i - m] for i in kept if m <= i < m + len(near)]
+
+        sets = self.sets
+
+        def conditions(program: Program) -> tuple[np.ndarray, np.ndarray, float]:
+            """The gradient of the Lagrangian, the active constraints, and the Lagrangian."""
+            scale = self._scale(program)
+            raw = program.linearize(v * scale, rows=taut)
+            scaled = replace(
+                raw, gradient=raw.gradient * scale, jacobian=raw.jacobian * scale, inequality_jacobian=raw.inequality_jacobian * scale
+            )
+            own = _aligned(scaled, local, v, self.n_controls, sets)
+            gradient = own.gradient + multipliers[:m] @ own.jacobian + inequalities[taut] @ own.inequality_jacobian
+            others = program.sets
+            off = np.array([_Bound(others[places[i - m - len(near)]]).value(v * scale) for i in held])
+            active = np.concatenate([own.constraints, own.inequalities, off])
+            weights = np.concatenate([multipliers[:m], inequalities[taut], multipliers[held]])
+            return gradient, active, own.objective + weights @ active
+
+        hessian = self.linearize(v, multipliers[:m], inequalities, rows=taut).hessian
+        for i in held:
+            hessian = hessian + multipliers[i] * bounds[i - m - len(near)].curvature(len(v))
+        active_rows = np.vstack([local.jacobian, rows[[m + near.index(i) for i in taut]], rows[held]])
+        size = len(active_rows)
+        matrix = np.block([[hessian, active_rows.T], [active_rows, np.zeros((size, size))]])
+        columns, objective, moved = [], [], []
+        for key in keys:
+            value = self.scene[key]
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise ValueError(f"{key} is no number of this scene")
+            half = 1e-5 * (abs(value) or 1.0)
+            two = [self.scene.replace({key: value + side}).program() for side in (half, -half)]
+            ahead, behind = map(conditions, two)
+            right = np.concatenate([(ahead[0] - behind[0]), (ahead[1] - behind[1])]) / (2 * half)
+            columns.append(np.linalg.lstsq(matrix, -right, rcond=None)[0][: len(v)])
+            objective.append((ahead[2] - behind[2]) / (2 * half))
+            shapes = [own.rollout(v * self._scale(own))[0] for own in two]
+            moved.append((shapes[0] - shapes[1]) / (2 * half) + self.sensitivity(v, columns[-1])[0])
+        return Derivatives(np.array(columns).T, np.array(objective), np.stack(moved, axis=-1), len(held) + len(taut), float(residual))
+
+
+def _aligned(own: Quadratic, like: Quadratic, v: np.ndarray, n_controls: int, sets: list[dict[str, Any]]) -> Quadratic:
+    """Returns constraints whose residuals are bounded together, by a ball, in the basis that another program has: that of the motions of an arm which
+    stays is not unique, and a ball does not mind.
+    """
+    constraints, jacobian = own.constraints.copy(), own.jacobian.copy()
+    for ball in sets:
+        soft = [row[0][0] for row in ball["rows"]]
+        if ball["kind"] != "ball" or min(soft) < n_controls:
+            continue
+        rows = [int(np.abs(like.jacobian[:, i]).argmax()) for i in soft]
+        slopes = np.array([like.jacobian[row, i] for row, i in zip(rows, soft)])
+        if len(set(rows)) < len(rows) or np.ptp(slopes) > 1e-9 * np.abs(slopes).max():
+            continue
+        left, _, right = np.linalg.svd(jacobian[rows, :n_controls] @ like.jacobian[rows, :n_controls].T)
+        turn = (left @ right).T
+        part = slopes * v[soft]
+        constraints[rows] = turn @ (constraints[rows] - part) + part
+        jacobian[rows, :n_controls] = turn @ jacobian[rows, :n_controls]
+    return replace(own, constraints=constraints, jacobian=jacobian)
+
+
+_ACTIVE = 1e-6
+"""Distance from a bound or limit, in its scale, below which it may be active: where its multiplier is positive."""
+_RESIDUAL = 1e-3
+"""Largest part of a gradient that is not balanced at a solution."""
+
+
+class _Bound:
+    """A set of the variables as a constraint `value <= 0`."""
+
+    def __init__(self, own: dict[str, Any]):
+        self.own = own
+
+    @property
+    def is_equality(self) -> bool:
+        """Tells whether it fixes what it bounds, as the controls of an arm that stays."""
+        own = self.own
+        return own["kind"] == "interval" and own["upper"] - own["lower"] <= 1e-9 * max(abs(own["upper"]), 1.0)
+
+    def _product(self, v: np.ndarray) -> np.ndarray:
+        return np.array([sum(factor * v[i] for i, factor in row) for row in self.own["rows"]])
+
+    def _is_low(self, v: np.ndarray) -> bool:
+        """Tells whether an interval is nearer to its lower end."""
+        own, at = self.own, self._product(v)[0]
+        return own["kind"] == "interval" and not self.is_equality and at - own["lower"] < own["upper"] - at
+
+    def value(self, v: np.ndarray) -> float:
+        own, at = self.own, self._product(v)
+        if own["kind"] == "ball":
+            return 0.5 * float(at @ at - own["upper"] ** 2)
+        return float(own["lower"] - at[0] if self._is_low(v) else at[0] - own["upper"])
+
+    def slack(self, v: np.ndarray) -> float:
+        own, at = self.own, self._product(v)
+        if own["kind"] == "ball":
+            return float(own["upper"] - np.sqrt(at @ at)) / max(own["upper"], 1e-300)
+        return -self.value(v) / max(abs(own["upper"]), 1.0) if np.isfinite(self.value(v)) else np.inf
+
+    def normal(self, v: np.ndarray) -> np.ndarray:
+        out, own = np.zeros(len(v)), self.own
+        weights = self._product(v) if own["kind"] == "ball" else [-1.0 if self._is_low(v) else 1.0]
+        for weight, row in zip(weights, own["rows"]):
+            for i, factor in row:
+                out[i] += weight * factor
+        return out
+
+    def curvature(self, n: int) -> np.ndarray:
+        out = np.zeros((n, n))
+        if self.own["kind"] == "ball":
+            for row in self.own["rows"]:
+                for i, a in row:
+                    for j, b in row:
+                        out[i, j] += a * b
+        return out

@@ -401,7 +401,7 @@ class Scene:
 
     def program(self) -> Program:
         """Returns the optimal-control problem as arrays, for a solver of one's own."""
-        return Program(_softarm.Program(self._name, self._text, list(self._overrides)))
+        return Program(_softarm.Program(self._name, self._text, list(self._overrides)), self)
 
     def rollout(self, dt: float, numbers: Sequence[str] = (), *, linear: bool = False, nodes: Sequence[int] = ()) -> Rollout:
         """Returns motions of that arm under sequences of controls, with derivatives along the controls, the state at the start and some numbers of

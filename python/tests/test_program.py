@@ -109,3 +109,50 @@ def test_refusals(program):
         program.linearize(program.guess(), rows=[5, 3])
     with pytest.raises(sa.SceneError):
         sa.Scene.load("swing").program()
+
+
+@pytest.mark.parametrize(
+    "name, changes, keys",
+    [
+        # The tip stops for an instant, and a bound on the force is active.
+        ("reach", {"rod.elements": 5, "control.force_max_n": 1.2, "task.at_rest": "tip", "task.stays_m": None}, ["rod.material.youngs_modulus_pa", "control.force_max_n"]),
+        # The arm stays, with an end that is fixed and soft rows in a ball, whose basis differs between two programs.
+        ("reach", {"rod.elements": 5}, ["task.position_m.0", "rod.material.density_kg_m3"]),
+        # Rows of an obstacle.
+        ("reach-obstacle", {"rod.elements": 6}, ["obstacle.0.sphere.radius_m"]),
+    ],
+)
+def test_derivatives_of_solutions_are_those_of_solves(name, changes, keys):
+    scene = sa.Scene.load(name).replace({"control.blocks": 8, "solver.tolerance": 1e-9} | changes)
+    result = scene.solve()
+    assert result.status == "converged"
+    whole = result.scene
+    program = whole.program()
+    found = program.derivatives(program.solution(result), keys)
+    assert found.residual < 1e-6 and found.active > 0
+    n = program.n_controls
+
+    def solved(key, value):
+        own = whole.replace({key: value}).solve(start_from=result)
+        assert own.status == "converged"
+        other = own.scene.program()
+        units = [np.tile([part.unit for part in each.components], n // len(each.components)) for each in (program, other)]
+        return other.solution(own)[:n] * units[1] / units[0], own.summary["objective"], own.x
+
+    for i, key in enumerate(keys):
+        def central(step):
+            ahead, behind = solved(key, whole[key] + step), solved(key, whole[key] - step)
+            return [(a - b) / (2 * step) for a, b in zip(ahead, behind)]
+
+        step = 5e-5 * abs(whole[key])
+        expected = [(4 * fine - coarse) / 3 for coarse, fine in zip(central(2 * step), central(step))]
+        own = [found.variables[:n, i], found.objective[i], found.x[..., i]]
+        for slope, other in zip(own, expected):
+            assert np.abs(slope - other).max() < 2e-4 * np.abs(other).max(), (key, np.abs(slope - other).max() / np.abs(other).max())
+
+
+def test_what_is_no_solution_has_no_derivatives(program, point):
+    with pytest.raises(ValueError, match="no solution"):
+        program.derivatives(point, ["rod.material.youngs_modulus_pa"])
+    with pytest.raises(sa.ResultError):
+        program.solution(sa.Scene.load("swing").replace({"time.end_s": 0.05}).simulate())

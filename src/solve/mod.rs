@@ -49,6 +49,19 @@ pub(crate) use self::{
     summary::{start_not_begun, start_summary, status_words, summarize},
 };
 
+/// Returns the coefficients of the controls in the result directory of a problem.
+///
+/// # Errors
+/// Returns the reason why files cannot be read, or have the controls of another problem.
+#[cfg(feature = "cli")]
+#[doc(hidden)]
+pub fn saved_coefficients(
+    directory: &std::path::Path,
+    problem: &crate::control::OptimalControlProblem,
+) -> Result<Vec<f64>, String> {
+    read_coefficients(directory, problem).map_err(|error| error.to_string())
+}
+
 pub use files::SaveError;
 pub use solution::Solution;
 pub use statics::{Statics, StaticsError, StaticsOptions, statics};

@@ -19,6 +19,7 @@ use softarm::control::{
 };
 use softarm::mechanics::Trajectory;
 use softarm::scene::OptimalControl;
+use softarm::solve::saved_coefficients;
 use softarm::sqp::{ConvexSet, Failure, LiftedProgram as _, LinearizationRequest, Multipliers};
 use softarm::stop::StopSignal;
 
@@ -234,6 +235,18 @@ impl Program {
         let found = py.detach(|| first_point(problem, guess, None));
         let (point, _) = found.map_err(|error| raise(py, "ModelError", error.to_string()))?;
         Ok(point.variables.into_pyarray(py))
+    }
+
+    /// The variables of the solution in a result directory; residuals of soft goals are zero.
+    fn solution<'py>(
+        &self,
+        py: Python<'py>,
+        directory: std::path::PathBuf,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let problem = self.problem();
+        let found = saved_coefficients(&directory, problem);
+        let coefficients = found.map_err(|words| raise(py, "ResultError", words))?;
+        Ok(problem.variables(&coefficients).into_pyarray(py))
     }
 
     /// The motion under given variables.
