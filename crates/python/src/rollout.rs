@@ -433,7 +433,7 @@ impl Motions {
     /// Returns the derivatives of a function of the states, which has the given ones along these: along efforts, wrenches and values of the numbers,
     /// and along positions, rotations, velocities and angular velocities at the start.
     #[pyo3(signature = (x=None, r=None, v=None, w=None, numbers=true, threads=None))]
-    #[allow(clippy::type_complexity)]
+    #[allow(clippy::too_many_arguments, clippy::type_complexity)]
     fn pull_back<'py>(
         &self,
         py: Python<'py>,
