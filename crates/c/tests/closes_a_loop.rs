@@ -75,51 +75,33 @@ fn the_example_closes_a_loop() {
     );
 }
 
-/// Tendons: names, whole efforts, refused measurements, faults of the call, and a thread that asks for what acts while the loop works.
-#[test]
-fn calls_that_are_wrong_are_codes_and_texts() {
+/// Compiles a program in C++, which prints that all is as it should be, or the line where it is not.
+fn passes(program: &str) {
     let folder = tempfile::tempdir().expect("a folder");
-    let source = folder.path().join("wrong.cpp");
-    std::fs::write(&source, WRONG).expect("a file");
+    let source = folder.path().join("program.cpp");
+    std::fs::write(&source, program).expect("a file");
     let Some(out) = run("c++", &source, &[]) else {
         return;
     };
     let words = String::from_utf8_lossy(&out.stdout).into_owned();
-    assert!(
-        out.status.success(),
-        "{words}{}",
-        String::from_utf8_lossy(&out.stderr)
-    );
-    assert_eq!(
-        words.lines().last(),
-        Some("all is as it should be"),
-        "{words}"
-    );
+    let errors = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.success(), "{words}{errors}");
+    let last = words.lines().last();
+    assert_eq!(last, Some("all is as it should be"), "{words}");
+}
+
+/// Tendons: names, whole efforts, refused measurements, faults of the call, and a thread that asks for what acts while the loop works.
+#[test]
+fn calls_that_are_wrong_are_codes_and_texts() {
+    passes(WRONG);
 }
 
 /// The messages of the node of ROS 2, with types that have the fields of its own: poses there and back, a path, a command, and what diagnostics say;
 /// a loop closes through them.
 #[test]
 fn messages_of_ros_2_carry_a_loop() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let source = folder.path().join("messages.cpp");
     let header = example().with_file_name("ros2").join("conversion.hpp");
-    let program = format!("#include \"{}\"\n{MESSAGES}", header.display());
-    std::fs::write(&source, program).expect("a file");
-    let Some(out) = run("c++", &source, &[]) else {
-        return;
-    };
-    let words = String::from_utf8_lossy(&out.stdout).into_owned();
-    assert!(
-        out.status.success(),
-        "{words}{}",
-        String::from_utf8_lossy(&out.stderr)
-    );
-    assert_eq!(
-        words.lines().last(),
-        Some("all is as it should be"),
-        "{words}"
-    );
+    passes(&format!("#include \"{}\"\n{MESSAGES}", header.display()));
 }
 
 const MESSAGES: &str = r#"
