@@ -188,73 +188,77 @@ class Program:
         Raises `ValueError` for variables that are no solution, and for numbers that change the size of the program.
         """
         v = np.array(variables, float)
-        local = self.linearize(v)
-        values = self.evaluate(v)
-        near = [i for i, value in enumerate(values[2]) if value > -_ACTIVE]
+        inequalities = self.evaluate(v)[2]
+        near = [i for i, value in enumerate(inequalities) if value > -_ACTIVE]
         local = self.linearize(v, rows=near)
-        places = [i for i, own in enumerate(self.sets) if _Bound(own).slack(v) < _ACTIVE]
-        bounds = [_Bound(self.sets[i]) for i in places]
+        sets = self.sets
+        places = [i for i, own in enumerate(sets) if _Bound(own).slack(v) < _ACTIVE]
+        bounds = [_Bound(sets[i]) for i in places]
         normals = np.array([own.normal(v) for own in bounds]).reshape(len(bounds), len(v))
-        # Multipliers that balance the gradient; those of active bounds and limits are not negative.
-        m = len(local.constraints)
         rows = np.vstack([local.jacobian, local.inequality_jacobian, normals])
-        kept = list(range(len(rows)))
-        while True:
-            found = np.linalg.lstsq(rows[kept].T, -local.gradient, rcond=None)[0]
-            free = {m + len(near) + j for j, own in enumerate(bounds) if own.is_equality}
-            low = [(value, i) for value, i in zip(found, kept) if i >= m and i not in free and value <= 0.0]
-            if not low:
-                break
-            kept.remove(min(low)[1])
-        multipliers = np.zeros(len(rows))
-        multipliers[kept] = found
+        # The rows are those of the constraints, then of the limits, then of the bounds.
+        m, first = len(local.constraints), len(local.constraints) + len(near)
+        free = {*range(m), *(first + j for j, own in enumerate(bounds) if own.is_equality)}
+        kept, multipliers = _balanced(rows, local.gradient, free)
         residual = np.abs(local.gradient + rows.T @ multipliers).max() / max(np.abs(local.gradient).max(), 1e-300)
         if not (residual < _RESIDUAL and np.abs(local.constraints).max(initial=0.0) < _RESIDUAL):
             raise ValueError(
                 f"the variables are no solution: {residual:.1e} of the gradient is not balanced; solve with a smaller solver.tolerance"
             )
-        inequalities = np.zeros(len(values[2]))
-        inequalities[near] = multipliers[m : m + len(near)]
-        held = [i for i in kept if i >= m + len(near)]
-        taut = [near[i - m] for i in kept if m <= i < m + len(near)]
+        taut, held = [i for i in kept if m <= i < first], [i for i in kept if i >= first]
+        limits, held_places = [near[i - m] for i in taut], [places[i - first] for i in held]
+        weights = multipliers[[*range(m), *taut, *held]]
 
-        sets = self.sets
-
-        def conditions(program: Program) -> tuple[np.ndarray, np.ndarray, float]:
-            """The gradient of the Lagrangian, the active constraints, and the Lagrangian."""
+        def conditions(program: Program) -> tuple[np.ndarray | float, ...]:
+            """The gradient of the Lagrangian, the active constraints, the Lagrangian, and the positions of the motion."""
             scale = self._scale(program)
-            raw = program.linearize(v * scale, rows=taut)
+            at = v * scale
+            raw = program.linearize(at, rows=limits)
             scaled = replace(
                 raw, gradient=raw.gradient * scale, jacobian=raw.jacobian * scale, inequality_jacobian=raw.inequality_jacobian * scale
             )
             own = _aligned(scaled, local, v, self.n_controls, sets)
-            gradient = own.gradient + multipliers[:m] @ own.jacobian + inequalities[taut] @ own.inequality_jacobian
+            gradient = own.gradient + multipliers[:m] @ own.jacobian + multipliers[taut] @ own.inequality_jacobian
             others = program.sets
-            off = np.array([_Bound(others[places[i - m - len(near)]]).value(v * scale) for i in held])
-            active = np.concatenate([own.constraints, own.inequalities, off])
-            weights = np.concatenate([multipliers[:m], inequalities[taut], multipliers[held]])
-            return gradient, active, own.objective + weights @ active
+            active = np.concatenate([own.constraints, own.inequalities, [_Bound(others[i]).value(at) for i in held_places]])
+            return gradient, active, own.objective + weights @ active, program.rollout(at)[0]
 
-        hessian = self.linearize(v, multipliers[:m], inequalities, rows=taut).hessian
+        of_limits = np.zeros(len(inequalities))
+        of_limits[near] = multipliers[m:first]
+        hessian = self.linearize(v, multipliers[:m], of_limits, rows=limits).hessian
         for i in held:
-            hessian = hessian + multipliers[i] * bounds[i - m - len(near)].curvature(len(v))
-        active_rows = np.vstack([local.jacobian, rows[[m + near.index(i) for i in taut]], rows[held]])
+            hessian = hessian + multipliers[i] * bounds[i - first].curvature(len(v))
+        active_rows = rows[[*range(m), *taut, *held]]
         size = len(active_rows)
         matrix = np.block([[hessian, active_rows.T], [active_rows, np.zeros((size, size))]])
-        columns, objective, moved = [], [], []
+        slopes: list[list[Any]] = []
         for key in keys:
             value = self.scene[key]
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise ValueError(f"{key} is no number of this scene")
             half = 1e-5 * (abs(value) or 1.0)
-            two = [self.scene.replace({key: value + side}).program() for side in (half, -half)]
-            ahead, behind = map(conditions, two)
-            right = np.concatenate([(ahead[0] - behind[0]), (ahead[1] - behind[1])]) / (2 * half)
-            columns.append(np.linalg.lstsq(matrix, -right, rcond=None)[0][: len(v)])
-            objective.append((ahead[2] - behind[2]) / (2 * half))
-            shapes = [own.rollout(v * self._scale(own))[0] for own in two]
-            moved.append((shapes[0] - shapes[1]) / (2 * half) + self.sensitivity(v, columns[-1])[0])
-        return Derivatives(np.array(columns).T, np.array(objective), np.stack(moved, axis=-1), len(held) + len(taut), float(residual))
+            ahead, behind = (conditions(self.scene.replace({key: value + side}).program()) for side in (half, -half))
+            slopes.append([(more - less) / (2 * half) for more, less in zip(ahead, behind)])
+        gradients, active, objective, moved = (np.stack(own, axis=-1) for own in zip(*slopes))
+        columns = np.linalg.lstsq(matrix, -np.concatenate([gradients, active]), rcond=None)[0][: len(v)]
+        moved += np.stack([self.sensitivity(v, column)[0] for column in columns.T], axis=-1)
+        return Derivatives(columns, objective, moved, len(held) + len(taut), float(residual))
+
+
+def _balanced(rows: np.ndarray, gradient: np.ndarray, free: set[int]) -> tuple[list[int], np.ndarray]:
+    """Returns multipliers of the rows of conditions that balance a gradient, and the conditions that are kept for it: the multipliers of
+    those that are not free are not negative.
+    """
+    kept = list(range(len(rows)))
+    while True:
+        found = np.linalg.lstsq(rows[kept].T, -gradient, rcond=None)[0]
+        low = [(value, i) for value, i in zip(found, kept) if i not in free and value <= 0.0]
+        if not low:
+            break
+        kept.remove(min(low)[1])
+    multipliers = np.zeros(len(rows))
+    multipliers[kept] = found
+    return kept, multipliers
 
 
 def _aligned(own: Quadratic, like: Quadratic, v: np.ndarray, n_controls: int, sets: list[dict[str, Any]]) -> Quadratic:

@@ -147,8 +147,8 @@ class Rollout:
         batches = {len(array) for array, plain in dimensions if array is not None and array.ndim == plain + 1}
         if len(batches) > 1:
             raise ValueError(f"batches of {sorted(batches)} rows: give one length, or arrays without that axis")
-        batch = batches.pop() if batches else 1
-        is_batch = any(array is not None and array.ndim == plain + 1 for array, plain in dimensions)
+        is_batch = bool(batches)
+        batch = batches.pop() if is_batch else 1
         rows = {array.shape[array.ndim - plain] for array, plain in dimensions[:2] if array is not None}
         if len(rows) > 1:
             raise ValueError(f"efforts and wrenches have {sorted(rows)} rows: give as many of each")
@@ -218,13 +218,15 @@ class Rollout:
             times = efforts.shape[:-2] + (efforts.shape[-2] + (0 if self.linear else 1), n_nodes)
             return tuple(jax.ShapeDtypeStruct(times + own, efforts.dtype) for own in [(3,), (3, 3), (3,), (3,)])
 
+        def motion_of(efforts: Any, values: Any) -> Motion:
+            return self._of([np.asarray(efforts), None, np.asarray(values), None, None, None, None], None)
+
         def states(efforts: Any, values: Any) -> Any:
-            motion = self._of([np.asarray(efforts), None, np.asarray(values), None, None, None, None], None)
+            motion = motion_of(efforts, values)
             return tuple(own.astype(efforts.dtype) for own in (motion.x, motion.R, motion.v, motion.w))
 
         def slopes(efforts: Any, values: Any, *along: Any) -> Any:
-            motion = self._of([np.asarray(efforts), None, np.asarray(values), None, None, None, None], None)
-            found = motion.gradient(*(np.asarray(own, float) for own in along), values=bool(self.numbers))
+            found = motion_of(efforts, values).gradient(*(np.asarray(own, float) for own in along), values=bool(self.numbers))
             return found.efforts.astype(efforts.dtype), found.values.reshape(values.shape).astype(values.dtype)
 
         def plain(efforts: Any, values: Any) -> Any:

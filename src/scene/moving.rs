@@ -16,7 +16,7 @@ const DIFFERENCE: f64 = 3e-5;
 /// Part of that distance for a difference to one side, whose error is of first order.
 const ONE_SIDED: f64 = 1e-3;
 
-/// What has more and what has less of a number, and by how much more.
+/// Two things of one kind, the first with more of a number and the second with less, and the difference of that number.
 type Pair<T> = ([T; 2], f64);
 
 /// The numbers of a scene's arm, by their dotted keys.

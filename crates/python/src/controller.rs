@@ -1,14 +1,11 @@
 //! The controller of a closed loop whose plant is a program in Python.
 
-use std::sync::mpsc;
-
 use nalgebra::Matrix3;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::{beside, raise, read, scene_error};
+use super::{interruptibly, raise, read, scene_error};
 use crate::arrays::{Numbers, any_numbers};
-use softarm::cli::Told;
 use softarm::mpc::{MeasurementLine, ServeError, Server, rotation_rows};
 use softarm::scene::{Scene, SceneSource};
 use softarm::stop::StopSignal;
@@ -68,20 +65,11 @@ impl Controller {
     ) -> PyResult<Self> {
         let (scene, source) = read(py, name, text, &overrides)?;
         let name = name.to_string();
-        let work = move |told: mpsc::Sender<Told>, interrupted| {
-            let stop = StopSignal::new(None, Some(interrupted));
-            let found = made(&scene, &source, &name, &stop);
-            // The end of the work is heard as the end of what it tells.
-            drop(told);
-            found
-        };
-        let (mut server, n_nodes) = match beside(py, work, &mut |_| Ok(()))? {
-            (_, Some(error)) => return Err(error),
-            (found, None) => found.map_err(|error| match error {
-                MakeError::Scene(error) => scene_error(py, &error),
-                MakeError::Serve(error) => raise(py, "ModelError", error.to_string()),
-            })?,
-        };
+        let work = move |stop| made(&scene, &source, &name, &stop);
+        let (mut server, n_nodes) = interruptibly(py, work, |error| match error {
+            MakeError::Scene(error) => scene_error(py, &error),
+            MakeError::Serve(error) => raise(py, "ModelError", error.to_string()),
+        })?;
         let greeting = taken(&mut server);
         Ok(Self {
             server,

@@ -26,6 +26,7 @@ use words::in_python;
 
 use softarm::cli::{CallError, Caller, Told};
 use softarm::scene::{Scene, SceneError, SceneSource, builtin};
+use softarm::stop::StopSignal;
 
 /// Longest time between two looks at the signals of Python.
 const GLANCE: Duration = Duration::from_millis(50);
@@ -181,6 +182,25 @@ fn call(
         Some(error) => Err(error),
         None => outcome.map_err(|error| call_error(py, &error)),
     }
+}
+
+/// Runs work that tells nothing as [`beside`] does, and raises what it fails with.
+fn interruptibly<T: Send + 'static, E: Send + 'static>(
+    py: Python<'_>,
+    work: impl FnOnce(StopSignal) -> Result<T, E> + Send + 'static,
+    failed: impl FnOnce(E) -> PyErr,
+) -> PyResult<T> {
+    let work = move |_, interrupted| work(StopSignal::new(None, Some(interrupted)));
+    match beside(py, work, &mut |_| Ok(()))? {
+        (_, Some(raised)) => Err(raised),
+        (found, None) => found.map_err(failed),
+    }
+}
+
+/// Returns the number of threads that was asked for, or that of the cores.
+fn n_threads(asked: Option<usize>) -> usize {
+    let cores = || thread::available_parallelism().map_or(1, usize::from);
+    asked.unwrap_or_else(cores).max(1)
 }
 
 /// Runs the command line `softarm` with the given words, the name of the program first, and returns its exit code.

@@ -1,7 +1,5 @@
 //! The optimal-control problem of a scene as arrays, for a solver of one's own.
 
-use std::sync::mpsc;
-
 use faer::Mat;
 use nalgebra::Vector3;
 use numpy::ndarray::{Array2, Array3, Array4};
@@ -10,9 +8,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
-use super::{beside, raise, read, scene_error};
+use super::{interruptibly, raise, read, scene_error};
 use crate::arrays::{Numbers, numbers};
-use softarm::cli::Told;
 use softarm::control::{
     ControlKind, Guess, LiftedPoint, OptimalControlProblem, Transcription, block_transitions,
     first_point,
@@ -21,7 +18,6 @@ use softarm::mechanics::Trajectory;
 use softarm::scene::OptimalControl;
 use softarm::solve::saved_coefficients;
 use softarm::sqp::{ConvexSet, Failure, LiftedProgram as _, LinearizationRequest, Multipliers};
-use softarm::stop::StopSignal;
 
 /// The discrete problem of a scene: `Program(name, text=None, overrides=[])`.
 #[pyclass(module = "softarm._softarm", frozen)]
@@ -90,17 +86,11 @@ impl Program {
         work: impl FnOnce(&OptimalControlProblem) -> Result<T, Failure> + Send + 'static,
     ) -> PyResult<T> {
         let mut problem = self.problem().clone();
-        let work = move |told: mpsc::Sender<Told>, interrupted| {
-            problem.stop = StopSignal::new(None, Some(interrupted));
-            let found = work(&problem);
-            // The end of the work is heard as the end of what it tells.
-            drop(told);
-            found
+        let work = move |stop| {
+            problem.stop = stop;
+            work(&problem)
         };
-        match beside(py, work, &mut |_| Ok(()))? {
-            (_, Some(error)) => Err(error),
-            (found, None) => found.map_err(|failure| failed(py, &failure)),
-        }
+        interruptibly(py, work, |failure| failed(py, &failure))
     }
 }
 
@@ -125,16 +115,8 @@ impl Program {
     ) -> PyResult<Self> {
         let (scene, source) = read(py, name, text, &overrides)?;
         // A deadline of the scene is one of its solves.
-        let work = move |told: mpsc::Sender<Told>, interrupted| {
-            let stop = StopSignal::new(None, Some(interrupted));
-            let setup = scene.optimal_control_until(&source, &stop);
-            drop(told);
-            setup
-        };
-        let setup = match beside(py, work, &mut |_| Ok(()))? {
-            (_, Some(error)) => return Err(error),
-            (setup, None) => setup.map_err(|error| scene_error(py, &error))?,
-        };
+        let work = move |stop| scene.optimal_control_until(&source, &stop);
+        let setup = interruptibly(py, work, |error| scene_error(py, &error))?;
         Ok(Self { setup })
     }
 

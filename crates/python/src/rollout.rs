@@ -1,5 +1,6 @@
 //! Motions under sequences of controls, and derivatives of functions of their states.
 
+use std::borrow::Cow;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use nalgebra::{Matrix3, Vector3};
@@ -10,7 +11,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Numbers, numbers};
 use super::plant::{Origin, state_of, steps_of, wrench};
-use super::{beside, raise, read, scene_error};
+use super::{interruptibly, n_threads, raise, read, scene_error};
 use softarm::mechanics::linearization::StateTangent;
 use softarm::mechanics::rollout::{
     Beside, ControlRows, Rollout as Course, RolloutError, RolloutGradient, along_momenta,
@@ -138,21 +139,12 @@ impl Common {
     }
 }
 
-fn n_threads(asked: Option<usize>) -> usize {
-    let cores = || std::thread::available_parallelism().map_or(1, usize::from);
-    asked.unwrap_or_else(cores).max(1)
-}
-
-/// Runs work as [`beside`] does, and raises what it fails with.
-fn run_beside<T: Send + 'static>(
+/// Runs work as [`interruptibly`] does.
+fn run<T: Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce(&StopSignal) -> Result<T, Failure> + Send + 'static,
 ) -> PyResult<T> {
-    let work = move |_, flag| work(&StopSignal::new(None, Some(flag)));
-    match beside(py, work, &mut |_| Ok(()))? {
-        (_, Some(interrupted)) => Err(interrupted),
-        (found, None) => found.map_err(|failure| failure.raise(py)),
-    }
+    interruptibly(py, |stop| work(&stop), |failure| failure.raise(py))
 }
 
 /// Returns the part of a row of a batch.
@@ -318,7 +310,7 @@ impl Rollout {
         let known = (common.last.lock())
             .unwrap_or_else(PoisonError::into_inner)
             .clone();
-        let motions = run_beside(py, move |stop| {
+        let motions = run(py, move |stop| {
             let arms = on_threads(batch, n_threads, |row| {
                 let values = values.as_deref().map(|all| part(all, row, batch));
                 common.arm(values.unwrap_or(&common.own.values), &known, stop)
@@ -370,14 +362,14 @@ impl Ran {
     ) -> Result<RolloutGradient, Failure> {
         let (common, arm, states) = (&self.common, &self.arms[row], &self.states[row]);
         let rod = &arm.arm.rod;
-        let mut beside = Vec::new();
+        let mut beside: Cow<'_, [Beside]> = Cow::default();
         if numbers {
             let found = arm.beside(&common.keys, (n_threads, stop));
-            beside.extend_from_slice(found.map_err(Failure::Scene)?);
+            beside = Cow::Borrowed(found.map_err(Failure::Scene)?);
         }
         if self.has_start {
             let from = |own: Beside| own.from_state(rod, &states[0]);
-            beside = beside.into_iter().map(from).collect();
+            beside = beside.into_owned().into_iter().map(from).collect();
         }
         let along: Vec<StateTangent> = (covectors.iter())
             .map(|covector| along_momenta(rod, covector))
@@ -385,7 +377,7 @@ impl Ran {
         let course = common.course(rod, &self.controls[row], stop);
         let mut found = (course.pull_back(states, &along, &beside))
             .map_err(|error| Failure::Motion(row, error))?;
-        for (slope, own) in found.numbers.iter_mut().zip(&beside) {
+        for (slope, own) in found.numbers.iter_mut().zip(beside.iter()) {
             *slope += own.at_given_momenta(states, covectors);
         }
         found.initial = along_velocities(rod, &found.initial);
@@ -485,7 +477,7 @@ impl Motions {
             })
             .collect();
         let n_threads = n_threads(threads);
-        let (found, ran) = run_beside(py, move |stop| {
+        let (found, ran) = run(py, move |stop| {
             let found = on_threads(batch, n_threads, |row| {
                 let each = if batch == 1 { n_threads } else { 1 };
                 ran.pull_back(row, part(&covectors, row, batch), (numbers, each, stop))

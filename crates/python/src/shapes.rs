@@ -7,11 +7,10 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use super::arrays::{Numbers, numbers};
-use super::{beside, raise, read, scene_error};
+use super::{interruptibly, raise, read, scene_error};
 use softarm::mechanics::at_rest::{AtRest, RodsBeside, Wanted, shapes_of_rods};
 use softarm::mechanics::{EquilibriumError, Rod, TrajectoryTangent};
 use softarm::scene::{Scene, SceneError};
-use softarm::stop::StopSignal;
 
 /// Derivatives of positions and rotations of the nodes along numbers.
 type Along<'py> = [Bound<'py, PyArray4<f64>>; 2];
@@ -94,8 +93,7 @@ pub(super) fn shapes<'py>(
         let words = format!("{key} has {} numbers for {n} rows", column.len());
         return Err(PyValueError::new_err(words));
     }
-    let cores = || std::thread::available_parallelism().map_or(1, usize::from);
-    let n_threads = threads.unwrap_or_else(cores).max(1);
+    let n_threads = super::n_threads(threads);
     let wanted = Wanted {
         jacobian,
         stability,
@@ -111,10 +109,9 @@ pub(super) fn shapes<'py>(
     };
     let name = name.to_owned();
     let text = source.text;
-    let (found, interrupted) = beside(
+    let found = interruptibly(
         py,
-        move |_, flag| {
-            let stop = StopSignal::new(None, Some(flag));
+        move |stop| {
             let of_row = |row: usize| -> Result<(Rod, RodsBeside), Failure> {
                 let (mut own, mut others) = (rod.clone(), beside_own.clone());
                 if !columns.is_empty() {
@@ -148,15 +145,11 @@ pub(super) fn shapes<'py>(
             };
             shapes_of_rods(&of_row, n, wanted, (n_threads, &stop))
         },
-        &mut |_| Ok(()),
+        |failure| match failure {
+            Failure::Statics(row, error) => raise(py, "ModelError", format!("row {row}: {error}")),
+            Failure::Scene(error) => scene_error(py, &error),
+        },
     )?;
-    if let Some(interrupted) = interrupted {
-        return Err(interrupted);
-    }
-    let found = found.map_err(|failure| match failure {
-        Failure::Statics(row, error) => raise(py, "ModelError", format!("row {row}: {error}")),
-        Failure::Scene(error) => scene_error(py, &error),
-    })?;
     if found.iter().any(|own| own.shape.positions.len() != n_nodes) {
         let words = "the columns change the number of elements, so that shapes make no array: give rod.elements, and keys that leave the ends of parts alone";
         return Err(PyValueError::new_err(words));

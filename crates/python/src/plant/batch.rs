@@ -11,8 +11,8 @@ use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 
 use super::{Acting, Arm, Halt, Kind, Origin, Watch, state_arrays};
-use crate::GLANCE;
 use crate::arrays::{Numbers, numbers};
+use crate::{GLANCE, n_threads};
 use softarm::mechanics::State;
 use softarm::task::prediction::simulation_seconds;
 
@@ -206,8 +206,7 @@ impl Batch {
         let seconds: f64 = (self.kinds.iter().zip(&steps))
             .map(|(kind, (n, _))| simulation_seconds(&kind.rod, *n as f64))
             .sum();
-        let cores = || std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = (self.threads.unwrap_or_else(cores))
+        let threads = n_threads(self.threads)
             .min((seconds / WORTH_A_THREAD_S) as usize)
             .max(1);
         let share = n.div_ceil(threads);
