@@ -16,7 +16,7 @@ use crate::mechanics::vibration::SmallMotions;
 use crate::mechanics::{Rod, State, SweptSurface};
 use crate::mpc::{
     ActuatorDynamics, EffortDynamics, Experiment, MpcError, Sensing, Sensor, SensorChoice,
-    SensorSettings, Transfer, followed, with_long_steps,
+    SensorSettings, ServeError, Server, Transfer, followed, with_long_steps,
 };
 use crate::stop::StopSignal;
 use crate::task::{Arm, Discretization, DiscretizeError, StartError, Task};
@@ -38,6 +38,17 @@ pub struct ClosedLoopSetup {
     pub resolved: Scene,
     /// Warnings about keys without effect, and about a loop that goes on after its task.
     pub warnings: Vec<String>,
+}
+
+/// The reason why the closed loop of a scene has no server.
+#[derive(Debug, thiserror::Error)]
+pub enum ServerError {
+    /// The scene describes no loop with a controller.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The controller could not be made for another reason.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
 }
 
 /// Distance from the surface that the tip sweeps, divided by the length, up to which a path lies on it.
@@ -225,6 +236,27 @@ impl Scene {
             model,
             initial: found.initial,
         })
+    }
+
+    /// Returns the server of the controller of the scene's closed loop, which answers one call after the other, beside the loop; `name` is that of the scene.
+    ///
+    /// # Errors
+    /// Returns an error at the key that keeps the scene from being a loop or its controller from being made, and any other error of the controller.
+    pub fn server(
+        &self,
+        source: &SceneSource,
+        name: &str,
+        stop: &StopSignal,
+    ) -> Result<(Server<Vec<u8>>, ClosedLoopSetup), ServerError> {
+        let setup = self.closed_loop(source, 0, stop)?;
+        match Server::new(&setup.experiment, name, Vec::new()) {
+            Ok(server) => Ok((server, setup)),
+            Err(ServeError::Mpc(error)) => Err(match self.mpc_error(source, &error) {
+                Some(of_scene) => of_scene.into(),
+                None => ServeError::Mpc(error).into(),
+            }),
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// Returns the error of a closed loop at the key of the scene that causes it; `None` for an error within a run.

@@ -49,7 +49,7 @@ pub mod translate;
 mod values;
 
 pub(crate) use check::MOST_ELEMENTS;
-pub use closed_loop::ClosedLoopSetup;
+pub use closed_loop::{ClosedLoopSetup, ServerError};
 pub use error::{DescribeError, SceneError};
 #[cfg(feature = "cli")]
 pub(crate) use file::LARGEST_SCENE;

@@ -11,9 +11,9 @@ use softarm::control::{ControlKind, NamedControl};
 use softarm::mechanics::rollout::{ControlRows, Rollout};
 use softarm::mechanics::stability::automatic_step;
 use softarm::mechanics::{Rod, State, TimeGrid, Wrench};
-use softarm::mpc::{Command, MeasurementLine, ServeError, Server, Transfer};
+use softarm::mpc::{Command, MeasurementLine, Server, Transfer};
 use softarm::nalgebra::Vector3;
-use softarm::scene::Scene;
+use softarm::scene::{Scene, ServerError};
 use softarm::stop::StopSignal;
 
 /// A code and what went wrong.
@@ -181,13 +181,10 @@ impl Controller {
         let scene_error = |error: softarm::scene::SceneError| Failure(SCENE, error.to_string());
         let (scene, source) = Scene::load(name, overrides).map_err(scene_error)?;
         let stop = StopSignal::default();
-        let setup = scene.closed_loop(&source, 0, &stop).map_err(scene_error)?;
-        let mut server = Server::new(&setup.experiment, name, Vec::new()).map_err(|error| {
-            let of_scene = match &error {
-                ServeError::Mpc(mpc) => scene.mpc_error(&source, mpc),
-                _ => None,
-            };
-            of_scene.map_or_else(|| Failure(MODEL, error.to_string()), scene_error)
+        let made = scene.server(&source, name, &stop);
+        let (mut server, setup) = made.map_err(|error| match error {
+            ServerError::Scene(error) => scene_error(error),
+            ServerError::Serve(error) => Failure(MODEL, error.to_string()),
         })?;
         let hello = taken(&mut server);
         let driver = server.driver();

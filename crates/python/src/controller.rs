@@ -6,9 +6,8 @@ use pyo3::prelude::*;
 
 use super::{interruptibly, raise, read, scene_error};
 use crate::arrays::{Numbers, any_numbers};
-use softarm::mpc::{MeasurementLine, ServeError, Server, rotation_rows};
-use softarm::scene::{Scene, SceneSource};
-use softarm::stop::StopSignal;
+use softarm::mpc::{MeasurementLine, Server, rotation_rows};
+use softarm::scene::ServerError;
 
 /// The controller of a scene: `Controller(name, text=None, overrides=[])`. Its words are those of `docs/serving.md`.
 #[pyclass(module = "softarm._softarm")]
@@ -16,34 +15,6 @@ pub(super) struct Controller {
     server: Server<Vec<u8>>,
     n_nodes: usize,
     greeting: String,
-}
-
-fn made(
-    scene: &Scene,
-    source: &SceneSource,
-    name: &str,
-    stop: &StopSignal,
-) -> Result<(Server<Vec<u8>>, usize), MakeError> {
-    let setup = scene.closed_loop(source, 0, stop)?;
-    let server = Server::new(&setup.experiment, name, Vec::new()).map_err(|error| {
-        let mpc = match &error {
-            ServeError::Mpc(mpc) => scene.mpc_error(source, mpc),
-            _ => None,
-        };
-        mpc.map_or(MakeError::Serve(error), MakeError::Scene)
-    })?;
-    Ok((server, setup.model.n_nodes()))
-}
-
-enum MakeError {
-    Scene(softarm::scene::SceneError),
-    Serve(ServeError),
-}
-
-impl From<softarm::scene::SceneError> for MakeError {
-    fn from(error: softarm::scene::SceneError) -> Self {
-        Self::Scene(error)
-    }
 }
 
 impl Controller {
@@ -65,10 +36,13 @@ impl Controller {
     ) -> PyResult<Self> {
         let (scene, source) = read(py, name, text, &overrides)?;
         let name = name.to_string();
-        let work = move |stop| made(&scene, &source, &name, &stop);
+        let work = move |stop| {
+            let (server, setup) = scene.server(&source, &name, &stop)?;
+            Ok((server, setup.model.n_nodes()))
+        };
         let (mut server, n_nodes) = interruptibly(py, work, |error| match error {
-            MakeError::Scene(error) => scene_error(py, &error),
-            MakeError::Serve(error) => raise(py, "ModelError", error.to_string()),
+            ServerError::Scene(error) => scene_error(py, &error),
+            ServerError::Serve(error) => raise(py, "ModelError", error.to_string()),
         })?;
         let greeting = taken(&mut server);
         Ok(Self {
